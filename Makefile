@@ -1,0 +1,45 @@
+# The four commands of the README. Each sets up what is missing first.
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := PIP_DISABLE_PIP_VERSION_CHECK=1 $(BIN)/pip install --quiet --constraint constraints.txt
+
+.PHONY: setup demo test bench lint clean
+
+# The first of these that is Python 3.12 or 3.11 and can make environments.
+PYTHON := $(shell for p in python3.12 python3.11 python3; do \
+	$$p -c 'import ensurepip, sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 12))' \
+	2>/dev/null && { echo $$p; break; }; done)
+
+setup: $(VENV)/.runtime
+
+$(VENV)/.runtime: setup.py constraints.txt
+	@if [ -z "$(PYTHON)" ]; then \
+		echo 'microbot_ros needs Python 3.12 or 3.11 with venv (Debian, Ubuntu: apt install python3-venv); found neither.' >&2; \
+		exit 2; fi
+	@echo "setting up $(VENV) with $(PYTHON): ROS 2 Jazzy and the libraries from PyPI, about a minute"
+	@[ -x $(BIN)/python ] || $(PYTHON) -m venv $(VENV)
+	@$(PIP) --editable '.[ros]'
+	@touch $@
+
+$(VENV)/.development: $(VENV)/.runtime
+	@echo 'adding the tools for tests and benchmarks, about a minute'
+	@$(PIP) --editable '.[ros,dev]'
+	@touch $@
+
+demo: $(VENV)/.runtime
+	@$(BIN)/microbot demo --out out/demo
+
+test: $(VENV)/.development lint
+	@$(BIN)/python -m pytest --numprocesses 3 --dist loadgroup
+
+lint: $(VENV)/.development
+	@$(BIN)/ruff check .
+	@$(BIN)/mypy
+	@$(BIN)/lint-imports --no-logo
+
+# `make bench ONLY=tracker` runs one group.
+bench: $(VENV)/.development
+	@$(BIN)/python -m bench $(if $(ONLY),--only $(ONLY))
+
+clean:
+	rm -rf $(VENV) out build install log .mypy_cache .ruff_cache *.egg-info

@@ -1,0 +1,1 @@
+"""Benchmarks: every figure that an issue names, measured against its peer in the same run."""

@@ -1,0 +1,57 @@
+"""The `microbot` command: one file per command, imported only when it is called."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+
+import click
+
+from microbot_ros import __version__
+from microbot_ros.errors import InputError
+
+# Command → one line for `microbot --help`; the module of the same name defines `command`.
+_COMMANDS = {
+    'demo': 'Close the loop on the virtual rig.',
+}
+
+
+class _LazyGroup(click.Group):
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(_COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in _COMMANDS:
+            return None
+        module = importlib.import_module(f'microbot_ros.cli.{cmd_name}')
+        command: click.Command = module.command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section('Commands'):
+            formatter.write_dl(list(_COMMANDS.items()))
+
+
+@click.group(cls=_LazyGroup, context_settings={'help_option_names': ['-h', '--help']})
+@click.version_option(__version__)
+def microbot() -> None:
+    """Closed-loop coil control of magnetic microrobots, from the microscope to the amplifier."""
+
+
+def main() -> None:
+    """Run the command line: exit 0 done, 1 failed, 2 bad input with one line on standard error."""
+    # One user, one machine: nothing is reachable from beyond it unless the caller asks.
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    try:
+        status = microbot.main(standalone_mode=False)
+    except InputError as error:
+        print(f'microbot: {error}', file=sys.stderr)
+        status = 2
+    except click.UsageError as error:
+        where = f'microbot {error.ctx.info_name}' if error.ctx and error.ctx.parent else 'microbot'
+        print(f'{where}: {error.format_message()} (see --help)', file=sys.stderr)
+        status = 2
+    except (click.Abort, KeyboardInterrupt):
+        status = 130
+    sys.exit(status)

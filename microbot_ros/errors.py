@@ -1,0 +1,20 @@
+"""The one kind of error that a person is meant to read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class InputError(ValueError):
+    """Something a person supplied is wrong: a file, an option, a device name.
+
+    The message is one line: where, what was found, what was expected. Commands print it on
+    standard error and exit with 2.
+    """
+
+    def __init__(self, source: str | Path, expected: str, line: int | None = None) -> None:
+        self.source = str(source)
+        self.expected = expected
+        self.line = line
+        place = self.source if line is None else f'{self.source}:{line}'
+        super().__init__(f'{place}: {expected}' if place else expected)

@@ -1,0 +1,127 @@
+"""Reading what people write, writing what people keep: checked YAML, all-or-nothing output."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import pydantic
+import yaml
+
+from microbot_ros.errors import InputError
+
+
+class Settings(pydantic.BaseModel):
+    """Base of everything read from YAML: unknown keys, NaN and infinity are errors."""
+
+    model_config = pydantic.ConfigDict(extra='forbid', frozen=True, allow_inf_nan=False)
+
+
+SettingsT = TypeVar('SettingsT', bound=pydantic.BaseModel)
+
+
+def read_yaml(path: str | Path, settings: type[SettingsT]) -> SettingsT:
+    """A YAML file as validated settings.
+
+    Raises InputError naming file, line, key and what was expected, for a file that is missing,
+    is not YAML, or does not fit.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding='utf-8')
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(path, f'expected a readable YAML file ({error})') from None
+    try:
+        tree = yaml.compose(text, Loader=yaml.SafeLoader)
+        content = yaml.safe_load(text) or {}
+    except yaml.YAMLError as error:
+        mark = getattr(error, 'problem_mark', None)
+        problem = getattr(error, 'problem', None) or 'not YAML'
+        raise InputError(path, f'expected YAML; {problem}', mark and mark.line + 1) from None
+    if not isinstance(content, dict):
+        raise InputError(path, 'expected keys and values at the top level', 1)
+    try:
+        return settings.model_validate(content)
+    except pydantic.ValidationError as error:
+        first = error.errors()[0]
+        raise InputError(path, _explain(first, settings), _line_of(tree, first['loc'])) from None
+
+
+def _explain(error: Any, settings: type[pydantic.BaseModel]) -> str:
+    key = '.'.join(str(part) for part in error['loc']) or 'the file'
+    if error['type'] == 'extra_forbidden':
+        known = sorted(settings.model_fields) if len(error['loc']) == 1 else []
+        hint = f'; expected one of: {", ".join(known)}' if known else ''
+        return f"unknown key '{key}'{hint}"
+    if error['type'] == 'missing':
+        return f"expected a key '{key}'"
+    message = error['msg'].removeprefix('Value error, ')
+    return f"'{key}': {message[0].lower()}{message[1:]}, got {error['input']!r}"
+
+
+def _line_of(tree: yaml.Node | None, location: tuple[int | str, ...]) -> int | None:
+    """The line of the deepest part of a key path that the file really has."""
+    line = None if tree is None else tree.start_mark.line + 1
+    for part in location:
+        if isinstance(tree, yaml.MappingNode):
+            match = next(((k, v) for k, v in tree.value if k.value == str(part)), None)
+            if match is None:
+                return line
+            line, tree = match[0].start_mark.line + 1, match[1]
+        elif isinstance(tree, yaml.SequenceNode) and isinstance(part, int):
+            if part >= len(tree.value):
+                return line
+            tree = tree.value[part]
+            line = tree.start_mark.line + 1
+    return line
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a file in one step: readers see the old content or the new, never a half."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f'.{path.name}.')
+    try:
+        with os.fdopen(handle, 'w', encoding='utf-8') as stream:
+            stream.write(text)
+        umask = os.umask(0)
+        os.umask(umask)
+        os.chmod(temporary, 0o666 & ~umask)
+        os.replace(temporary, path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+@contextmanager
+def output_folder(path: str | Path) -> Iterator[Path]:
+    """A folder to fill that takes its name only when everything in it is written.
+
+    What is written goes to a hidden sibling; on success its files move into `path` one by one,
+    replacing earlier ones of the same name and leaving others alone; on any exception nothing
+    of it is left.
+    """
+    path = Path(path)
+    if path.exists() and not path.is_dir():
+        raise InputError(path, 'expected a folder to write to, found a file')
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        scratch = Path(tempfile.mkdtemp(dir=path.parent, prefix=f'.{path.name}.'))
+    except OSError as error:
+        problem = f'expected a folder that can be written ({error.strerror})'
+        raise InputError(path, problem) from None
+    try:
+        yield scratch
+        path.mkdir(exist_ok=True)
+        for item in sorted(scratch.iterdir()):
+            target = path / item.name
+            if target.is_dir():
+                shutil.rmtree(target)
+            os.replace(item, target)
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)

@@ -1,0 +1,97 @@
+"""What was measured and what was commanded, as arrays in SI: the currency between the rooms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Positions of particles over time, one row per particle and frame; gaps are missing rows.
+
+    Rows are sorted by time. `t` (M,) [s]; `particle` (M,) integer identities; `position` (M, 2)
+    [m], x right, y up; `theta` (M,) heading [rad], NaN where it is not known; `sigma` (M,)
+    standard deviation of each coordinate [m], NaN where it is not known.
+    """
+
+    t: np.ndarray
+    particle: np.ndarray
+    position: np.ndarray
+    theta: np.ndarray
+    sigma: np.ndarray
+
+    @property
+    def particles(self) -> np.ndarray:
+        """The identities present, ascending."""
+        return np.unique(self.particle)
+
+    def of(self, particle: int) -> Tracks:
+        """The rows of one particle."""
+        rows = self.particle == particle
+        return Tracks(
+            self.t[rows], self.particle[rows], self.position[rows], self.theta[rows],
+            self.sigma[rows],
+        )
+
+    def grid(self) -> tuple[np.ndarray, np.ndarray]:
+        """Frame times (T,) and positions (T, N, 2) in the order of `particles`; NaN for gaps."""
+        times, row = np.unique(self.t, return_inverse=True)
+        ids, column = np.unique(self.particle, return_inverse=True)
+        positions = np.full((len(times), len(ids), 2), np.nan)
+        positions[row, column] = self.position
+        return times, positions
+
+
+@dataclass(frozen=True)
+class Commands:
+    """The commanded field over time; each row holds until the next.
+
+    `t` (K,) [s], ascending; `field` (K, 2) [T] in the plane; for rolling particles `field`
+    points in the rolling direction and `frequency` (K,) [Hz] is the rotation frequency, else
+    `frequency` is None. Before the first row nothing is commanded: zero field.
+    """
+
+    t: np.ndarray
+    field: np.ndarray
+    frequency: np.ndarray | None = None
+
+    def index_at(self, t: np.ndarray | float) -> np.ndarray:
+        """The row in force at each time; −1 before the first."""
+        return np.searchsorted(self.t, t, side='right') - 1
+
+    def field_at(self, t: np.ndarray | float) -> np.ndarray:
+        """Commanded field [T] at times of shape (...): (..., 2)."""
+        index = self.index_at(t)
+        return np.where((index >= 0)[..., None], self.field[np.maximum(index, 0)], 0.0)
+
+    def frequency_at(self, t: np.ndarray | float) -> np.ndarray:
+        """Rotation frequency [Hz] at times of shape (...): (...); zero where there is none."""
+        index = self.index_at(t)
+        if self.frequency is None:
+            return np.zeros(np.shape(index))
+        return np.where(index >= 0, self.frequency[np.maximum(index, 0)], 0.0)
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What a session knows of its rig, in SI; None where it was not said."""
+
+    propulsion: str = 'catalytic'
+    radius: float | None = None
+    viscosity: float | None = None
+    temperature: float | None = None
+    frame_rate: float | None = None
+    pixel_size: float | None = None
+    reference_field: float | None = None
+
+
+@dataclass(frozen=True)
+class Session:
+    """One recording: what was seen, what was commanded, under which conditions."""
+
+    tracks: Tracks
+    commands: Commands
+    conditions: Conditions = field(default_factory=Conditions)
+    name: str = ''

@@ -1,0 +1,73 @@
+"""Units at the edge. The core computes in SI; files, plots and screens name their unit.
+
+A name that carries a unit ends in one of the suffixes below: `x_um`, `field_mT`, `tau_s`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TypeVar
+
+import numpy as np
+
+MU_0 = 1.25663706127e-6
+"""Vacuum permeability [N/A²], CODATA 2022."""
+
+BOLTZMANN = 1.380649e-23
+"""Boltzmann constant [J/K], exact since the SI of 2019."""
+
+Number = TypeVar('Number', float, np.ndarray)
+
+# Suffix → (SI units in one such unit, how people write it). Longest suffix wins.
+_SUFFIXES: dict[str, tuple[float, str]] = {
+    '_um': (1e-6, 'µm'),
+    '_mm': (1e-3, 'mm'),
+    '_m': (1.0, 'm'),
+    '_um_s': (1e-6, 'µm/s'),
+    '_um2_s': (1e-12, 'µm²/s'),
+    '_um5_s': (1e-30, 'µm⁵/s'),
+    '_um_s_hz': (1e-6, 'µm/s/Hz'),
+    '_mT': (1e-3, 'mT'),
+    '_T': (1.0, 'T'),
+    '_A': (1.0, 'A'),
+    '_W': (1.0, 'W'),
+    '_ohm': (1.0, 'Ω'),
+    '_pN': (1e-12, 'pN'),
+    '_ng': (1e-12, 'ng'),
+    '_mPa_s': (1e-3, 'mPa·s'),
+    '_K': (1.0, 'K'),
+    '_s': (1.0, 's'),
+    '_ms': (1e-3, 'ms'),
+    '_hz': (1.0, 'Hz'),
+    '_rad': (1.0, 'rad'),
+    '_deg': (math.pi / 180, '°'),
+    '_per_s': (1.0, '1/s'),
+    '_rad_per_s': (1.0, 'rad/s'),
+    '_rad_s': (1.0, 'rad/s'),
+    '_per_s_mT': (1e3, '1/s/mT'),
+    '_px': (1.0, 'px'),
+}
+_BY_LENGTH = sorted(_SUFFIXES, key=len, reverse=True)
+
+
+def suffix(name: str) -> str:
+    """The unit suffix of a name, or '' where it has none: `suffix('wx_um_s') == '_um_s'`."""
+    return next((s for s in _BY_LENGTH if name.endswith(s)), '')
+
+
+def symbol(name: str) -> str:
+    """How people write the unit that a name carries: `symbol('wx_um_s') == 'µm/s'`."""
+    ending = suffix(name)
+    return _SUFFIXES[ending][1] if ending else ''
+
+
+def to_si(name: str, value: Number) -> Number:
+    """A value in the unit that its name carries, in SI: `to_si('x_um', 2.0) == 2e-6`."""
+    ending = suffix(name)
+    return value * _SUFFIXES[ending][0] if ending else value
+
+
+def from_si(name: str, value: Number) -> Number:
+    """An SI value in the unit that the name carries: `from_si('x_um', 2e-6) == 2.0`."""
+    ending = suffix(name)
+    return value / _SUFFIXES[ending][0] if ending else value

@@ -1,0 +1,46 @@
+from glob import glob
+
+from setuptools import find_packages, setup
+
+package_name = 'microbot_ros'
+
+# What ROS installations bring by themselves; elsewhere `pip install microbot_ros[ros]` does.
+ros_from_pypi = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
+
+development = [
+    'catkin_pkg', 'colcon-common-extensions', 'hypothesis', 'import-linter', 'magpylib', 'mypy',
+    'pysindy', 'pytest', 'pytest-timeout', 'pytest-xdist', 'ruff', 'trackpy', 'types-PyYAML',
+    'types-pyserial',
+]
+
+setup(
+    name=package_name,
+    version='0.1.0',
+    packages=find_packages(include=[package_name, f'{package_name}.*']),
+    package_data={package_name: ['**/*.html', '**/*.css', 'py.typed']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
+        (f'share/{package_name}', ['package.xml']),
+        (f'share/{package_name}/launch', glob('launch/*_launch.py')),
+        (f'share/{package_name}/config', glob('config/*.*')),
+    ],
+    python_requires='>=3.11',
+    install_requires=[
+        'click', 'jinja2', 'matplotlib', 'mcap', 'numba', 'numpy', 'opencv-python-headless',
+        'osqp', 'pydantic>=2', 'pymodbus', 'pyserial', 'pyyaml', 'rich', 'rosbags', 'scipy',
+        'setuptools', 'zstandard',
+    ],
+    extras_require={'ros': ros_from_pypi, 'dev': development},
+    zip_safe=False,
+    maintainer='microbot_ros maintainers',
+    maintainer_email='maintainers@microbot-ros.example',
+    description='Closed-loop coil control of magnetic Janus microrobots under a microscope.',
+    license='Apache-2.0',
+    entry_points={
+        'console_scripts': [
+            'microbot = microbot_ros.cli:main',
+        ],
+        'microbot_ros.controllers': [],
+        'microbot_ros.amplifiers': [],
+    },
+)
