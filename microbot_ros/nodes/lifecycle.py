@@ -1,0 +1,216 @@
+"""What every node shares: guarded transitions and callbacks, parameters, diagnostics."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
+
+from microbot_ros.errors import InputError
+from microbot_ros.nodes.messages import MessageError, to_seconds
+from microbot_ros.nodes.parameters import ParameterSet, refuse_unknown
+
+RELIABLE = QoSProfile(depth=10)
+LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+# A best-effort subscriber matches every publisher of images, a reliable one only some.
+IMAGES_IN = QoSProfile(depth=5, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+IMAGES_OUT = QoSProfile(depth=5)
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+
+
+class RigNode(LifecycleNode):
+    """A lifecycle node that cannot fail silently.
+
+    Subclasses name their parameters (`Parameters`) and fill in `setup` (create publishers,
+    subscriptions, timers, open devices), `start`, `stop`, `teardown`, `make_safe` and `health`.
+    An exception in a transition or callback is logged with its traceback and shown on
+    `/diagnostics`, and `make_safe` runs at once; a bad message is reported and dropped.
+    Subscriptions and timers act only while the node is active.
+    """
+
+    Parameters: ClassVar[type]
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self.active = False
+        self.fault = ''
+        """Why setup failed or the node is not doing its work; '' when all is well."""
+        self._complaint = ''
+        self._complaint_until = 0.0
+        self._created: list[tuple[Callable[[Any], Any], Any]] = []
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self.create_timer(1.0, self._report, clock=self._steady)
+        self._parameters_of_node: ParameterSet[Any] = ParameterSet(
+            self, self.Parameters, self.veto)
+        self.declare_more()
+        refuse_unknown(self)
+
+    # What a node fills in -------------------------------------------------------------------
+
+    def declare_more(self) -> None:
+        """Declare parameters beyond `Parameters`."""
+
+    def veto(self, proposed: Any) -> str:
+        """Why these parameters can't be taken, or ''."""
+        return ''
+
+    def setup(self) -> None:
+        """Configure: create what the node needs. InputError where a person must act."""
+
+    def start(self) -> None:
+        """Activate."""
+
+    def stop(self) -> None:
+        """Deactivate: end in the safe state. Also called from states that were never active."""
+
+    def teardown(self) -> None:
+        """Clean up what `setup` made, beyond publishers, subscriptions and timers."""
+
+    def make_safe(self) -> None:
+        """Put what the node drives into its safe state; must not raise."""
+
+    def health(self) -> tuple[bytes, str, dict[str, object]]:
+        """Level, one sentence, and values with units in their names, for `/diagnostics`."""
+        return OK, 'running', {}
+
+    # What a node uses -----------------------------------------------------------------------
+
+    @property
+    def settings(self) -> Any:
+        """The present parameters, an immutable instance of `Parameters`."""
+        return self._parameters_of_node.values
+
+    def publisher(self, kind: type, topic: str, qos: QoSProfile = RELIABLE) -> Publisher:
+        """A publisher that goes with the next cleanup."""
+        made = self.create_publisher(kind, topic, qos)
+        self._created.append((self.destroy_publisher, made))
+        return made
+
+    def subscribe(self, kind: type, topic: str, callback: Callable[[Any], None],
+                  qos: QoSProfile = RELIABLE, raw: bool = False) -> None:
+        """A guarded subscription that goes with the next cleanup."""
+        made = self.create_subscription(kind, topic, self._guarded(callback), qos, raw=raw)
+        self._created.append((self.destroy_subscription, made))
+
+    def every(self, seconds: float, callback: Callable[[], None], steady: bool = True) -> None:
+        """A guarded timer; on the monotonic clock unless it should follow simulated time."""
+        clock = self._steady if steady else self.get_clock()
+        made = self.create_timer(seconds, self._guarded(callback), clock=clock)
+        self._created.append((self.destroy_timer, made))
+
+    def service(self, kind: type, name: str, callback: Callable[[Any, Any], Any]) -> None:
+        """A service that goes with the next cleanup."""
+        made = self.create_service(kind, name, callback)
+        self._created.append((self.destroy_service, made))
+
+    def seconds(self) -> float:
+        """Now on the node's clock [s]."""
+        return to_seconds(self.get_clock().now().to_msg())
+
+    def end(self) -> None:
+        """Leave the safe state behind, from whatever state the node is in."""
+        self.active = False
+        self.make_safe()
+        if self._state_machine.current_state[1] in ('unconfigured', 'inactive', 'active'):
+            self.trigger_shutdown()
+
+    def complain(self, sentence: str) -> None:
+        """Say on the log and for the next 5 s on `/diagnostics` that something came in wrong."""
+        self._complaint = sentence
+        self._complaint_until = time.monotonic() + 5.0
+        self.get_logger().warning(sentence, throttle_duration_sec=1.0)
+
+    # Machinery ------------------------------------------------------------------------------
+
+    def _guarded(self, callback: Callable[..., None]) -> Callable[..., None]:
+        def guarded(*arguments: Any) -> None:
+            if not self.active:
+                return
+            try:
+                callback(*arguments)
+            except MessageError as error:
+                self.complain(str(error))
+            except Exception as error:
+                self._failed(callback.__name__, error)
+        return guarded
+
+    def _failed(self, where: str, error: Exception) -> None:
+        self.make_safe()
+        self.complain(f'{where} failed: {error}')
+        self.get_logger().error(traceback.format_exc())
+
+    def _transition(self, name: str, step: Callable[[], None]) -> TransitionCallbackReturn:
+        try:
+            step()
+        except InputError as error:
+            self.fault = str(error)
+            self.make_safe()
+            self.get_logger().error(self.fault)
+            return TransitionCallbackReturn.FAILURE
+        except Exception as error:
+            self.fault = f'{name} failed: {error}'
+            self._failed(name, error)
+            return TransitionCallbackReturn.ERROR
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self.fault = ''
+        done = self._transition('configure', self.setup)
+        if done != TransitionCallbackReturn.SUCCESS:
+            self._discard()
+        return done
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        done = self._transition('activate', self.start)
+        self.active = done == TransitionCallbackReturn.SUCCESS
+        return done
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self.active = False
+        return self._transition('deactivate', self.stop)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        return self._transition('cleanup', self._discard)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        return self._transition('shutdown', self._end)
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        return self._transition('error', self._end)
+
+    def _end(self) -> None:
+        self.active = False
+        self.stop()
+        self._discard()
+
+    def _discard(self) -> None:
+        self.teardown()
+        for destroy, made in self._created:
+            destroy(made)
+        self._created.clear()
+
+    def _report(self) -> None:
+        level, sentence, values = (OK, 'not active', {}) if not self.active else self.health()
+        if self.fault:
+            level, sentence = ERROR, self.fault
+        elif time.monotonic() < self._complaint_until and level == OK:
+            level, sentence = WARN, self._complaint
+        status = DiagnosticStatus(
+            level=level, name=f'{self.get_name()}: {self.get_name()}', message=sentence,
+            values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()])
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(message)
+
+
+def _text(value: object) -> str:
+    return f'{value:.6g}' if isinstance(value, float) else str(value)

@@ -1,0 +1,172 @@
+"""Arrays to messages and back, without a Python object per particle or pixel."""
+
+from __future__ import annotations
+
+import array
+from collections.abc import Iterable
+from typing import Any
+
+import cv2
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Pose, PoseArray, Vector3Stamped
+from sensor_msgs.msg import Image, JointState, MagneticField, PointCloud2, PointField
+from std_msgs.msg import Header
+
+WORKSPACE = 'workspace'
+"""Frame of every position: metres, x right, y up."""
+
+PARTICLE = np.dtype([
+    ('id', '<u4'), ('x', '<f4'), ('y', '<f4'), ('theta', '<f4'), ('vx', '<f4'), ('vy', '<f4'),
+    ('sigma', '<f4'),
+])
+"""A point of `particles`: SI, `theta` and velocity NaN where they are not known."""
+
+ESTIMATE = np.dtype([
+    ('id', '<u4'), ('x', '<f4'), ('y', '<f4'), ('speed', '<f4'), ('phi', '<f4'),
+    ('force', '<f4'), ('x_std', '<f4'), ('y_std', '<f4'), ('speed_std', '<f4'),
+    ('phi_std', '<f4'), ('force_std', '<f4'),
+])
+"""A point of `model/state`: SI; infinite standard deviations say that nothing is known yet."""
+
+_POINT_TYPES = {
+    'i1': PointField.INT8, 'u1': PointField.UINT8, 'i2': PointField.INT16,
+    'u2': PointField.UINT16, 'i4': PointField.INT32, 'u4': PointField.UINT32,
+    'f4': PointField.FLOAT32, 'f8': PointField.FLOAT64,
+}
+_NUMPY_TYPES = {code: name for name, code in _POINT_TYPES.items()}
+
+
+class MessageError(ValueError):
+    """A message that came in does not hold what its topic promises."""
+
+
+def to_seconds(stamp: Time) -> float:
+    """A ROS stamp as seconds; the resolution of a double at today's epoch is 0.2 µs."""
+    return stamp.sec + stamp.nanosec * 1e-9
+
+
+def to_stamp(seconds: float) -> Time:
+    """Seconds as a ROS stamp."""
+    nanoseconds = round(seconds * 1e9)
+    return Time(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
+
+
+def cloud(points: np.ndarray, stamp: Time) -> PointCloud2:
+    """A structured array (N,) as a PointCloud2 with one field per name."""
+    kind = points.dtype
+    layout: dict[str, Any] = dict(kind.fields or {})
+    fields = [
+        PointField(name=name, offset=layout[name][1], count=1,
+                   datatype=_POINT_TYPES[layout[name][0].str[1:]])
+        for name in kind.names or ()
+    ]
+    return PointCloud2(
+        header=Header(stamp=stamp, frame_id=WORKSPACE), height=1, width=len(points),
+        fields=fields, point_step=kind.itemsize, row_step=kind.itemsize * len(points),
+        is_dense=True, data=array.array('B', points.tobytes()))
+
+
+def points(message: PointCloud2, kind: np.dtype) -> np.ndarray:
+    """The points of a cloud as a structured array (N,) of type `kind`, whatever its own layout.
+
+    Raises MessageError where a field of `kind` is missing or the data are shorter than promised.
+    """
+    names = [field.name for field in message.fields]
+    missing = [name for name in kind.names or () if name not in names]
+    if missing:
+        raise MessageError(f'expected a point field {missing[0]!r}, found {", ".join(names)}')
+    count = message.width * message.height
+    if len(message.data) < count * message.point_step:
+        raise MessageError(f'expected {count} points, found {len(message.data)} bytes')
+    order = '>' if message.is_bigendian else '<'
+    theirs = np.dtype({
+        'names': names, 'offsets': [field.offset for field in message.fields],
+        'formats': [order + _NUMPY_TYPES[field.datatype] for field in message.fields],
+        'itemsize': message.point_step})
+    raw = np.frombuffer(message.data, theirs, count)
+    if theirs == kind:
+        return raw
+    result = np.empty(count, kind)
+    for name in kind.names or ():
+        result[name] = raw[name]
+    return result
+
+
+def image(pixels: np.ndarray, stamp: Time, frame_id: str = 'camera') -> Image:
+    """A uint8 (H, W) picture as mono8, or (H, W, 3) as bgr8."""
+    data = array.array('B')
+    data.frombytes(np.ascontiguousarray(pixels).data)  # 300 times faster than assigning an array
+    return Image(
+        header=Header(stamp=stamp, frame_id=frame_id), height=pixels.shape[0],
+        width=pixels.shape[1], encoding='mono8' if pixels.ndim == 2 else 'bgr8',
+        step=pixels.shape[1] * (1 if pixels.ndim == 2 else 3), data=data)
+
+
+_TO_GRAY = {
+    'bgr8': cv2.COLOR_BGR2GRAY, 'rgb8': cv2.COLOR_RGB2GRAY,
+    'bgra8': cv2.COLOR_BGRA2GRAY, 'rgba8': cv2.COLOR_RGBA2GRAY,
+    # OpenCV names a Bayer pattern by its second row, ROS by its first.
+    'bayer_rggb8': cv2.COLOR_BayerBG2GRAY, 'bayer_bggr8': cv2.COLOR_BayerRG2GRAY,
+    'bayer_gbrg8': cv2.COLOR_BayerGR2GRAY, 'bayer_grbg8': cv2.COLOR_BayerGB2GRAY,
+}
+
+
+def gray(message: Image) -> np.ndarray:
+    """The picture as (H, W) grey values, uint8 or (mono16) uint16.
+
+    Raises MessageError for an encoding that is not known or data that do not fill the picture.
+    """
+    kinds: dict[str, tuple[str, int]] = {
+        'mono8': ('u1', 1), '8UC1': ('u1', 1), 'mono16': ('u2', 1), '16UC1': ('u2', 1),
+        'bgr8': ('u1', 3), 'rgb8': ('u1', 3), 'bgra8': ('u1', 4), 'rgba8': ('u1', 4),
+    }
+    kinds |= {name: ('u1', 1) for name in _TO_GRAY if name.startswith('bayer')}
+    if message.encoding not in kinds:
+        known = ', '.join(sorted(kinds))
+        raise MessageError(f'expected an image encoding of {known}; received {message.encoding!r}')
+    kind, channels = kinds[message.encoding]
+    depth = np.dtype(('>' if message.is_bigendian else '<') + kind)
+    width = message.width * channels * depth.itemsize
+    if message.step < width or len(message.data) < message.step * message.height or not width:
+        raise MessageError(
+            f'expected {message.width}×{message.height} pixels of {message.encoding}; '
+            f'received {len(message.data)} bytes')
+    rows = np.frombuffer(message.data, np.uint8, message.step * message.height)
+    rows = rows.reshape(message.height, message.step)[:, :width]
+    pixels = np.ascontiguousarray(rows).view(depth).reshape(message.height, message.width, -1)
+    if message.encoding in _TO_GRAY:
+        return np.asarray(cv2.cvtColor(pixels, _TO_GRAY[message.encoding]))
+    return pixels[..., 0]
+
+
+def poses(xy: np.ndarray, theta: np.ndarray, stamp: Time) -> PoseArray:
+    """Positions (N, 2) [m] and headings (N,) [rad], 0 where unknown, for viewers."""
+    half = np.nan_to_num(theta) / 2
+    result = PoseArray(header=Header(stamp=stamp, frame_id=WORKSPACE))
+    for (x, y), sine, cosine in zip(xy.tolist(), np.sin(half), np.cos(half), strict=True):
+        pose = Pose()
+        pose.position.x, pose.position.y = x, y
+        pose.orientation.z, pose.orientation.w = float(sine), float(cosine)
+        result.poses.append(pose)
+    return result
+
+
+def currents(names: Iterable[str], amperes: Any, stamp: Time) -> JointState:
+    """Coil currents [A] in `effort`, as on all `coils/…` topics."""
+    return JointState(header=Header(stamp=stamp, frame_id='coils'), name=list(names),
+                      effort=[float(value) for value in amperes])
+
+
+def field_vector(field: np.ndarray, stamp: Time) -> Vector3Stamped:
+    """A field in the plane (2,) [T] as on `field/command`."""
+    message = Vector3Stamped(header=Header(stamp=stamp, frame_id=WORKSPACE))
+    message.vector.x, message.vector.y = float(field[0]), float(field[1])
+    return message
+
+
+def magnetic_field(field: np.ndarray, stamp: Time) -> MagneticField:
+    """A field in the plane (2,) [T] as on `field/applied`."""
+    message = MagneticField(header=Header(stamp=stamp, frame_id=WORKSPACE))
+    message.magnetic_field.x, message.magnetic_field.y = float(field[0]), float(field[1])
+    return message

@@ -1,0 +1,107 @@
+"""One frozen dataclass per node becomes its ROS parameters, validated and swapped atomically."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, Generic, TypeVar
+
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from microbot_ros import settings
+from microbot_ros.errors import InputError
+
+ValuesT = TypeVar('ValuesT')
+
+
+class ParameterSet(Generic[ValuesT]):
+    """The parameters of a node, or of a part of it under `prefix`, as one immutable `values`.
+
+    A change is accepted whole or refused whole with a reason: first each value against its own
+    range, then `veto(new_values)` (a reason, or '' to accept). `values` changes only after that,
+    in one assignment.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        kind: type[ValuesT],
+        veto: Callable[[ValuesT], str] = lambda _: '',
+        prefix: str = '',
+    ) -> None:
+        self._kind = kind
+        self._veto = veto
+        self._prefix = prefix
+        initial = {}
+        for name, default in settings.defaults(kind).items():
+            declared = node.declare_parameter(
+                prefix + name, default, _descriptor(kind, name, default))
+            initial[name] = self._converted(node, name, declared.value)
+        self.values = kind(**initial)
+        reason = veto(self.values)
+        if reason:
+            raise InputError(node.get_name(), reason)
+        node.add_on_set_parameters_callback(self._validate)
+        node.add_post_set_parameters_callback(self._apply)
+
+    def _converted(self, node: Node, name: str, value: Any) -> Any:
+        try:
+            return settings.convert(self._kind, name, value)
+        except ValueError as error:
+            raise InputError(node.get_name(), str(error)) from None
+
+    def _changed(self, parameters: list[Parameter]) -> ValuesT:
+        known = settings.defaults(self._kind)
+        changes = {}
+        for parameter in parameters:
+            name = parameter.name.removeprefix(self._prefix)
+            if parameter.name == self._prefix + name and name in known:
+                changes[name] = settings.convert(self._kind, name, parameter.value)
+        return dataclasses.replace(self.values, **changes)  # type: ignore[type-var]
+
+    def _validate(self, parameters: list[Parameter]) -> SetParametersResult:
+        try:
+            proposed = self._changed(parameters)
+        except ValueError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        reason = '' if proposed == self.values else self._veto(proposed)
+        return SetParametersResult(successful=not reason, reason=reason)
+
+    def _apply(self, parameters: list[Parameter]) -> None:
+        self.values = self._changed(parameters)
+
+
+def refuse_unknown(node: Node) -> None:
+    """Raise InputError for a parameter that was given but that the node does not have.
+
+    rclpy ignores such overrides, and a misspelt limit would silently keep its default.
+    """
+    for name in node._parameter_overrides:
+        if not node.has_parameter(name) and not name.startswith('qos_overrides.'):
+            known = ', '.join(sorted(node._parameters))
+            raise InputError(node.get_name(), f"unknown parameter '{name}'; known are: {known}")
+
+
+def _descriptor(kind: type, name: str, default: Any) -> ParameterDescriptor:
+    about = settings.about(kind, name)
+    text = about.description
+    if about.choices:
+        text += f' One of: {", ".join(about.choices)}.'
+    # Dynamic typing, so that `60` is taken where `60.0` is meant; `convert` holds the type.
+    descriptor = ParameterDescriptor(
+        name=name, description=text, read_only=about.read_only, dynamic_typing=True)
+    if about.lower is not None and about.upper is not None:
+        if isinstance(default, float):
+            descriptor.floating_point_range = [
+                FloatingPointRange(from_value=float(about.lower), to_value=float(about.upper))]
+        elif isinstance(default, int):
+            descriptor.integer_range = [
+                IntegerRange(from_value=int(about.lower), to_value=int(about.upper))]
+    return descriptor

@@ -1,0 +1,96 @@
+"""Run nodes in this process until a signal: `python -m microbot_ros.nodes tracker model`."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import signal
+import sys
+from collections.abc import Callable
+
+import rclpy
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.signals import SignalHandlerOptions
+
+from microbot_ros.errors import InputError
+from microbot_ros.nodes.graph import PARENT, READY
+from microbot_ros.nodes.lifecycle import RigNode
+
+NODES = {
+    'camera': 'CameraNode',
+    'tracker': 'TrackerNode',
+    'model': 'ModelNode',
+    'controller': 'ControllerNode',
+    'coil_driver': 'CoilDriverNode',
+    'virtual_rig': 'VirtualRigNode',
+    'recorder': 'RecorderNode',
+    'player': 'PlayerNode',
+}
+"""Node name → class in the module of the same name; imported only where it runs."""
+
+# Signals are noticed between two spins: this bounds how long the coils outlive a SIGTERM.
+_SPIN_SECONDS = 0.02
+
+
+def make(name: str) -> RigNode:
+    """The node of that name. rclpy must be initialised."""
+    module = importlib.import_module(f'microbot_ros.nodes.{name}')
+    node: RigNode = getattr(module, NODES[name])(name)
+    return node
+
+
+def run(names: list[str], arguments: list[str] | None = None) -> int:
+    """Configure and activate the nodes, spin until SIGINT or SIGTERM, leave them safe.
+
+    With the id of a parent in the environment the nodes also end when that process is gone.
+    Returns the exit status: 0 after a signal, 2 where a person must mend an input, 1 otherwise.
+    """
+    stopping: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda received, _frame: stopping.append(received))
+    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    executor = EventsExecutor()
+    nodes: list[RigNode] = []
+    try:
+        for name in names:
+            nodes.append(make(name))
+            executor.add_node(nodes[-1])
+        for node in nodes:
+            _activate(node)
+        print(READY, *names, flush=True)
+        parent = int(os.environ.get(PARENT, '0'))
+        while not stopping and (not parent or os.getppid() == parent):
+            executor.spin_once(timeout_sec=_SPIN_SECONDS)
+        return 0
+    except InputError as error:
+        print(f'microbot: {error}', file=sys.stderr)
+        return 2
+    finally:
+        for node in reversed(nodes):
+            node.end()
+        for node in reversed(nodes):
+            executor.remove_node(node)
+            node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def _activate(node: RigNode) -> None:
+    steps: tuple[Callable[[], TransitionCallbackReturn], ...] = (
+        node.trigger_configure, node.trigger_activate)
+    for step in steps:
+        if step() != TransitionCallbackReturn.SUCCESS:
+            raise InputError(node.get_name(), node.fault.removeprefix(f'{node.get_name()}: '))
+
+
+def main() -> None:
+    """`python -m microbot_ros.nodes NODE... [--ros-args ...]`."""
+    arguments = sys.argv[1:]
+    cut = arguments.index('--ros-args') if '--ros-args' in arguments else len(arguments)
+    names, ros = arguments[:cut], arguments[cut:]
+    unknown = [name for name in names if name not in NODES]
+    if not names or unknown:
+        print(f'usage: python -m microbot_ros.nodes NODE... [--ros-args ...]\n'
+              f'nodes: {", ".join(NODES)}', file=sys.stderr)
+        sys.exit(2)
+    sys.exit(run(names, ros))

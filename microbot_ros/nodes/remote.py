@@ -1,0 +1,92 @@
+"""Talking to a running graph from outside: arm, set parameters, send goals, watch its health."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseArray
+from rcl_interfaces.srv import SetParameters
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
+from rclpy.signals import SignalHandlerOptions
+from std_srvs.srv import SetBool
+
+from microbot_ros.errors import InputError
+from microbot_ros.nodes import messages
+
+
+class Remote:
+    """A client of the graph with a node of its own. Use as a context."""
+
+    def __init__(self, name: str = 'microbot') -> None:
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        self.node = rclpy.create_node(name)
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
+        self._goals = self.node.create_publisher(PoseArray, 'goals', 10)
+
+    def __enter__(self) -> Remote:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._executor.shutdown()
+        self.node.destroy_node()
+        rclpy.try_shutdown()
+
+    def spin(self, seconds: float) -> None:
+        """Serve callbacks for that long."""
+        deadline = time.monotonic() + seconds
+        while (left := deadline - time.monotonic()) > 0:
+            self._executor.spin_once(timeout_sec=left)
+
+    def watch_health(self, tell: Callable[[str, bytes, str, dict[str, str]], None]) -> None:
+        """Call `tell(node, level, sentence, values)` for every diagnostic status."""
+        def heard(message: DiagnosticArray) -> None:
+            for status in message.status:
+                values = {pair.key: pair.value for pair in status.values}
+                tell(status.name.split(':')[0], status.level, status.message, values)
+        self.node.create_subscription(DiagnosticArray, '/diagnostics', heard, QoSProfile(depth=50))
+
+    def arm(self, armed: bool = True) -> None:
+        """Arm or disarm the gate of the coil driver. InputError with its reason if it refuses."""
+        answer = self._call(SetBool, 'coil_driver/arm', SetBool.Request(data=armed))
+        if not answer.success:
+            raise InputError('coil_driver', answer.message)
+
+    def set(self, node: str, **values: Any) -> None:
+        """Set parameters of a node. InputError with its reason if it refuses."""
+        request = SetParameters.Request(parameters=[
+            Parameter(name, value=value).to_parameter_msg() for name, value in values.items()])
+        for result in self._call(SetParameters, f'{node}/set_parameters', request).results:
+            if not result.successful:
+                raise InputError(node, result.reason)
+
+    def send_goals(self, positions: Sequence[tuple[float, float]], seconds: float = 5.0) -> None:
+        """Publish where to go, in order [m], once a controller listens."""
+        deadline = time.monotonic() + seconds
+        while self._goals.get_subscription_count() == 0:
+            if time.monotonic() > deadline:
+                raise InputError('goals', 'nobody listens; is the controller running?')
+            self.spin(0.05)
+        xy = np.array(positions, float).reshape(-1, 2)
+        stamp = self.node.get_clock().now().to_msg()
+        self._goals.publish(messages.poses(xy, np.zeros(len(xy)), stamp))
+
+    def _call(self, kind: type, name: str, request: Any, seconds: float = 5.0) -> Any:
+        client = self.node.create_client(kind, name)
+        try:
+            if not client.wait_for_service(timeout_sec=seconds):
+                raise InputError(name, f'no such service within {seconds:g} s; is it running?')
+            future = client.call_async(request)
+            self._executor.spin_until_future_complete(future, timeout_sec=seconds)
+            if not future.done():
+                raise InputError(name, f'no answer within {seconds:g} s')
+            return future.result()
+        finally:
+            self.node.destroy_client(client)
