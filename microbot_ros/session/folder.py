@@ -1,0 +1,170 @@
+"""A session as a folder: `tracks.csv`, `commands.csv`, `session.yaml`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pydantic
+import yaml
+
+from microbot_ros.errors import InputError
+from microbot_ros.files import Settings, output_folder, read_yaml
+from microbot_ros.records import Commands, Conditions, Session, Tracks
+from microbot_ros.session.tables import Layout, Table, from_text, read_table, to_text, write_table
+
+NOMINAL_FIELD = 1e-3
+"""Magnitude [T] given to a rolling field where a session states none: only its direction and
+frequency are known."""
+
+# `sigma_um` and `field_mT` keep what a recording knows; the columns of images are for people.
+TRACKS = Layout(
+    ('t_s', 'particle', 'x_um', 'y_um'), ('theta_rad', 'sigma_um'), ('frame', 'x_px', 'y_px'),
+)
+UNIFORM = Layout(('t_s', 'bx_mT', 'by_mT'))
+ROLLING = Layout(('t_s', 'direction_rad', 'frequency_hz'), ('field_mT',))
+
+_SUFFIXED = {
+    'radius': 'radius_um', 'viscosity': 'viscosity_mPa_s', 'temperature': 'temperature_K',
+    'frame_rate': 'frame_rate_hz', 'pixel_size': 'pixel_size_um',
+    'reference_field': 'reference_field_mT',
+}
+
+
+class SessionFile(Settings):
+    """`session.yaml`, all of it optional."""
+
+    propulsion: Literal['catalytic', 'rolling'] | None = None
+    radius_um: pydantic.PositiveFloat | None = None
+    viscosity_mPa_s: pydantic.PositiveFloat | None = None  # noqa: N815
+    temperature_K: pydantic.PositiveFloat | None = None  # noqa: N815
+    frame_rate_hz: pydantic.PositiveFloat | None = None
+    pixel_size_um: pydantic.PositiveFloat | None = None
+    reference_field_mT: pydantic.PositiveFloat | None = None  # noqa: N815
+
+    def conditions(self, rolling: bool) -> Conditions:
+        """In SI; where the propulsion is not said, the kind of the commands says it."""
+        values = {
+            name: from_text(repr(value), key)
+            for name, key in _SUFFIXED.items() if (value := getattr(self, key)) is not None
+        }
+        propulsion = self.propulsion or ('rolling' if rolling else 'catalytic')
+        return Conditions(propulsion=propulsion, **values)
+
+
+def conditions_text(conditions: Conditions) -> str:
+    """The content of `session.yaml`."""
+    content: dict[str, object] = {'propulsion': conditions.propulsion}
+    for name, key in _SUFFIXED.items():
+        if (value := getattr(conditions, name)) is not None:
+            content[key] = float(to_text(value, key))
+    return yaml.safe_dump(content, sort_keys=False)
+
+
+def read_folder(path: Path) -> Session:
+    """The session in a folder; without `commands.csv` nothing was commanded.
+
+    Raises InputError (file, line, expectation) for anything that is not as documented: wrong
+    columns, what is not a number, times that go back, a particle twice at one time, commands
+    that begin only after the tracks have ended.
+    """
+    if not (path / 'tracks.csv').is_file():
+        raise InputError(path, 'expected a session: a folder with tracks.csv, or a recording')
+    tracks = _read_tracks(path / 'tracks.csv')
+    table = None
+    if (path / 'commands.csv').exists():
+        table = read_table(path / 'commands.csv', UNIFORM, ROLLING)
+    settings = SessionFile()
+    if (path / 'session.yaml').exists():
+        settings = read_yaml(path / 'session.yaml', SessionFile)
+    conditions = settings.conditions(table is not None and table.layout is ROLLING)
+    if table is None:
+        commands = Commands(np.empty(0), np.empty((0, 2)))
+    else:
+        _check_times(table, tracks)
+        commands = _commands(table, conditions)
+    return Session(tracks, commands, conditions, path.resolve().name)
+
+
+def write_folder(path: Path, session: Session) -> None:
+    """Write a session as a folder, all of it or nothing.
+
+    `read_folder` gives the same numbers back, bit for bit, but for the angle of a rolling field,
+    which goes through its direction.
+    """
+    tracks, commands = session.tracks, session.commands
+    measured = {'t_s': tracks.t, 'x_um': tracks.position[:, 0], 'y_um': tracks.position[:, 1]}
+    if not len(tracks.t) or not all(np.isfinite(column).all() for column in measured.values()):
+        raise ValueError('a session needs tracks, and every row of them a time and a position')
+    table = {'t_s': tracks.t, 'particle': tracks.particle.astype(np.int64), **measured}
+    for name, column in {'theta_rad': tracks.theta, 'sigma_um': tracks.sigma}.items():
+        if np.isfinite(column).any():
+            table[name] = column
+    with output_folder(path) as folder:
+        write_table(folder / 'tracks.csv', table)
+        if len(commands.t):
+            write_table(folder / 'commands.csv', _command_columns(session))
+        else:
+            (path / 'commands.csv').unlink(missing_ok=True)
+        (folder / 'session.yaml').write_text(conditions_text(session.conditions))
+
+
+def _read_tracks(path: Path) -> Tracks:
+    table = read_table(path, TRACKS)
+    columns = table.columns
+    t, particle = columns['t_s'], columns['particle']
+    whole = (particle == np.floor(particle)) & (np.abs(particle) < 2**53)
+    table.refuse(~whole, "expected a whole number in 'particle'")
+    # Files may list frame by frame or particle by particle: each particle's own times ascend.
+    by_particle = np.argsort(particle, kind='stable')
+    step, same = np.diff(t[by_particle]), np.diff(particle[by_particle]) == 0
+    back, twice = np.zeros(len(t), bool), np.zeros(len(t), bool)
+    back[by_particle[1:]] = same & (step < 0)
+    twice[by_particle[1:]] = same & (step == 0)
+    table.refuse(back, 'expected the times of a particle to ascend, found an earlier one')
+    table.refuse(twice, 'expected one row per particle and time, found a second')
+    order = np.lexsort((particle, t))
+    unknown = np.full(len(t), np.nan)
+    return Tracks(
+        t[order], particle[order].astype(np.int64),
+        np.column_stack([columns['x_um'], columns['y_um']])[order],
+        columns.get('theta_rad', unknown)[order], columns.get('sigma_um', unknown)[order],
+    )
+
+
+def _check_times(table: Table, tracks: Tracks) -> None:
+    t = table.columns['t_s']
+    step = np.diff(t, prepend=-np.inf)
+    table.refuse(step < 0, 'expected times to ascend, found an earlier one')
+    table.refuse(step == 0, 'expected one row per time, found a second')
+    late = np.zeros(len(t), bool)
+    late[0] = t[0] > tracks.t[-1]
+    table.refuse(late, f'expected commands before the tracks end at {tracks.t[-1]:g} s')
+
+
+def _commands(table: Table, conditions: Conditions) -> Commands:
+    columns = table.columns
+    t = columns['t_s']
+    if table.layout is UNIFORM:
+        return Commands(t, np.column_stack([columns['bx_mT'], columns['by_mT']]))
+    nominal = conditions.reference_field or NOMINAL_FIELD
+    magnitude = columns.get('field_mT', np.full(len(t), nominal))
+    magnitude = np.where(np.isnan(magnitude), nominal, magnitude)
+    angle = columns['direction_rad']
+    unit = np.column_stack([np.cos(angle), np.sin(angle)])
+    return Commands(t, magnitude[:, None] * unit, columns['frequency_hz'])
+
+
+def _command_columns(session: Session) -> dict[str, np.ndarray]:
+    commands = session.commands
+    bx, by = commands.field.T
+    if commands.frequency is None:
+        return {'t_s': commands.t, 'bx_mT': bx, 'by_mT': by}
+    columns = {
+        't_s': commands.t, 'direction_rad': np.arctan2(by, bx), 'frequency_hz': commands.frequency,
+    }
+    magnitude = np.hypot(bx, by)
+    if not np.allclose(magnitude, session.conditions.reference_field or NOMINAL_FIELD, rtol=1e-9):
+        columns['field_mT'] = magnitude
+    return columns

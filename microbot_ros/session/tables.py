@@ -1,0 +1,146 @@
+"""Checked CSV tables whose numbers survive the way there and back to the last bit.
+
+Units are changed in the decimal text, not by multiplying: `0.1` in a column `x_um` is the double
+nearest to 1e-7, and that double is written as `0.1` again.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from decimal import Decimal
+from pathlib import Path
+
+import numpy as np
+
+from microbot_ros.errors import InputError
+from microbot_ros.units import to_si
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The columns of one kind of table; the unit of each is the suffix of its name.
+
+    Cells of `optional` columns may be empty (NaN); `ignored` columns may hold anything.
+    """
+
+    required: tuple[str, ...]
+    optional: tuple[str, ...] = ()
+    ignored: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns by name, (rows,) each and in SI, and the line of the file each row came from."""
+
+    path: Path
+    layout: Layout
+    columns: dict[str, np.ndarray]
+    lines: np.ndarray
+
+    def refuse(self, bad: np.ndarray, expected: str) -> None:
+        """Raise InputError at the first row where `bad` (rows,) is true."""
+        if bad.any():
+            raise InputError(self.path, expected, int(self.lines[np.argmax(bad)]))
+
+
+def read_table(path: Path, *layouts: Layout) -> Table:
+    """A CSV file that follows one of the layouts, its columns in any order.
+
+    Raises InputError with file, line and expectation for a file that is missing, empty, not
+    text, or holds anything but finite numbers under the names of a layout.
+    """
+    try:
+        text = path.read_text(encoding='utf-8-sig')
+    except OSError as error:
+        raise InputError(path, f'expected a readable CSV file ({error.strerror})') from None
+    except UnicodeDecodeError:
+        raise InputError(path, 'expected a CSV file, found bytes that are no text') from None
+    rows = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip()]
+    if not rows:
+        raise InputError(path, f'expected the header {_headers(layouts)}, found an empty file')
+    names, layout = _header(path, *rows[0], layouts)
+    if len(rows) == 1:
+        raise InputError(path, 'expected rows below the header, found none', rows[0][0])
+    cells = [line.split(',') for _, line in rows[1:]]
+    for (number, _), row in zip(rows[1:], cells, strict=True):
+        if len(row) != len(names):
+            hint = '; the decimal sign must be a point' if len(row) > len(names) else ''
+            expected = f'expected {len(names)} values separated by commas, found {len(row)}{hint}'
+            raise InputError(path, expected, number)
+    lines = np.array([number for number, _ in rows[1:]])
+    columns = {
+        name: _column(path, name, texts, lines, name in layout.optional)
+        for name, texts in zip(names, zip(*cells, strict=True), strict=True)
+        if name not in layout.ignored
+    }
+    return Table(path, layout, columns, lines)
+
+
+def write_table(path: Path, columns: dict[str, np.ndarray]) -> None:
+    """Columns in SI as a CSV file in the units of their names; NaN as an empty cell."""
+    texts = ([to_text(value, name) for value in values.tolist()] for name, values in columns.items())
+    rows = (','.join(row) for row in zip(*texts, strict=True))
+    path.write_text('\n'.join([','.join(columns), *rows, '']), encoding='utf-8')
+
+
+def to_text(value: float, name: str) -> str:
+    """An SI value as decimal text in the unit of its name; '' for NaN, exact otherwise."""
+    if math.isnan(value):
+        return ''
+    if isinstance(value, int):
+        return str(value)
+    return format(Decimal(repr(value)).scaleb(-_exponent(name)).normalize(), 'f')
+
+
+def from_text(cell: str, name: str) -> float:
+    """The SI value of decimal text in the unit of its name; NaN if it is no number."""
+    return _number(cell, _exponent(name))
+
+
+def _exponent(name: str) -> int:
+    return round(math.log10(to_si(name, 1.0)))
+
+
+def _headers(layouts: Sequence[Layout]) -> str:
+    return ' or '.join(','.join(layout.required) for layout in layouts)
+
+
+def _header(
+    path: Path, line: int, text: str, layouts: Sequence[Layout],
+) -> tuple[list[str], Layout]:
+    if ';' in text or '\t' in text:
+        raise InputError(path, 'expected columns separated by commas', line)
+    names = [name.strip() for name in text.split(',')]
+    for layout in layouts:
+        known = {*layout.required, *layout.optional, *layout.ignored}
+        if set(layout.required) <= set(names) <= known and len(set(names)) == len(names):
+            return names, layout
+    optional = sorted({name for layout in layouts for name in layout.optional})
+    hint = f' and optionally {", ".join(optional)}' if optional else ''
+    raise InputError(
+        path, f'expected the header {_headers(layouts)}{hint}, found {text.strip()[:80]}', line,
+    )
+
+
+def _column(
+    path: Path, name: str, texts: Sequence[str], lines: np.ndarray, optional: bool,
+) -> np.ndarray:
+    shift = _exponent(name)
+    values = []
+    for line, cell in zip(lines, texts, strict=True):
+        value = _number(cell.strip(), shift)
+        if not math.isfinite(value) and not (optional and not cell.strip()):
+            found = f"'{cell.strip()}'" if cell.strip() else 'an empty cell'
+            raise InputError(path, f"expected a number in '{name}', found {found}", int(line))
+        values.append(value)
+    return np.array(values, dtype=float)
+
+
+def _number(cell: str, shift: int) -> float:
+    mantissa, _, power = cell.lower().partition('e')
+    try:
+        return float(f'{mantissa}e{int(power or 0) + shift}')
+    except ValueError:
+        return math.nan
