@@ -63,15 +63,14 @@ class Commands:
 
     def field_at(self, t: np.ndarray | float) -> np.ndarray:
         """Commanded field [T] at times of shape (...): (..., 2)."""
-        index = self.index_at(t)
-        return np.where((index >= 0)[..., None], self.field[np.maximum(index, 0)], 0.0)
+        return np.vstack([np.zeros(2), self.field])[self.index_at(t) + 1]
 
     def frequency_at(self, t: np.ndarray | float) -> np.ndarray:
         """Rotation frequency [Hz] at times of shape (...): (...); zero where there is none."""
         index = self.index_at(t)
         if self.frequency is None:
             return np.zeros(np.shape(index))
-        return np.where(index >= 0, self.frequency[np.maximum(index, 0)], 0.0)
+        return np.append(0.0, self.frequency)[index + 1]
 
 
 @dataclass(frozen=True)
