@@ -1,0 +1,95 @@
+"""The exact solution of dχ/dt = κ sin(ψ − χ), compiled."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+UNSTABLE = 0.01
+"""A heading this close [rad] to opposing the field is moved this far from it.
+
+Exactly opposed, the equation stays there for ever, which no particle that is kicked by water
+does; within this angle noise decides, not the equation.
+"""
+
+
+@numba.njit(cache=True)
+def turn(start, target, rate, span):  # type: ignore[no-untyped-def]
+    """Follow the heading through S spans of constant target and rate, n courses at once.
+
+    `start` (n,) complex, zero where the heading is not defined yet: it is then that of the first
+    target which is not zero. `target` (S, n) e^{iψ}, zero where there is no field; `rate` κ (S, n)
+    [1/s]; `span` h (S,) [s].
+
+    With δ = χ − ψ the solution is tan(δ(s)/2) = tan(δ₀/2) e^{−κs}, hence ∫cos δ = h + ln(cos²½δ₀ +
+    q² sin²½δ₀)/κ and ∫sin δ = (δ₀ − δ₁)/κ with q = e^{−κh}. Returns, each (S, n) but the first:
+    e^{iχ} at every edge (S + 1, n); ∫e^{iχ} ds; its derivative with respect to χ at the start of
+    the span; and the derivative of χ at its end with respect to that at its start.
+    """
+    S, n = target.shape
+    heading = np.zeros((S + 1, n), np.complex128)
+    path = np.zeros((S, n), np.complex128)
+    bend = np.zeros((S, n), np.complex128)
+    kept = np.zeros((S, n))
+    for i in range(n):
+        w = start[i]
+        for k in range(S):
+            u = target[k, i]
+            if w == 0:
+                w = u
+            if w == 0:
+                continue
+            heading[k, i] = w
+            if u == 0:
+                u = w
+            C, Sn, dC, dS, cos1, sin1, kept[k, i] = _span(w * u.conjugate(), rate[k, i], span[k])
+            path[k, i] = u * complex(C, Sn)
+            bend[k, i] = u * complex(dC, dS)
+            w = u * complex(cos1, sin1)
+            w /= abs(w)
+        heading[S, i] = w
+    return heading, path, bend, kept
+
+
+@numba.njit(cache=True)
+def _span(relative, rate, h):  # type: ignore[no-untyped-def]
+    """∫cos δ, ∫sin δ, their derivatives to δ₀, cos δ₁, sin δ₁ and ∂δ₁/∂δ₀ over one span."""
+    cos0, sin0 = relative.real, relative.imag
+    if cos0 < -math.cos(UNSTABLE):
+        cos0, sin0 = -math.cos(UNSTABLE), math.copysign(math.sin(UNSTABLE), sin0)
+    q = math.exp(-rate * h)
+    near, far = (1 + cos0) / 2, (1 - cos0) / 2
+    scale = near + far * q * q
+    kept = q / scale
+    cos1, sin1 = (near - far * q * q) / scale, kept * sin0
+    if rate * h < 1e-6:
+        half = rate * h * h / 2
+        C, Sn = h * cos0 + half * sin0 * sin0, h * sin0 - half * sin0 * cos0
+        dC, dS = -h * sin0 + 2 * half * sin0 * cos0, h * cos0 - half * (cos0**2 - sin0**2)
+    else:
+        lost = math.expm1(-2 * rate * h)
+        C = h + math.log1p(far * lost) / rate
+        Sn = 2 * math.atan2(sin0 * (1 - q) / 2, near + far * q) / rate
+        dC, dS = sin0 * lost / (2 * rate * scale), (1 - kept) / rate
+    return C, Sn, dC, dS, cos1, sin1, kept
+
+
+@numba.njit(cache=True)
+def chain(first, bend, kept):  # type: ignore[no-untyped-def]
+    """Derivatives over whole frame intervals from those over their spans.
+
+    `first` (F,): the span with which each interval begins; `bend` (S, n), `kept` (S, n). Returns
+    the derivative of each interval's path and of the heading at its end, both with respect to
+    the heading at its start: (F, n) complex and (F, n).
+    """
+    S, n = kept.shape
+    F = len(first)
+    bends, keeps = np.zeros((F, n), np.complex128), np.ones((F, n))
+    for f in range(F):
+        for k in range(first[f], first[f + 1] if f + 1 < F else S):
+            for i in range(n):
+                bends[f, i] += keeps[f, i] * bend[k, i]
+                keeps[f, i] *= kept[k, i]
+    return bends, keeps

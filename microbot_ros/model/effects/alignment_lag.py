@@ -1,0 +1,33 @@
+"""The heading turns towards the field at a finite rate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from microbot_ros.model.effect import Effect
+from microbot_ros.model.parameter import parameter
+from microbot_ros.model.scene import Scene
+
+
+@dataclass(frozen=True)
+class AlignmentLag(Effect):
+    """dθ/dt = (|B|/B_ref)/τ · sin(θ_B + φ − θ), B the field after stage 1.
+
+    The overdamped balance of magnetic torque d·B and rotational drag 8πηr³: at the reference
+    field τ = 8πηr³/(d·B_ref). τ = 0 is alignment at once.
+    """
+
+    id = 'alignment_lag'
+    stage = 'heading'
+    summary = 'The heading needs time to turn into the field, longer in a weaker one.'
+    shows_under = 'turns of the command by different angles, best some near 180° and some near 30°'
+    mistaken_for = ('command_delay', 'heading_slip', 'incomplete_alignment')
+
+    tau: float = parameter('tau_s', 'alignment time at the reference field', 0.0, 30.0, 0.1)
+
+    def alignment_rate(self, scene: Scene) -> np.ndarray | None:
+        if self.tau == 0:
+            return None
+        return scene.strength / (scene.reference_field * self.tau)

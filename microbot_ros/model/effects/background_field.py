@@ -1,0 +1,27 @@
+"""A constant field that nobody commanded: the Earth's, a magnet's, an amplifier's offset."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from microbot_ros.model.effect import Effect
+from microbot_ros.model.parameter import parameter
+
+
+@dataclass(frozen=True)
+class BackgroundField(Effect):
+    """B = B_cmd + b."""
+
+    id = 'background_field'
+    stage = 'field'
+    summary = 'A constant field adds to the commanded one and bends the heading.'
+    shows_under = 'commands in all directions, best at two field magnitudes: it bends as 1/|B|'
+    mistaken_for = ('uniform_drift', 'coil_gain_mismatch', 'coil_misalignment')
+
+    bx: float = parameter('bx_mT', 'background field to the right', -2e-2, 2e-2, 1e-4)
+    by: float = parameter('by_mT', 'background field upwards', -2e-2, 2e-2, 1e-4)
+
+    def field(self, B: np.ndarray) -> np.ndarray:
+        return B + np.array([self.bx, self.by])

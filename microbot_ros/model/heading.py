@@ -1,0 +1,76 @@
+"""Stage 2 over time: where every particle heads, at once or with lag."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from microbot_ros.model.model import Model
+from microbot_ros.model.scene import Scene
+
+
+@dataclass(frozen=True)
+class Course:
+    """The heading less φ, χ = θ − φ, through S spans; n is 1 where all particles share it.
+
+    `heading` (S + 1, n): e^{iχ} at the edges, zero where the heading is not defined yet; `path`
+    (S, n) [s]: ∫e^{iχ} dt over each span; `bend` (S, n) [s]: its derivative with respect to χ at
+    the start of the span; `kept` (S, n): the derivative of χ at its end with respect to that.
+    """
+
+    heading: np.ndarray
+    path: np.ndarray
+    bend: np.ndarray
+    kept: np.ndarray
+
+
+def course(model: Model, scene: Scene, start: np.ndarray | None = None) -> Course:
+    """Follow the heading through consecutive spans of constant field.
+
+    `scene` has S spans; `start` (n,) is e^{iχ} when they begin. Without it the heading begins
+    with the first field that is not zero, aligned to it, and is undefined before. Where the field
+    is zero it stays.
+    """
+    target, driven = _target(model, scene)
+    rate = model.alignment_rate(scene)
+    if rate is not None:
+        from microbot_ros.model.alignment_kernel import turn
+
+        begin = np.zeros(1, complex) if start is None else np.asarray(start, dtype=complex)
+        shape = np.broadcast_shapes(target.shape, rate.shape, (1, len(begin)))
+        return Course(*turn(
+            np.broadcast_to(begin, shape[1:]), np.broadcast_to(target, shape),
+            np.broadcast_to(rate, shape), scene.span[:, 0],
+        ))
+    target = _hold(target, driven, start)
+    path = target * scene.span
+    free = ~driven & (target != 0)
+    heading = np.concatenate([target, target[-1:]])
+    return Course(heading, path, 1j * path * free, free.astype(float))
+
+
+def _target(model: Model, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """e^{iχ} that the field asks for (S, n), zero without a field, and whether there is one."""
+    strength = scene.strength
+    driven = strength > 0
+    field = scene.field[..., 0] + 1j * scene.field[..., 1]
+    target = field / (strength if driven.all() else np.where(driven, strength, 1.0))
+    offset = model.heading_offset(scene)
+    if np.any(offset):
+        target = target * np.exp(1j * np.asarray(offset))
+    return target, driven
+
+
+def _hold(target: np.ndarray, driven: np.ndarray, start: np.ndarray | None) -> np.ndarray:
+    """The target with each span without a field taking over the last heading before it."""
+    if driven.all():
+        return target
+    before = np.zeros((1, 1)) if start is None else np.asarray(start)[None]
+    shape = np.broadcast_shapes(target.shape, (1, before.shape[1]))
+    known = np.concatenate([np.broadcast_to(before, (1, shape[1])),
+                            np.broadcast_to(target, shape)])
+    spans = np.arange(1, len(known))[:, None] * np.broadcast_to(driven, shape)
+    last = np.maximum.accumulate(spans, axis=0)
+    held: np.ndarray = np.take_along_axis(known, last, axis=0)
+    return held

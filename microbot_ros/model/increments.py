@@ -1,0 +1,112 @@
+"""What a model says of every frame interval: the displacements that fits compare with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from microbot_ros.model.heading import Course, course
+from microbot_ros.model.model import Model, ParticleParameters
+from microbot_ros.model.timeline import Timeline
+
+
+@dataclass(frozen=True)
+class Response:
+    """Displacements over each of T−1 frame intervals, before the particles' v and φ are known.
+
+    A particle with c = v e^{iφ} moves by c · `propulsion` + `drift`. `propulsion` (T−1, 1 or N)
+    complex [s], for rolling particles [s·Hz]; `drift` (T−1, 1 or N, 2) [m]; both are true
+    displacements, `model.observe` makes them measured. `heading` (T, 1 or N): e^{i(θ−φ)} at the
+    frames, zero where it is not defined yet.
+    """
+
+    model: Model
+    propulsion: np.ndarray
+    drift: np.ndarray
+    heading: np.ndarray
+
+    def increments(self, particles: ParticleParameters) -> np.ndarray:
+        """Measured displacements (T−1, N, 2) [m]; NaN only where a particle's own place is."""
+        moved = as_vectors(particles.velocity * self.propulsion)
+        moved += self.drift
+        return self.model.observe(moved)
+
+    def columns(self) -> np.ndarray:
+        """Derivatives (T−1, 1 or N, 2, 2) of the measured displacements; last axes (xy, ab).
+
+        With a = v cos φ and b = v sin φ the increments are `columns() @ (a, b) + offset()`.
+        """
+        along = np.stack([as_vectors(self.propulsion), as_vectors(1j * self.propulsion)], axis=-2)
+        return np.swapaxes(self.model.observe(along), -1, -2)
+
+    def offset(self) -> np.ndarray:
+        """The measured displacements (T−1, 1 or N, 2) [m] that do not depend on v and φ."""
+        return self.model.observe(self.drift)
+
+
+def as_vectors(z: np.ndarray) -> np.ndarray:
+    """Complex (...) as real vectors (..., 2)."""
+    return np.ascontiguousarray(z).view(float).reshape(*z.shape, 2)
+
+
+def respond(model: Model, timeline: Timeline, start: np.ndarray | None = None) -> Response:
+    """The response of a model on a timeline: exact for commands that hold until the next.
+
+    Switches inside a frame interval, delays and the turning of a lagging heading are integrated
+    in closed form; terms that depend on position are taken at the timeline's positions. `start`
+    (N,) is e^{i(θ−φ)} at the first frame; without it the heading follows from the commands.
+    """
+    segments = timeline.segments(model)
+    lead = segments.lead
+    scene = segments.scene(model)
+    if start is not None:
+        scene, lead = scene.after(lead), 0
+    way = course(model, scene, start)
+    scene = scene.after(lead, timeline.places(model))
+    propulsion = segments.sum(way.path[lead:] * model.speed_factor(scene))
+    drift = model.drift(scene)
+    if drift is None:
+        moved = np.zeros((len(timeline.times) - 1, 1, 2))
+    else:
+        moved = segments.sum(drift * scene.span[..., None])
+    edges = np.append(lead + segments.first, -1)
+    return Response(model, propulsion, moved, way.heading[edges])
+
+
+def increments(model: Model, particles: ParticleParameters, timeline: Timeline) -> np.ndarray:
+    """∫ velocity dt over each frame interval as the camera would report it: (T−1, N, 2) [m]."""
+    return respond(model, timeline).increments(particles)
+
+
+@dataclass(frozen=True)
+class HeadingResponse:
+    """How a small turn of the heading at a frame is felt until the next.
+
+    `theta` (T, N) [rad], NaN where not defined yet; `sensitivity` (T−1, N, 2) [m/rad]: the
+    derivative of each measured increment with respect to θ at its start; `kept` (T−1, N): the
+    part of the turn that is left at its end, 0 where alignment is immediate, 1 without a field.
+    """
+
+    theta: np.ndarray
+    sensitivity: np.ndarray
+    kept: np.ndarray
+
+
+def heading_response(model: Model, particles: ParticleParameters,
+                     timeline: Timeline) -> HeadingResponse:
+    """The heading's path and what noise in it does, for a filter on top of the increments."""
+    from microbot_ros.model.alignment_kernel import chain
+
+    segments = timeline.segments(model)
+    scene = segments.scene(model)
+    way: Course = course(model, scene)
+    lead = segments.lead
+    scene = scene.after(lead, timeline.places(model))
+    bend = way.bend[lead:] * model.speed_factor(scene)
+    kept = np.broadcast_to(way.kept[lead:], bend.shape)
+    bends, keeps = chain(segments.first, bend, kept)
+    at_frames = way.heading[np.append(lead + segments.first, -1)]
+    theta = np.where(at_frames == 0, np.nan, np.angle(at_frames)) + particles.phi
+    sensitivity = model.observe(as_vectors(particles.velocity * bends))
+    return HeadingResponse(theta, sensitivity, np.broadcast_to(keeps, sensitivity.shape[:2]))

@@ -1,0 +1,173 @@
+"""The model: four stages, each changed by the effects that belong to it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from microbot_ros.model.effect import Effect
+from microbot_ros.model.effects import EFFECTS
+from microbot_ros.model.parameter import Parameter
+from microbot_ros.model.scene import Scene
+from microbot_ros.records import Commands, Conditions
+
+Propulsion = Literal['catalytic', 'rolling']
+_ORDER = {effect: rank for rank, effect in enumerate(EFFECTS)}
+
+
+@dataclass(frozen=True)
+class ParticleParameters:
+    """What differs between particles.
+
+    `ids` (N,) integers; `speed` (N,): v [m/s] of catalytic particles, or gain [m/s/Hz] of rolling
+    ones; `phi` (N,) [rad], the angle from the field to the direction of travel.
+    """
+
+    ids: np.ndarray
+    speed: np.ndarray
+    phi: np.ndarray
+
+    @cached_property
+    def velocity(self) -> np.ndarray:
+        """v e^{iφ} (N,): the velocity in the frame of the field, as complex numbers."""
+        return self.speed * np.exp(1j * self.phi)
+
+    @classmethod
+    def from_velocity(cls, ids: np.ndarray, velocity: np.ndarray) -> ParticleParameters:
+        """From v e^{iφ} (N,): the inverse of `velocity`, φ within ±π."""
+        return cls(np.asarray(ids), np.abs(velocity), np.angle(velocity))
+
+
+@dataclass(frozen=True)
+class Model:
+    """The first-order model with its effects; with none it is the paper's dp/dt = v R(φ) u.
+
+    `reference_field` [T] is the strength at which alignment times are stated. `effects` are kept
+    in the order of the library, at most one of a kind, so that models that say the same are equal.
+    """
+
+    reference_field: float
+    propulsion: Propulsion = 'catalytic'
+    effects: tuple[Effect, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        ids = [effect.id for effect in self.effects]
+        if len(set(ids)) != len(ids):
+            raise ValueError(f'effects must be one of a kind; received {", ".join(ids)}')
+        ordered = sorted(self.effects, key=lambda e: _ORDER.get(e.id, len(_ORDER)))
+        object.__setattr__(self, 'effects', tuple(ordered))
+
+    @classmethod
+    def baseline(cls, conditions: Conditions, commands: Commands) -> Model:
+        """The model of a session before anything is discovered.
+
+        Where the conditions do not state the reference field it is the median strength of the
+        commands that are not zero, or 1 mT where all are.
+        """
+        reference = conditions.reference_field
+        if reference is None:
+            strength = np.hypot(*commands.field.T)
+            driven = strength[strength > 0]
+            reference = float(np.median(driven)) if driven.size else 1e-3
+        return cls(reference, 'rolling' if conditions.propulsion == 'rolling' else 'catalytic')
+
+    # Which effects it has -----------------------------------------------------------------------
+
+    def effect(self, name: str) -> Effect | None:
+        """The effect of that name, or None."""
+        return next((effect for effect in self.effects if effect.id == name), None)
+
+    def with_effect(self, effect: Effect) -> Model:
+        """The model with this effect, in place of one of the same name."""
+        return replace(self, effects=(*self.without(effect.id).effects, effect))
+
+    def without(self, name: str) -> Model:
+        """The model without the effect of that name."""
+        return replace(self, effects=tuple(e for e in self.effects if e.id != name))
+
+    # Its parameters as one vector ---------------------------------------------------------------
+
+    @property
+    def parameters(self) -> list[tuple[str, Parameter]]:
+        """(effect, parameter) for every entry of `vector`."""
+        return [(effect.id, p) for effect in self.effects for p in effect.parameters()]
+
+    def vector(self) -> np.ndarray:
+        """The parameters of all effects in fit coordinates (P,)."""
+        values = [p.to_fit(value) for e in self.effects for p, value in e.values().items()]
+        return np.array(values, dtype=float)
+
+    def with_vector(self, coordinates: np.ndarray) -> Model:
+        """The same effects with parameters at the fit coordinates (P,)."""
+        rest = iter(np.asarray(coordinates, dtype=float).tolist())
+        effects = tuple(
+            type(effect)(**{p.field: p.from_fit(next(rest)) for p in effect.parameters()})
+            for effect in self.effects
+        )
+        return replace(self, effects=effects)
+
+    # What its effects need ----------------------------------------------------------------------
+
+    @property
+    def needs_position(self) -> bool:
+        """Whether a particle's velocity depends on where it or others are."""
+        return any(effect.needs_position for effect in self.effects)
+
+    @property
+    def steady(self) -> bool:
+        """Whether nothing changes while the command stays."""
+        return all(effect.steady for effect in self.effects)
+
+    # The four stages ----------------------------------------------------------------------------
+
+    @property
+    def delay(self) -> float:
+        """Seconds by which the field follows the command late."""
+        return sum(effect.delay() for effect in self.effects)
+
+    def field(self, commanded: np.ndarray) -> np.ndarray:
+        """Stage 1: the field (..., 2) [T] that a commanded field (..., 2) [T] makes."""
+        for effect in self.effects:
+            commanded = effect.field(commanded)
+        return commanded
+
+    def heading_offset(self, scene: Scene) -> np.ndarray | float:
+        """Stage 2: the angle (..., 1 or N) [rad] by which θ_B + φ is off."""
+        return sum(effect.heading_offset(scene) for effect in self.effects)
+
+    def alignment_rate(self, scene: Scene) -> np.ndarray | None:
+        """Stage 2: κ (..., 1 or N) [1/s] of dθ/dt = κ sin(θ_B + φ − θ); None: at once."""
+        rates = (effect.alignment_rate(scene) for effect in self.effects)
+        return next((rate for rate in rates if rate is not None), None)
+
+    def speed_factor(self, scene: Scene) -> np.ndarray | float:
+        """Stage 3: what a particle's `speed` is multiplied by (..., 1 or N)."""
+        factor: np.ndarray | float = scene.frequency if self.propulsion == 'rolling' else 1.0
+        for effect in self.effects:
+            if effect.stage == 'velocity':
+                factor = factor * effect.speed_factor(scene)
+        return factor
+
+    def drift(self, scene: Scene) -> np.ndarray | None:
+        """Stage 3: the velocity (..., 1 or N, 2) [m/s] besides propulsion; None: none."""
+        total = None
+        for effect in self.effects:
+            drift = effect.drift(scene) if effect.stage == 'velocity' else None
+            if drift is not None:
+                total = drift if total is None else total + drift
+        return total
+
+    def observe(self, position: np.ndarray) -> np.ndarray:
+        """Stage 4: what the camera reports (..., 2) [m] of true positions (..., 2)."""
+        for effect in self.effects:
+            position = effect.observe(position)
+        return position
+
+    def true_position(self, observed: np.ndarray) -> np.ndarray:
+        """The inverse of `observe`."""
+        for effect in reversed(self.effects):
+            observed = effect.true_position(observed)
+        return observed

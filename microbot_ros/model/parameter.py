@@ -1,0 +1,66 @@
+"""One number of an effect: its name at the edge, its range, and the coordinate it is fitted in."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+from microbot_ros import units
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of an effect; all values in SI.
+
+    `name` is the name at the edge, with its unit as suffix; the field that holds it in SI is
+    `field`, the name without the unit. `low` and `high` bound it, `scale` is a typical size.
+    A strength vanishes at `neutral`: with all its strengths there, an effect does nothing. A
+    `shape` parameter (a place, a width, a frequency) means nothing without a strength; its
+    `neutral` only stands in until there is one. Where the effect vanishes at infinity
+    (`inverse`), the natural coordinate for a fit is the reciprocal.
+    """
+
+    name: str
+    meaning: str
+    low: float
+    high: float
+    scale: float
+    neutral: float = 0.0
+    shape: bool = False
+    inverse: bool = False
+
+    @property
+    def field(self) -> str:
+        """The name of the field that holds the value in SI: `wx` for `wx_um_s`."""
+        return self.name.removesuffix(units.suffix(self.name))
+
+    def to_fit(self, value: float) -> float:
+        """The dimensionless coordinate used in fits: 0 where a strength is neutral at 0 or ∞."""
+        return self.scale / value if self.inverse else value / self.scale
+
+    def from_fit(self, coordinate: float) -> float:
+        """The SI value at a fit coordinate; the reciprocal of 0 is infinity."""
+        if not self.inverse:
+            return coordinate * self.scale
+        return self.scale / coordinate if coordinate else float('inf')
+
+    @property
+    def fit_bounds(self) -> tuple[float, float]:
+        """Lower and upper bound of the fit coordinate."""
+        ends = (self.to_fit(self.low), self.to_fit(self.high))
+        return min(ends), max(ends)
+
+    def edge(self, value: float) -> float:
+        """An SI value in the unit of the name."""
+        return units.from_si(self.name, value)
+
+
+def parameter(name: str, meaning: str, low: float, high: float, scale: float, *,
+              default: float | None = None, **how: Any) -> Any:
+    """A dataclass field that declares a `Parameter`; `default` makes it optional in files."""
+    declared = Parameter(name, meaning, low, high, scale, **how)
+    metadata = {'parameter': declared}
+    if default is None:
+        return dataclasses.field(metadata=metadata)
+    return dataclasses.field(default=default, metadata=metadata)

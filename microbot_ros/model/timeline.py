@@ -1,0 +1,119 @@
+"""Frames and commands on one time axis, cut where either changes, prepared once for many fits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from microbot_ros.model.model import Model
+from microbot_ros.model.scene import Places, Scene
+from microbot_ros.records import Commands
+
+LONGEST = 0.1
+"""Spans of models that change in time, or with position, are at most this long [s]."""
+
+
+@dataclass(frozen=True)
+class Segments:
+    """Spans during which the command stays, S of them, the last at the last frame.
+
+    The first `lead` of them lie before the first frame: the history that the heading remembers.
+    `first` (T−1,) is the span, counted after these, with which each frame interval begins.
+    """
+
+    t: np.ndarray
+    """Middles (S, 1) [s]."""
+    span: np.ndarray
+    """Lengths (S, 1) [s]."""
+    field: np.ndarray
+    """Commanded field (S, 1, 2) [T], zero before the first command."""
+    frequency: np.ndarray
+    """Commanded rotation (S, 1) [Hz]."""
+    lead: int
+    first: np.ndarray
+    interval: np.ndarray
+    """The frame interval (S − lead,) that each span after the lead belongs to."""
+
+    def sum(self, spans: np.ndarray) -> np.ndarray:
+        """Sum (S − lead, ...) over the spans of every frame interval: (T−1, ...)."""
+        if len(spans) == len(self.first):
+            return spans
+        return np.add.reduceat(spans, self.first, axis=0)
+
+    def scene(self, model: Model, places: Places | None = None) -> Scene:
+        """The scene in every span, the lead included, with the field after stage 1."""
+        field = model.field(self.field)
+        return Scene(self.t, self.span, field, self.frequency, model.reference_field, places)
+
+
+class Timeline:
+    """The commands and the frames of one recording, ready to evaluate models on.
+
+    `times` (T,) [s], ascending, T ≥ 2; `positions` (T, N, 2) [m] as the camera reports them, NaN
+    for gaps: where terms that depend on position are evaluated, each over the interval that
+    begins with it. For fits give filtered positions of earlier frames: raw ones bias such terms.
+    """
+
+    def __init__(self, commands: Commands, times: np.ndarray,
+                 positions: np.ndarray | None = None) -> None:
+        if len(times) < 2 or not (np.diff(times) > 0).all():
+            raise ValueError('times must be at least two, ascending')
+        self.commands = commands
+        self.times = np.asarray(times, dtype=float)
+        self.positions = positions
+        self._segments: tuple[tuple[float, bool], Segments] | None = None
+        self._places: tuple[object, Places] | None = None
+
+    def segments(self, model: Model) -> Segments:
+        """The spans under a model's delay; kept until another delay is asked for."""
+        key = (model.delay, model.steady and not model.needs_position)
+        if self._segments is None or self._segments[0] != key:
+            self._segments = key, self._cut(*key)
+        return self._segments[1]
+
+    def places(self, model: Model) -> Places | None:
+        """True positions in every span after the lead; None where none were given."""
+        if self.positions is None or not model.needs_position:
+            return None
+        segments = self.segments(model)
+        key = id(segments), tuple(e for e in model.effects if e.stage == 'observation')
+        if self._places is None or self._places[0] != key:
+            position = model.true_position(self.positions[:-1])
+            self._places = key, Places(position[segments.interval])
+        return self._places[1]
+
+    def _cut(self, delay: float, whole: bool) -> Segments:
+        commands, times = self.commands, self.times
+        switches = commands.t + delay
+        inside = switches[(switches > times[0]) & (switches < times[-1])]
+        edges = np.concatenate([switches[switches < times[0]], times])
+        new = inside[times[np.searchsorted(times, inside)] != inside]
+        if new.size:
+            edges = np.sort(np.concatenate([edges, new]), kind='stable')
+        start, span = edges[:-1], np.diff(edges)
+        if not whole:
+            start, span = _subdivide(start, span)
+        row = np.searchsorted(switches, start, side='right') - 1
+        lead = int(np.searchsorted(start, times[0]))
+        frequency = np.zeros(len(commands.t)) if commands.frequency is None else commands.frequency
+        # Row −1, before the first command, is the zero appended at the end.
+        return Segments(
+            t=(start + span / 2)[:, None],
+            span=span[:, None],
+            field=np.concatenate([commands.field, np.zeros((1, 2))])[row, None],
+            frequency=np.append(frequency, 0.0)[row, None],
+            lead=lead,
+            first=np.searchsorted(start[lead:], times[:-1]),
+            interval=np.searchsorted(times, start[lead:], side='right') - 1,
+        )
+
+
+def _subdivide(start: np.ndarray, span: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The spans cut into equal parts no longer than LONGEST."""
+    parts = np.ceil(span / LONGEST).astype(int)
+    if parts.max() <= 1:
+        return start, span
+    part = np.repeat(span / parts, parts)
+    number = np.arange(len(part)) - np.repeat(np.cumsum(parts) - parts, parts)
+    return np.repeat(start, parts) + number * part, part
