@@ -13,11 +13,15 @@ development = [
     'types-pyserial',
 ]
 
+nodes = [
+    'camera', 'coil_driver', 'controller', 'model', 'player', 'recorder', 'tracker', 'virtual_rig',
+]
+
 setup(
     name=package_name,
     version='0.1.0',
     packages=find_packages(include=[package_name, f'{package_name}.*']),
-    package_data={package_name: ['**/*.html', '**/*.css', 'py.typed']},
+    package_data={package_name: ['**/*.html', '**/*.css', '**/*.xml', 'py.typed']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
         (f'share/{package_name}', ['package.xml']),
@@ -39,6 +43,7 @@ setup(
     entry_points={
         'console_scripts': [
             'microbot = microbot_ros.cli:main',
+            *(f'{node}_node = microbot_ros.nodes.process:script' for node in nodes),
         ],
         'microbot_ros.controllers': [],
         'microbot_ros.amplifiers': [],

@@ -52,6 +52,12 @@ def read_yaml(path: str | Path, settings: type[SettingsT]) -> SettingsT:
         raise InputError(path, _explain(first, settings), _line_of(tree, first['loc'])) from None
 
 
+def line_of(path: str | Path, *keys: int | str) -> int | None:
+    """The line of a YAML file on which a key path stands, as far as the file has it."""
+    tree = yaml.compose(Path(path).read_text(encoding='utf-8'), Loader=yaml.SafeLoader)
+    return _line_of(tree, keys)
+
+
 def _explain(error: Any, settings: type[pydantic.BaseModel]) -> str:
     key = '.'.join(str(part) for part in error['loc']) or 'the file'
     if error['type'] == 'extra_forbidden':

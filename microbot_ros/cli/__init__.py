@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import os
 import sys
 
 import click
@@ -14,6 +13,11 @@ from microbot_ros.errors import InputError
 # Command → one line for `microbot --help`; the module of the same name defines `command`.
 _COMMANDS = {
     'demo': 'Close the loop on the virtual rig.',
+    'run': 'Run the nodes beside a real rig.',
+    'arm': 'Arm or disarm the gate of a running rig.',
+    'set': 'Change a parameter of a running node.',
+    'goal': 'Send goals to the running controller.',
+    'doctor': 'Is this machine, is the rig ready?',
 }
 
 
@@ -41,8 +45,6 @@ def microbot() -> None:
 
 def main() -> None:
     """Run the command line: exit 0 done, 1 failed, 2 bad input with one line on standard error."""
-    # One user, one machine: nothing is reachable from beyond it unless the caller asks.
-    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     try:
         status = microbot.main(standalone_mode=False)
     except InputError as error:

@@ -35,9 +35,9 @@ class Graph:
     `tell` is called with each line that a child prints.
     """
 
-    def __init__(self, tell: Callable[[str, str], None], environment: dict[str, str]) -> None:
+    def __init__(self, tell: Callable[[str, str], None]) -> None:
         self._tell = tell
-        self._environment = {**os.environ, PARENT: str(os.getpid()), **environment}
+        self._environment = {**os.environ, PARENT: str(os.getpid())}
         self._children: dict[str, _Child] = {}
         self._selector = selectors.DefaultSelector()
 
@@ -48,10 +48,15 @@ class Graph:
         self.stop(list(reversed(self._children)))
         self._selector.close()
 
-    def start_node(self, name: str, parameters: Path | None = None) -> None:
-        """Start a node as a process of its own, with a ROS parameter file."""
-        arguments = ['--ros-args', '--params-file', str(parameters)] if parameters else []
-        self.start(name, [sys.executable, '-m', 'microbot_ros.nodes', name, *arguments])
+    @property
+    def count(self) -> int:
+        """How many children were started and not yet stopped."""
+        return len(self._children)
+
+    def start_nodes(self, names: Sequence[str], parameters: Path) -> None:
+        """Start one process with these nodes and a ROS parameter file."""
+        self.start('+'.join(names), [sys.executable, '-m', 'microbot_ros.nodes', *names,
+                                     '--ros-args', '--params-file', str(parameters)])
 
     def start(self, name: str, command: Sequence[str]) -> None:
         """Start any child; it is in a session of its own, so that Ctrl-C reaches only us."""

@@ -16,6 +16,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from microbot_ros.errors import InputError
 from microbot_ros.nodes.messages import MessageError, to_seconds
 from microbot_ros.nodes.parameters import ParameterSet, refuse_unknown
+from microbot_ros.settings import defaults
 
 RELIABLE = QoSProfile(depth=10)
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
@@ -53,6 +54,11 @@ class RigNode(LifecycleNode):
             self, self.Parameters, self.veto)
         self.declare_more()
         refuse_unknown(self)
+
+    @classmethod
+    def known_parameters(cls) -> dict[str, tuple[type, str]]:
+        """Full parameter name → the dataclass and the field that describe it."""
+        return {name: (cls.Parameters, name) for name in defaults(cls.Parameters)}
 
     # What a node fills in -------------------------------------------------------------------
 

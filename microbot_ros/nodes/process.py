@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import rclpy
 from rclpy.experimental.events_executor import EventsExecutor
@@ -16,6 +17,7 @@ from rclpy.signals import SignalHandlerOptions
 from microbot_ros.errors import InputError
 from microbot_ros.nodes.graph import PARENT, READY
 from microbot_ros.nodes.lifecycle import RigNode
+from microbot_ros.nodes.transport import stay_local
 
 NODES = {
     'camera': 'CameraNode',
@@ -49,6 +51,7 @@ def run(names: list[str], arguments: list[str] | None = None) -> int:
     stopping: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda received, _frame: stopping.append(received))
+    stay_local()
     rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     executor = EventsExecutor()
     nodes: list[RigNode] = []
@@ -94,3 +97,8 @@ def main() -> None:
               f'nodes: {", ".join(NODES)}', file=sys.stderr)
         sys.exit(2)
     sys.exit(run(names, ros))
+
+
+def script() -> None:
+    """The console scripts: `tracker_node --ros-args ...` runs the node it is named after."""
+    sys.exit(run([Path(sys.argv[0]).stem.removesuffix('_node')], sys.argv[1:]))

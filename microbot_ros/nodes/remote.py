@@ -19,12 +19,14 @@ from std_srvs.srv import SetBool
 
 from microbot_ros.errors import InputError
 from microbot_ros.nodes import messages
+from microbot_ros.nodes.transport import stay_local
 
 
 class Remote:
     """A client of the graph with a node of its own. Use as a context."""
 
     def __init__(self, name: str = 'microbot') -> None:
+        stay_local()
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self.node = rclpy.create_node(name)
         self._executor = SingleThreadedExecutor()

@@ -1,0 +1,31 @@
+"""The closed loop on the virtual rig: `ros2 launch microbot_ros demo_launch.py`.
+
+The emulated amplifier is at the other end of a real serial line (a pseudo-terminal). The gate
+stays disarmed until `ros2 service call /coil_driver/arm std_srvs/srv/SetBool '{data: true}'`.
+"""
+
+import tempfile
+from pathlib import Path
+
+from launch import LaunchDescription
+from launch.actions import ExecuteProcess
+from launch_ros.actions import LifecycleNode
+
+
+def generate_launch_description() -> LaunchDescription:
+    """The virtual rig in place of camera and coils, and every node that a real rig has."""
+    folder = Path(tempfile.mkdtemp(prefix='microbot-'))
+    port, log = str(folder / 'amplifier'), str(folder / 'amplifier.jsonl')
+    own = {
+        'virtual_rig': {'amplifier_log': log},
+        'coil_driver': {'port': port},
+    }
+    return LaunchDescription([
+        ExecuteProcess(cmd=['microbot', 'emulate', 'serial_transfer', '--link', port,
+                            '--log', log], output='screen'),
+        *(
+            LifecycleNode(package='microbot_ros', executable=f'{name}_node', name=name,
+                          namespace='', parameters=[own.get(name, {})], output='screen')
+            for name in ('virtual_rig', 'tracker', 'model', 'controller', 'coil_driver')
+        ),
+    ])

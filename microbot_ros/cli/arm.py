@@ -1,0 +1,24 @@
+"""`microbot arm`: let the coil driver drive, or not."""
+
+from __future__ import annotations
+
+import click
+
+
+@click.command()
+@click.option('--off', is_flag=True, help='Disarm: the coils go to zero and stay there.')
+def command(off: bool) -> None:
+    """Arm the safety gate of the running coil driver, or disarm it.
+
+    The gate refuses with its reason while a fault stands.
+
+    \b
+    Example:
+      microbot arm
+      microbot arm --off
+    """
+    from microbot_ros.nodes.remote import Remote
+
+    with Remote() as remote:
+        remote.arm(not off)
+    click.echo('disarmed: the coils are at zero' if off else 'armed')

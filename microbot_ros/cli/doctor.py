@@ -1,0 +1,133 @@
+"""`microbot doctor`: is this machine ready, is the rig?"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import click
+
+from microbot_ros.errors import InputError
+
+
+class Finding(NamedTuple):
+    """One thing that was looked at: 'ok', 'warn' or 'fail', and what to do about it."""
+
+    what: str
+    level: str
+    detail: str
+
+
+@click.command()
+@click.option('--config', type=click.Path(path_type=Path),
+              help='Also check this rig: its parameters, coils, port and camera.')
+@click.option('--json', 'json_path', type=click.Path(path_type=Path),
+              help='Also write the findings as JSON.')
+def command(config: Path | None, json_path: Path | None) -> None:
+    """Say whether this machine, and with --config the rig, is ready. Moves no current.
+
+    \b
+    Example:
+      microbot doctor --config config/rig.yaml
+    """
+    import json
+
+    from rich.console import Console
+
+    from microbot_ros.files import write_text
+
+    marks = {'ok': '[green]ok  [/]', 'warn': '[yellow]warn[/]', 'fail': '[red]FAIL[/]'}
+    console = Console(highlight=False, soft_wrap=True)
+    findings = []
+    for finding in _look(config):
+        findings.append(finding)
+        console.print(f'{marks[finding.level]} {finding.what}: {finding.detail}')
+    if json_path:
+        entries = [finding._asdict() for finding in findings]
+        write_text(json_path, json.dumps(entries, indent=1, ensure_ascii=False) + '\n')
+    if any(finding.level == 'fail' for finding in findings):
+        sys.exit(1)
+
+
+def _look(config: Path | None) -> Iterator[Finding]:
+    checks: list[Callable[[], Finding]] = [_python, _ros, _shared_memory, _disk, _ports]
+    if config:
+        checks += [lambda: _rig(config)]
+    for check in checks:
+        try:
+            yield check()
+        except InputError as error:
+            yield Finding(check.__name__.strip('_<>').replace('lambda', 'rig'), 'fail', str(error))
+
+
+def _python() -> Finding:
+    version = '.'.join(map(str, sys.version_info[:3]))
+    good = (3, 11) <= sys.version_info[:2] <= (3, 12)
+    return Finding('python', 'ok' if good else 'warn', f'{version}, {os.cpu_count()} cores')
+
+
+def _ros() -> Finding:
+    """A message through the middleware and back, as the nodes send theirs."""
+    import rclpy
+    from std_msgs.msg import String
+
+    from microbot_ros.nodes.remote import Remote
+
+    with Remote('doctor') as remote:
+        heard = threading.Event()
+        remote.node.create_subscription(String, '~/echo', lambda _: heard.set(), 1)
+        publisher = remote.node.create_publisher(String, '~/echo', 1)
+        for _ in range(50):
+            publisher.publish(String(data='echo'))
+            remote.spin(0.05)
+            if heard.is_set():
+                kind = rclpy.get_rmw_implementation_identifier()
+                reach = os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE']
+                return Finding('ros', 'ok', f'{kind} echoes; discovery range {reach}')
+    return Finding('ros', 'fail', 'no echo within 2.5 s; is a firewall closing loopback?')
+
+
+def _shared_memory() -> Finding:
+    free = shutil.disk_usage('/dev/shm').free / 1e6
+    if free < 200:
+        return Finding('shared memory', 'warn', f'{free:.0f} MB free on /dev/shm, expected 200; '
+                       'remove stale /dev/shm/fastrtps_* or enlarge it')
+    return Finding('shared memory', 'ok', f'{free:.0f} MB free')
+
+
+def _disk() -> Finding:
+    free = shutil.disk_usage('.').free / 1e9
+    level = 'ok' if free > 5 else 'warn'
+    return Finding('disk', level, f'{free:.0f} GB free here; frames of 640×480 at 60 Hz take '
+                   'about 4 GB in 5 minutes')
+
+
+def _ports() -> Finding:
+    from serial.tools import list_ports
+
+    found = [f'{port.device} ({port.description})' for port in list_ports.comports()]
+    closed = [port.device for port in list_ports.comports()
+              if not os.access(port.device, os.R_OK | os.W_OK)]
+    if closed:
+        return Finding('serial ports', 'warn', f'no permission for {", ".join(closed)}; '
+                       'add yourself to the group dialout')
+    return Finding('serial ports', 'ok', ', '.join(found) or 'none here')
+
+
+def _rig(config: Path) -> Finding:
+    from microbot_ros.nodes.configuration import read_rig
+
+    rig = read_rig(config)
+    missing = []
+    for node, name in (('coil_driver', 'port'), ('camera', 'source')):
+        device = str(rig.get(node, {}).get(name, ''))
+        if device.startswith('/') and not Path(device).exists():
+            missing.append(f'{node}.{name} {device} is not there')
+    if missing:
+        return Finding('rig', 'fail', '; '.join(missing))
+    return Finding('rig', 'ok', f'{config}: {", ".join(rig)}')

@@ -1,0 +1,24 @@
+"""`microbot set`: change a parameter of a running node."""
+
+from __future__ import annotations
+
+import click
+import yaml
+
+
+@click.command()
+@click.argument('node')
+@click.argument('parameter')
+@click.argument('value')
+def command(node: str, parameter: str, value: str) -> None:
+    """Change PARAMETER of the running NODE to VALUE; it may refuse, and says why.
+
+    \b
+    Example, swapping the controller while running:
+      microbot set controller controller waypoint
+    """
+    from microbot_ros.nodes.remote import Remote
+
+    with Remote() as remote:
+        remote.set(node, **{parameter: yaml.safe_load(value)})
+    click.echo(f'{node}: {parameter} is now {value}')

@@ -1,0 +1,75 @@
+"""The ROS parameter file of a rig, checked before anything starts."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+from typing import Any
+
+import pydantic
+
+from microbot_ros import settings
+from microbot_ros.errors import InputError
+from microbot_ros.files import Settings, line_of, read_yaml
+from microbot_ros.nodes.lifecycle import RigNode
+from microbot_ros.nodes.process import NODES
+
+EVERY_NODE = ('use_sim_time',)
+
+
+class _Section(Settings):
+    ros__parameters: dict[str, Any] = pydantic.Field(default_factory=dict)
+
+
+class _File(pydantic.RootModel[dict[str, _Section]]):
+    pass
+
+
+def read_rig(path: str | Path) -> dict[str, dict[str, Any]]:
+    """Node → its parameters, full names, from a ROS parameter file (`node: ros__parameters:`).
+
+    Raises InputError naming file and line for an unknown node, an unknown parameter, a value of
+    the wrong type or out of range.
+    """
+    sections = read_yaml(path, _File).root
+    rig: dict[str, dict[str, Any]] = {}
+    for node, section in sections.items():
+        if node not in NODES:
+            raise InputError(path, f"unknown node '{node}'; known are: {', '.join(NODES)}",
+                             line_of(path, node))
+        rig[node] = {}
+        for keys, value in _flatten(section.ros__parameters):
+            line = line_of(path, node, 'ros__parameters', *keys)
+            rig[node]['.'.join(keys)] = _checked(path, node, '.'.join(keys), value, line)
+    return rig
+
+
+def node_class(name: str) -> type[RigNode]:
+    """The class of a node by its name."""
+    found: type[RigNode] = getattr(
+        importlib.import_module(f'microbot_ros.nodes.{name}'), NODES[name])
+    return found
+
+
+def _flatten(tree: dict[str, Any]) -> list[tuple[tuple[str, ...], Any]]:
+    flat: list[tuple[tuple[str, ...], Any]] = []
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            flat += [((key, *rest), inner) for rest, inner in _flatten(value)]
+        else:
+            flat.append(((key,), value))
+    return flat
+
+
+def _checked(path: str | Path, node: str, name: str, value: Any, line: int | None) -> Any:
+    known = node_class(node).known_parameters()
+    if name in EVERY_NODE:
+        return value
+    if name not in known:
+        names = ', '.join(sorted(known))
+        raise InputError(path, f"unknown parameter '{name}' of {node}; known are: {names}", line)
+    kind, field = known[name]
+    try:
+        return settings.convert(kind, field, value)
+    except ValueError as error:
+        raise InputError(path, f'{node}: {error}', line) from None

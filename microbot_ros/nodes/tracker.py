@@ -1,0 +1,117 @@
+"""Node `tracker`: particles and their identities from frames, in metres."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PoseArray
+from sensor_msgs.msg import Image, PointCloud2
+
+from microbot_ros import units
+from microbot_ros.files import read_yaml
+from microbot_ros.nodes import messages
+from microbot_ros.nodes.lifecycle import IMAGES_IN, IMAGES_OUT, OK, WARN, RigNode
+from microbot_ros.settings import setting
+from microbot_ros.tracking import FrameError, ImageToWorkspace, Poses, Tracker, TrackerSettings
+from microbot_ros.tracking.overlay import draw_overlay
+
+
+@dataclass(frozen=True)
+class TrackerParameters:
+    """Parameters of the node `tracker`."""
+
+    pixel_size_um: float = setting(
+        0.5, 'Width of a pixel in the sample.', lower=1e-3, upper=100.0, read_only=True)
+    rotation_deg: float = setting(
+        0.0, "Direction of the image's x axis in the workspace.", lower=-180.0, upper=180.0,
+        read_only=True)
+    mirrored: bool = setting(False, 'The optics mirror the picture.', read_only=True)
+    settings_file: str = setting(
+        '', 'YAML file with settings of the detection; empty chooses them from the first frames.',
+        read_only=True)
+    overlay_rate_hz: float = setting(
+        10.0, 'Rate of `overlay/image_raw` while somebody looks; 0 turns it off.',
+        lower=0.0, upper=60.0)
+    poses_rate_hz: float = setting(
+        10.0, 'Rate of `particles/poses`, for viewers.', lower=0.0, upper=60.0)
+
+
+class TrackerNode(RigNode):
+    """`camera/image_raw` → `particles`, `particles/poses`, `overlay/image_raw`."""
+
+    Parameters: ClassVar[type] = TrackerParameters
+
+    def setup(self) -> None:
+        file = self.settings.settings_file
+        self._tracker = Tracker(read_yaml(file, TrackerSettings) if file else TrackerSettings())
+        self._camera: ImageToWorkspace | None = None
+        self._frames = self._refused = self._count = 0
+        self._previous = self._longest_gap = 0.0
+        self._due = {'poses': 0.0, 'overlay': 0.0}
+        self._particles = self.publisher(PointCloud2, 'particles')
+        self._poses = self.publisher(PoseArray, 'particles/poses')
+        self._overlay = self.publisher(Image, 'overlay/image_raw', IMAGES_OUT)
+        self.subscribe(Image, 'camera/image_raw', self._on_image, IMAGES_IN)
+
+    def health(self) -> tuple[bytes, str, dict[str, object]]:
+        silence = self.seconds() - self._previous if self._frames else math.inf
+        values = {'frames': self._frames, 'frames_refused': self._refused,
+                  'particles': self._count, 'longest_gap_s': self._longest_gap,
+                  'silence_s': silence}
+        self._longest_gap = 0.0
+        if silence > 1.0:
+            return WARN, 'no frames on camera/image_raw', values
+        if not self._tracker.ready:
+            return OK, 'learning what particles look like', values
+        return OK, f'tracking {self._count} particles', values
+
+    def _on_image(self, message: Image) -> None:
+        image = messages.gray(message)
+        t = messages.to_seconds(message.header.stamp)
+        try:
+            poses = self._tracker.update(image, t)
+        except FrameError as error:
+            self._refused += 1
+            self.complain(str(error))
+            return
+        if self._camera is None:
+            self._camera = self._calibration(image)
+        if self._frames:
+            self._longest_gap = max(self._longest_gap, t - self._previous)
+        self._previous = t
+        self._frames += 1
+        self._count = len(poses)
+        self._publish(image, poses, self._camera, message.header.stamp)
+
+    def _calibration(self, image: np.ndarray) -> ImageToWorkspace:
+        return ImageToWorkspace(
+            pixel_size=units.to_si('pixel_size_um', self.settings.pixel_size_um),
+            width=image.shape[1], height=image.shape[0], mirrored=self.settings.mirrored,
+            rotation=units.to_si('rotation_deg', self.settings.rotation_deg))
+
+    def _publish(self, image: np.ndarray, poses: Poses, camera: ImageToWorkspace,
+                 stamp: Time) -> None:
+        points = np.empty(len(poses), messages.PARTICLE)
+        position, velocity = camera.position(poses.xy), camera.vector(poses.velocity)
+        points['id'] = poses.id
+        points['x'], points['y'] = position.T
+        points['vx'], points['vy'] = velocity.T
+        # A Janus particle swims with its cap behind.
+        points['theta'] = camera.angle(poses.theta_rad + math.pi)
+        points['sigma'] = poses.sigma_px * camera.pixel_size
+        self._particles.publish(messages.cloud(points, stamp))
+        if self._is_due('poses', self.settings.poses_rate_hz, poses.t):
+            self._poses.publish(messages.poses(position, points['theta'], stamp))
+        if self._overlay.get_subscription_count() and self._is_due(
+                'overlay', self.settings.overlay_rate_hz, poses.t):
+            self._overlay.publish(messages.image(draw_overlay(image, poses), stamp))
+
+    def _is_due(self, what: str, rate: float, t: float) -> bool:
+        if rate <= 0 or (t < self._due[what] and self._due[what] - t < 10.0):
+            return False
+        self._due[what] = t + 1 / rate
+        return True
