@@ -1,0 +1,80 @@
+"""The record of one simulated particle: its state, what it is, and what disturbs it.
+
+Every disturbance the simulated world knows is a column with a neutral value, so that each
+particle can have its own strength of each. All values are SI.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from microbot_ros.model.particle import (
+    Fluid,
+    rotational_diffusion,
+    rotational_drag,
+    stokes_drag,
+    translational_diffusion,
+)
+
+# Column → value at which it changes nothing. The state and the sphere itself come first.
+_NEUTRAL = {
+    'x': 0.0, 'y': 0.0, 'heading': 0.0, 'phi': 0.0, 'fuel': 1.0,
+    'radius': 0.0, 'drag': 1.0, 'turn_drag': 1.0, 'diffusion': 0.0, 'turning': 0.0,
+    'speed': 0.0, 'gain': 0.0, 'moment': 0.0,
+    # amplifier, coils and stray field
+    'delay': 0.0, 'deadband': 0.0, 'gain_y': 1.0, 'skew': 0.0,
+    'background_x': 0.0, 'background_y': 0.0,
+    # body
+    'fuel_time': math.inf, 'slip_rate': 0.0, 'field_scale': 0.0,
+    'cut_in': 0.0, 'step_out': math.inf,
+    # fluid and forces
+    'drift_x': 0.0, 'drift_y': 0.0, 'gxx': 0.0, 'gxy': 0.0, 'gyx': 0.0, 'gyy': 0.0,
+    'sway_speed': 0.0, 'sway_frequency': 0.0, 'sway_direction': 0.0, 'sway_phase': 0.0,
+    'spot_x': 0.0, 'spot_y': 0.0, 'spot_speed': 0.0, 'spot_width': 1.0, 'gradient_rate': 0.0,
+    # neighbours
+    'dipole': 0.0, 'crowding': 0.0, 'repulsion_speed': 0.0, 'repulsion_range': 1.0,
+    # camera
+    'aspect': 1.0, 'jump_time': math.inf, 'jump_x': 0.0, 'jump_y': 0.0,
+    # in nobody's library of effects
+    'channel_speed': 0.0, 'channel_half_width': 1.0, 'spin': 0.0, 'uphill_length': math.inf,
+    'pulse_depth': 0.0, 'pulse_frequency': 0.0, 'facing': 0.0, 'dim_time': math.inf,
+    'dim_factor': 1.0, 'wobble_angle': 0.0, 'wobble_frequency': 0.0,
+    'settling_x': 0.0, 'settling_y': 0.0, 'settling_time': math.inf,
+    'trap_speed': 0.0, 'trap_length': 1.0,
+}
+
+BODY = np.dtype([(name, np.float64) for name in _NEUTRAL])
+"""One particle; columns in the order in which the chain from amplifier to camera meets them."""
+
+
+def bodies(
+    fluid: Fluid,
+    radius: np.ndarray,
+    moment: np.ndarray,
+    phi: np.ndarray,
+    position: np.ndarray,
+    *,
+    speed: np.ndarray | float = 0.0,
+    gain: np.ndarray | float = 0.0,
+    heading: np.ndarray | float = 0.0,
+) -> np.ndarray:
+    """Undisturbed particles (N,) of type BODY, with Stokes' drag and Einstein's diffusion.
+
+    `radius` [m], `moment` [A·m²], `phi` [rad], `heading` [rad] each (N,); `position` (N, 2) [m];
+    `speed` [m/s] of a swimmer with full fuel; `gain` [m/s/Hz] of a roller.
+    """
+    radius = np.asarray(radius, dtype=float)
+    result = np.empty(len(radius), BODY)
+    for name, neutral in _NEUTRAL.items():
+        result[name] = neutral
+    result['x'], result['y'] = np.asarray(position, dtype=float).T
+    result['drag'] = stokes_drag(fluid, radius)
+    result['turn_drag'] = rotational_drag(fluid, radius)
+    result['diffusion'] = translational_diffusion(fluid, radius)
+    result['turning'] = rotational_diffusion(fluid, radius)
+    given = {'radius': radius, 'moment': moment, 'phi': phi, 'speed': speed, 'gain': gain}
+    for name, value in (given | {'heading': heading}).items():
+        result[name] = value
+    return result

@@ -1,0 +1,246 @@
+"""What moves and turns a simulated particle in one short step, compiled.
+
+Each function is one cause. They read a particle's record (`body.BODY`) and know nothing of the
+equations that the rest of the project fits. `advance` puts them together. All are in one file
+because numba's cache notices changes in the caller's own file only.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numba
+import numpy as np
+
+from microbot_ros.model.langevin import turn
+
+Pair = tuple[float, float]
+
+
+@numba.njit(cache=True)
+def _deadband(value: float, width: float) -> float:
+    """An amplifier that loses the first `width` of what it is asked for."""
+    return math.copysign(max(abs(value) - width, 0.0), value)
+
+
+@numba.njit(cache=True)
+def felt_field(body: Any, x: float, y: float) -> Pair:
+    """From the command to the field at the particle: amplifier, coils, stray field [T]."""
+    x, y = _deadband(x, body.deadband), _deadband(y, body.deadband)
+    y_coil = body.gain_y * y
+    return (
+        x + math.sin(body.skew) * y_coil + body.background_x,
+        math.cos(body.skew) * y_coil + body.background_y,
+    )
+
+
+@numba.njit(cache=True)
+def roll_frequency(body: Any, frequency: float) -> float:
+    """How often the particle turns in a field rotating at `frequency` [Hz], on average.
+
+    Two overdamped barriers: the surface holds it until the field drags it over (below cut-in it
+    rocks without rolling), and beyond step-out the magnetic torque no longer balances the drag
+    and it slips (Adler's equation, averaged over a turn).
+    """
+    drive = abs(frequency)
+    if drive <= body.cut_in:
+        return 0.0
+    rolled = math.sqrt(drive**2 - body.cut_in**2)
+    if drive > body.step_out:
+        rolled *= 1 - math.sqrt(1 - (body.step_out / drive) ** 2)
+    return math.copysign(rolled, frequency)
+
+
+@numba.njit(cache=True)
+def own_speed(body: Any, frequency: float, t: float) -> float:
+    """Speed along the heading [m/s]: burning fuel or rolling, before neighbours slow it."""
+    speed = body.speed * body.fuel + body.gain * roll_frequency(body, frequency)
+    speed *= 1 + body.pulse_depth * math.sin(2 * math.pi * body.pulse_frequency * t)
+    speed *= 1 + body.x / body.uphill_length + body.facing * math.cos(3 * body.heading)
+    return speed * body.dim_factor if t >= body.dim_time else speed
+
+
+@numba.njit(cache=True)
+def tilt(body: Any, strength: float, uniform: float, azimuth: float) -> Pair:
+    """Parts of the axis along and across the mean heading, from the Boltzmann distribution.
+
+    The axis' angle from the field has the density exp(κ cos ϑ) on the sphere, κ = |B|/b₀.
+    """
+    if body.field_scale == 0:
+        return 1.0, 0.0
+    kappa = strength / body.field_scale
+    if kappa < 1e-6:
+        along = 2 * uniform - 1
+    else:
+        along = 1 + math.log(uniform + (1 - uniform) * math.exp(-2 * kappa)) / kappa
+    across = math.sqrt(max(1 - along**2, 0.0)) * math.cos(azimuth)
+    return along, across
+
+
+@numba.njit(cache=True)
+def flow(body: Any, t: float) -> tuple[float, float, float]:
+    """Velocity [m/s] and rotation, half the vorticity [rad/s], of the fluid at the particle."""
+    sway = body.sway_speed * math.cos(2 * math.pi * body.sway_frequency * t + body.sway_phase)
+    profile = (body.y / body.channel_half_width) ** 2
+    settling = math.exp(-t / body.settling_time)
+    u = (
+        body.drift_x + body.settling_x * settling + body.gxx * body.x + body.gxy * body.y
+        + sway * math.cos(body.sway_direction) + body.channel_speed * (1 - profile)
+    )
+    v = (
+        body.drift_y + body.settling_y * settling + body.gyx * body.x + body.gyy * body.y
+        + sway * math.sin(body.sway_direction)
+    )
+    shear = body.gxy - 2 * body.channel_speed * body.y / body.channel_half_width**2
+    return u, v, (body.gyx - shear) / 2
+
+
+@numba.njit(cache=True)
+def place_force(body: Any, strength: float) -> Pair:
+    """Velocity [m/s] by forces that depend on the place: field maximum, hot spot, trap."""
+    x, y = body.x - body.spot_x, body.y - body.spot_y
+    squared = (x**2 + y**2) / body.spot_width**2
+    spot = body.spot_speed / body.spot_width * math.exp((1 - squared) / 2)
+    outward = body.gradient_rate * strength
+    outward -= body.trap_speed * (body.x**2 + body.y**2) / body.trap_length**3
+    return outward * body.x + spot * x, outward * body.y + spot * y
+
+
+@numba.njit(cache=True)
+def gradient_force(body: Any, gradient: np.ndarray) -> Pair:
+    """Velocity [m/s] by the magnetic force (m·∇)B; `gradient` is ∂B_a/∂x_b [T/m]."""
+    angle = body.heading - body.phi
+    mx, my = body.moment * math.cos(angle), body.moment * math.sin(angle)
+    return (
+        (gradient[0, 0] * mx + gradient[0, 1] * my) / body.drag,
+        (gradient[1, 0] * mx + gradient[1, 1] * my) / body.drag,
+    )
+
+
+@numba.njit(cache=True)
+def dipole_velocity(body: Any, other: Any, x: float, y: float, r: float) -> Pair:
+    """Velocity [m/s] of a body by the moment of one other at distance `r`, direction (x, y).
+
+    The force of one point dipole on another, 3µ₀m₁m₂/4πr⁴ [(m̂₁·r̂)m̂₂ + (m̂₂·r̂)m̂₁ + (m̂₁·m̂₂)r̂ −
+    5(m̂₁·r̂)(m̂₂·r̂)r̂] (Jackson), over the drag: `dipole` is 3µ₀m²/4π over 6πηr [m⁵/s].
+    """
+    mine, others = body.heading - body.phi, other.heading - other.phi
+    ax, ay, bx, by = math.cos(mine), math.sin(mine), math.cos(others), math.sin(others)
+    a, b = ax * x + ay * y, bx * x + by * y
+    radial = ax * bx + ay * by - 5 * a * b
+    scale = math.sqrt(abs(body.dipole * other.dipole)) / r**4
+    return scale * (a * bx + b * ax + radial * x), scale * (a * by + b * ay + radial * y)
+
+
+@numba.njit(cache=True)
+def neighbours(bodies: np.ndarray, i: int) -> tuple[float, float, float]:
+    """Velocity [m/s] by all others, and the factor by which they slow the body's own motion."""
+    body, u, v, slowing = bodies[i], 0.0, 0.0, 0.0
+    for j in range(len(bodies)):
+        if j == i:
+            continue
+        other = bodies[j]
+        x, y = body.x - other.x, body.y - other.y
+        r = max(math.sqrt(x**2 + y**2), 1e-9)
+        x, y = x / r, y / r
+        du, dv = dipole_velocity(body, other, x, y, r)
+        away = body.repulsion_speed * math.exp(-r / body.repulsion_range)
+        u, v = u + du + away * x, v + dv + away * y
+        slowing += body.crowding / r
+    return u, v, max(1 - slowing, 0.0)
+
+
+@numba.njit(cache=True)
+def rotate(body: Any, bx: float, by: float, vorticity: float, t: float, dt: float,
+           normal: float) -> None:
+    """Turn the particle, in place: magnetic torque against drag, fluid, chirality, noise."""
+    body.phi += body.slip_rate * dt
+    wobble = body.wobble_angle * math.sin(2 * math.pi * body.wobble_frequency * t)
+    strength = math.sqrt(bx**2 + by**2)
+    target = math.atan2(by, bx) + body.phi + wobble
+    rate = body.moment * strength / body.turn_drag
+    body.heading = turn(body.heading, target, rate, body.turning, dt, normal)
+    body.heading += (vorticity + body.spin) * dt
+
+
+@numba.njit(cache=True)
+def advance(
+    bodies: np.ndarray, middle: np.ndarray, length: float, rows: np.ndarray, field: np.ndarray,
+    gradient: np.ndarray, frequency: np.ndarray, half_extent: np.ndarray,
+    rng: np.random.Generator, mean: np.ndarray,
+) -> None:
+    """Take all bodies through equal steps about the times `middle`; adds to `mean` the average."""
+    velocity = np.empty((len(bodies), 2))
+    here, no_gradient = np.zeros(2), np.zeros((2, 2))
+    for t in middle:
+        for i in range(len(bodies)):
+            body = bodies[i]
+            row = np.searchsorted(rows, t - body.delay, side='right') - 1
+            slope, turns = no_gradient, 0.0
+            here[:] = 0.0
+            if row >= 0:
+                here[:] = field[row, min(i, field.shape[1] - 1)]
+                turns = frequency[row]
+                if len(gradient) > 0:
+                    slope = gradient[row, min(i, gradient.shape[1] - 1)]
+            bx, by = felt_field(body, here[0], here[1])
+            _move(bodies, i, bx, by, slope, turns, t, length, rng, velocity)
+        for i in range(len(bodies)):
+            _displace(bodies[i], velocity[i], length, rng, half_extent, mean[i])
+        _separate(bodies)
+    mean /= len(middle)
+
+
+@numba.njit(cache=True)
+def _move(
+    bodies: np.ndarray, i: int, bx: float, by: float, slope: np.ndarray, turns: float, t: float,
+    length: float, rng: np.random.Generator, velocity: np.ndarray,
+) -> None:
+    """Turn one particle and note the velocity that all causes together give it."""
+    body = bodies[i]
+    strength = math.sqrt(bx**2 + by**2)
+    u, v, vorticity = flow(body, t)
+    du, dv = place_force(body, strength)
+    gu, gv = gradient_force(body, slope)
+    pu, pv, slowing = neighbours(bodies, i)
+    before = body.heading
+    rotate(body, bx, by, vorticity, t, length, rng.standard_normal())
+    during = (before + body.heading) / 2
+    speed = own_speed(body, turns, t) * slowing
+    along, across = tilt(body, strength, rng.random(), 2 * math.pi * rng.random())
+    c, s = math.cos(during), math.sin(during)
+    velocity[i, 0] = u + du + gu + pu + speed * (along * c - across * s)
+    velocity[i, 1] = v + dv + gv + pv + speed * (along * s + across * c)
+
+
+@numba.njit(cache=True)
+def _displace(
+    body: Any, velocity: np.ndarray, length: float, rng: np.random.Generator,
+    half_extent: np.ndarray, mean: np.ndarray,
+) -> None:
+    spread = math.sqrt(2 * body.diffusion * length)
+    x, y = body.x, body.y
+    x += velocity[0] * length + spread * rng.standard_normal()
+    y += velocity[1] * length + spread * rng.standard_normal()
+    x = min(max(x, -half_extent[0]), half_extent[0])
+    y = min(max(y, -half_extent[1]), half_extent[1])
+    mean[0] += (body.x + x) / 2
+    mean[1] += (body.y + y) / 2
+    body.x, body.y = x, y
+    body.fuel *= math.exp(-length / body.fuel_time)
+
+
+@numba.njit(cache=True)
+def _separate(bodies: np.ndarray) -> None:
+    """Push overlapping spheres apart along their line of centres, half each."""
+    for i in range(len(bodies)):
+        for j in range(i):
+            a, b = bodies[i], bodies[j]
+            x, y = a.x - b.x, a.y - b.y
+            contact = a.radius + b.radius
+            squared = x**2 + y**2
+            if 0 < squared < contact**2:
+                push = (contact / math.sqrt(squared) - 1) / 2
+                a.x, a.y = a.x + push * x, a.y + push * y
+                b.x, b.y = b.x - push * x, b.y - push * y

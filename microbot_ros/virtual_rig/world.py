@@ -1,0 +1,89 @@
+"""The simulated world: many particles in a field, moved by fine Langevin steps.
+
+On purpose the one other place in the project that moves particles: it integrates torques,
+flows and forces at a millisecond, so that what it makes tests the equations of `model`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from microbot_ros.model.langevin import step_grid
+from microbot_ros.records import Commands
+from microbot_ros.virtual_rig.dynamics import advance
+
+
+@dataclass(frozen=True)
+class FieldHistory:
+    """The field over time; each row holds until the next, and before the first there is none.
+
+    `t` (K,) [s], ascending; `field` (K, N, 2) [T] at each particle, or (K, 1, 2) the same for
+    all; `gradient` (K, N or 1, 2, 2) [T/m], ∂B_a/∂x_b, or None where it is not felt;
+    `frequency` (K,) [Hz] of a rolling field, or None.
+    """
+
+    t: np.ndarray
+    field: np.ndarray
+    gradient: np.ndarray | None = None
+    frequency: np.ndarray | None = None
+
+    @classmethod
+    def uniform(cls, commands: Commands) -> FieldHistory:
+        """The same field everywhere."""
+        return cls(commands.t, commands.field[:, None, :], frequency=commands.frequency)
+
+
+class World:
+    """Particles and their clock.
+
+    `bodies` (N,) of type BODY (see `body.bodies`) hold state and properties and change in
+    place; `rng` drives all chance. `half_extent` (2,) [m], where given, keeps the particles
+    between walls at ± that distance from the origin: they stop at a wall and slide along it.
+    Spheres never overlap. The clock `t` [s] starts at zero.
+    """
+
+    def __init__(
+        self, bodies: np.ndarray, rng: np.random.Generator,
+        half_extent: tuple[float, float] = (math.inf, math.inf),
+    ) -> None:
+        self.bodies = bodies
+        self.t = 0.0
+        self._rng = rng
+        self._half_extent = np.array(half_extent, dtype=float)
+
+    @property
+    def position(self) -> np.ndarray:
+        """Where the particles are now (N, 2) [m], a copy."""
+        return np.column_stack((self.bodies['x'], self.bodies['y']))
+
+    @property
+    def heading(self) -> np.ndarray:
+        """Where they head now (N,) [rad], a copy, continuous over turns."""
+        return self.bodies['heading'].copy()
+
+    def advance(self, until: float, history: FieldHistory) -> np.ndarray:
+        """Move on to the time `until` [s]; the mean position (N, 2) [m] on the way.
+
+        The mean is what a camera sees whose shutter is open for that time. Steps are at most
+        1 ms, and each takes the row of the history in force at its middle, `delay` earlier for
+        a particle that has one: keep rows that old. A time not after the present returns the
+        present.
+        """
+        if until <= self.t:
+            return self.position
+        middle, length = step_grid(self.t, until)
+        rows = len(history.t)
+        gradient = np.empty((0, 1, 2, 2)) if history.gradient is None else history.gradient
+        frequency = np.zeros(rows) if history.frequency is None else history.frequency
+        mean = np.zeros((len(self.bodies), 2))
+        advance(
+            self.bodies, middle, length, np.asarray(history.t, dtype=float),
+            np.ascontiguousarray(history.field, dtype=float),
+            np.ascontiguousarray(gradient, dtype=float), np.asarray(frequency, dtype=float),
+            self._half_extent, self._rng, mean,
+        )
+        self.t = until
+        return mean
