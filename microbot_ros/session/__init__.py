@@ -7,8 +7,9 @@ from pathlib import Path
 from microbot_ros.errors import InputError
 from microbot_ros.records import Session
 from microbot_ros.session.folder import read_folder, write_folder
+from microbot_ros.session.recorder import RecorderStatus, RecordingWriter
 
-__all__ = ['read_session', 'write_session']
+__all__ = ['RecorderStatus', 'RecordingWriter', 'read_session', 'write_session']
 
 
 def read_session(path: str | Path) -> Session:

@@ -80,7 +80,7 @@ def read_table(path: Path, *layouts: Layout) -> Table:
 
 def write_table(path: Path, columns: dict[str, np.ndarray]) -> None:
     """Columns in SI as a CSV file in the units of their names; NaN as an empty cell."""
-    texts = ([to_text(value, name) for value in values.tolist()] for name, values in columns.items())
+    texts = [[to_text(value, name) for value in columns[name].tolist()] for name in columns]
     rows = (','.join(row) for row in zip(*texts, strict=True))
     path.write_text('\n'.join([','.join(columns), *rows, '']), encoding='utf-8')
 

@@ -1,0 +1,59 @@
+"""Messages gathered into one compressed MCAP chunk."""
+
+from __future__ import annotations
+
+import struct
+from collections import defaultdict
+from dataclasses import dataclass
+
+import zstandard
+from mcap.opcode import Opcode
+from mcap.records import Chunk, MessageIndex
+
+# Level 1 takes noisy camera frames at 900 MB/s and shrinks them as well as level 3, the default
+# of the MCAP libraries, does at 140 MB/s. The checksum is zstd's own (XXH64); MCAP's optional
+# CRC-32 on top would cost as much as the compression.
+_LEVEL = 1
+_HEAD = struct.Struct('<BQHIQQ')
+
+
+@dataclass(frozen=True)
+class ClosedChunk:
+    """A finished chunk and where its messages are; it is not yet in any file."""
+
+    chunk: Chunk
+    indexes: list[MessageIndex]
+
+
+class ChunkBuilder:
+    """Compresses messages as they come, so that no call waits for a whole chunk."""
+
+    def __init__(self) -> None:
+        self._begin()
+
+    def _begin(self) -> None:
+        compressor = zstandard.ZstdCompressor(level=_LEVEL, write_checksum=True)
+        self._stream = compressor.compressobj()
+        self._pieces: list[bytes] = []
+        self._records: defaultdict[int, list[tuple[int, int]]] = defaultdict(list)
+        self._first, self._last = 2**64 - 1, 0
+        self.size = 0
+
+    def add(self, channel: int, t_ns: int, data: bytes) -> None:
+        """Append one message: `size` grows by its uncompressed length."""
+        self._records[channel].append((t_ns, self.size))
+        head = _HEAD.pack(Opcode.MESSAGE, 22 + len(data), channel, 0, t_ns, t_ns)
+        self._pieces += (self._stream.compress(head), self._stream.compress(data))
+        self._first, self._last = min(self._first, t_ns), max(self._last, t_ns)
+        self.size += len(head) + len(data)
+
+    def close(self) -> ClosedChunk:
+        """The messages so far as a chunk; the builder starts another."""
+        self._pieces.append(self._stream.flush())
+        chunk = Chunk(
+            compression='zstd', data=b''.join(self._pieces), message_start_time=self._first,
+            message_end_time=self._last, uncompressed_crc=0, uncompressed_size=self.size,
+        )
+        closed = ClosedChunk(chunk, [MessageIndex(*item) for item in self._records.items()])
+        self._begin()
+        return closed

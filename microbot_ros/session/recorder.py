@@ -1,0 +1,173 @@
+"""Recording while the loop runs: nothing waits for the disk, nothing that matters is dropped."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter, deque
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+from mcap.records import Attachment, Channel, Metadata, Schema
+
+from microbot_ros.errors import InputError
+from microbot_ros.session.bag import typestore
+from microbot_ros.session.store import MIB, Store, Topic, Worth
+from microbot_ros.session.topics import is_topic
+
+# A class of messages is dropped while more than this waits in memory, or less is free on disk.
+MOST_QUEUED = {Worth.OVERLAY: 32 * MIB, Worth.FRAME: 256 * MIB}
+LEAST_FREE = {Worth.OVERLAY: 1024 * MIB, Worth.FRAME: 256 * MIB}
+_FRAMES = ('sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage')
+_PERIOD = 0.05
+
+
+@dataclass(frozen=True)
+class RecorderStatus:
+    """How a recording is doing; `problem` is '' or one sentence for people."""
+
+    counts: dict[str, int]
+    dropped: dict[str, int]
+    bytes_written: int
+    queued_bytes: int
+    free_bytes: int
+    problem: str
+
+
+class RecordingWriter:
+    """A recording of serialised ROS messages in rosbag2's MCAP layout.
+
+    `write` only queues; a thread of the writer's own compresses and stores. What was queued is
+    on disk within a second, so a crash costs no more. Where the disk is slow or full, overlays
+    are dropped first, then frames; anything else is kept in memory until the disk takes it. The
+    folder must be new or empty; it holds `<name>_0.mcap`, `<name>_1.mcap`, …, and at the end
+    `metadata.yaml`.
+    """
+
+    def __init__(self, folder: str | Path) -> None:
+        folder = Path(folder)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            if any(folder.iterdir()):
+                raise InputError(folder, 'expected a new or empty folder to record to')
+            self._store = Store(folder)
+        except OSError as error:
+            problem = f'expected a folder to record to ({error.strerror})'
+            raise InputError(folder, problem) from None
+        self._lock = threading.Lock()
+        self._queue: deque[tuple[Topic, int, bytes] | Attachment | Metadata] = deque()
+        self._queued_bytes = 0
+        self._dropped: Counter[str] = Counter()
+        self._topics: dict[str, Topic] = {}
+        self._schemas: dict[str, Schema] = {}
+        self._failure = ''
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name='recording', daemon=True)
+        self._thread.start()
+
+    def write(self, topic: str, msgtype: str, t_ns: int, data: bytes) -> None:
+        """Queue one message: its topic with the leading slash, its type, the time of receipt
+        [ns] and its CDR bytes. ValueError for a type that ROS 2 Jazzy does not define."""
+        with self._lock:
+            entry = self._topics.get(topic) or self._declare(topic, msgtype)
+            if self._unaffordable(entry.worth):
+                self._dropped[topic] += 1
+                return
+            self._queue.append((entry, t_ns, data))
+            self._queued_bytes += len(data)
+
+    def attach(self, name: str, content: str | bytes) -> None:
+        """Keep a file inside the recording: parameters, `rig.yaml`, `model.yaml`, notes."""
+        now = time.time_ns()
+        data = content.encode() if isinstance(content, str) else content
+        media = 'text/plain' if isinstance(content, str) else 'application/octet-stream'
+        with self._lock:
+            self._queue.append(Attachment(now, now, name, media, data))
+
+    def describe(self, name: str, entries: dict[str, str]) -> None:
+        """Keep named keys and values inside the recording: conditions, versions, a title."""
+        with self._lock:
+            self._queue.append(Metadata(name, entries))
+
+    def status(self) -> RecorderStatus:
+        """Counts and sizes so far."""
+        store = self._store
+        with self._lock:
+            dropped = dict(store.dropped + self._dropped)
+            return RecorderStatus(
+                dict(store.counts), dropped, store.bytes_written, self._queued_bytes,
+                store.free_bytes, self._problem(dropped),
+            )
+
+    def close(self) -> None:
+        """Store all that is queued, the indexes and `metadata.yaml`; `status` says what failed."""
+        self._closing.set()
+        self._thread.join()
+
+    def __enter__(self) -> RecordingWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _declare(self, topic: str, msgtype: str) -> Topic:
+        if msgtype not in typestore().types:
+            raise ValueError(f'{topic}: ROS 2 Jazzy defines no message type {msgtype}')
+        if msgtype not in self._schemas:
+            text, _ = typestore().generate_msgdef(msgtype, ros_version=2)
+            number = len(self._schemas) + 1
+            self._schemas[msgtype] = Schema(
+                id=number, name=msgtype, encoding='ros2msg', data=text.encode(),
+            )
+        schema = self._schemas[msgtype]
+        channel = Channel(
+            len(self._topics) + 1, topic, 'cdr', {'offered_qos_profiles': ''}, schema.id,
+        )
+        worth = Worth.DATA
+        if is_topic(topic, 'overlay/image_raw') or is_topic(topic, 'markers'):
+            worth = Worth.OVERLAY
+        elif msgtype in _FRAMES:
+            worth = Worth.FRAME
+        self._topics[topic] = Topic(schema, channel, worth)
+        return self._topics[topic]
+
+    def _unaffordable(self, worth: Worth) -> bool:
+        return worth != Worth.DATA and (
+            self._queued_bytes > MOST_QUEUED[worth] or self._store.free_bytes < LEAST_FREE[worth]
+        )
+
+    def _problem(self, dropped: dict[str, int]) -> str:
+        if self._failure:
+            return f'recording stopped: {self._failure}'
+        if self._store.refused:
+            return f'the disk refuses data ({self._store.refused}); tracks wait in memory'
+        lost = ', '.join(f'{count} of {topic}' for topic, count in sorted(dropped.items()))
+        if self._unaffordable(Worth.OVERLAY):
+            free = f'{self._store.free_bytes / MIB:.0f} MiB free'
+            return f'disk slow or nearly full ({free}); dropped: {lost or "none"}'
+        return f'dropped for want of disk: {lost}' if lost else ''
+
+    def _run(self) -> None:
+        try:
+            while not self._closing.wait(_PERIOD):
+                self._drain()
+                self._store.tick()
+            self._drain()
+            self._store.close()
+        except Exception as error:
+            self._failure = f'{type(error).__name__}: {error}'
+            raise
+
+    def _drain(self) -> None:
+        while self._queue:
+            item = self._queue.popleft()
+            if isinstance(item, tuple):
+                self._store.add(*item)
+                with self._lock:
+                    self._queued_bytes -= len(item[2])
+            else:
+                self._store.add_record(item)

@@ -1,0 +1,175 @@
+"""One MCAP file while it is written: whole records appended, an index at the end."""
+
+from __future__ import annotations
+
+import os
+import zlib
+from importlib.metadata import version
+from pathlib import Path
+
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+from mcap.summary import Summary
+
+from microbot_ros.session.chunk import ClosedChunk
+
+MAGIC = b'\x89MCAP0\r\n'
+
+
+class Segment:
+    """An MCAP file that is readable up to its last record at every moment.
+
+    Every method appends whole records straight to the file or, where the disk refuses, raises
+    OSError and leaves the file as it was.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.summary = empty_summary()
+        self.size = 0
+        self._file = path.open('xb', buffering=0)
+        self._append(MAGIC + _bytes_of(Header('ros2', f'microbot_ros {version("microbot_ros")}')))
+
+    def add_channel(self, schema: Schema, channel: Channel) -> None:
+        """Declare a topic before the first chunk that holds it."""
+        # Outside the chunks, so that a crashed file can be indexed without decompressing it.
+        new = schema.id not in self.summary.schemas
+        self._append((_bytes_of(schema) if new else b'') + _bytes_of(channel))
+        self.summary.schemas[schema.id] = schema
+        self.summary.channels[channel.id] = channel
+
+    def add_chunk(self, closed: ClosedChunk) -> None:
+        """Append a chunk and the index of its messages."""
+        chunk = closed.chunk
+        start = self.size
+        block = _bytes_of(chunk)
+        length = len(block)
+        offsets = {}
+        for index in closed.indexes:
+            offsets[index.channel_id] = start + len(block)
+            block += _bytes_of(index)
+        self._append(block)
+        self.summary.chunk_indexes.append(ChunkIndex(
+            chunk_length=length, chunk_start_offset=start, compression=chunk.compression,
+            compressed_size=len(chunk.data), message_start_time=chunk.message_start_time,
+            message_end_time=chunk.message_end_time, message_index_offsets=offsets,
+            message_index_length=len(block) - length, uncompressed_size=chunk.uncompressed_size,
+        ))
+        counts = {index.channel_id: len(index.records) for index in closed.indexes}
+        count_chunk(self.summary, self.summary.chunk_indexes[-1], counts)
+
+    def add_attachment(self, record: Attachment) -> None:
+        """Append a file within the file."""
+        start, block = self.size, _bytes_of(record)
+        self._append(block)
+        self.summary.attachment_indexes.append(attachment_index(record, start, len(block)))
+
+    def add_metadata(self, record: Metadata) -> None:
+        """Append named keys and values."""
+        start, block = self.size, _bytes_of(record)
+        self._append(block)
+        self.summary.metadata_indexes.append(MetadataIndex(start, len(block), record.name))
+
+    def sync(self) -> None:
+        """Return when what was written would survive a power cut."""
+        os.fdatasync(self._file.fileno())
+
+    def finish(self) -> None:
+        """Append the summary that lets readers find everything at once, and close the file."""
+        try:
+            self._append(closing_bytes(self.summary, self.size))
+            self.sync()
+        finally:
+            self._file.close()
+
+    def _append(self, block: bytes) -> None:
+        rest = memoryview(block)
+        try:
+            while rest:
+                rest = rest[self._file.write(rest):]
+        except OSError:
+            self._file.truncate(self.size)
+            self._file.seek(self.size)
+            raise
+        self.size += len(block)
+
+
+def empty_summary() -> Summary:
+    """The summary of a file without records."""
+    summary = Summary()
+    summary.statistics = Statistics(
+        attachment_count=0, channel_count=0, channel_message_counts={}, chunk_count=0,
+        message_count=0, message_end_time=0, message_start_time=0, metadata_count=0,
+        schema_count=0,
+    )
+    return summary
+
+
+def attachment_index(record: Attachment, start: int, length: int) -> AttachmentIndex:
+    """The entry in the summary of an attachment at a place in the file."""
+    return AttachmentIndex(
+        offset=start, length=length, log_time=record.log_time, create_time=record.create_time,
+        data_size=len(record.data), name=record.name, media_type=record.media_type,
+    )
+
+
+def count_chunk(summary: Summary, index: ChunkIndex, counts: dict[int, int]) -> None:
+    """Add a chunk's messages, counted by channel, to the statistics."""
+    statistics = summary.statistics
+    assert statistics is not None
+    first = not statistics.message_count
+    start, end = index.message_start_time, index.message_end_time
+    statistics.message_start_time = start if first else min(statistics.message_start_time, start)
+    statistics.message_end_time = max(statistics.message_end_time, end)
+    statistics.message_count += sum(counts.values())
+    totals = statistics.channel_message_counts
+    for channel, count in counts.items():
+        totals[channel] = totals.get(channel, 0) + count
+
+
+def closing_bytes(summary: Summary, start: int) -> bytes:
+    """All that follows the data of an MCAP file whose data end at byte `start`."""
+    statistics = summary.statistics
+    assert statistics is not None
+    statistics.schema_count = len(summary.schemas)
+    statistics.channel_count = len(summary.channels)
+    statistics.chunk_count = len(summary.chunk_indexes)
+    statistics.attachment_count = len(summary.attachment_indexes)
+    statistics.metadata_count = len(summary.metadata_indexes)
+    data_end = _bytes_of(DataEnd(0))
+    start += len(data_end)
+    groups = {
+        Opcode.SCHEMA: summary.schemas.values(), Opcode.CHANNEL: summary.channels.values(),
+        Opcode.STATISTICS: [statistics], Opcode.CHUNK_INDEX: summary.chunk_indexes,
+        Opcode.ATTACHMENT_INDEX: summary.attachment_indexes,
+        Opcode.METADATA_INDEX: summary.metadata_indexes,
+    }
+    block, offsets = b'', b''
+    for opcode, records in groups.items():
+        group = b''.join(_bytes_of(record) for record in records)
+        if group:
+            offsets += _bytes_of(SummaryOffset(opcode, start + len(block), len(group)))
+        block += group
+    footer = _bytes_of(Footer(start, start + len(block), 0))
+    crc = zlib.crc32(block + offsets + footer[:-4])
+    return data_end + block + offsets + footer[:-4] + crc.to_bytes(4, 'little') + MAGIC
+
+
+def _bytes_of(record: object) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)  # type: ignore[attr-defined]
+    return builder.end()

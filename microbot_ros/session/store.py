@@ -1,0 +1,160 @@
+"""The files of a recording while it grows: chunks by worth, segments, a disk that may refuse."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections import Counter, deque
+from dataclasses import dataclass
+from enum import IntEnum
+from pathlib import Path
+
+from mcap.records import Attachment, Channel, Metadata, Schema
+
+from microbot_ros.files import write_text
+from microbot_ros.session.bag import METADATA_FILE, metadata_text
+from microbot_ros.session.chunk import ChunkBuilder, ClosedChunk
+from microbot_ros.session.segment import Segment
+
+MIB = 2**20
+CHUNK_BYTES = 4 * MIB
+FLUSH_SECONDS = 0.5
+"""Age at which a chunk goes to disk, full or not: half of the second a crash may cost."""
+SEGMENT_BYTES = 4096 * MIB
+SEGMENT_SECONDS = 600.0
+
+
+class Worth(IntEnum):
+    """What is given up first when the disk cannot keep up; data never are."""
+
+    OVERLAY = 0
+    FRAME = 1
+    DATA = 2
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic as it is recorded."""
+
+    schema: Schema
+    channel: Channel
+    worth: Worth
+
+
+class Store:
+    """Keeps messages of each worth in chunks of their own, so that reading tracks does not
+    decompress frames, and what the disk refuses can be given up by worth.
+
+    Not thread-safe: one thread stores, others may read the public attributes.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.counts: Counter[str] = Counter()
+        self.dropped: Counter[str] = Counter()
+        self.refused = ''
+        self.free_bytes = shutil.disk_usage(folder).free
+        self._folder = folder
+        self._segments: list[Segment] = []
+        self._next_segment()
+        self._topics: dict[int, Topic] = {}
+        self._builders = {worth: ChunkBuilder() for worth in Worth}
+        self._opened = dict.fromkeys(Worth, 0.0)
+        self._waiting: deque[tuple[Worth, ClosedChunk | Attachment | Metadata]] = deque()
+
+    @property
+    def bytes_written(self) -> int:
+        """Bytes in all files so far."""
+        return sum(segment.size for segment in self._segments)
+
+    def add(self, topic: Topic, t_ns: int, data: bytes) -> None:
+        """Take one message; it is on disk after the next `tick` that finds its chunk due."""
+        builder = self._builders[topic.worth]
+        if not builder.size:
+            self._opened[topic.worth] = time.monotonic()
+        self._topics[topic.channel.id] = topic
+        builder.add(topic.channel.id, t_ns, data)
+        if builder.size >= CHUNK_BYTES:
+            self._flush(topic.worth)
+
+    def add_record(self, record: Attachment | Metadata) -> None:
+        """Take an attachment or metadata and write it at once."""
+        self._waiting.append((Worth.DATA, record))
+        self._write()
+
+    def tick(self) -> None:
+        """Write what is due, try again what was refused, begin a new file when it is time."""
+        now = time.monotonic()
+        self.free_bytes = shutil.disk_usage(self._folder).free
+        for worth, builder in self._builders.items():
+            if builder.size and now - self._opened[worth] >= FLUSH_SECONDS:
+                self._flush(worth)
+        self._write()
+        old = now - self._segment_began >= SEGMENT_SECONDS
+        if (old or self._segment.size >= SEGMENT_BYTES) and not self._waiting:
+            self._finish_segment()
+            self._next_segment()
+
+    def close(self) -> None:
+        """Write all that is left, the indexes and `metadata.yaml`."""
+        for worth in Worth:
+            self._flush(worth)
+        self._finish_segment()
+        try:
+            text = metadata_text({s.path: s.summary for s in self._segments})
+            write_text(self._folder / METADATA_FILE, text)
+        except OSError as error:
+            self.refused = error.strerror or str(error)
+
+    def _flush(self, worth: Worth) -> None:
+        if self._builders[worth].size:
+            self._waiting.append((worth, self._builders[worth].close()))
+            self._write()
+
+    def _write(self) -> None:
+        while self._waiting:
+            try:
+                self._write_one(self._waiting[0][1])
+            except OSError as error:
+                self.refused = error.strerror or str(error)
+                self._give_up()
+                return
+            self._waiting.popleft()
+            self.refused = ''
+
+    def _write_one(self, item: ClosedChunk | Attachment | Metadata) -> None:
+        if isinstance(item, Attachment):
+            self._segment.add_attachment(item)
+        elif isinstance(item, Metadata):
+            self._segment.add_metadata(item)
+        else:
+            for index in item.indexes:
+                if index.channel_id not in self._segment.summary.channels:
+                    topic = self._topics[index.channel_id]
+                    self._segment.add_channel(topic.schema, topic.channel)
+            self._segment.add_chunk(item)
+            self._segment.sync()
+            self.counts.update(self._by_topic(item))
+
+    def _give_up(self) -> None:
+        for worth, item in self._waiting:
+            if worth != Worth.DATA and isinstance(item, ClosedChunk):
+                self.dropped.update(self._by_topic(item))
+        self._waiting = deque(entry for entry in self._waiting if entry[0] == Worth.DATA)
+
+    def _by_topic(self, closed: ClosedChunk) -> dict[str, int]:
+        return {
+            self._topics[index.channel_id].channel.topic: len(index.records)
+            for index in closed.indexes
+        }
+
+    def _next_segment(self) -> None:
+        name = f'{self._folder.resolve().name}_{len(self._segments)}.mcap'
+        self._segment = Segment(self._folder / name)
+        self._segments.append(self._segment)
+        self._segment_began = time.monotonic()
+
+    def _finish_segment(self) -> None:
+        try:
+            self._segment.finish()
+        except OSError as error:
+            self.refused = error.strerror or str(error)
