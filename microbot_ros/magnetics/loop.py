@@ -1,0 +1,151 @@
+"""Field and gradient of a circular current loop, exact to rounding from the axis to infinity.
+
+The loop has radius a, lies in its own plane z = 0 about the origin and carries 1 A,
+counterclockwise seen from +z. With D² = a² + ρ² + z² − 2aρ cos φ, Biot and Savart's law
+B = µ₀/4π ∮ dl × r̂/r² asks for four integrals over φ: of 1/Dⁿ and cos φ/Dⁿ, n = 3 and 5. With
+
+    α² = (a − ρ)² + z²,  β² = (a + ρ)² + z²,  u = 4aρ/β²,  q = α²/β² = 1 − u
+
+and the arithmetic–geometric mean of 1 and √q and its differences cₙ (DLMF 19.8(i)) they are
+
+    ∮ 1/D³ = 4E/(βα²),       E = K (1 − u/2 − u² t),  K = π/(2 agm),  t = Σₙ≥₁ 2ⁿ⁻¹ (cₙ/u)²,
+    ∮ cos φ/D³ = 4uG/(βα²),  G = K (1/2 − (2 − u) t),
+    ∮ 1/D⁵ = 4P/(βα⁴),       P = (2 (1 + q) E − q K)/3,
+    ∮ cos φ/D⁵ = 4uH/(βα⁴),  H = K (2 − u − 2 (1 − u + u²) t)/3.
+
+The textbook forms with E − K lose their digits at the axis and far away, where the leading terms
+cancel; here these are cancelled on paper, so that u → 0 is an ordinary point.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+from microbot_ros.units import MU_0
+
+ON_WIRE = 1e-12
+"""Closer to the wire than this part of the radius, a point counts as on it: field NaN."""
+
+# Points are taken in blocks, so that their elliptic integrals run side by side in the vector
+# unit; a block's quantities are the rows of one array.
+_BLOCK = 128
+_X, _Y, _Z, _RHO, _ALPHA2, _BETA2, _U, _MEAN, _SCALED, _DIFFERENCE, _T = range(11)
+
+_compiled = numba.njit(cache=True, error_model='numpy', fastmath={'contract'})
+
+
+@_compiled
+def _locate(points: np.ndarray, centre: np.ndarray, axes: np.ndarray, a: float,
+            block: np.ndarray) -> None:
+    """Write the points' coordinates in the loop's frame and the module's α², β² and u."""
+    on_wire = (ON_WIRE * a) ** 2
+    for i in range(len(points)):
+        dx, dy, dz = (points[i, 0] - centre[0], points[i, 1] - centre[1],
+                      points[i, 2] - centre[2])
+        x = axes[0, 0] * dx + axes[1, 0] * dy + axes[2, 0] * dz
+        y = axes[0, 1] * dx + axes[1, 1] * dy + axes[2, 1] * dz
+        z = axes[0, 2] * dx + axes[1, 2] * dy + axes[2, 2] * dz
+        rho = math.sqrt(x * x + y * y)
+        alpha2 = (a - rho) ** 2 + z * z
+        beta2 = (a + rho) ** 2 + z * z
+        block[_X, i], block[_Y, i], block[_Z, i], block[_RHO, i] = x, y, z, rho
+        block[_ALPHA2, i] = alpha2 if alpha2 > on_wire else math.nan
+        block[_BETA2, i] = beta2
+        block[_U, i] = 4 * a * rho / beta2
+
+
+@_compiled
+def _integrate(n: int, block: np.ndarray) -> None:
+    """Write the arithmetic–geometric mean and t of a block's first n points.
+
+    cₙ falls quadratically: once it is below 1e-8 at the slowest point, its square and all that
+    follow are rounding.
+    """
+    mean, scaled, difference, t = block[_MEAN], block[_SCALED], block[_DIFFERENCE], block[_T]
+    for i in range(n):
+        geometric = math.sqrt(block[_ALPHA2, i] / block[_BETA2, i])
+        mean[i] = 0.5 * (1 + geometric)
+        scaled[i] = 0.5 / (1 + geometric)
+        difference[i] = scaled[i] * block[_U, i]
+        t[i] = scaled[i] * scaled[i]
+    weight = 1.0
+    while difference[:n].max() > 1e-8:
+        weight *= 2
+        for i in range(n):
+            geometric = math.sqrt((mean[i] - difference[i]) * (mean[i] + difference[i]))
+            mean[i] = 0.5 * (mean[i] + geometric)
+            factor = difference[i] / (4 * mean[i])
+            scaled[i] *= factor
+            difference[i] *= factor
+            t[i] += weight * scaled[i] * scaled[i]
+
+
+@_compiled
+def loop_field(points: np.ndarray, centre: np.ndarray, axes: np.ndarray, a: float, turns: float,
+               out: np.ndarray) -> None:
+    """Write the field per ampere [T/A] at points (M, 3) [m] to out (M, 3).
+
+    `axes` (3, 3): the loop's x, y and z axes as columns; `a` its radius [m]. NaN on the wire.
+    """
+    block = np.empty((11, _BLOCK))
+    for start in range(0, len(points), _BLOCK):
+        here = points[start:start + _BLOCK]
+        _locate(here, centre, axes, a, block)
+        _integrate(len(here), block)
+        for i in range(len(here)):
+            u, t, beta2 = block[_U, i], block[_T, i], block[_BETA2, i]
+            K = 0.5 * math.pi / block[_MEAN, i]
+            E = K * (1 - u * (0.5 + u * t))
+            G = K * (0.5 - (2 - u) * t) * 4 * a / beta2
+            common = turns * MU_0 / math.pi * a / (math.sqrt(beta2) * block[_ALPHA2, i])
+            bx = common * G * block[_Z, i] * block[_X, i]
+            by = common * G * block[_Z, i] * block[_Y, i]
+            bz = common * (a * E - G * block[_RHO, i] ** 2)
+            for j in range(3):
+                out[start + i, j] = axes[j, 0] * bx + axes[j, 1] * by + axes[j, 2] * bz
+
+
+@_compiled
+def loop_gradient(points: np.ndarray, centre: np.ndarray, axes: np.ndarray, a: float,
+                  turns: float, out: np.ndarray) -> None:
+    """Write the gradient per ampere ∂Bᵢ/∂xⱼ [T/m/A] at points (M, 3) [m] to out (M, 3, 3).
+
+    Symmetric and free of trace, since the field has neither curl nor divergence off the wire.
+    """
+    block = np.empty((11, _BLOCK))
+    local = np.empty((3, 3))
+    for start in range(0, len(points), _BLOCK):
+        here = points[start:start + _BLOCK]
+        _locate(here, centre, axes, a, block)
+        _integrate(len(here), block)
+        for i in range(len(here)):
+            _local_gradient(block[:, i], a, turns, local)
+            out[start + i] = axes @ local @ axes.T
+
+
+@_compiled
+def _local_gradient(point: np.ndarray, a: float, turns: float, out: np.ndarray) -> None:
+    """Write the gradient at one point of a block, in the loop's frame."""
+    alpha2, beta2, u, t, z = point[_ALPHA2], point[_BETA2], point[_U], point[_T], point[_Z]
+    K, q = 0.5 * math.pi / point[_MEAN], alpha2 / beta2
+    E = K * (1 - u * (0.5 + u * t))
+    G = K * (0.5 - (2 - u) * t)
+    P = (2 * (1 + q) * E - q * K) / 3
+    H = K * (2 - u - 2 * (1 - u + u * u) * t) / 3
+    common = turns * MU_0 / math.pi * a / (math.sqrt(beta2) * alpha2)
+    # Bρ/ρ, ∂Bz/∂z, ∂Bz/∂ρ = ∂Bρ/∂z, and ∂Bρ/∂ρ − Bρ/ρ from the zero divergence.
+    hoop = common * G * 4 * a * z / beta2
+    axial = -3 * common * z * (a * P - point[_RHO] * u * H) / alpha2
+    shear = common * u * (G - 3 * z * z * H / alpha2)
+    excess = -(2 * hoop + axial)
+    # On the axis shear and excess vanish, whatever direction ρ is given.
+    cosine, sine = (point[_X] / point[_RHO], point[_Y] / point[_RHO]) if point[_RHO] else (1., 0.)
+    out[0, 0] = hoop + excess * cosine * cosine
+    out[1, 1] = hoop + excess * sine * sine
+    out[2, 2] = axial
+    out[0, 1] = out[1, 0] = excess * cosine * sine
+    out[0, 2] = out[2, 0] = shear * cosine
+    out[1, 2] = out[2, 1] = shear * sine

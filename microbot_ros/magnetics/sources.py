@@ -1,0 +1,121 @@
+"""Current-carrying wires in the workspace: circular loops and polylines, N turns, any pose.
+
+Workspace frame: origin at the workspace centre, x right, y up, z towards the camera, right-handed.
+Fields are linear in the current, so everything here is per ampere. A gradient is
+`[..., i, j] = ∂Bᵢ/∂xⱼ`. Points on a wire, where the field is infinite, give NaN; so do points that
+are not finite.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from microbot_ros.errors import InputError
+
+
+class Source(Protocol):
+    """A wire with its own current."""
+
+    def field_per_ampere(self, points: ArrayLike) -> np.ndarray:
+        """Field [T/A] at points (M, 3) [m]: (M, 3)."""
+
+    def gradient_per_ampere(self, points: ArrayLike) -> np.ndarray:
+        """Gradient ∂Bᵢ/∂xⱼ [T/m/A] at points (M, 3) [m]: (M, 3, 3)."""
+
+
+def as_points(points: ArrayLike) -> np.ndarray:
+    """Points as a contiguous (M, 3) array; (M, 2) lie in the plane z = 0. Else InputError."""
+    array = np.ascontiguousarray(points, dtype=float)
+    if array.ndim == 2 and array.shape[1] == 2:
+        array = np.column_stack([array, np.zeros(len(array))])
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise InputError('points', f'expected an (M, 3) or (M, 2) array, got {array.shape}')
+    return array
+
+
+class Loop:
+    """A circular loop of `radius` [m] around `axis` (3,), about `centre` (3,) [m].
+
+    Positive current runs counterclockwise seen from the tip of the axis: the field at the centre
+    points along the axis. `turns` multiplies the field; a negative number winds the other way.
+    InputError for a radius that is not positive, an axis of no length, anything not finite.
+    """
+
+    def __init__(
+        self, radius: float, centre: ArrayLike, axis: ArrayLike, turns: float = 1.0,
+    ) -> None:
+        if not 0 < radius < math.inf:
+            raise InputError('radius', f'expected a positive, finite length, got {radius} m')
+        self._radius = float(radius)
+        self._centre = _finite('centre', centre)
+        self._axes = _frame(_finite('axis', axis))
+        self._turns = float(_finite('turns', turns))
+
+    def field_per_ampere(self, points: ArrayLike) -> np.ndarray:
+        """Field [T/A] at points (M, 3) [m]: (M, 3)."""
+        from microbot_ros.magnetics.loop import loop_field
+        array = as_points(points)
+        out = np.empty((len(array), 3))
+        loop_field(array, self._centre, self._axes, self._radius, self._turns, out)
+        return out
+
+    def gradient_per_ampere(self, points: ArrayLike) -> np.ndarray:
+        """Gradient ∂Bᵢ/∂xⱼ [T/m/A] at points (M, 3) [m]: (M, 3, 3)."""
+        from microbot_ros.magnetics.loop import loop_gradient
+        array = as_points(points)
+        out = np.empty((len(array), 3, 3))
+        loop_gradient(array, self._centre, self._axes, self._radius, self._turns, out)
+        return out
+
+
+class Polyline:
+    """Straight segments through `vertices` (V, 3) [m] in their order, `turns` times.
+
+    An open polyline is no whole circuit: its field has curl off the wire and its gradient is not
+    symmetric. End where it began to close it. InputError for fewer than two vertices, for two
+    equal neighbours, for anything not finite.
+    """
+
+    def __init__(self, vertices: ArrayLike, turns: float = 1.0) -> None:
+        self._vertices = _finite('vertices', as_points(vertices))
+        if len(self._vertices) < 2 or not np.any(np.diff(self._vertices, axis=0), axis=1).all():
+            raise InputError('vertices', 'expected two or more, no two neighbours equal')
+        self._turns = float(_finite('turns', turns))
+
+    def field_per_ampere(self, points: ArrayLike) -> np.ndarray:
+        """Field [T/A] at points (M, 3) [m]: (M, 3)."""
+        from microbot_ros.magnetics.polyline import polyline_field
+        array = as_points(points)
+        out = np.empty((len(array), 3))
+        polyline_field(array, self._vertices, self._turns, out)
+        return out
+
+    def gradient_per_ampere(self, points: ArrayLike) -> np.ndarray:
+        """Gradient ∂Bᵢ/∂xⱼ [T/m/A] at points (M, 3) [m]: (M, 3, 3)."""
+        from microbot_ros.magnetics.polyline import polyline_gradient
+        array = as_points(points)
+        out = np.empty((len(array), 3, 3))
+        polyline_gradient(array, self._vertices, self._turns, out)
+        return out
+
+
+def _finite(name: str, value: ArrayLike) -> np.ndarray:
+    array = np.array(value, dtype=float, order='C')
+    if not np.isfinite(array).all():
+        raise InputError(name, f'expected finite numbers, got {value!r}')
+    return array
+
+
+def _frame(axis: np.ndarray) -> np.ndarray:
+    """A right-handed orthonormal frame with `axis` as the last of its columns."""
+    length = np.linalg.norm(axis)
+    if not length > 0:
+        raise InputError('axis', 'expected a direction, got a vector of no length')
+    z = axis / length
+    x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
+    x /= np.linalg.norm(x)
+    return np.ascontiguousarray(np.column_stack([x, np.cross(z, x), z]))
