@@ -1,0 +1,38 @@
+"""Shared by all tests: a ROS domain of one's own, and where the real recordings are."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import tempfile
+from pathlib import Path
+
+import pytest
+
+
+def _own_domain() -> int:
+    """A ROS domain that no other test process of this machine uses, for as long as we live."""
+    for domain in range(1, 101):
+        lock = os.open(Path(tempfile.gettempdir()) / f'microbot_ros_domain_{domain}',
+                       os.O_CREAT | os.O_RDWR, 0o666)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            os.close(lock)
+            continue
+        return domain
+    raise RuntimeError('no free ROS domain')
+
+
+os.environ['ROS_DOMAIN_ID'] = str(_own_domain())
+os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+os.environ.setdefault('MPLBACKEND', 'Agg')
+
+
+@pytest.fixture(scope='session')
+def recordings() -> Path:
+    """The folder of real recordings; tests that need it are skipped where it is not."""
+    folder = Path(__file__).parents[2] / 'shared' / 'data'
+    if not folder.is_dir():
+        pytest.skip('the real recordings (../shared/data) are not here')
+    return folder
