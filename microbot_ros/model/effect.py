@@ -6,12 +6,15 @@ import dataclasses
 from abc import ABC
 from dataclasses import dataclass
 from functools import cache
-from typing import ClassVar, Literal, Self
+from typing import TYPE_CHECKING, ClassVar, Literal, Self
 
 import numpy as np
 
 from microbot_ros.model.parameter import Parameter
 from microbot_ros.model.scene import Scene
+
+if TYPE_CHECKING:
+    from microbot_ros.model.timeline import Timeline
 
 Stage = Literal['field', 'heading', 'velocity', 'observation']
 
@@ -48,13 +51,18 @@ class Effect(ABC):
         """The effect at strength zero: it does nothing."""
         return cls(**{p.field: p.neutral for p in cls.parameters()})
 
+    @classmethod
+    def starts(cls, timeline: Timeline) -> tuple[Self, ...]:  # noqa: ARG003
+        """Where fits may begin: shapes spread over what the recording can show, ≥ 1 instance."""
+        return (cls.neutral(),)
+
     def values(self) -> dict[Parameter, float]:
         """Every parameter with its value in SI."""
         return {p: getattr(self, p.field) for p in self.parameters()}
 
     # Stage 1, the field -------------------------------------------------------------------------
 
-    def delay(self) -> float:
+    def latency(self) -> float:
         """Seconds by which the field follows the command late."""
         return 0.0
 

@@ -126,7 +126,7 @@ class Model:
     @property
     def delay(self) -> float:
         """Seconds by which the field follows the command late."""
-        return sum(effect.delay() for effect in self.effects)
+        return sum(effect.latency() for effect in self.effects)
 
     def field(self, commanded: np.ndarray) -> np.ndarray:
         """Stage 1: the field (..., 2) [T] that a commanded field (..., 2) [T] makes."""

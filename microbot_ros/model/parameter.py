@@ -36,13 +36,13 @@ class Parameter:
         return self.name.removesuffix(units.suffix(self.name))
 
     def to_fit(self, value: float) -> float:
-        """The dimensionless coordinate used in fits: 0 where a strength is neutral at 0 or ∞."""
-        return self.scale / value if self.inverse else value / self.scale
+        """The dimensionless coordinate used in fits: 0 at `neutral`."""
+        return self.scale / value if self.inverse else (value - self.neutral) / self.scale
 
     def from_fit(self, coordinate: float) -> float:
         """The SI value at a fit coordinate; the reciprocal of 0 is infinity."""
         if not self.inverse:
-            return coordinate * self.scale
+            return self.neutral + coordinate * self.scale
         return self.scale / coordinate if coordinate else float('inf')
 
     @property

@@ -4,14 +4,44 @@ from __future__ import annotations
 
 from microbot_ros.model.effect import Effect
 from microbot_ros.model.effects.alignment_lag import AlignmentLag
+from microbot_ros.model.effects.amplifier_deadband import AmplifierDeadband
 from microbot_ros.model.effects.background_field import BackgroundField
+from microbot_ros.model.effects.coil_gain_mismatch import CoilGainMismatch
+from microbot_ros.model.effects.coil_misalignment import CoilMisalignment
+from microbot_ros.model.effects.command_delay import CommandDelay
+from microbot_ros.model.effects.dipole_interaction import DipoleInteraction
+from microbot_ros.model.effects.drive_response import DriveResponse
+from microbot_ros.model.effects.gradient_force import GradientForce
+from microbot_ros.model.effects.heading_slip import HeadingSlip
+from microbot_ros.model.effects.hot_spot import HotSpot
+from microbot_ros.model.effects.hydrodynamic_slowdown import HydrodynamicSlowdown
+from microbot_ros.model.effects.incomplete_alignment import IncompleteAlignment
+from microbot_ros.model.effects.linear_flow import LinearFlow
+from microbot_ros.model.effects.periodic_drift import PeriodicDrift
+from microbot_ros.model.effects.pixel_anisotropy import PixelAnisotropy
+from microbot_ros.model.effects.speed_decay import SpeedDecay
 from microbot_ros.model.effects.uniform_drift import UniformDrift
 
 # In the order in which they act: within a stage the effects of a model compose in this order.
 _LIBRARY: tuple[type[Effect], ...] = (
+    CommandDelay,
+    AmplifierDeadband,
+    CoilGainMismatch,
+    CoilMisalignment,
     BackgroundField,
     AlignmentLag,
+    HeadingSlip,
+    IncompleteAlignment,
+    DriveResponse,
+    SpeedDecay,
+    HydrodynamicSlowdown,
     UniformDrift,
+    LinearFlow,
+    PeriodicDrift,
+    HotSpot,
+    GradientForce,
+    DipoleInteraction,
+    PixelAnisotropy,
 )
 
 EFFECTS: dict[str, type[Effect]] = {effect.id: effect for effect in _LIBRARY}

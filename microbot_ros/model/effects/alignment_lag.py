@@ -23,7 +23,7 @@ class AlignmentLag(Effect):
     stage = 'heading'
     summary = 'The heading needs time to turn into the field, longer in a weaker one.'
     shows_under = 'turns of the command by different angles, best some near 180° and some near 30°'
-    mistaken_for = ('command_delay', 'heading_slip', 'incomplete_alignment')
+    mistaken_for = ('command_delay', 'heading_slip')
 
     tau: float = parameter('tau_s', 'alignment time at the reference field', 0.0, 30.0, 0.1)
 

@@ -1,0 +1,26 @@
+"""An amplifier that does nothing near zero."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from microbot_ros.model.effect import Effect
+from microbot_ros.model.parameter import parameter
+
+
+@dataclass(frozen=True)
+class AmplifierDeadband(Effect):
+    """Each axis loses its first b: Bₖ = sign(Bₖ) max(|Bₖ| − b, 0), before the coils."""
+
+    id = 'amplifier_deadband'
+    stage = 'field'
+    summary = 'Each axis of the field loses a fixed amount, and is zero below it.'
+    shows_under = 'commands in all directions, best weak ones: headings bend towards the axes'
+    mistaken_for = ('coil_gain_mismatch', 'incomplete_alignment')
+
+    deadband: float = parameter('deadband_mT', 'field that each axis loses', 0.0, 1e-2, 1e-4)
+
+    def field(self, B: np.ndarray) -> np.ndarray:
+        return np.copysign(np.maximum(np.abs(B) - self.deadband, 0.0), B)

@@ -1,0 +1,30 @@
+"""The two coil pairs are not equally strong."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from microbot_ros.model.effect import Effect
+from microbot_ros.model.parameter import parameter
+
+
+@dataclass(frozen=True)
+class CoilGainMismatch(Effect):
+    """B = diag(1, g) B_cmd."""
+
+    id = 'coil_gain_mismatch'
+    stage = 'field'
+    summary = 'The y coils make a field of other strength than the x coils for the same command.'
+    shows_under = 'commands in all directions, best with a background field known to be small'
+    mistaken_for = (
+        'background_field', 'coil_misalignment', 'amplifier_deadband', 'pixel_anisotropy',
+    )
+
+    gain_ratio: float = parameter(
+        'gain_ratio', 'y coils over x coils', 0.2, 5.0, 0.1, neutral=1.0,
+    )
+
+    def field(self, B: np.ndarray) -> np.ndarray:
+        return B * np.array([1.0, self.gain_ratio])

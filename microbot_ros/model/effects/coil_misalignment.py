@@ -1,0 +1,27 @@
+"""The two coil pairs are not square to each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from microbot_ros.model.effect import Effect
+from microbot_ros.model.parameter import parameter
+
+
+@dataclass(frozen=True)
+class CoilMisalignment(Effect):
+    """The y coils’ axis leans by s: B = [[1, sin s], [0, cos s]] B_cmd."""
+
+    id = 'coil_misalignment'
+    stage = 'field'
+    summary = 'The axis of the y coils leans towards that of the x coils.'
+    shows_under = 'commands in all directions'
+    mistaken_for = ('background_field', 'coil_gain_mismatch')
+
+    skew: float = parameter('skew_rad', 'lean of the y axis towards +x', -1.0, 1.0, 0.1)
+
+    def field(self, B: np.ndarray) -> np.ndarray:
+        lean = np.array([[1.0, np.sin(self.skew)], [0.0, np.cos(self.skew)]])
+        return B @ lean.T

@@ -1,0 +1,24 @@
+"""The field follows the command late."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from microbot_ros.model.effect import Effect
+from microbot_ros.model.parameter import parameter
+
+
+@dataclass(frozen=True)
+class CommandDelay(Effect):
+    """B(t) = B_cmd(t − δ)."""
+
+    id = 'command_delay'
+    stage = 'field'
+    summary = 'The field changes a fixed time after it is commanded.'
+    shows_under = 'turns of the command by different angles, or of its strength or frequency'
+    mistaken_for = ('alignment_lag', 'heading_slip')
+
+    delay: float = parameter('delay_s', 'from command to field', 0.0, 2.0, 0.05)
+
+    def latency(self) -> float:
+        return self.delay

@@ -1,0 +1,51 @@
+"""Particles flee a spot that a laser heats."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+
+from microbot_ros.model.effect import Effect
+from microbot_ros.model.parameter import parameter
+from microbot_ros.model.scene import Scene
+
+if TYPE_CHECKING:
+    from microbot_ros.model.timeline import Timeline
+
+
+@dataclass(frozen=True)
+class HotSpot(Effect):
+    """Away from a heated spot: dp/dt += A (r/s) exp(½ − r²/2s²) r̂; largest, A, at r = s."""
+
+    id = 'hot_spot'
+    stage = 'velocity'
+    summary = 'Particles are pushed away from (or drawn to) one heated place.'
+    shows_under = 'tracks that pass on different sides of the place, at about its width'
+    mistaken_for = ('uniform_drift', 'linear_flow', 'gradient_force', 'speed_decay')
+    needs_position = True
+
+    x: float = parameter('x_um', 'the spot', -1e-2, 1e-2, 1e-5, shape=True)
+    y: float = parameter('y_um', 'the spot', -1e-2, 1e-2, 1e-5, shape=True)
+    speed: float = parameter('speed_um_s', 'A, outwards', -1e-4, 1e-4, 1e-6)
+    width: float = parameter('width_um', 's', 1e-6, 1e-2, 1e-5, neutral=2e-5, shape=True)
+
+    def drift(self, scene: Scene) -> np.ndarray:
+        away = (scene.position - np.array([self.x, self.y])) / self.width
+        fall = np.exp(0.5 - (away**2).sum(axis=-1, keepdims=True) / 2)
+        return self.speed * away * fall
+
+    @classmethod
+    def starts(cls, timeline: Timeline) -> tuple[Self, ...]:
+        """On a grid over what the tracks cover, at two widths."""
+        if timeline.positions is None:
+            return (cls.neutral(),)
+        low = np.nanmin(timeline.positions, axis=(0, 1))
+        high = np.nanmax(timeline.positions, axis=(0, 1))
+        extent = float(max(high - low))
+        grid = np.linspace(low, high, 5).T.tolist()
+        return tuple(
+            cls(x, y, 0.0, width)
+            for width in (extent / 8, extent / 3) for x in grid[0] for y in grid[1]
+        )

@@ -1,0 +1,29 @@
+"""Neighbours hold each other back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from microbot_ros.model.effect import Effect
+from microbot_ros.model.parameter import parameter
+from microbot_ros.model.scene import Scene
+
+
+@dataclass(frozen=True)
+class HydrodynamicSlowdown(Effect):
+    """vᵢ → vᵢ (1 − Σⱼ ℓ/rᵢⱼ), never below zero; missing neighbours do not count."""
+
+    id = 'hydrodynamic_slowdown'
+    stage = 'velocity'
+    summary = 'Particles are slower the nearer their neighbours are.'
+    shows_under = 'several particles whose distances change, by a good part of their size'
+    mistaken_for = ('dipole_interaction',)
+    needs_position = True
+
+    length: float = parameter('length_um', 'ℓ', -1e-4, 1e-4, 1e-6)
+
+    def speed_factor(self, scene: Scene) -> np.ndarray:
+        nearness = scene.known_places.inverse_distance.sum(axis=-1)
+        return np.maximum(1 - self.length * nearness, 0.0)

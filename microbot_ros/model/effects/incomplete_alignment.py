@@ -1,0 +1,40 @@
+"""In a weak field thermal motion keeps the moments from aligning."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from microbot_ros.model.effect import Effect
+from microbot_ros.model.parameter import parameter
+from microbot_ros.model.scene import Scene
+
+
+@dataclass(frozen=True)
+class IncompleteAlignment(Effect):
+    """v → v L(|B|/b₀), L(x) = coth x − 1/x, B the field after stage 1.
+
+    Langevin’s function is the mean alignment of moments at thermal equilibrium in three
+    dimensions; b₀ = k_B T / d is where the magnetic and the thermal energy are equal.
+    """
+
+    id = 'incomplete_alignment'
+    stage = 'velocity'
+    summary = 'The particles are slower in weak fields, which align them incompletely.'
+    shows_under = 'several field strengths; at one alone the speeds absorb it'
+    mistaken_for = ('amplifier_deadband', 'drive_response', 'speed_decay')
+
+    field_scale: float = parameter('field_scale_mT', 'k_B T / moment', 0.0, 1e-1, 1e-3)
+
+    def speed_factor(self, scene: Scene) -> np.ndarray | float:
+        if self.field_scale == 0:
+            return 1.0
+        return langevin(scene.strength / self.field_scale)
+
+
+def langevin(x: np.ndarray) -> np.ndarray:
+    """L(x) = coth x − 1/x; near zero its series x/3 − x³/45, where the difference cancels."""
+    small = np.abs(x) < 1e-2
+    large = np.where(small, 1.0, x)
+    return np.where(small, x / 3 - x**3 / 45, 1 / np.tanh(large) - 1 / large)
