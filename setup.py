@@ -46,6 +46,8 @@ setup(
             *(f'{node}_node = microbot_ros.nodes.process:script' for node in nodes),
         ],
         'microbot_ros.controllers': [],
-        'microbot_ros.amplifiers': [],
+        'microbot_ros.amplifiers': [
+            'serial_transfer = microbot_ros.drive.serial_transfer.driver:SerialTransferAmplifier',
+        ],
     },
 )

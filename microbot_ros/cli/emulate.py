@@ -1,0 +1,36 @@
+"""`microbot emulate`: an amplifier on a pseudo-terminal, for trying the driver without one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from microbot_ros.drive.emulator import process
+
+
+@click.command('emulate')
+@click.argument('protocol', type=click.Choice(list(process.DEVICES)))
+@click.option('--link', type=click.Path(path_type=Path), required=True,
+              help='Name under which a driver opens the line.')
+@click.option('--log', type=click.Path(path_type=Path),
+              help='File for one line of JSON per change of current.')
+@click.option('--full-scale-A', 'full_scale_a', type=click.FloatRange(0, 1000, min_open=True),
+              default=1.0, show_default=True, help='Current of a coil at full output.')
+@click.option('--watchdog-ms', type=click.FloatRange(0, 60_000, min_open=True), default=100.0,
+              show_default=True, help='Zero the coils this long after the last good command.')
+@click.option('--no-watchdog', is_flag=True,
+              help='Keep the last command for ever, as much laboratory firmware does.')
+def command(protocol: str, link: Path, log: Path | None, full_scale_a: float, watchdog_ms: float,
+            no_watchdog: bool) -> None:
+    """Emulate an amplifier that speaks PROTOCOL on a pseudo-terminal, until Ctrl-C or SIGTERM.
+
+    The device's watchdog is on, as in the project's reference firmware; --no-watchdog models
+    the firmware that keeps the last command when its host dies. A host may leave and come back;
+    the emulated device keeps its state meanwhile, its watchdog running.
+
+    \b
+    Example:
+      microbot emulate serial_transfer --link /tmp/coils --log coils.jsonl
+    """
+    process.run(protocol, link, log, full_scale_a, None if no_watchdog else watchdog_ms * 1e-3)

@@ -1,0 +1,180 @@
+"""What every amplifier driver is: four currents out, four measured currents back.
+
+The coils are in the order +Y, +X, −Y, −X. A driver moves current in `write` and `zero` only;
+it keeps no limits but its full scale: those are the gate's.
+"""
+
+from __future__ import annotations
+
+import time
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from threading import Lock
+
+import numpy as np
+
+from microbot_ros.drive.errors import AmplifierError, NoAnswerError
+from microbot_ros.errors import InputError
+
+COILS = ('coil_plus_y', 'coil_plus_x', 'coil_minus_y', 'coil_minus_x')
+"""Names of the four coils, in the order of every array of currents."""
+
+READ_BACK_S = 0.25
+"""How long a driver waits for the read-back that proves a zero."""
+
+
+@dataclass(frozen=True, eq=False)
+class Command:
+    """Currents [A], shape (4,), and when they went to the line [s, monotonic]."""
+
+    t_monotonic_s: float
+    currents_A: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """Measured currents [A], shape (4,), and when they arrived [s, monotonic].
+
+    `acknowledges` is the oldest command that these currents agree with and that no earlier
+    reading has acknowledged; None where there is none.
+    """
+
+    t_monotonic_s: float
+    currents_A: np.ndarray
+    acknowledges: Command | None
+
+
+@dataclass
+class Counters:
+    """Traffic since the driver was made."""
+
+    frames_sent: int = 0
+    frames_received: int = 0
+    crc_errors: int = 0
+    framing_errors: int = 0
+
+
+class Amplifier(ABC):
+    """A four-channel current source behind one protocol.
+
+    `url` names its port (for a protocol with one port per coil: four, separated by commas),
+    `full_scale_A` the current of each coil at full output (a scalar means all alike) and
+    `tolerance` how near a reading must be to a command to acknowledge it, as a part of full
+    scale. One thread may write while another polls.
+    """
+
+    def __init__(self, url: str, full_scale_A: float | Sequence[float],
+                 tolerance: float = 0.02) -> None:
+        self.url = url
+        self.full_scale_A = np.broadcast_to(np.asarray(full_scale_A, float), 4).copy()
+        if not np.all((self.full_scale_A > 0) & np.isfinite(self.full_scale_A)):
+            raise InputError('full_scale_A', f'expected amperes above 0, got {full_scale_A}')
+        self.counters = Counters()
+        self._tolerance_A = tolerance * self.full_scale_A
+        self._unacknowledged: deque[Command] = deque(maxlen=64)
+        self._lock = Lock()
+
+    def connect(self) -> None:
+        """Open, identify, arm the device's watchdog where it has one, zero and read back.
+
+        Raises an AmplifierError, with the port given back, where any of it fails.
+        """
+        try:
+            self._open()
+            self.zero()
+            self._await_zero()
+        except BaseException:
+            self._release()
+            raise
+
+    def write(self, currents_A: Sequence[float] | np.ndarray) -> Command:
+        """Send currents [A], shape (4,). Raises ValueError, with nothing sent, for any that is
+        not within the full scale (NaN is not), and AmplifierError where the line is lost.
+        """
+        currents = np.array(currents_A, dtype=float)
+        if currents.shape != (4,) or not np.all(np.abs(currents) <= self.full_scale_A):
+            raise ValueError(
+                f'currents must be 4 values within ±{self.full_scale_A} A; received {currents_A}')
+        command = Command(time.monotonic(), currents)
+        with self._lock:
+            self._unacknowledged.append(command)
+        self._send(currents)
+        return command
+
+    def zero(self) -> Command:
+        """Send four zeros."""
+        return self.write(np.zeros(4))
+
+    def poll(self, timeout_s: float = 0.0) -> list[Reading]:
+        """The readings that arrived; waits at most `timeout_s` for the first. Moves no current.
+
+        Raises AmplifierError where the line is lost or the device reports a fault.
+        """
+        return [self._reading(t, currents) for t, currents in self._receive(timeout_s)]
+
+    def close(self) -> bool:
+        """Zero, read back, release the port; True where a reading confirmed the zero.
+
+        Never raises an AmplifierError: a lost port is released and the answer is False.
+        """
+        try:
+            self.zero()
+            self._await_zero()
+            return True
+        except AmplifierError:
+            return False
+        finally:
+            self._release()
+
+    def _await_zero(self) -> None:
+        deadline = time.monotonic() + READ_BACK_S
+        while (left := deadline - time.monotonic()) > 0:
+            for reading in self.poll(left):
+                if np.all(np.abs(reading.currents_A) <= self._tolerance_A):
+                    return
+        raise NoAnswerError(self.url, f'measured currents of zero within {READ_BACK_S:g} s')
+
+    def _reading(self, t_monotonic_s: float, currents: np.ndarray) -> Reading:
+        with self._lock:
+            for position, command in enumerate(self._unacknowledged):
+                if np.all(np.abs(currents - command.currents_A) <= self._tolerance_A):
+                    for _ in range(position + 1):  # those before it were superseded
+                        self._unacknowledged.popleft()
+                    return Reading(t_monotonic_s, currents, command)
+        return Reading(t_monotonic_s, currents, None)
+
+    @abstractmethod
+    def _open(self) -> None:
+        """Open the port and make sure the right device answers, its outputs enabled at zero."""
+
+    @abstractmethod
+    def _send(self, currents_A: np.ndarray) -> None:
+        """Send currents that are known to be within the full scale."""
+
+    @abstractmethod
+    def _receive(self, timeout_s: float) -> list[tuple[float, np.ndarray]]:
+        """Arrival times and measured currents, all finite."""
+
+    @abstractmethod
+    def _release(self) -> None:
+        """Close whatever `_open` opened; harmless when it is closed already."""
+
+
+def amplifier_class(protocol: str) -> type[Amplifier]:
+    """The driver registered under that name in the entry-point group `microbot_ros.amplifiers`.
+
+    Raises InputError for a name that is not registered or whose driver does not load: there is
+    no falling back to another.
+    """
+    registered = {entry.name: entry for entry in entry_points(group='microbot_ros.amplifiers')}
+    if protocol not in registered:
+        known = ', '.join(sorted(registered))
+        raise InputError('amplifier', f"expected one of {known}; received '{protocol}'")
+    try:
+        driver: type[Amplifier] = registered[protocol].load()
+    except (ImportError, AttributeError) as error:
+        raise InputError('amplifier', f"the driver '{protocol}' does not load ({error})") from None
+    return driver

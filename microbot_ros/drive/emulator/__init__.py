@@ -1,0 +1,1 @@
+"""Amplifiers without hardware: their protocols spoken at the end of a pseudo-terminal."""

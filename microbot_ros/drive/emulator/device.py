@@ -1,0 +1,34 @@
+"""The contract between an emulated amplifier and the terminal that it sits behind."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+
+from microbot_ros.drive.emulator.coils import Coils
+
+
+class Device(ABC):
+    """An amplifier as its bytes show it: no clock of its own, no port, no file."""
+
+    ports = 1
+    """How many serial lines it has."""
+
+    def __init__(self, coils: Coils) -> None:
+        self.coils = coils
+
+    @abstractmethod
+    def receive(self, port: int, data: bytes, now_s: float) -> bytes:
+        """Take bytes that came in on a line at `now_s`; the answer to send back on it."""
+
+    def speak(self, now_s: float) -> bytes:
+        """What the device says by itself at `now_s`, on its first line."""
+        return b''
+
+    def due_s(self) -> float:
+        """When it next speaks by itself [s, monotonic]; inf for never."""
+        return math.inf
+
+    def reset(self) -> None:
+        """Forget half-received bytes and every setting, as at power-up, with zero currents."""
+        self.coils.zero('reset')

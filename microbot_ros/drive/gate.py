@@ -1,0 +1,218 @@
+"""The one gate between every controller and the port.
+
+It is pure: no port, no clock, no thread; times come in as seconds of one monotonic clock. What
+it cannot affirm is four zeros, the permission to drive is revoked and the reason latched. A value
+passes a limit only where `low <= value <= high` is True, which NaN never is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+from enum import StrEnum
+
+Currents = tuple[float, float, float, float]
+ZERO: Currents = (0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the gate affirms, the same for each coil. All must be finite and above 0."""
+
+    current_A: float
+    """Largest magnitude of a current."""
+    step_A: float
+    """Largest jump at once. Jumps use up one allowance, which `slew_A_per_s` restores."""
+    slew_A_per_s: float
+    """Fastest lasting change."""
+    stale_s: float
+    """How long a command other than zero holds without the next."""
+    deviation_A: float
+    """How far a measured current may lie outside what was commanded while it settled."""
+    settling_s: float
+    """How long the measured current may take to follow the command."""
+    silence_s: float
+    """How long currents may flow without a measurement."""
+    continuous_A: float
+    """The current that a coil bears for ever: I²t settles at its square."""
+    thermal_s: float
+    """Thermal time constant of a coil."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not 0.0 < value < math.inf:
+                raise ValueError(f'{field.name} must be finite and above 0; received {value}')
+
+
+class Reason(StrEnum):
+    """Why the gate revoked its permission."""
+
+    MALFORMED = 'not four finite numbers'
+    LIMIT = 'current limit'
+    SLEW = 'slew limit'
+    STALE = 'stale command'
+    DEVIATION = 'measured current deviates'
+    SILENCE = 'no measurement'
+    HEAT = 'coil heat'
+    CLOCK = 'clock went wrong'
+    LINE = 'line lost'
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A latched reason, with one sentence for a person."""
+
+    reason: Reason
+    detail: str
+
+
+class Gate:
+    """Affirms currents, or answers zero and latches why. Disarmed at the start."""
+
+    def __init__(self, limits: Limits) -> None:
+        self.limits = limits
+        self.armed = False
+        self.fault: Fault | None = None
+        self.output: Currents = ZERO
+        """The currents that may flow now."""
+        self.heat: Currents = ZERO
+        """I²t of each coil as a part of what it bears: above 1 is a fault."""
+        self._now_s = -math.inf
+        self._commanded_s = -math.inf
+        self._measured_s = -math.inf
+        self._measured: Currents = ZERO
+        self._followed: Currents = ZERO  # trails the output at the slew limit
+        self._outputs: deque[tuple[float, Currents]] = deque([(-math.inf, ZERO)])
+
+    def arm(self, now_s: float) -> str | None:
+        """Clear the fault and affirm from now on; or, where that is not safe, say why not.
+
+        Safe is: measured just now, no current flowing, no coil at its limit of heat.
+        """
+        self.revoke()
+        if not self._advance(now_s):
+            return f'the clock went from {self._now_s} to {now_s}'
+        if not now_s - self._measured_s <= self.limits.silence_s:
+            return f'no measured currents for {self.limits.silence_s:g} s'
+        if not all(abs(current) <= self.limits.deviation_A for current in self._measured):
+            return f'current flows without a command: {_amperes(self._measured)}'
+        if not all(heat <= 1.0 for heat in self.heat):
+            return f'a coil is too hot: {max(self.heat):.0%} of what it bears'
+        self.armed, self.fault = True, None
+        return None
+
+    def revoke(self) -> None:
+        """Disarm: zero from now on. A fault stays latched."""
+        self.armed = False
+        self._put(ZERO, self._now_s)
+
+    def trip(self, reason: Reason, detail: str) -> Currents:
+        """Disarm and latch a fault, unless an earlier one stands; the answer is zero."""
+        self.fault = self.fault or Fault(reason, detail)
+        self.revoke()
+        return ZERO
+
+    def command(self, currents_A: Sequence[float], now_s: float) -> Currents:
+        """The wanted currents [A], four of them, if all is well; else zero."""
+        self.tick(now_s)
+        if not self.armed:
+            return ZERO
+        wanted = _currents(currents_A)
+        if wanted is None:
+            return self.trip(Reason.MALFORMED, f'expected 4 numbers; received {currents_A!r}')
+        limit, step = self.limits.current_A, self.limits.step_A
+        if not all(-limit <= value <= limit for value in wanted):
+            return self.trip(Reason.LIMIT, f'{_amperes(wanted)} is not within ±{limit:g} A')
+        jumps = [value - trail for value, trail in zip(wanted, self._followed, strict=True)]
+        if wanted != ZERO and not all(-step <= jump <= step for jump in jumps):
+            return self.trip(Reason.SLEW, f'{_amperes(wanted)} is a jump by {_amperes(jumps)}')
+        self._commanded_s = now_s
+        return self._put(wanted, now_s)
+
+    def measured(self, currents_A: Sequence[float], now_s: float) -> Currents:
+        """Take measured currents [A] into account: the currents that may flow now."""
+        if not self._advance(now_s):
+            return ZERO
+        measured = _currents(currents_A)
+        if measured is None:
+            return self.trip(Reason.MALFORMED, f'measured currents of {currents_A!r}')
+        self._measured, self._measured_s = measured, now_s
+        self._forget_outputs()
+        for coil, current in enumerate(measured):
+            recent = [output[coil] for _, output in self._outputs]
+            margin = self.limits.deviation_A
+            if not min(recent) - margin <= current <= max(recent) + margin:
+                return self.trip(Reason.DEVIATION, f'{_amperes(measured)} measured where '
+                                 f'{_amperes(self.output)} was commanded')
+        return self.output
+
+    def tick(self, now_s: float) -> Currents:
+        """See what time does: the currents that may flow now."""
+        if not self._advance(now_s) or not self.armed:
+            return ZERO
+        if not now_s - self._measured_s <= self.limits.silence_s:
+            return self.trip(Reason.SILENCE, f'none for {now_s - self._measured_s:.3f} s')
+        if self.output != ZERO and not now_s - self._commanded_s <= self.limits.stale_s:
+            return self.trip(Reason.STALE, f'none for {now_s - self._commanded_s:.3f} s')
+        if not all(heat <= 1.0 for heat in self.heat):
+            return self.trip(Reason.HEAT, f'a coil is at {max(self.heat):.0%} of what it bears')
+        return self.output
+
+    def _advance(self, now_s: float) -> bool:
+        """Bring heat and slew to `now_s`. A clock that runs backwards or is not finite trips."""
+        if not self._now_s <= now_s < math.inf:
+            self.trip(Reason.CLOCK, f'from {self._now_s} to {now_s}')
+            return False
+        elapsed = now_s - self._now_s if self._now_s > -math.inf else 0.0
+        keep = math.exp(-elapsed / self.limits.thermal_s)
+        step = elapsed * self.limits.slew_A_per_s
+        flowing = zip(self.heat, self.output, self._measured, strict=True)
+        self.heat = _four(self._load(output, measured) * (1.0 - keep) + heat * keep
+                          for heat, output, measured in flowing)
+        self._followed = _four(
+            trail + min(max(output - trail, -step), step)
+            for trail, output in zip(self._followed, self.output, strict=True))
+        self._now_s = now_s
+        return True
+
+    def _load(self, output_A: float, measured_A: float) -> float:
+        """What I²t settles at, taking the worse of commanded and measured."""
+        # Bounded, as a nonsensical reading would square to infinity and never cool again.
+        share = min(max(abs(output_A), abs(measured_A)) / self.limits.continuous_A, 1e3)
+        return share * share
+
+    def _put(self, currents: Currents, now_s: float) -> Currents:
+        if currents != self.output:
+            self._outputs.append((now_s, currents))
+            self._forget_outputs()
+        self.output = currents
+        return currents
+
+    def _forget_outputs(self) -> None:
+        """Drop the outputs that were replaced before the settling time began."""
+        begin = self._now_s - self.limits.settling_s
+        while len(self._outputs) > 1 and self._outputs[1][0] <= begin:
+            self._outputs.popleft()
+
+
+def _currents(values: Sequence[float]) -> Currents | None:
+    """Four finite numbers, or None for anything else."""
+    try:
+        numbers = [float(value) for value in values]
+    except (TypeError, ValueError, OverflowError):
+        return None
+    if len(numbers) != 4 or not all(math.isfinite(number) for number in numbers):
+        return None
+    return _four(numbers)
+
+
+def _four(values: Iterable[float]) -> Currents:
+    first, second, third, fourth = values
+    return first, second, third, fourth
+
+
+def _amperes(currents: Iterable[float]) -> str:
+    return '(' + ', '.join(f'{current:.3g}' for current in currents) + ') A'

@@ -1,0 +1,1 @@
+"""SerialTransfer: packets of Arduino, Teensy and ESP32 firmware, over one serial line."""

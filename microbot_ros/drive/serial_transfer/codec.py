@@ -1,0 +1,174 @@
+"""The SerialTransfer packet and the two payloads that a coil board exchanges in it.
+
+    7E · id · overhead · length · payload · CRC-8 · 81
+
+Only 7E is stuffed: `overhead` is the index of the first 7E in the payload (FF: there is none),
+and each 7E is replaced by the distance to the next, the last by 0. The CRC, polynomial 0x9B and
+initial value 0, covers the stuffed payload and nothing else, so the decoder also insists on the
+one id and payload length of its direction and on a chain of stuffed bytes that holds together:
+what it accepts is byte for byte what `encode` would have sent.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Sequence
+
+START, END = 0x7E, 0x81
+PACKET_ID = 0x00
+NOTHING_STUFFED = 0xFF
+MAX_PAYLOAD = 254
+STALL_S = 0.05
+"""A packet that pauses for longer is dropped, as the microcontroller's library does."""
+
+_HEADER, _TRAILER = 4, 2
+_COMMAND = struct.Struct('<17f')
+_MEASUREMENT = struct.Struct('<6f')
+_FIRST_DUTY = 11  # after amplitude, B, angles, frequency, psi, gradient and the two modes
+COILS = 6
+
+
+def _crc_table() -> bytes:
+    table = bytearray()
+    for byte in range(256):
+        for _ in range(8):
+            byte = (byte << 1) ^ 0x9B if byte & 0x80 else byte << 1
+        table.append(byte & 0xFF)
+    return bytes(table)
+
+
+_CRC_TABLE = _crc_table()
+
+
+def crc8(data: bytes) -> int:
+    """CRC-8 with polynomial 0x9B, initial value 0, not reflected."""
+    crc = 0
+    for byte in data:
+        crc = _CRC_TABLE[crc ^ byte]
+    return crc
+
+
+def encode(payload: bytes) -> bytes:
+    """The packet that carries a payload of 1 to 254 bytes; ValueError for any other length."""
+    if not 1 <= len(payload) <= MAX_PAYLOAD:
+        raise ValueError(f'payload must be 1 to {MAX_PAYLOAD} bytes; received {len(payload)}')
+    stuffed = bytearray(payload)
+    overhead, following = NOTHING_STUFFED, 0
+    for index in range(len(payload) - 1, -1, -1):
+        if payload[index] == START:
+            stuffed[index] = following - index if following else 0
+            overhead = following = index
+    header = bytes((START, PACKET_ID, overhead, len(payload)))
+    return header + stuffed + bytes((crc8(bytes(stuffed)), END))
+
+
+def _unstuff(stuffed: bytes, overhead: int) -> bytes | None:
+    """The payload as it was before stuffing; None where the chain leaves it or a 7E is bare."""
+    payload = bytearray(stuffed)
+    index = overhead
+    while index != NOTHING_STUFFED:
+        if index >= len(payload):
+            return None
+        distance = payload[index]
+        payload[index] = START
+        index = index + distance if distance else NOTHING_STUFFED
+    return bytes(payload)
+
+
+class Decoder:
+    """Turns bytes as they come into payloads of one known length, and never passes a bad one.
+
+    After damage it looks for the next start byte right behind the last one it believed, so a
+    good packet is never lost with a bad one in front of it.
+    """
+
+    def __init__(self, payload_length: int) -> None:
+        self.crc_errors = 0
+        """Packets with both end marks in place and a wrong CRC."""
+        self.framing_errors = 0
+        """Start bytes that no packet followed: noise, another protocol, lost or added bytes."""
+        self._length = payload_length
+        self._pending = bytearray()
+        self._last_byte_s = -math.inf
+
+    def feed(self, data: bytes, now_s: float) -> list[bytes]:
+        """The payloads completed by `data`, which arrived at `now_s` on the monotonic clock."""
+        payloads: list[bytes] = []
+        if self._pending and now_s - self._last_byte_s > STALL_S:
+            self.framing_errors += 1
+            del self._pending[0]
+            self._take(payloads)
+            self._pending.clear()
+        if data:
+            self._pending += data
+            self._last_byte_s = now_s
+            self._take(payloads)
+        return payloads
+
+    def _take(self, payloads: list[bytes]) -> None:
+        """Move every complete payload out of the pending bytes; what may yet be one stays."""
+        pending, size = self._pending, _HEADER + self._length + _TRAILER
+        while (start := pending.find(START)) >= 0:
+            del pending[:start]
+            if not self._may_start_a_packet():
+                self.framing_errors += 1
+                del pending[0]
+            elif len(pending) < size:
+                return
+            else:
+                payload = self._payload(bytes(pending[:size]))
+                if payload is not None:
+                    payloads.append(payload)
+                del pending[:1 if payload is None else size]
+        pending.clear()
+
+    def _may_start_a_packet(self) -> bool:
+        """Whether the pending bytes agree with a header, as far as they go."""
+        header = self._pending[1:_HEADER]
+        wanted: tuple[range | tuple[int, ...], ...] = (
+            (PACKET_ID,), (*range(self._length), NOTHING_STUFFED), (self._length,))
+        return all(byte in allowed for byte, allowed in zip(header, wanted, strict=False))
+
+    def _payload(self, packet: bytes) -> bytes | None:
+        stuffed, crc, end = packet[_HEADER:-_TRAILER], packet[-2], packet[-1]
+        payload = _unstuff(stuffed, packet[2]) if end == END else None
+        if payload is None or (crc == crc8(stuffed) and encode(payload) != packet):
+            self.framing_errors += 1
+        elif crc != crc8(stuffed):
+            self.crc_errors += 1
+        else:
+            return payload
+        return None
+
+
+COMMAND_BYTES = _COMMAND.size
+MEASUREMENT_BYTES = _MEASUREMENT.size
+
+
+def command(duties: Sequence[float]) -> bytes:
+    """The payload that sets the duties of coils 1, 2, … (−1 to 1); all other fields are zero.
+
+    Raises ValueError for a duty that is not between −1 and 1, NaN included, before a byte of it
+    exists.
+    """
+    if len(duties) > COILS or not all(-1.0 <= duty <= 1.0 for duty in duties):
+        raise ValueError(f'duties must be up to {COILS} values in −1 … 1; received {duties}')
+    rest = (0.0,) * (COILS - len(duties))
+    return _COMMAND.pack(*(0.0,) * _FIRST_DUTY, *duties, *rest)
+
+
+def duties(payload: bytes) -> tuple[float, ...] | None:
+    """The six duties of a command; None where one is not between −1 and 1 (NaN is not)."""
+    values = _COMMAND.unpack(payload)[_FIRST_DUTY:]
+    return values if all(-1.0 <= value <= 1.0 for value in values) else None
+
+
+def measurement(currents_A: Sequence[float]) -> bytes:
+    """The payload with which a board reports the currents of its six coils."""
+    return _MEASUREMENT.pack(*currents_A)
+
+
+def currents(payload: bytes) -> tuple[float, ...]:
+    """The six currents [A] of a measurement, as they came: perhaps not finite."""
+    return _MEASUREMENT.unpack(payload)

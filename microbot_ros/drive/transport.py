@@ -1,0 +1,69 @@
+"""Bytes over a serial port or a network one, through pyserial, with errors that have a name."""
+
+from __future__ import annotations
+
+import errno
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+import serial
+
+from microbot_ros.drive.errors import PortBusyError, PortLostError, PortMissingError
+
+_SLICE_S = 0.02
+"""Longest uninterrupted wait in the kernel: how long `close` from another thread can take."""
+_WRITE_TIMEOUT_S = 0.1
+
+
+class Port:
+    """One open line to an amplifier, closed to every other program.
+
+    `url` is a device (`/dev/ttyACM0`, `/dev/serial/by-id/…`) or a pyserial URL (`socket://`,
+    `rfc2217://`). Raises PortMissingError or PortBusyError.
+    """
+
+    def __init__(self, url: str, baud: int, *, xon_xoff: bool = False) -> None:
+        self.url = url
+        try:
+            self._serial = serial.serial_for_url(
+                url, baudrate=baud, timeout=_SLICE_S, write_timeout=_WRITE_TIMEOUT_S,
+                xonxoff=xon_xoff, exclusive=True)
+        except (OSError, ValueError) as error:
+            if getattr(error, 'errno', None) in (errno.EBUSY, errno.EAGAIN):
+                raise PortBusyError(url) from None
+            raise PortMissingError(url, str(error)) from None
+
+    def send(self, data: bytes) -> None:
+        """Hand bytes to the line at once. Raises PortLostError where it takes none for 0.1 s."""
+        with self._named():
+            self._serial.write(data)
+
+    def receive(self, timeout_s: float = 0.0) -> bytes:
+        """What has arrived; waits for the first byte at most `timeout_s` (± 20 ms), then b''."""
+        deadline = time.monotonic() + timeout_s
+        with self._named():
+            while not (waiting := self._serial.in_waiting):
+                if time.monotonic() >= deadline:
+                    return b''
+                if first := self._serial.read(1):
+                    return bytes(first + self._serial.read(self._serial.in_waiting))
+            return bytes(self._serial.read(waiting))
+
+    def discard_input(self) -> None:
+        """Forget what arrived and was not read."""
+        with self._named():
+            self._serial.reset_input_buffer()
+
+    def close(self) -> None:
+        """Give the port back; harmless when it is gone already."""
+        with suppress(OSError):
+            self._serial.close()
+
+    @contextmanager
+    def _named(self) -> Iterator[None]:
+        # pyserial's errors are OSErrors; a port closed meanwhile shows as TypeError inside it.
+        try:
+            yield
+        except (OSError, TypeError) as error:
+            raise PortLostError(self.url, str(error)) from None
