@@ -7,20 +7,30 @@ from pathlib import Path
 from microbot_ros.errors import InputError
 from microbot_ros.records import Session
 from microbot_ros.session.folder import read_folder, write_folder
+from microbot_ros.session.from_recording import session_of
 from microbot_ros.session.recorder import RecorderStatus, RecordingWriter
+from microbot_ros.session.recording import Message, Recording, is_recording, open_recording
 
-__all__ = ['RecorderStatus', 'RecordingWriter', 'read_session', 'write_session']
+__all__ = [
+    'Message', 'RecorderStatus', 'Recording', 'RecordingWriter', 'is_recording', 'open_recording',
+    'read_session', 'write_session',
+]
 
 
 def read_session(path: str | Path) -> Session:
-    """Tracks, commands and conditions of a session folder.
+    """Tracks, commands and conditions of a session folder or a recording.
 
-    Raises InputError naming file, line and what was expected.
+    Raises InputError naming file, line or topic, and what was expected.
     """
     path = Path(path)
     if not path.exists():
         raise InputError(path, 'expected a session folder or a recording, found nothing')
-    return read_folder(path)
+    if not is_recording(path):
+        return read_folder(path)
+    if (path / 'tracks.csv').exists():
+        raise InputError(path, 'expected tracks.csv or a recording, found both')
+    with open_recording(path) as recording:
+        return session_of(recording)
 
 
 def write_session(path: str | Path, session: Session) -> None:

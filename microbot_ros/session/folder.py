@@ -37,11 +37,11 @@ class SessionFile(Settings):
 
     propulsion: Literal['catalytic', 'rolling'] | None = None
     radius_um: pydantic.PositiveFloat | None = None
-    viscosity_mPa_s: pydantic.PositiveFloat | None = None  # noqa: N815
-    temperature_K: pydantic.PositiveFloat | None = None  # noqa: N815
+    viscosity_mPa_s: pydantic.PositiveFloat | None = None
+    temperature_K: pydantic.PositiveFloat | None = None
     frame_rate_hz: pydantic.PositiveFloat | None = None
     pixel_size_um: pydantic.PositiveFloat | None = None
-    reference_field_mT: pydantic.PositiveFloat | None = None  # noqa: N815
+    reference_field_mT: pydantic.PositiveFloat | None = None
 
     def conditions(self, rolling: bool) -> Conditions:
         """In SI; where the propulsion is not said, the kind of the commands says it."""

@@ -1,0 +1,224 @@
+"""Reading recordings: a rosbag2 folder or a single MCAP file, finished or cut off."""
+
+from __future__ import annotations
+
+import heapq
+import re
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple
+
+import yaml
+import zstandard
+from mcap.exceptions import McapError
+
+from microbot_ros.errors import InputError
+from microbot_ros.files import write_text
+from microbot_ros.session.bag import METADATA_FILE, metadata_text, typestore
+from microbot_ros.session.scan import IndexedReader
+from microbot_ros.session.topics import is_topic
+
+
+class Message(NamedTuple):
+    """One recorded message: time of receipt [ns], content as CDR bytes."""
+
+    topic: str
+    type: str
+    t_ns: int
+    data: bytes
+
+
+@dataclass(frozen=True)
+class Topic:
+    """What a recording holds of one topic."""
+
+    type: str
+    count: int
+
+
+class Recording:
+    """A recording, open for reading; a context manager.
+
+    `topics` by name; `start_ns` and `end_ns`, the times of receipt of the first and the last
+    message (0 where there is none); `complete` is False for a recording that was cut off, of
+    which every whole chunk is there.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self._readers: list[IndexedReader] = []
+        try:
+            for file in _files(self.path):
+                self._readers.append(IndexedReader(file))
+            self.topics = self._find_topics()
+        except BaseException:
+            self.close()
+            raise
+        statistics = [
+            found for reader in self._readers
+            if (found := reader.get_summary().statistics) and found.message_count
+        ]
+        self.start_ns = min((found.message_start_time for found in statistics), default=0)
+        self.end_ns = max((found.message_end_time for found in statistics), default=0)
+        self.complete = all(reader.complete for reader in self._readers) and (
+            self.path.is_file() or (self.path / METADATA_FILE).exists()
+        )
+
+    def topic(self, name: str, msgtype: str) -> str | None:
+        """The recorded topic that plays a role, in whatever namespace; None where there is none.
+
+        InputError where there are several, or the topic is of another type than expected.
+        """
+        found = [topic for topic in self.topics if is_topic(topic, name)]
+        if len(found) > 1:
+            raise InputError(self.path, f'expected one topic {name}, found {", ".join(found)}')
+        if found and self.topics[found[0]].type != msgtype:
+            wrong = self.topics[found[0]].type
+            raise InputError(self.path, f'expected {msgtype} on {found[0]}, found {wrong}')
+        return found[0] if found else None
+
+    def messages(
+        self, topics: Collection[str] | None = None, start_ns: int | None = None,
+        end_ns: int | None = None,
+    ) -> Iterator[Message]:
+        """Messages of the topics (None: all) with start_ns <= t_ns < end_ns in order of receipt.
+
+        Lazy: only chunks that hold such messages are read. InputError where the data are broken.
+        """
+        yield from heapq.merge(
+            *(self._read(reader, topics, start_ns, end_ns) for reader in self._readers),
+            key=lambda message: message.t_ns,
+        )
+
+    def decode(self, message: Message) -> Any:
+        """The message with its fields; arrays are numpy's. InputError where it does not fit."""
+        if message.type not in typestore().types:
+            raise InputError(self.path, f'{message.topic}: expected a type of ROS 2 Jazzy, '
+                                        f'found {message.type}')
+        try:
+            return typestore().deserialize_cdr(message.data, message.type)
+        except Exception as error:  # whatever the generated decoder trips over
+            raise InputError(self.path, f'{message.topic}: expected a {message.type} '
+                                        f'({type(error).__name__})') from None
+
+    def attachments(self) -> dict[str, bytes]:
+        """The files kept inside the recording."""
+        return {
+            record.name: record.data for reader in self._readers
+            for record in reader.iter_attachments()
+        }
+
+    def metadata(self) -> dict[str, dict[str, str]]:
+        """The named keys and values kept inside the recording."""
+        return {
+            record.name: record.metadata for reader in self._readers
+            for record in reader.iter_metadata()
+        }
+
+    def repair(self) -> None:
+        """Write what a crash left unwritten: the index of the last file, `metadata.yaml`."""
+        for reader in self._readers:
+            reader.repair()
+        if self.path.is_dir():
+            summaries = {reader.path: reader.get_summary() for reader in self._readers}
+            write_text(self.path / METADATA_FILE, metadata_text(summaries))
+        self.complete = True
+
+    def close(self) -> None:
+        """Close the files."""
+        for reader in self._readers:
+            reader.close()
+
+    def __enter__(self) -> Recording:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _read(
+        self, reader: IndexedReader, topics: Collection[str] | None, start_ns: int | None,
+        end_ns: int | None,
+    ) -> Iterator[Message]:
+        chosen = None if topics is None else list(topics)
+        try:
+            for schema, channel, message in reader.iter_messages(
+                    chosen, starting_at=start_ns, ending_before=end_ns):
+                assert schema is not None
+                yield Message(channel.topic, schema.name, message.log_time, message.data)
+        except (McapError, zstandard.ZstdError) as error:
+            raise InputError(reader.path, f'expected sound chunks ({error})') from None
+
+    def _find_topics(self) -> dict[str, Topic]:
+        topics: dict[str, Topic] = {}
+        for reader in self._readers:
+            summary = reader.get_summary()
+            assert summary.statistics is not None
+            for channel in summary.channels.values():
+                if channel.message_encoding != 'cdr' or channel.schema_id not in summary.schemas:
+                    raise InputError(reader.path, 'expected a ROS 2 recording (CDR messages), '
+                                     f'found {channel.message_encoding!r} on {channel.topic}')
+                kind = summary.schemas[channel.schema_id].name
+                earlier = topics.get(channel.topic, Topic(kind, 0))
+                if earlier.type != kind:
+                    raise InputError(reader.path, f'expected {earlier.type} on {channel.topic} '
+                                                  f'as in the file before, found {kind}')
+                count = summary.statistics.channel_message_counts.get(channel.id, 0)
+                topics[channel.topic] = Topic(kind, earlier.count + count)
+        return topics
+
+
+def open_recording(path: str | Path) -> Recording:
+    """A recording folder or `.mcap` file, finished or cut off by a crash.
+
+    Takes the index at the end of each file where there is one, else makes it from the chunks.
+    InputError for what is missing, empty, foreign, or mixed from several recordings.
+    """
+    return Recording(path)
+
+
+def is_recording(path: Path) -> bool:
+    """Whether a path is for `open_recording` rather than a folder of CSV files."""
+    return path.is_file() or (path / METADATA_FILE).exists() or any(path.glob('*.mcap'))
+
+
+def _files(path: Path) -> list[Path]:
+    if path.is_file():
+        return [path]
+    if not path.exists():
+        raise InputError(path, 'expected a recording, found nothing')
+    if (path / METADATA_FILE).exists():
+        return _listed_files(path / METADATA_FILE)
+    files = sorted(path.glob('*.mcap'), key=_segment_number)
+    if not files:
+        hint = '; sqlite3 bags must be converted first' if any(path.glob('*.db3')) else ''
+        raise InputError(path, f'expected MCAP files, found none{hint}')
+    names = sorted({re.sub(r'_\d+$', '', file.stem) for file in files})
+    if len(names) > 1:
+        raise InputError(path, f'expected one recording, found files of {", ".join(names)}')
+    return files
+
+
+def _listed_files(metadata: Path) -> list[Path]:
+    try:
+        content = yaml.safe_load(metadata.read_text(encoding='utf-8'))
+        information = content['rosbag2_bagfile_information']
+        storage = information['storage_identifier']
+        files = [metadata.parent / name for name in information['relative_file_paths']]
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError):
+        raise InputError(metadata, 'expected the metadata of a rosbag2 recording') from None
+    if storage != 'mcap':
+        raise InputError(metadata, f'expected an MCAP recording, found {storage}')
+    for file in files:
+        if not file.is_file():
+            raise InputError(metadata, f'expected the file {file.name} beside it')
+    return files
+
+
+def _segment_number(path: Path) -> tuple[int, str]:
+    match = re.search(r'_(\d+)$', path.stem)
+    return (int(match.group(1)) if match else 0), path.stem
