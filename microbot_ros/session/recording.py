@@ -145,6 +145,8 @@ class Recording:
         end_ns: int | None,
     ) -> Iterator[Message]:
         chosen = None if topics is None else list(topics)
+        if not reader.complete and not reader.get_summary().chunk_indexes:
+            return
         try:
             for schema, channel, message in reader.iter_messages(
                     chosen, starting_at=start_ns, ending_before=end_ns):
@@ -194,6 +196,8 @@ def _files(path: Path) -> list[Path]:
     if (path / METADATA_FILE).exists():
         return _listed_files(path / METADATA_FILE)
     files = sorted(path.glob('*.mcap'), key=_segment_number)
+    # A power cut can leave a file that has a name and no content yet.
+    files = [file for file in files if file.stat().st_size] or files
     if not files:
         hint = '; sqlite3 bags must be converted first' if any(path.glob('*.db3')) else ''
         raise InputError(path, f'expected MCAP files, found none{hint}')

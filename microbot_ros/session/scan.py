@@ -53,9 +53,11 @@ class IndexedReader(SeekingReader):
         except OSError as error:
             problem = f'expected a readable recording ({error.strerror})'
             raise InputError(path, problem) from None
-        if self._input.read(len(MAGIC)) != MAGIC:
+        head = self._input.read(len(MAGIC))
+        if head != MAGIC:
             self._input.close()
-            raise InputError(path, 'expected an MCAP recording, found something else')
+            found = 'something else' if head else 'an empty file'
+            raise InputError(path, f'expected an MCAP recording, found {found}')
         self._input.seek(0)
         super().__init__(self._input)
         self.complete = _has_footer(self._input)

@@ -1,0 +1,125 @@
+"""A session as the messages that its recording would have held."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Collection, Iterator
+from typing import Any
+
+import numpy as np
+
+from microbot_ros.records import Session
+from microbot_ros.session.bag import typestore
+from microbot_ros.session.recording import Message, Topic
+
+PARTICLES = '/particles'
+COMMAND = '/field/command'
+ROTATION = '/field/rotation'
+_CLOUD = 'sensor_msgs/msg/PointCloud2'
+_VECTOR = 'geometry_msgs/msg/Vector3Stamped'
+_FRAME = 'workspace'
+_POINT = np.dtype([('id', '<u4')] + [
+    (name, '<f4') for name in ('x', 'y', 'theta', 'vx', 'vy', 'sigma')
+])
+_UINT32, _FLOAT32 = 6, 7
+_SECOND = 1_000_000_000
+
+
+class SessionMessages:
+    """A session to be read like a recording: its first row at 1 s of ROS time, since zero means
+    that no clock is known.
+
+    Tracks are `particles`, one message a frame, without velocities. Commands are `field/command`
+    and, for rolling particles, `field/rotation`: the angular velocity of the rotating field.
+    """
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        first = np.concatenate([session.tracks.t[:1], session.commands.t[:1]]).min()
+        self._track_ns = _nanoseconds(session.tracks.t - first)
+        self._command_ns = _nanoseconds(session.commands.t - first)
+        everything = np.concatenate([self._track_ns, self._command_ns])
+        self.start_ns, self.end_ns = int(everything.min()), int(everything.max())
+        self.topics = {PARTICLES: Topic(_CLOUD, len(np.unique(self._track_ns)))}
+        if len(self._command_ns):
+            self.topics[COMMAND] = Topic(_VECTOR, len(self._command_ns))
+            if session.commands.frequency is not None:
+                self.topics[ROTATION] = Topic(_VECTOR, len(self._command_ns))
+
+    def messages(
+        self, topics: Collection[str] | None = None, start_ns: int | None = None,
+        end_ns: int | None = None,
+    ) -> Iterator[Message]:
+        """Messages in order of time as `Recording.messages` gives them; of one time, commands
+        come before the particles they move."""
+        series = {
+            COMMAND: self._commands(), ROTATION: self._rotations(), PARTICLES: self._particles(),
+        }
+        chosen = [
+            stream for name, stream in series.items()
+            if name in self.topics and (topics is None or name in topics)
+        ]
+        low = self.start_ns if start_ns is None else start_ns
+        for message in heapq.merge(*chosen, key=lambda message: message.t_ns):
+            if end_ns is not None and message.t_ns >= end_ns:
+                return
+            if message.t_ns >= low:
+                yield message
+
+    def _particles(self) -> Iterator[Message]:
+        tracks = self._session.tracks
+        points = np.zeros(len(tracks.t), _POINT)
+        points['id'] = tracks.particle
+        points['x'], points['y'] = tracks.position.T
+        points['theta'], points['sigma'] = tracks.theta, tracks.sigma
+        points['vx'] = points['vy'] = np.nan
+        times, starts = np.unique(self._track_ns, return_index=True)
+        for t_ns, rows in zip(times.tolist(), np.split(points, starts[1:]), strict=True):
+            yield _message(PARTICLES, _CLOUD, t_ns, _cloud(rows, t_ns))
+
+    def _commands(self) -> Iterator[Message]:
+        field = self._session.commands.field
+        return self._vectors(COMMAND, np.column_stack([field, np.zeros(len(field))]))
+
+    def _rotations(self) -> Iterator[Message]:
+        commands = self._session.commands
+        if commands.frequency is None:
+            return iter(())
+        # A sphere on the floor turning with ω moves along ω × ẑ.
+        bx, by = commands.field.T
+        rate = 2 * np.pi * commands.frequency / np.maximum(np.hypot(bx, by), np.finfo(float).tiny)
+        return self._vectors(ROTATION, np.column_stack([-by * rate, bx * rate, np.zeros_like(bx)]))
+
+    def _vectors(self, topic: str, values: np.ndarray) -> Iterator[Message]:
+        make = typestore().types['geometry_msgs/msg/Vector3']
+        content = typestore().types[_VECTOR]
+        for t_ns, value in zip(self._command_ns.tolist(), values.tolist(), strict=True):
+            yield _message(topic, _VECTOR, t_ns, content(_header(t_ns), make(*value)))
+
+
+def _nanoseconds(t: np.ndarray) -> np.ndarray:
+    return np.rint(t * _SECOND).astype(np.int64) + _SECOND
+
+
+def _message(topic: str, msgtype: str, t_ns: int, content: Any) -> Message:
+    return Message(topic, msgtype, t_ns, bytes(typestore().serialize_cdr(content, msgtype)))
+
+
+def _header(t_ns: int) -> Any:
+    types = typestore().types
+    stamp = types['builtin_interfaces/msg/Time'](*divmod(t_ns, _SECOND))
+    return types['std_msgs/msg/Header'](stamp, _FRAME)
+
+
+def _cloud(points: np.ndarray, t_ns: int) -> Any:
+    types = typestore().types
+    field = types['sensor_msgs/msg/PointField']
+    fields = [
+        field(name, 4 * place, _FLOAT32 if place else _UINT32, 1)
+        for place, name in enumerate(_POINT.names or ())
+    ]
+    size = points.dtype.itemsize
+    return types[_CLOUD](
+        _header(t_ns), 1, len(points), fields, False, size, size * len(points),
+        np.frombuffer(points.tobytes(), np.uint8), True,
+    )
