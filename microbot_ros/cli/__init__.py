@@ -18,6 +18,7 @@ _COMMANDS = {
     'set': 'Change a parameter of a running node.',
     'goal': 'Send goals to the running controller.',
     'doctor': 'Is this machine, is the rig ready?',
+    'calibrate': 'Find constants of the rig from measurements.',
     'emulate': 'Emulate an amplifier on a pseudo-terminal.',
 }
 

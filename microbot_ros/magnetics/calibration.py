@@ -1,0 +1,187 @@
+"""Gain and sign of each coil, and the background, from gaussmeter readings.
+
+Every reading is B = b + Σₖ gₖ Iₖ cₖ(p), with cₖ the field per ampere of coil k's geometry at the
+probe's place p. It is linear in the signed gains gₖ and the background b: one least-squares fit.
+The background includes the zero offset of the probe.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import dataclass
+from itertools import permutations, product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from microbot_ros.errors import InputError
+from microbot_ros.magnetics.coils import CoilSet
+from microbot_ros.magnetics.settings import CoilSettings
+from microbot_ros.units import from_si, to_si
+
+# A fit is believed when it leaves less than this part of the readings' variation unexplained:
+# a few percent is what probe placement costs, half or more is what swapped columns leave.
+_BELIEVED = 0.2
+_SINGULAR = 1e6
+
+
+@dataclass(frozen=True)
+class Readings:
+    """M readings of a probe: `currents` (M, 4) [A], `points` (M, 3) [m], `field` (M, 3) [T].
+
+    `field` has NaN in the z column where the probe did not measure it.
+    """
+
+    currents: np.ndarray
+    points: np.ndarray
+    field: np.ndarray
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What the readings say of the rig: signed gains (4,) and background (2,) [T], with their
+    standard deviations; `residuals` (M, 3) [T] as `Readings.field`.
+    """
+
+    names: tuple[str, ...]
+    gain: np.ndarray
+    gain_std: np.ndarray
+    background: np.ndarray
+    background_std: np.ndarray
+    residuals: np.ndarray
+
+    def summary(self) -> dict[str, Any]:
+        """The numbers as people read them: gain, sign and background with their std, residual."""
+        return {
+            'coils': {
+                name: {'gain': abs(gain), 'gain_std': std, 'sign': 1 if gain > 0 else -1}
+                for name, gain, std in zip(
+                    self.names, self.gain.tolist(), self.gain_std.tolist(), strict=True)
+            },
+            'background_mT': from_si('_mT', self.background).tolist(),
+            'background_std_mT': from_si('_mT', self.background_std).tolist(),
+            'residual_rms_mT': float(from_si('_mT', np.sqrt(np.nanmean(self.residuals**2)))),
+        }
+
+    def applied_to(self, settings: CoilSettings) -> CoilSettings:
+        """The same coils with these gains, signs and this background."""
+        summary = self.summary()
+        windings = tuple(
+            winding.model_copy(update={key: summary['coils'][winding.name][key]
+                                       for key in ('gain', 'sign')})
+            for winding in settings.windings
+        )
+        return CoilSettings(windings=windings, background_mT=tuple(summary['background_mT']))
+
+
+def read_readings(path: str | Path, settings: CoilSettings) -> Readings:
+    """Readings from a CSV file: `bx_mT,by_mT`, a column `<coil>_A` for each of the coils.
+
+    Optional are `bz_mT` and the probe's place `x_mm`, `y_mm`, `z_mm`, else the workspace centre.
+    The order of the columns is free. InputError naming file, line and column for anything else.
+    """
+    currents = [f'{winding.name}_A' for winding in settings.windings]
+    needed, optional = ['bx_mT', 'by_mT', *currents], ['bz_mT', 'x_mm', 'y_mm', 'z_mm']
+    try:
+        lines = Path(path).read_text(encoding='utf-8-sig').splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(path, f'expected a readable CSV file ({error})') from None
+    rows = csv.reader(lines)
+    header = [name.strip() for name in next(rows, [])]
+    if sorted(header) != sorted({*needed, *(name for name in header if name in optional)}):
+        expected = f'expected the columns {",".join(needed)} and, if known, {",".join(optional)}'
+        raise InputError(path, f'{expected}; found {",".join(header) or "none"}', 1)
+    values = [_numbers(path, rows.line_num, header, row) for row in rows if row]
+    table = dict(zip(header, np.array(values).reshape(-1, len(header)).T, strict=True))
+    count = len(values)
+
+    def column(name: str, missing: float) -> np.ndarray:
+        return to_si(name, table.get(name, np.full(count, missing)))
+
+    return Readings(
+        np.column_stack([table[name] for name in currents]),
+        np.column_stack([column(name, 0.0) for name in ('x_mm', 'y_mm', 'z_mm')]),
+        np.column_stack([column(name, math.nan) for name in ('bx_mT', 'by_mT', 'bz_mT')]),
+    )
+
+
+def _numbers(path: str | Path, line: int, header: list[str], row: list[str]) -> list[float]:
+    if len(row) != len(header):
+        raise InputError(path, f'expected {len(header)} values, found {len(row)}', line)
+    for name, text in zip(header, row, strict=True):
+        try:
+            finite = math.isfinite(float(text))
+        except ValueError:
+            finite = False
+        if not finite:
+            raise InputError(path, f'expected a finite number in {name}, found {text!r}', line)
+    return [float(text) for text in row]
+
+
+def calibrate(readings: Readings, settings: CoilSettings, source: str | Path) -> Calibration:
+    """Fit gains, signs and background of the coils in `settings`, whose own gains don't count.
+
+    InputError naming `source` where the readings can't tell the coils apart, where columns look
+    swapped, where a coil makes no field, or where the geometry does not explain them.
+    """
+    plain = [winding.model_copy(update={'gain': 1.0, 'sign': 1}) for winding in settings.windings]
+    coils = CoilSet(settings.model_copy(update={'windings': tuple(plain)}))
+    fit = _fit(readings, coils)
+    if fit is None:
+        raise InputError(source, 'expected readings that tell the coils apart: drive each coil by'
+                         ' itself, both ways; here the equations are singular')
+    calibration, unexplained = fit
+    if not unexplained <= _BELIEVED:
+        raise InputError(source, _explain(readings, coils, unexplained))
+    for name, gain, std in zip(coils.names, calibration.gain, calibration.gain_std, strict=True):
+        if not abs(gain) > max(5 * std, 0.01):
+            raise InputError(source, f"expected a field from coil '{name}', found gain {gain:.3g}")
+    return calibration
+
+
+def _fit(readings: Readings, coils: CoilSet) -> tuple[Calibration, float] | None:
+    """The least-squares fit and the part of the readings' variation that it leaves unexplained.
+
+    None where the readings do not determine every gain and the background.
+    """
+    axes = np.flatnonzero(np.isfinite(readings.field).all(axis=0))
+    field = readings.field[:, axes]
+    driven = readings.currents.T[:, :, None] * coils.field_per_ampere(readings.points)[..., axes]
+    constant = np.broadcast_to(np.eye(len(axes))[:, None], (len(axes), *field.shape))
+    design = np.concatenate([driven, constant]).reshape(-1, field.size).T
+    scale = np.linalg.norm(design, axis=0)
+    freedom = field.size - len(scale)
+    if freedom < 1 or not scale.all() or np.linalg.cond(design / scale) > _SINGULAR:
+        return None
+    inverse = np.linalg.pinv(design / scale) / scale[:, None]
+    solution = inverse @ field.ravel()
+    residual = field - (design @ solution).reshape(field.shape)
+    std = np.linalg.norm(inverse, axis=1) * np.linalg.norm(residual) / math.sqrt(freedom)
+    residuals = np.full(readings.field.shape, np.nan)
+    residuals[:, axes] = residual
+    variation = np.linalg.norm(field - field.mean(axis=0))
+    unexplained = np.linalg.norm(residual) / variation if variation else math.inf
+    return Calibration(
+        coils.names, solution[:4], std[:4], solution[4:6], std[4:6], residuals,
+    ), float(unexplained)
+
+
+def _explain(readings: Readings, coils: CoilSet, unexplained: float) -> str:
+    """What to say of readings that don't fit: the swap of columns that would, if there is one."""
+    fits = []
+    for order, axes in product(permutations(range(4)), ((0, 1, 2), (1, 0, 2))):
+        swapped = Readings(readings.currents[:, order], readings.points, readings.field[:, axes])
+        fit = _fit(swapped, coils)
+        if fit and fit[1] <= _BELIEVED:
+            found = [f'{coils.names[k]}_A holds the current of {coils.names[j]}'
+                     for j, k in enumerate(order) if j != k]
+            found += ['bx_mT holds y', 'by_mT holds x'] if axes[0] else []
+            fits.append((fit[1], found))
+    if not fits:
+        return (f"expected readings that fit the coils' geometry; {min(unexplained, 1):.0%} of"
+                ' their variation is unexplained')
+    best = min(residual for residual, _ in fits)
+    simplest = min((found for residual, found in fits if residual <= 1.1 * best), key=len)
+    return f'expected columns that are not swapped; these readings fit if {", ".join(simplest)}'
