@@ -67,6 +67,14 @@ class Graph:
         self._children[name] = child
         self._selector.register(process.stdout, selectors.EVENT_READ, child)  # type: ignore[arg-type]
 
+    def wait_for(self, path: Path, seconds: float) -> None:
+        """Return when a child has made that path. InputError when it is late."""
+        deadline = time.monotonic() + seconds
+        while not path.exists():
+            self.pump(0.02)
+            if time.monotonic() > deadline or self.ended():
+                raise InputError(path, f'was not there within {seconds:g} s')
+
     def wait_ready(self, seconds: float) -> None:
         """Return when every child does its work. InputError when one ends or is late."""
         deadline = time.monotonic() + seconds

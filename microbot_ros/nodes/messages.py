@@ -29,6 +29,12 @@ ESTIMATE = np.dtype([
 ])
 """A point of `model/state`: SI; infinite standard deviations say that nothing is known yet."""
 
+TRUTH = np.dtype([
+    ('id', '<u4'), ('x', '<f4'), ('y', '<f4'), ('theta', '<f4'), ('speed', '<f4'),
+    ('phi', '<f4'),
+])
+"""A point of `virtual_rig/truth`: SI. For judging the others; no node reads it."""
+
 _POINT_TYPES = {
     'i1': PointField.INT8, 'u1': PointField.UINT8, 'i2': PointField.INT16,
     'u2': PointField.UINT16, 'i4': PointField.INT32, 'u4': PointField.UINT32,

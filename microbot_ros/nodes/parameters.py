@@ -41,9 +41,12 @@ class ParameterSet(Generic[ValuesT]):
         self._prefix = prefix
         initial = {}
         for name, default in settings.defaults(kind).items():
-            declared = node.declare_parameter(
-                prefix + name, default, _descriptor(kind, name, default))
-            initial[name] = self._converted(node, name, declared.value)
+            override = node._parameter_overrides.get(prefix + name)
+            # Checked before rclpy does, whose exceptions name neither unit nor range.
+            value = default if override is None else override.value
+            initial[name] = self._converted(node, name, value)
+            node.declare_parameter(prefix + name, initial[name], _descriptor(kind, name, default),
+                                   ignore_override=True)
         self.values = kind(**initial)
         reason = veto(self.values)
         if reason:

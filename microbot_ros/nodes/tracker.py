@@ -59,7 +59,8 @@ class TrackerNode(RigNode):
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         silence = self.seconds() - self._previous if self._frames else math.inf
-        values = {'frames': self._frames, 'frames_refused': self._refused,
+        values: dict[str, object] = {
+            'frames': self._frames, 'frames_refused': self._refused,
                   'particles': self._count, 'longest_gap_s': self._longest_gap,
                   'silence_s': silence}
         self._longest_gap = 0.0

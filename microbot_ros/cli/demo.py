@@ -1,0 +1,187 @@
+"""`microbot demo`: the closed loop on the virtual rig."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+import yaml
+
+from microbot_ros.errors import InputError
+from microbot_ros.files import output_folder, write_text
+
+SPEEDS_UM_S = [3.71, 4.38, 4.98, 4.1]
+PHIS_RAD = [-1.09, 3.82, 2.64, 0.6]
+"""The paper's three particles and one more."""
+
+GOALS_UM = np.array([(16.0, 10.0), (-14.0, 14.0), (-4.0, -10.0)])
+"""Where to go, relative to where the steered particle is when it knows its v and φ."""
+
+LEARN_SECONDS = 6.0
+"""How long fixed directions are commanded, so that every v and φ can be learned."""
+
+NODES = ('virtual_rig', 'tracker', 'model', 'controller', 'coil_driver', 'recorder')
+_FEWEST_SECONDS = 15.0
+
+
+@click.command()
+@click.option('--seconds', default=30.0, show_default=True, help='How long the loop runs.')
+@click.option('--seed', default=1, show_default=True, help='Seed of particles, noise and debris.')
+@click.option('--out', type=click.Path(path_type=Path), default=Path('out/demo'),
+              show_default=True, help='Folder for what the demo leaves behind.')
+@click.option('--json', 'json_path', type=click.Path(path_type=Path),
+              help='Also write the summary here.')
+def command(seconds: float, seed: int, out: Path, json_path: Path | None) -> None:
+    """Steer a microrobot on the virtual rig, over a real ROS graph and a real serial line.
+
+    Every node is a process. The model learns speed and offset angle of each particle from
+    nothing; then the controller is swapped and one particle visits three places. Leaves
+    summary.json, an MCAP recording, an overlay video and a figure.
+
+    \b
+    Example:
+      microbot demo --seconds 30 --seed 1 --out out/demo
+    """
+    if not seconds >= _FEWEST_SECONDS:
+        raise InputError('--seconds', f'expected at least {_FEWEST_SECONDS:g}; got {seconds:g}')
+    began = time.monotonic()
+    with output_folder(out) as folder:
+        goal, controllers = _run(folder, seconds, seed, began)
+        summary = _look_back(folder, out, goal, controllers, began)
+    _print(summary, out)
+    if json_path:
+        write_text(json_path, json.dumps(summary, indent=1) + '\n')
+
+
+def _run(folder: Path, seconds: float, seed: int, began: float) -> tuple[np.ndarray, list[str]]:
+    """The whole graph for that long; the last goal [m] and the controllers used, in order."""
+    from microbot_ros.nodes.graph import Graph
+    from microbot_ros.nodes.remote import Remote
+
+    port, log = folder / 'amplifier', folder / 'amplifier.jsonl'
+    rig = folder / 'rig.yaml'
+    write_text(rig, _rig_file(folder, port, log, seed))
+    _say(began, f'starting the emulated amplifier and {len(NODES)} nodes')
+    with Graph(lambda who, line: _say(began, f'{who}: {line}')) as graph:
+        graph.start('amplifier', [
+            sys.executable, '-m', 'microbot_ros.drive.emulator', 'serial_transfer',
+            '--link', str(port), '--log', str(log)])
+        graph.wait_for(port, 10.0)
+        for node in NODES:
+            graph.start_nodes([node], rig)
+        graph.wait_ready(120.0)
+        with Remote() as remote:
+            watch = _Watch(remote)
+            remote.arm()
+            start = time.monotonic()
+            _say(began, f'armed; {LEARN_SECONDS:g} s of fixed directions to learn v and φ')
+            watch.until(start + LEARN_SECONDS, began)
+            goals = watch.place() + GOALS_UM * 1e-6
+            remote.set('controller', controller='waypoint')
+            remote.send_goals([tuple(goal) for goal in goals.tolist()])
+            _say(began, 'swapped to waypoint: ' + ' → '.join(
+                f'({x:.0f}, {y:.0f}) µm' for x, y in goals * 1e6))
+            watch.until(start + seconds, began)
+            remote.set('controller', controller='hold')
+            remote.arm(False)
+        _say(began, 'stopping; the coils are at zero')
+        graph.stop(['recorder', 'controller', 'model', 'tracker', 'virtual_rig', 'coil_driver'])
+        graph.stop(['amplifier'])
+    return goals[-1], ['open_loop', 'waypoint', 'hold']
+
+
+class _Watch:
+    """Listens to the estimates while the demo runs, and tells of progress once a second."""
+
+    def __init__(self, remote: Any) -> None:
+        from sensor_msgs.msg import PointCloud2
+
+        self._remote = remote
+        self._estimates: Any = np.empty(0)
+        remote.node.create_subscription(PointCloud2, 'model/state', self._on_state, 10)
+
+    def _on_state(self, message: Any) -> None:
+        from microbot_ros.nodes import messages
+
+        self._estimates = messages.points(message, messages.ESTIMATE)
+
+    def until(self, deadline: float, began: float) -> None:
+        """Let the loop run; one line a second."""
+        while (left := deadline - time.monotonic()) > 0:
+            self._remote.spin(min(1.0, left))
+            known = [f'{e["speed"] * 1e6:.2f}±{e["speed_std"] * 1e6:.2f}'
+                     for e in self._estimates if np.isfinite(e['speed_std'])]
+            _say(began, f'v = {", ".join(known)} µm/s' if known else 'no estimate yet')
+
+    def place(self) -> np.ndarray:
+        """Where the steered particle is (2,) [m]: the one with the lowest identity."""
+        if not len(self._estimates):
+            raise InputError('model/state', 'no particle was found to steer')
+        first = self._estimates[self._estimates['id'].argmin()]
+        return np.array([first['x'], first['y']], float)
+
+
+def _look_back(folder: Path, out: Path, goal: np.ndarray, controllers: list[str],
+               began: float) -> dict[str, Any]:
+    """Summary, figure and video of the recording, written beside it."""
+    from microbot_ros.cli.demo_figure import draw
+    from microbot_ros.cli.demo_results import DemoRun, summarise
+    from microbot_ros.cli.demo_video import write_video
+
+    recording = folder / 'recording'
+    run = DemoRun.read(recording)
+    summary = {**summarise(run, goal), 'nodes': list(NODES), 'controllers': controllers,
+               'recording': str(out / 'recording')}
+    write_text(folder / 'summary.json', json.dumps(summary, indent=1) + '\n')
+    draw(run, goal, folder / 'demo.png')
+    _say(began, 'drawing the video')
+    write_video(run, recording, folder / 'demo.mp4')
+    return summary
+
+
+def _rig_file(folder: Path, port: Path, log: Path, seed: int) -> str:
+    """The parameters of every node, as `microbot run` would take them."""
+    own: dict[str, dict[str, Any]] = {
+        'virtual_rig': {'amplifier_log': str(log), 'seed': seed, 'speeds_um_s': SPEEDS_UM_S,
+                        'phis_rad': PHIS_RAD},
+        'tracker': {'pixel_size_um': 0.45},
+        'model': {'radius_um': 2.3, 'viscosity_mPa_s': 1.245},
+        'controller': {'controller': 'open_loop'},
+        'coil_driver': {'port': str(port)},
+        'recorder': {'folder': str(folder / 'recording'), 'frame_every': 4,
+                     'title': 'microbot demo'},
+    }
+    return yaml.safe_dump({node: {'ros__parameters': values} for node, values in own.items()},
+                          sort_keys=False)
+
+
+def _print(summary: dict[str, Any], out: Path) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table('particle', 'v found', 'true', 'φ found', 'true')
+    for name, found in summary['estimate'].items():
+        table.add_row(
+            name, f'{found["speed_um_s"]:.2f} ± {1.96 * found["speed_std_um_s"]:.2f} µm/s',
+            f'{found["true_speed_um_s"]:.2f}',
+            f'{found["phi_rad"]:.3f} ± {1.96 * found["phi_std_rad"]:.3f} rad',
+            f'{found["true_phi_rad"]:.3f}')
+    console = Console()
+    console.print(table)
+    latency = summary['latency_ms']
+    console.print(
+        f'distance to the last goal, mean of the last 5 s: {summary["goal_error_um"]:.1f} µm\n'
+        f'frames {summary["frames"]}, dropped {summary["frames_dropped"]}; exposure to amplifier '
+        f'p50 {latency["p50"]:.1f} ms, p99 {latency["p99"]:.1f} ms; CRC errors '
+        f'{summary["amplifier"]["crc_errors"]}\n'
+        f'look at {out}/demo.mp4 and {out}/demo.png', highlight=False)
+
+
+def _say(began: float, line: str) -> None:
+    print(f'[{time.monotonic() - began:5.1f} s] {line.removeprefix("microbot: ")}',
+          file=sys.stderr, flush=True)

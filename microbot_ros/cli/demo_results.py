@@ -1,0 +1,118 @@
+"""What a recording of the demo shows: numbers, a figure, a video."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from microbot_ros import units
+from microbot_ros.nodes import messages
+from microbot_ros.session import open_recording
+
+LAST_SECONDS = 5.0
+"""The goal error is the mean over the end of the run."""
+
+
+@dataclass
+class DemoRun:
+    """The demo's recording as arrays. Times [s] since the first frame; everything else in SI."""
+
+    truth: dict[float, np.ndarray]
+    particles: dict[float, np.ndarray]
+    estimates: dict[float, np.ndarray]
+    goals: list[tuple[float, np.ndarray]]
+    latency: np.ndarray
+    health: dict[str, dict[str, str]]
+    origin: float
+
+    @classmethod
+    def read(cls, path: Path) -> DemoRun:
+        """Everything but the pictures, read once."""
+        clouds: dict[str, dict[float, np.ndarray]] = {
+            '/virtual_rig/truth': {}, '/particles': {}, '/model/state': {}}
+        kinds = {'/virtual_rig/truth': messages.TRUTH, '/particles': messages.PARTICLE,
+                 '/model/state': messages.ESTIMATE}
+        run = cls({}, {}, {}, [], np.empty(0), {}, math.nan)
+        latency = []
+        with open_recording(path) as recording:
+            topics = [*clouds, '/goals', '/coil_driver/latency', '/diagnostics']
+            for raw in recording.messages(topics=topics):
+                message: Any = recording.decode(raw)
+                if raw.topic == '/diagnostics':
+                    for status in message.status:
+                        run.health[status.name.split(':')[0]] = {
+                            pair.key: pair.value for pair in status.values}
+                    continue
+                stamp = messages.to_seconds(message.header.stamp)
+                if raw.topic == '/coil_driver/latency':
+                    latency.append(stamp - messages.to_seconds(message.time_ref))
+                elif raw.topic == '/goals':
+                    run.goals.append((stamp, np.array(
+                        [(pose.position.x, pose.position.y) for pose in message.poses])))
+                else:
+                    clouds[raw.topic][stamp] = messages.points(message, kinds[raw.topic])
+        run.truth, run.particles, run.estimates = clouds.values()
+        run.latency = np.array(latency)
+        run.origin = min(run.truth, default=math.nan)
+        return run
+
+    @property
+    def matches(self) -> dict[int, int]:
+        """Identity given by the tracker → true identity, by where they are at the end."""
+        stamp = max(set(self.truth) & set(self.estimates))
+        true, seen = self.truth[stamp], self.estimates[stamp]
+        distance = np.hypot(seen['x'][:, None] - true['x'], seen['y'][:, None] - true['y'])
+        return {int(i): int(true['id'][row.argmin()])
+                for i, row in zip(seen['id'], distance, strict=True)}
+
+    @property
+    def steered(self) -> int:
+        """The particle that visits the goals: the one seen first."""
+        return min(self.matches)
+
+    def path(self, clouds: dict[float, np.ndarray], particle: int) -> np.ndarray:
+        """Rows (t, x, y) of one particle in `truth`, `particles` or `estimates`."""
+        rows = [
+            (t, *points[['x', 'y']][points['id'] == particle][0].tolist())
+            for t, points in sorted(clouds.items()) if particle in points['id']]
+        return np.array(rows).reshape(-1, 3) - [self.origin, 0.0, 0.0]
+
+
+def summarise(run: DemoRun, goal: np.ndarray) -> dict[str, Any]:
+    """The numbers of `summary.json` that the recording holds; `goal` [m] is the last one."""
+    truth = run.path(run.truth, run.matches[run.steered])
+    end = truth[truth[:, 0] > truth[-1, 0] - LAST_SECONDS]
+    error = np.hypot(*(end[:, 1:] - goal).T).mean()
+    first = min(run.particles)
+    expected = [t for t in run.truth if t >= first]
+    driver = run.health['coil_driver']
+    return {
+        'goal_error_um': round(float(units.from_si('x_um', error)), 3),
+        'frames': len(expected),
+        'frames_dropped': sum(t not in run.particles for t in expected),
+        'latency_ms': {
+            f'p{q}': round(float(np.percentile(run.latency, q) * 1e3), 2) for q in (50, 99)},
+        'amplifier': {'frames': int(driver['frames_sent']),
+                      'crc_errors': int(driver['crc_errors'])},
+        'estimate': dict(_estimates(run)),
+    }
+
+
+def _estimates(run: DemoRun) -> Iterator[tuple[str, dict[str, float]]]:
+    stamp = max(set(run.truth) & set(run.estimates))
+    true = {int(point['id']): point for point in run.truth[stamp]}
+    for point in run.estimates[stamp]:
+        truth = true[run.matches[int(point['id'])]]
+        yield str(point['id']), {
+            'speed_um_s': round(float(point['speed'] * 1e6), 4),
+            'speed_std_um_s': round(float(point['speed_std'] * 1e6), 4),
+            'phi_rad': round(float(point['phi']), 4),
+            'phi_std_rad': round(float(point['phi_std']), 4),
+            'true_speed_um_s': round(float(truth['speed'] * 1e6), 4),
+            'true_phi_rad': round(math.remainder(float(truth['phi']), math.tau), 4),
+        }

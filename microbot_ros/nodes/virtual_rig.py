@@ -1,0 +1,204 @@
+"""Node `virtual_rig`: particles, fluid and microscope where there is no rig.
+
+It learns the field from one place only: the log of the emulated amplifier, which holds the
+currents that the bytes on the serial line asked for.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar, TextIO
+
+import numpy as np
+from sensor_msgs.msg import Image, PointCloud2
+
+from microbot_ros import units
+from microbot_ros.errors import InputError
+from microbot_ros.files import read_yaml
+from microbot_ros.magnetics.coils import CoilSet
+from microbot_ros.magnetics.settings import CoilSettings
+from microbot_ros.model.particle import Fluid, rotational_drag
+from microbot_ros.nodes import messages
+from microbot_ros.nodes.lifecycle import IMAGES_OUT, OK, WARN, RigNode
+from microbot_ros.settings import setting
+from microbot_ros.virtual_rig.body import bodies
+from microbot_ros.virtual_rig.hidden import hide
+from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
+from microbot_ros.virtual_rig.world import FieldHistory, World
+
+_REFERENCE_FIELD = 5e-3
+
+
+@dataclass(frozen=True)
+class VirtualRigParameters:
+    """Parameters of the node `virtual_rig`. The defaults are three particles of the paper."""
+
+    amplifier_log: str = setting(
+        '', 'Log of the emulated amplifier (`microbot emulate ... --log`).', read_only=True)
+    coils_file: str = setting(
+        '', 'YAML file with the coils; empty takes the default rig.', read_only=True)
+    seed: int = setting(1, 'Seed of everything random.', lower=0, upper=2**31 - 1, read_only=True)
+    frame_rate_hz: float = setting(60.0, 'Frames per second.', lower=1.0, upper=200.0,
+                                   read_only=True)
+    radius_um: float = setting(2.3, 'Radius of every particle.', lower=0.1, upper=20.0,
+                               read_only=True)
+    viscosity_mPa_s: float = setting(1.245, 'Viscosity of the fluid.', lower=0.1, upper=1000.0,
+                                     read_only=True)
+    temperature_K: float = setting(298.0, 'Temperature of the fluid.', lower=270.0, upper=370.0,
+                                   read_only=True)
+    speeds_um_s: list[float] = setting(
+        [3.71, 4.38, 4.98], 'Speed of each particle.', lower=0.0, upper=100.0, read_only=True)
+    phis_rad: list[float] = setting(
+        [-1.09, 3.82, 2.64], 'Heading of each particle relative to the field.',
+        lower=-7.0, upper=7.0, read_only=True)
+    alignment_ms: float = setting(
+        5.0, 'Time constant with which a field of 5 mT turns the particles.',
+        lower=0.1, upper=10000.0, read_only=True)
+    effect: str = setting('', 'Effect hidden in the physics, by name.', read_only=True)
+    effect_parameters: list[str] = setting(
+        [], 'Its parameters, such as wx_um_s=0.4.', read_only=True)
+
+
+class VirtualRigNode(RigNode):
+    """Publishes `camera/image_raw` and, for judging the others, `~/truth`."""
+
+    Parameters: ClassVar[type] = VirtualRigParameters
+
+    def setup(self) -> None:
+        values = self.settings
+        coils = values.coils_file
+        self._coils = CoilSet(read_yaml(coils, CoilSettings) if coils else None)
+        self._log = _AmplifierLog(values.amplifier_log, self.get_name())
+        self._microscope_settings = MicroscopeSettings(radius_um=values.radius_um)
+        self._microscope = Microscope(self._microscope_settings, values.seed)
+        self._world = self._make_world()
+        self._microscope.render(self._world.position, self._world.heading, 0.0)  # compiles too
+        self._frames = 0
+        self._busy = self._longest = 0.0
+        self._images = self.publisher(Image, 'camera/image_raw', IMAGES_OUT)
+        self._truth = self.publisher(PointCloud2, '~/truth')
+        self.every(1 / values.frame_rate_hz, self._expose)
+
+    def start(self) -> None:
+        self._begin = time.monotonic() - self._world.t
+
+    def teardown(self) -> None:
+        if hasattr(self, '_log'):
+            self._log.close()
+
+    def veto(self, proposed: VirtualRigParameters) -> str:
+        if len(proposed.speeds_um_s) != len(proposed.phis_rad):
+            return 'speeds_um_s and phis_rad must be equally many'
+        return ''
+
+    def health(self) -> tuple[bytes, str, dict[str, object]]:
+        share = self._busy * self.settings.frame_rate_hz / max(1, self._frames)
+        longest, self._longest = self._longest, 0.0
+        values = {'frames_published': self._frames, 'load_of_a_core': share,
+                  'longest_frame_ms': longest * 1e3}
+        if longest > 1 / self.settings.frame_rate_hz:
+            return WARN, 'too slow for its frame rate on this machine', values
+        return OK, f'{len(self._world.position)} particles under the microscope', values
+
+    def _make_world(self) -> World:
+        values = self.settings
+        fluid = Fluid(viscosity=values.viscosity_mPa_s * 1e-3, temperature=values.temperature_K)
+        radius = units.to_si('radius_um', values.radius_um)
+        count = len(values.speeds_um_s)
+        drag = rotational_drag(fluid, radius)
+        rng = np.random.default_rng(values.seed)
+        view = self._microscope_settings
+        # Walls a diameter inside the picture, so that every particle stays in view.
+        half = (view.width_px * view.pixel_size / 2 - 2 * radius,
+                view.height_px * view.pixel_size / 2 - 2 * radius)
+        made = bodies(
+            fluid, np.full(count, radius),
+            np.full(count, drag / (values.alignment_ms * 1e-3 * _REFERENCE_FIELD)),
+            np.array(values.phis_rad), _spread(count, half, rng),
+            speed=np.array(values.speeds_um_s) * 1e-6, heading=rng.uniform(-np.pi, np.pi, count))
+        if values.effect:
+            hide(made, values.effect, _named(values.effect_parameters, self.get_name()),
+                 reference_field=_REFERENCE_FIELD)
+        world = World(made, rng, half_extent=half)
+        # The first step compiles; it must not happen while frames are due.
+        world.advance(1e-3, FieldHistory(np.zeros(1), np.zeros((1, count, 2))))
+        return world
+
+    def _expose(self) -> None:
+        began = time.monotonic()
+        stamp = self.get_clock().now().to_msg()
+        self._advance(began)
+        world = self._world
+        image = self._microscope.render(world.position, world.heading, world.t)
+        self._images.publish(messages.image(image, stamp))
+        points = np.zeros(len(self._world.position), messages.TRUTH)
+        points['id'] = np.arange(len(points))
+        points['x'], points['y'] = self._world.position.T
+        points['theta'] = self._world.heading
+        points['speed'], points['phi'] = self._world.bodies['speed'], self._world.bodies['phi']
+        self._truth.publish(messages.cloud(points, stamp))
+        self._frames += 1
+        spent = time.monotonic() - began
+        self._busy += spent
+        self._longest = max(self._longest, spent)
+
+    def _advance(self, now: float) -> None:
+        """Let the world live until now under the currents that flowed meanwhile."""
+        changes = [(self._world.t, self._log.currents)]
+        for t_monotonic, currents in self._log.read():
+            changes.append((max(t_monotonic - self._begin, self._world.t), currents))
+        times = np.array([t for t, _ in changes])
+        per_ampere = self._coils.field_per_ampere(self._world.position)[..., :2]
+        field = np.tensordot(np.array([c for _, c in changes]), per_ampere, 1)
+        self._world.advance(now - self._begin, FieldHistory(times, field))
+
+
+class _AmplifierLog:
+    """Follows the amplifier's log as it grows; `currents` is its last word [A]."""
+
+    def __init__(self, path: str, node: str) -> None:
+        if not path:
+            raise InputError(node, 'expected a parameter amplifier_log: the log of the emulator')
+        try:
+            self._stream: TextIO = Path(path).open(encoding='utf-8')  # noqa: SIM115
+        except OSError as error:
+            raise InputError(path, f'expected the log of an emulated amplifier ({error.strerror})'
+                             ) from None
+        self._rest = ''
+        self.currents = np.zeros(4)
+
+    def read(self) -> Iterator[tuple[float, np.ndarray]]:
+        """New changes: time [s, monotonic] and currents (4,) [A]."""
+        *lines, self._rest = (self._rest + self._stream.read()).split('\n')
+        for line in lines:
+            entry = json.loads(line)
+            self.currents = np.array(entry['currents_A'], float)
+            yield float(entry['t_monotonic_s']), self.currents
+
+    def close(self) -> None:
+        self._stream.close()
+
+
+def _spread(count: int, half_extent: tuple[float, float], rng: np.random.Generator) -> np.ndarray:
+    """Places (count, 2) [m] on a jittered grid: apart from each other and from the walls."""
+    columns = math.ceil(math.sqrt(count * half_extent[0] / half_extent[1]))
+    rows = math.ceil(count / columns)
+    cells = [(c, r) for r in range(rows) for c in range(columns)][:count]
+    grid = (np.array(cells) + 0.5) / (columns, rows) * 2 - 1
+    jitter = rng.uniform(-0.15, 0.15, (count, 2)) / (columns, rows)
+    places: np.ndarray = (grid * 0.9 + jitter) * half_extent
+    return places
+
+
+def _named(pairs: list[str], node: str) -> dict[str, float]:
+    """`['wx_um_s=0.4']` as a dictionary; InputError for anything else."""
+    try:
+        return {name: float(value) for name, value in (pair.split('=') for pair in pairs)}
+    except ValueError:
+        raise InputError(node, f'effect_parameters: expected name=value; received {pairs}'
+                         ) from None
