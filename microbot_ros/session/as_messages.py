@@ -66,6 +66,10 @@ class SessionMessages:
             if message.t_ns >= low:
                 yield message
 
+    def times(self, topic: str) -> np.ndarray:
+        """Times (n,) [ns] of a topic's messages, ascending."""
+        return np.unique(self._track_ns) if topic == PARTICLES else self._command_ns
+
     def _particles(self) -> Iterator[Message]:
         tracks = self._session.tracks
         points = np.zeros(len(tracks.t), _POINT)

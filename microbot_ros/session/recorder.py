@@ -157,7 +157,7 @@ class RecordingWriter:
                 self._drain()
                 self._store.tick()
             self._drain()
-            self._store.close()
+            self._store.close(self._dropped)
         except Exception as error:
             self._failure = f'{type(error).__name__}: {error}'
             raise

@@ -10,6 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
 
+import numpy as np
 import yaml
 import zstandard
 from mcap.exceptions import McapError
@@ -91,6 +92,10 @@ class Recording:
             *(self._read(reader, topics, start_ns, end_ns) for reader in self._readers),
             key=lambda message: message.t_ns,
         )
+
+    def times(self, topic: str) -> np.ndarray:
+        """Times of receipt (n,) [ns] of a topic's messages, ascending; cheap."""
+        return np.sort(np.concatenate([reader.times(topic) for reader in self._readers]))
 
     def decode(self, message: Message) -> Any:
         """The message with its fields; arrays are numpy's. InputError where it does not fit."""

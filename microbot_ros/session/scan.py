@@ -7,6 +7,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
+import numpy as np
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -66,6 +67,31 @@ class IndexedReader(SeekingReader):
     def get_summary(self) -> Summary:
         """Schemas, channels, chunks and counts of the file."""
         return self._made
+
+    def times(self, topic: str) -> np.ndarray:
+        """Times of receipt (n,) [ns] of a topic, from the message indexes: no chunk is opened
+        that has one."""
+        channels = [c.id for c in self._made.channels.values() if c.topic == topic]
+        found = [np.empty(0, np.int64)]
+        for chunk in self._made.chunk_indexes:
+            offsets = chunk.message_index_offsets
+            if not offsets:
+                found.append(self._times_inside(chunk, channels))
+            found += [self._indexed_times(offsets[id_]) for id_ in channels if id_ in offsets]
+        return np.sort(np.concatenate(found))
+
+    def _indexed_times(self, offset: int) -> np.ndarray:
+        self._input.seek(offset + 1)
+        length = int.from_bytes(self._input.read(8), 'little')
+        content = self._input.read(length)
+        return np.frombuffer(content, '<i8', offset=6)[::2].astype(np.int64)
+
+    def _times_inside(self, index: ChunkIndex, channels: list[int]) -> np.ndarray:
+        stream = _stream(self._input, index.chunk_start_offset, index.chunk_length - 9)
+        return np.array([
+            record.log_time for record in breakup_chunk(Chunk.read(stream))
+            if isinstance(record, Message) and record.channel_id in channels
+        ], np.int64)
 
     def repair(self) -> None:
         """Replace an unfinished last record by the index that was never written."""

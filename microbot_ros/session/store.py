@@ -94,10 +94,13 @@ class Store:
             self._finish_segment()
             self._next_segment()
 
-    def close(self) -> None:
-        """Write all that is left, the indexes and `metadata.yaml`."""
+    def close(self, lost: Counter[str]) -> None:
+        """Write all that is left, what was dropped here and before (`lost`), the indexes and
+        `metadata.yaml`."""
         for worth in Worth:
             self._flush(worth)
+        if dropped := self.dropped + lost:
+            self.add_record(Metadata('dropped', {name: str(n) for name, n in dropped.items()}))
         self._finish_segment()
         try:
             text = metadata_text({s.path: s.summary for s in self._segments})

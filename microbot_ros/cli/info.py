@@ -1,0 +1,108 @@
+"""`microbot info`: what is in a session."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from microbot_ros.errors import InputError
+from microbot_ros.files import write_text
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from microbot_ros.session.survey import Survey
+
+
+@click.command()
+@click.argument('session', type=click.Path(path_type=Path))
+@click.option('--json', 'json_path', type=click.Path(path_type=Path),
+              help='Also write what was found as JSON.')
+@click.option('--figure', type=click.Path(path_type=Path),
+              help='Also draw paths, commands and topics over time.')
+@click.option('--repair', is_flag=True,
+              help='Write the index and the metadata of a recording that was cut off.')
+def command(session: Path, json_path: Path | None, figure: Path | None, repair: bool) -> None:
+    """Show what SESSION, a folder of CSV files or a recording, holds.
+
+    Topics with their rates and gaps, missing frames, latency from exposure to the amplifier's
+    acknowledgement, and what the commands can teach about the particles. A recording that was
+    cut off is read as far as it goes.
+
+    \b
+    Examples:
+      microbot info out/demo/recording
+      microbot info out/crashed --repair
+      microbot info data/rolling_robot --figure rolling.png --json rolling.json
+    """
+    from rich.console import Console
+
+    from microbot_ros.session import is_recording, open_recording
+    from microbot_ros.session.survey import survey_folder, survey_recording
+
+    if not session.exists():
+        raise InputError(session, 'expected a session folder or a recording, found nothing')
+    console = Console(highlight=False, soft_wrap=True)
+    with console.status(f'reading {session}'):
+        if is_recording(session):
+            with open_recording(session) as recording:
+                if repair and not recording.complete:
+                    recording.repair()
+                    console.print(f'{session}: wrote the index and the metadata')
+                found, content = survey_recording(recording)
+        elif repair:
+            raise InputError(session, 'expected a recording to repair, found a folder')
+        else:
+            found, content = survey_folder(session)
+    _show(console, found)
+    if json_path:
+        text = json.dumps(dataclasses.asdict(found), indent=1, ensure_ascii=False)
+        write_text(json_path, text + '\n')
+    if figure:
+        from microbot_ros.session.survey_figure import draw_survey
+
+        draw_survey(found, content, figure)
+
+
+def _show(console: Console, found: Survey) -> None:
+    from rich.table import Table
+
+    state = '' if found.complete else ', cut off'
+    console.print(f'{found.path}: {found.kind}{state}, {found.duration_s:.1f} s')
+    table = Table('topic', 'type', 'messages', 'Hz', 'gaps', 'longest gap [s]', box=None)
+    for topic in found.topics:
+        table.add_row(
+            topic.name, topic.type, str(topic.count), f'{topic.rate_hz:.1f}', str(topic.gaps),
+            f'{topic.longest_gap_s:.3f}')
+    console.print(table)
+    if found.frames is not None:
+        console.print(
+            f'{found.particles} particles in {found.frames} frames, '
+            f'{found.frames_missing} frames missing')
+    if found.dropped:
+        lost = ', '.join(f'{count} of {name}' for name, count in found.dropped.items())
+        console.print(f'dropped by the recorder: {lost}')
+    if found.latency_ms:
+        console.print(
+            f'exposure to acknowledgement: p50 {found.latency_ms["p50"]:.1f} ms, '
+            f'p99 {found.latency_ms["p99"]:.1f} ms')
+    if found.excitation:
+        spread = found.excitation
+        levels = spread.frequencies_hz or spread.magnitudes_mT
+        unit = 'Hz' if spread.frequencies_hz else 'mT'
+        console.print(
+            f'{spread.rows} commands at {", ".join(f"{level:g}" for level in levels)} {unit}, '
+            f'{spread.turns_left} turns left and {spread.turns_right} right, '
+            f'off {spread.off_share:.0%} of the time')
+    for name, entries in found.metadata.items():
+        if name != 'dropped':
+            pairs = ', '.join(f'{key} {value}' for key, value in entries.items() if value)
+            console.print(f'{name}: {pairs}')
+    if found.attachments:
+        console.print(f'attached: {", ".join(found.attachments)}')
+    for remark in found.remarks:
+        console.print(remark)
