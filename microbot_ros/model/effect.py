@@ -47,6 +47,14 @@ class Effect(ABC):
         return tuple(field.metadata['parameter'] for field in dataclasses.fields(cls))
 
     @classmethod
+    def defaults(cls) -> dict[str, float]:
+        """The fields that need not be given, with their values."""
+        return {
+            field.name: field.default for field in dataclasses.fields(cls)
+            if field.default is not dataclasses.MISSING
+        }
+
+    @classmethod
     def neutral(cls) -> Self:
         """The effect at strength zero: it does nothing."""
         return cls(**{p.field: p.neutral for p in cls.parameters()})

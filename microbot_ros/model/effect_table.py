@@ -1,0 +1,84 @@
+"""Effects as people write them, by name and in the units of their names: the part of any YAML."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from decimal import Decimal
+from typing import Annotated, Any, cast
+
+import pydantic
+from pydantic_core import InitErrorDetails, PydanticCustomError, ValidationError
+
+from microbot_ros import units
+from microbot_ros.files import Settings
+from microbot_ros.model.effect import Effect
+from microbot_ros.model.effects import EFFECTS
+from microbot_ros.model.parameter import Parameter
+
+
+def exact_si(name: str, value: Decimal | float | str) -> float:
+    """A number in the unit of its name in SI, rounded once: 3.7 µm is the float 3.7e-6."""
+    factor = units.to_si(name, 1.0)
+    return float(Decimal(str(value)) * Decimal(repr(factor)))
+
+
+def exact_edge(name: str, value: float) -> Decimal:
+    """An SI number in the unit of its name, without rounding: `exact_si` gives it back."""
+    factor = units.to_si(name, 1.0)
+    return Decimal(repr(value)) / Decimal(repr(factor))
+
+
+def build_effects(table: Mapping[str, Mapping[str, Decimal | float | str]]) -> tuple[Effect, ...]:
+    """The effects of a validated table {effect: {parameter: value in the unit of its name}}."""
+    return tuple(
+        EFFECTS[name](**{
+            p.field: exact_si(p.name, values[p.name])
+            for p in EFFECTS[name].parameters() if p.name in values
+        })
+        for name, values in table.items()
+    )
+
+
+def _known_only(what: str) -> Any:
+    def check(cls: type[pydantic.BaseModel], content: Any) -> Any:
+        for key in content if isinstance(content, dict) else ():
+            if key not in cls.model_fields:
+                known = ', '.join(cls.model_fields)
+                problem = PydanticCustomError('unknown', f'unknown {what}; known are {known}')
+                details = InitErrorDetails(type=problem, loc=(str(key),), input=key)
+                raise ValidationError.from_exception_data(cls.__name__, [details])
+        return content
+
+    return pydantic.model_validator(mode='before')(cast('Any', classmethod(check)))
+
+
+def _number(p: Parameter) -> Any:
+    low, high = (float(exact_edge(p.name, bound)) for bound in (p.low, p.high))
+    return Annotated[float, pydantic.Field(ge=low, le=high, allow_inf_nan=p.inverse)]
+
+
+def _settings_of(effect: type[Effect]) -> type[Settings]:
+    optional = effect.defaults()
+    fields: dict[str, Any] = {
+        p.name: (_number(p), optional.get(p.field, ...)) for p in effect.parameters()
+    }
+    checks = {'known': _known_only(f'parameter of {effect.id}')}
+    return pydantic.create_model(effect.id, __base__=Settings, __validators__=checks, **fields)
+
+
+_LIBRARY_SETTINGS = pydantic.create_model(
+    'effects', __base__=Settings, __validators__={'known': _known_only('effect')},
+    **cast('dict[str, Any]', {name: (_settings_of(e), None) for name, e in EFFECTS.items()}),
+)
+
+
+def _check(content: Any) -> dict[str, dict[str, float]]:
+    return _LIBRARY_SETTINGS.model_validate(content).model_dump(exclude_unset=True)
+
+
+EffectTable = Annotated[dict[str, dict[str, float]], pydantic.PlainValidator(_check)]
+"""The type of a settings field that holds effects: {effect: {parameter: value}}.
+
+Unknown names, missing parameters and values out of range are errors that name the key and what
+is known; `build_effects` makes the effects.
+"""
