@@ -62,12 +62,16 @@ class Winding(Settings):
 
 
 def _four_in_plane() -> tuple[Winding, ...]:
-    """Four identical coils around the workspace: 2.1 mT/A each, 4.3 mT/A an opposite pair."""
+    """Four identical coils around the workspace: 2.1 mT/A each, 4.3 mT/A an opposite pair.
+
+    In the order of the amplifiers' channels, each with its axis outwards: a uniform field takes
+    opposite currents in opposite coils, as the boards of the Delaware lab expect.
+    """
     places: dict[str, tuple[Vector, Vector]] = {
-        'x_plus': ((30.0, 0.0, 0.0), (1.0, 0.0, 0.0)),
-        'y_plus': ((0.0, 30.0, 0.0), (0.0, 1.0, 0.0)),
-        'x_minus': ((-30.0, 0.0, 0.0), (1.0, 0.0, 0.0)),
-        'y_minus': ((0.0, -30.0, 0.0), (0.0, 1.0, 0.0)),
+        'coil_plus_y': ((0.0, 30.0, 0.0), (0.0, 1.0, 0.0)),
+        'coil_plus_x': ((30.0, 0.0, 0.0), (1.0, 0.0, 0.0)),
+        'coil_minus_y': ((0.0, -30.0, 0.0), (0.0, -1.0, 0.0)),
+        'coil_minus_x': ((-30.0, 0.0, 0.0), (-1.0, 0.0, 0.0)),
     }
     return tuple(
         Winding(name=name, position_mm=position, axis=axis, radius_mm=20.0, vertices_mm=None,
@@ -79,7 +83,7 @@ def _four_in_plane() -> tuple[Winding, ...]:
 class CoilSettings(Settings):
     """Four coils and the field that is there without them.
 
-    Currents are ordered as `windings`. The default is a bench rig: 400 turns of 0.5 mm copper
+    Currents are ordered as `windings`, which are in the order of the amplifier's channels. The default is a bench rig: 400 turns of 0.5 mm copper
     wire on a 20 mm radius, 30 mm from the centre, four times.
     """
 
