@@ -21,16 +21,24 @@ from microbot_ros.drive.emulator import process
               show_default=True, help='Zero the coils this long after the last good command.')
 @click.option('--no-watchdog', is_flag=True,
               help='Keep the last command for ever, as much laboratory firmware does.')
+@click.option('--fault', 'faults', multiple=True, metavar='KIND[=VALUE][@START][+DURATION]',
+              help='What goes wrong, when and for how long [s]; may be repeated. A single - reads '
+                   'faults from standard input, one a line, as they come.')
 def command(protocol: str, link: Path, log: Path | None, full_scale_a: float, watchdog_ms: float,
-            no_watchdog: bool) -> None:
+            no_watchdog: bool, faults: tuple[str, ...]) -> None:
     """Emulate an amplifier that speaks PROTOCOL on a pseudo-terminal, until Ctrl-C or SIGTERM.
 
     The device's watchdog is on, as in the project's reference firmware; --no-watchdog models
     the firmware that keeps the last command when its host dies. A host may leave and come back;
     the emulated device keeps its state meanwhile, its watchdog running.
 
+    Faults: drop, flip, double (probability per byte), truncate (per message), delay (ms),
+    silence, reset, wrong_reply, over_temperature, open (coil 1 to 4), unplug.
+
     \b
-    Example:
+    Examples:
       microbot emulate serial_transfer --link /tmp/coils --log coils.jsonl
+      microbot emulate serial_transfer --link /tmp/coils --fault flip=0.01 --fault unplug@5+2
     """
-    process.run(protocol, link, log, full_scale_a, None if no_watchdog else watchdog_ms * 1e-3)
+    watchdog_s = None if no_watchdog else watchdog_ms * 1e-3
+    process.run(protocol, link, log, full_scale_a, watchdog_s, list(faults))

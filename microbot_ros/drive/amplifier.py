@@ -82,6 +82,7 @@ class Amplifier(ABC):
 
         Raises an AmplifierError, with the port given back, where any of it fails.
         """
+        self._unacknowledged.clear()
         try:
             self._open()
             self.zero()

@@ -59,6 +59,7 @@ class Reason(StrEnum):
     HEAT = 'coil heat'
     CLOCK = 'clock went wrong'
     LINE = 'line lost'
+    INTERNAL = 'internal error'
 
 
 @dataclass(frozen=True)

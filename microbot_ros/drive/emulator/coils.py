@@ -21,14 +21,20 @@ class Coils:
         self.full_scale_A = full_scale_A
         self.watchdog_s = watchdog_s
         self.currents_A: tuple[float, ...] = ()
+        """What flows, and is measured."""
+        self._wanted: list[float] = [0.0] * 4
+        self._dead: frozenset[int] = frozenset()
         self._log = log
         self._deadline_s = math.inf
         self.zero('reset')
 
-    def command(self, currents_A: Sequence[float]) -> None:
-        """Take currents from a good command and feed the watchdog."""
+    def command(self, wanted_A: dict[int, float] | Sequence[float]) -> None:
+        """Take the currents of some coils, by index, or of all, and feed the watchdog."""
         self.feed()
-        self._set(tuple(currents_A), 'command')
+        for coil, current in dict(wanted_A if isinstance(wanted_A, dict)
+                                  else enumerate(wanted_A)).items():
+            self._wanted[coil] = current
+        self._settle('command')
 
     def feed(self) -> None:
         """Start the watchdog's time anew."""
@@ -38,7 +44,14 @@ class Coils:
     def zero(self, cause: str) -> None:
         """Zero for a reason other than a command; the watchdog rests until the next command."""
         self._deadline_s = math.inf
-        self._set((0.0,) * 4, cause)
+        self._wanted = [0.0] * 4
+        self._settle(cause)
+
+    def kill(self, dead: frozenset[int], cause: str) -> None:
+        """No current flows in these coils, by index, until told otherwise."""
+        if dead != self._dead:
+            self._dead = dead
+            self._settle(cause)
 
     def due_s(self) -> float:
         """When the watchdog will zero the currents [s, monotonic]; inf where it rests."""
@@ -49,10 +62,12 @@ class Coils:
         if now_s >= self._deadline_s:
             self.zero('watchdog')
 
-    def _set(self, currents_A: tuple[float, ...], cause: str) -> None:
-        if currents_A == self.currents_A:
+    def _settle(self, cause: str) -> None:
+        currents = tuple(0.0 if coil in self._dead else wanted
+                         for coil, wanted in enumerate(self._wanted))
+        if currents == self.currents_A:
             return
-        self.currents_A = currents_A
-        entry = {'t_monotonic_s': time.monotonic(), 'currents_A': currents_A, 'cause': cause}
+        self.currents_A = currents
+        entry = {'t_monotonic_s': time.monotonic(), 'currents_A': currents, 'cause': cause}
         self._log.write(json.dumps(entry) + '\n')
         self._log.flush()

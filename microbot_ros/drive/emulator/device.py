@@ -16,6 +16,11 @@ class Device(ABC):
 
     def __init__(self, coils: Coils) -> None:
         self.coils = coils
+        self.impostor = False
+        """Whether it answers as another model would."""
+        self.hot = False
+        """Whether it is too hot to drive: no current flows, and it says so where it can."""
+        self.reset()
 
     @abstractmethod
     def receive(self, port: int, data: bytes, now_s: float) -> bytes:

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import importlib
+import os
 import signal
+import sys
+import time
 from contextlib import ExitStack
 from pathlib import Path
+from typing import TextIO
 
 from microbot_ros.drive.emulator.coils import Coils
 from microbot_ros.drive.emulator.device import Device
-from microbot_ros.drive.emulator.terminal import Line, serve
+from microbot_ros.drive.emulator.faults import Faults, parse
+from microbot_ros.drive.emulator.line import Line
+from microbot_ros.drive.emulator.server import Server
 from microbot_ros.errors import InputError
 
 DEVICES = {
@@ -19,31 +25,38 @@ DEVICES = {
 
 
 def run(protocol: str, link: Path, log: Path | None, full_scale_A: float,
-        watchdog_s: float | None) -> None:
+        watchdog_s: float | None, faults: list[str]) -> None:
     """Emulate until SIGINT or SIGTERM; then the coils are at zero and the link is gone.
 
-    A protocol with one port per coil gets the links `link`-1 to `link`-4. Raises InputError for
-    a link or a log that cannot be made.
+    A protocol with several ports gets the links `link`-1, `link`-2 and so on. A fault `-` means
+    that more come on standard input, one a line. Raises InputError for a link or a log that
+    cannot be made and for a fault that is none.
     """
     signals: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda received, _frame: signals.append(received))
     module, name = DEVICES[protocol].split(':')
     kind: type[Device] = getattr(importlib.import_module(module), name)
+    started = time.monotonic()
+    planned = Faults([parse(text, started) for text in faults if text != '-'])
     with ExitStack() as stack:
-        try:
-            stream = stack.enter_context((log or Path('/dev/null')).open('w', encoding='utf-8'))
-        except OSError as error:
-            problem = f'expected a file to write the log to ({error.strerror})'
-            raise InputError(log or '', problem) from None
-        coils = Coils(full_scale_A, watchdog_s, stream)
+        coils = Coils(full_scale_A, watchdog_s, stack.enter_context(_open_log(log)))
         lines = []
         for path in links(link, kind.ports):
             lines.append(Line(path))
-            stack.callback(lines[-1].close)
+            stack.callback(lines[-1].unplug)
         stack.callback(coils.zero, 'power_off')
+        server = Server(kind(coils), lines, planned, sys.stdin.fileno() if '-' in faults else None)
         print('serving', protocol, 'at', *(line.link for line in lines), flush=True)
-        serve(kind(coils), lines, lambda: bool(signals))
+        server.run(lambda: bool(signals))
+
+
+def _open_log(log: Path | None) -> TextIO:
+    try:
+        return (log or Path(os.devnull)).open('w', encoding='utf-8')
+    except OSError as error:
+        problem = f'expected a file to write the log to ({error.strerror})'
+        raise InputError(log or '', problem) from None
 
 
 def links(link: Path, ports: int) -> list[Path]:

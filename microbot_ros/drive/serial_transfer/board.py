@@ -19,7 +19,6 @@ class Board(Device):
 
     def __init__(self, coils: Coils) -> None:
         super().__init__(coils)
-        self._decoder = codec.Decoder(codec.COMMAND_BYTES)
         self._due_s = 0.0
 
     def receive(self, port: int, data: bytes, now_s: float) -> bytes:
@@ -44,4 +43,5 @@ class Board(Device):
         self._decoder = codec.Decoder(codec.COMMAND_BYTES)
 
     def _report(self) -> bytes:
-        return codec.encode(codec.measurement((*self.coils.currents_A, 0.0, 0.0)))
+        report = codec.measurement((*self.coils.currents_A, 0.0, 0.0))
+        return codec.encode(report[:-4] if self.impostor else report)

@@ -1,0 +1,144 @@
+"""Gate and amplifier at work: commands in, readings out, and a dead-man that needs no caller."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+
+import numpy as np
+
+from microbot_ros.drive.amplifier import Amplifier, Command, Reading
+from microbot_ros.drive.errors import AmplifierError
+from microbot_ros.drive.gate import Gate, Limits, Reason
+
+_TICK_S = 0.01
+"""How late the dead-man can be, beside the gate's own times."""
+_REFRESH_S = 0.04
+"""The present output goes out again this often: a device's watchdog is fed while commands hold,
+and a zero that the line damaged is not the last word."""
+_BACKOFF_S = (0.1, 2.0)
+"""First and longest pause between attempts to reconnect; each is twice the one before."""
+
+
+class CoilDriver:
+    """Drives one amplifier through one gate; a thread reads, watches and reconnects.
+
+    The thread lives from `start` to `stop` and does all that must happen without being asked:
+    stale commands, silence and deviation end in zero, whatever hangs elsewhere in the process;
+    a lost line is latched as a fault and reopened with zero, still disarmed. `on_reading` is
+    called in that thread for each reading.
+    """
+
+    def __init__(self, amplifier: Amplifier, limits: Limits,
+                 on_reading: Callable[[Reading], None]) -> None:
+        self.amplifier = amplifier
+        self.gate = Gate(limits)
+        self.connected = False
+        self._on_reading = on_reading
+        self._lock = threading.Lock()
+        self._sent_s = 0.0
+        self._ending = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def start(self) -> None:
+        """Connect, with zero current; raises AmplifierError where that fails."""
+        self.amplifier.connect()
+        self.connected = True
+        self._ending.clear()
+        self._thread = threading.Thread(target=self._run, name='coil driver', daemon=True)
+        self._thread.start()
+
+    def stop(self) -> bool:
+        """Zero, read back, release the port; True where a reading confirmed the zero."""
+        with self._lock:
+            self.gate.revoke()
+        self._ending.set()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+        return self._disconnect()
+
+    def arm(self) -> str | None:
+        """Let currents flow from now on; or, where that is not safe, say why not."""
+        with self._lock:
+            if not self.connected:
+                return 'the amplifier is not connected'
+            return self.gate.arm(time.monotonic())
+
+    def disarm(self) -> None:
+        """Zero at once."""
+        with self._lock:
+            self.gate.revoke()
+            self._write_output()
+
+    def command(self, currents_A: Sequence[float] | np.ndarray) -> Command | None:
+        """Currents [A], shape (4,), through the gate to the line at once.
+
+        The answer is what went out, zeros if the gate tripped; None where nothing did: disarmed
+        or not connected.
+        """
+        with self._lock:
+            was_armed = self.gate.armed
+            self.gate.command(tuple(currents_A), time.monotonic())
+            return self._write_output() if was_armed else None
+
+    def _write_output(self) -> Command | None:
+        if not self.connected:
+            return None
+        try:
+            self._sent_s = time.monotonic()
+            return self.amplifier.write(self.gate.output)
+        except AmplifierError as error:
+            self._lose(error)
+            return None
+
+    def _run(self) -> None:
+        pause_s = _BACKOFF_S[0]
+        try:
+            while not self._ending.is_set():
+                if self.connected:
+                    self._serve()
+                    pause_s = _BACKOFF_S[0]
+                    continue
+                self.amplifier.close()
+                if not self._ending.wait(pause_s):
+                    pause_s = min(2 * pause_s, _BACKOFF_S[1])
+                    self._reconnect()
+        except BaseException as error:
+            with self._lock:
+                self.gate.trip(Reason.INTERNAL, repr(error))
+            self._disconnect()
+            raise
+
+    def _serve(self) -> None:
+        """Wait for readings or one tick, then let the gate judge what there is."""
+        try:
+            readings = self.amplifier.poll(_TICK_S)
+        except AmplifierError as error:
+            with self._lock:
+                self._lose(error)
+            return
+        with self._lock:
+            before = self.gate.output
+            now = time.monotonic()
+            for reading in readings:
+                self.gate.measured(reading.currents_A.tolist(), now)
+            if self.gate.tick(now) != before or now - self._sent_s >= _REFRESH_S:
+                self._write_output()
+        for reading in readings:
+            self._on_reading(reading)
+
+    def _lose(self, error: AmplifierError) -> None:
+        self.connected = False
+        self.gate.trip(Reason.LINE, str(error))
+
+    def _reconnect(self) -> None:
+        with suppress(AmplifierError):
+            self.amplifier.connect()
+            self.connected = True
+
+    def _disconnect(self) -> bool:
+        self.connected = False
+        return self.amplifier.close()

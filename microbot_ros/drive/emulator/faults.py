@@ -1,0 +1,111 @@
+"""What can go wrong on a line or in a device, on command and at a set time."""
+
+from __future__ import annotations
+
+import math
+import random
+import re
+from dataclasses import dataclass
+
+from microbot_ros.errors import InputError
+
+KINDS: dict[str, tuple[float, str]] = {
+    'drop': (0.01, 'lose each byte with probability VALUE'),
+    'flip': (0.01, 'flip one bit of each byte with probability VALUE'),
+    'double': (0.01, 'repeat each byte with probability VALUE'),
+    'truncate': (0.1, 'cut each message short with probability VALUE'),
+    'delay': (100.0, 'answer VALUE ms late'),
+    'silence': (0.0, 'listen and answer nothing'),
+    'reset': (0.0, 'restart the device once'),
+    'wrong_reply': (0.0, 'answer as another model does'),
+    'over_temperature': (0.0, 'switch the outputs off for heat'),
+    'open': (1.0, 'break the wire of coil VALUE, 1 to 4'),
+    'unplug': (0.0, 'take the line away'),
+}
+"""Kind of fault → value where none is given, what it does."""
+
+_BYTE_FAULTS = frozenset({'drop', 'flip', 'double'})
+_SYNTAX = re.compile(r'([a-z_]+)(?:=([\d.]+))?(?:@([\d.]+))?(?:\+([\d.]+))?')
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault and when it holds [s, monotonic]."""
+
+    kind: str
+    value: float
+    start_s: float
+    end_s: float
+
+
+def parse(text: str, now_s: float) -> Fault:
+    """A fault written as `KIND[=VALUE][@START][+DURATION]`, in seconds from `now_s`.
+
+    Without START it begins at once, without DURATION it stays. Raises InputError.
+    """
+    match = _SYNTAX.fullmatch(text.strip())
+    try:
+        kind, *numbers = match.groups() if match else ('', None, None, None)
+        value, start, duration = (None if n is None else float(n) for n in numbers)
+    except ValueError:
+        kind = ''
+    if kind not in KINDS:
+        known = ', '.join(KINDS)
+        raise InputError('--fault', f"expected KIND[=VALUE][@START][+DURATION] with one of "
+                         f"{known}; received '{text}'")
+    value = KINDS[kind][0] if value is None else value
+    if not _valid(kind, value):
+        raise InputError('--fault', f"{kind}: to {KINDS[kind][1]}; received '{text}'")
+    begin = now_s + (start or 0.0)
+    return Fault(kind, value, begin, begin + duration if duration is not None else math.inf)
+
+
+def _valid(kind: str, value: float) -> bool:
+    if kind == 'open':
+        return value in (1.0, 2.0, 3.0, 4.0)
+    return 0.0 <= value <= (1.0 if kind in _BYTE_FAULTS | {'truncate'} else 60_000.0)
+
+
+class Faults:
+    """The faults of one emulated amplifier, drawn from one seeded source."""
+
+    def __init__(self, faults: list[Fault]) -> None:
+        self._faults = faults
+        self._reset_done: set[Fault] = set()
+        self._random = random.Random(0)
+
+    def add(self, fault: Fault) -> None:
+        """Let one more fault happen."""
+        self._faults.append(fault)
+
+    def value(self, kind: str, now_s: float) -> float | None:
+        """The value of a kind of fault that holds now, None where it does not."""
+        return next((fault.value for fault in self._faults
+                     if fault.kind == kind and fault.start_s <= now_s < fault.end_s), None)
+
+    def reset_due(self, now_s: float) -> bool:
+        """Whether a reset has come up that was not reported before."""
+        due = {fault for fault in self._faults
+               if fault.kind == 'reset' and fault.start_s <= now_s} - self._reset_done
+        self._reset_done |= due
+        return bool(due)
+
+    def damage(self, message: bytes, now_s: float) -> bytes:
+        """What arrives of a message that went on the line now."""
+        if not self._faults:
+            return message
+        cut = self.value('truncate', now_s)
+        if cut is not None and message and self._random.random() < cut:
+            message = message[:self._random.randrange(len(message))]
+        for kind in sorted(_BYTE_FAULTS):
+            probability = self.value(kind, now_s)
+            if probability is not None:
+                message = b''.join(self._damaged(kind, byte, probability) for byte in message)
+        return message
+
+    def _damaged(self, kind: str, byte: int, probability: float) -> bytes:
+        if self._random.random() >= probability:
+            return bytes((byte,))
+        if kind == 'flip':
+            return bytes((byte ^ 1 << self._random.randrange(8),))
+        return b'' if kind == 'drop' else bytes((byte, byte))
