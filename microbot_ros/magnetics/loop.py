@@ -1,4 +1,4 @@
-"""Field and gradient of a circular current loop, exact to rounding from the axis to infinity.
+"""Field and gradient of a circular current loop, exact to rounding from the wire to infinity.
 
 The loop has radius a, lies in its own plane z = 0 about the origin and carries 1 A,
 counterclockwise seen from +z. With D² = a² + ρ² + z² − 2aρ cos φ, Biot and Savart's law
@@ -14,7 +14,11 @@ and the arithmetic–geometric mean of 1 and √q and its differences cₙ (DLMF
     ∮ cos φ/D⁵ = 4uH/(βα⁴),  H = K (2 − u − 2 (1 − u + u²) t)/3.
 
 The textbook forms with E − K lose their digits at the axis and far away, where the leading terms
-cancel; here these are cancelled on paper, so that u → 0 is an ordinary point.
+cancel; here these are cancelled on paper, so that u → 0 is an ordinary point. Beside the wire,
+q → 0, it is ∮ (a − ρ cos φ)/Dⁿ that cancels; there it is taken from
+
+    aE − ρuG = (a − ρ) E + 2ρq K (1/2 + u t),
+    aP − ρuH = (a − ρ) P + 2ρq ((1 − 2q) E + q K)/(3u).
 """
 
 from __future__ import annotations
@@ -33,6 +37,9 @@ ON_WIRE = 1e-12
 # unit; a block's quantities are the rows of one array.
 _BLOCK = 128
 _X, _Y, _Z, _RHO, _ALPHA2, _BETA2, _U, _MEAN, _SCALED, _DIFFERENCE, _T = range(11)
+
+# Where q is below this, the forms for beside the wire hold.
+_BESIDE = 0.1
 
 _compiled = numba.njit(cache=True, error_model='numpy', fastmath={'contract'})
 
@@ -96,14 +103,15 @@ def loop_field(points: np.ndarray, centre: np.ndarray, axes: np.ndarray, a: floa
         _locate(here, centre, axes, a, block)
         _integrate(len(here), block)
         for i in range(len(here)):
-            u, t, beta2 = block[_U, i], block[_T, i], block[_BETA2, i]
-            K = 0.5 * math.pi / block[_MEAN, i]
+            u, t, rho, beta2 = block[_U, i], block[_T, i], block[_RHO, i], block[_BETA2, i]
+            q, K = block[_ALPHA2, i] / beta2, 0.5 * math.pi / block[_MEAN, i]
             E = K * (1 - u * (0.5 + u * t))
-            G = K * (0.5 - (2 - u) * t) * 4 * a / beta2
+            G = K * (0.5 - (2 - u) * t)
+            beside = (a - rho) * E + 2 * rho * q * K * (0.5 + u * t)
             common = turns * MU_0 / math.pi * a / (math.sqrt(beta2) * block[_ALPHA2, i])
-            bx = common * G * block[_Z, i] * block[_X, i]
-            by = common * G * block[_Z, i] * block[_Y, i]
-            bz = common * (a * E - G * block[_RHO, i] ** 2)
+            radial = common * G * 4 * a / beta2 * block[_Z, i]
+            bx, by = radial * block[_X, i], radial * block[_Y, i]
+            bz = common * (beside if q < _BESIDE else a * E - rho * u * G)
             for j in range(3):
                 out[start + i, j] = axes[j, 0] * bx + axes[j, 1] * by + axes[j, 2] * bz
 
@@ -138,7 +146,10 @@ def _local_gradient(point: np.ndarray, a: float, turns: float, out: np.ndarray) 
     common = turns * MU_0 / math.pi * a / (math.sqrt(beta2) * alpha2)
     # Bρ/ρ, ∂Bz/∂z, ∂Bz/∂ρ = ∂Bρ/∂z, and ∂Bρ/∂ρ − Bρ/ρ from the zero divergence.
     hoop = common * G * 4 * a * z / beta2
-    axial = -3 * common * z * (a * P - point[_RHO] * u * H) / alpha2
+    along = a * P - point[_RHO] * u * H
+    if q < _BESIDE:
+        along = (a - point[_RHO]) * P + 2 * point[_RHO] * q * ((1 - 2 * q) * E + q * K) / (3 * u)
+    axial = -3 * common * z * along / alpha2
     shear = common * u * (G - 3 * z * z * H / alpha2)
     excess = -(2 * hoop + axial)
     # On the axis shear and excess vanish, whatever direction ρ is given.
