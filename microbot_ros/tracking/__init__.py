@@ -1,0 +1,13 @@
+"""From frames to particles with lasting identities; from pixels to metres."""
+
+from microbot_ros.tracking.appearance import Appearance
+from microbot_ros.tracking.camera import ImageToWorkspace
+from microbot_ros.tracking.learn import learn
+from microbot_ros.tracking.settings import TrackerSettings
+from microbot_ros.tracking.source import DeviceSource, Frame, Source, grey, open_source
+from microbot_ros.tracking.tracker import FrameError, Poses, Tracker
+
+__all__ = [
+    'Appearance', 'DeviceSource', 'Frame', 'FrameError', 'ImageToWorkspace', 'Poses', 'Source',
+    'Tracker', 'TrackerSettings', 'grey', 'learn', 'open_source',
+]

@@ -1,0 +1,80 @@
+"""The one transform between what the camera reports and where things are."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class ImageToWorkspace:
+    """Pixels ↔ metres, and the angles and vectors that go with them.
+
+    Image: x right, y down, the centre of the first pixel at (0, 0); image angles turn from x
+    towards y, clockwise on the screen. Workspace: x along the x coils, y up, the origin at the
+    centre of the image; angles counter-clockwise. `pixel_size` [m]; `rotation` [rad] is the
+    workspace angle of the image's x axis; `width` and `height` [px]; `mirrored` is True where
+    the optics mirror the picture, so that image y already points the workspace's way.
+    """
+
+    pixel_size: float
+    width: int
+    height: int
+    rotation: float = 0.0
+    mirrored: bool = False
+
+    def __post_init__(self) -> None:
+        if not (0 < self.pixel_size < math.inf and math.isfinite(self.rotation)):
+            raise ValueError(
+                'pixel_size must be positive and rotation finite; received '
+                f'{self.pixel_size} m, {self.rotation} rad'
+            )
+        if not (self.width > 0 and self.height > 0):
+            raise ValueError(
+                f'the image must have pixels; received {self.width}×{self.height}'
+            )
+
+    @property
+    def _centre(self) -> np.ndarray:
+        return np.array([(self.width - 1) / 2, (self.height - 1) / 2])
+
+    @property
+    def _matrix(self) -> np.ndarray:
+        """Metres per pixel: the y flip first, then the rotation."""
+        c, s = math.cos(self.rotation), math.sin(self.rotation)
+        flip = 1.0 if self.mirrored else -1.0
+        return self.pixel_size * np.array([[c, -s * flip], [s, c * flip]])
+
+    def position(self, pixels: np.ndarray) -> np.ndarray:
+        """Workspace positions [m] of image points [px], both (..., 2)."""
+        return (np.asarray(pixels, float) - self._centre) @ self._matrix.T
+
+    def pixels(self, position: np.ndarray) -> np.ndarray:
+        """Image points [px] of workspace positions [m], both (..., 2)."""
+        return np.asarray(position, float) @ np.linalg.inv(self._matrix).T + self._centre
+
+    def vector(self, pixels: np.ndarray) -> np.ndarray:
+        """Displacements or velocities [px, px/s] as [m, m/s], both (..., 2)."""
+        return np.asarray(pixels, float) @ self._matrix.T
+
+    def vector_pixels(self, vector: np.ndarray) -> np.ndarray:
+        """Displacements or velocities [m, m/s] as [px, px/s], both (..., 2)."""
+        return np.asarray(vector, float) @ np.linalg.inv(self._matrix).T
+
+    def angle(self, image_angle: np.ndarray) -> np.ndarray:
+        """Workspace angles [rad] in (−π, π] of image angles [rad]; NaN stays NaN."""
+        return _wrapped(self.rotation + self._sense * np.asarray(image_angle, float))
+
+    def image_angle(self, angle: np.ndarray) -> np.ndarray:
+        """Image angles [rad] in (−π, π] of workspace angles [rad]; NaN stays NaN."""
+        return _wrapped(self._sense * (np.asarray(angle, float) - self.rotation))
+
+    @property
+    def _sense(self) -> float:
+        return 1.0 if self.mirrored else -1.0
+
+
+def _wrapped(angle: np.ndarray) -> np.ndarray:
+    return np.pi - np.mod(np.pi - angle, 2 * np.pi)

@@ -1,0 +1,201 @@
+"""From a picture to measured particles: search, fit, reject what is not a particle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from microbot_ros.tracking.appearance import Appearance
+from microbot_ros.tracking.fit import (
+    CONTRAST,
+    OFFSET,
+    PARAMETERS,
+    SIZE,
+    TABLE_STEP,
+    THETA,
+    X,
+    Y,
+    fit,
+)
+from microbot_ros.tracking.lattice import Lattice
+from microbot_ros.tracking.search import MatchedFilter, background
+from microbot_ros.tracking.settings import TrackerSettings
+
+_ITERATIONS = 3
+_SWEEPS = 2
+
+_CLOSEST = 0.4
+"""Diameters: two fits nearer than this are one particle twice."""
+
+_OWN_PEAK = 0.6
+"""Diameters: a peak nearer than this to where a particle is expected may be it."""
+
+_TOUCHING = 1.3
+"""Diameters: a peak nearer than this to where a particle is expected may hide it."""
+
+_THETA_KNOWN = 0.6
+"""Radians: a cap direction less certain than this is not published."""
+
+
+@dataclass(frozen=True)
+class Detections:
+    """Particles of one picture, arrays of equal length N.
+
+    `xy` (N, 2) [px]; `sigma` its standard deviation per coordinate [px]; `theta` cap direction
+    [rad, image sense], NaN where it does not show; `contrast` [grey]; `radius` [px] at half
+    contrast; `quality` share of the particle's picture that the fit explains, noise allowed for.
+    """
+
+    xy: np.ndarray
+    sigma: np.ndarray
+    theta: np.ndarray
+    contrast: np.ndarray
+    radius: np.ndarray
+    quality: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.xy)
+
+    def __getitem__(self, rows: np.ndarray) -> Detections:
+        return Detections(*(getattr(self, part.name)[rows] for part in fields(self)))
+
+
+class RoundDetector:
+    """Particles that one learned picture fits."""
+
+    def __init__(self, appearance: Appearance, settings: TrackerSettings) -> None:
+        self.appearance = appearance
+        self._settings = settings
+        self._filter = MatchedFilter(appearance)
+        self._spacing = max(4, int(np.ceil(appearance.diameter_px)))
+        self._lattice = None if appearance.capped else Lattice(appearance)
+        self._working_space = np.zeros((0, 0), np.float32)
+        radii = np.arange(appearance.table.shape[1]) * TABLE_STEP
+        self._energy = 2 * np.pi * TABLE_STEP * float(np.sum(radii * appearance.table[0] ** 2))
+
+    def detect(self, image: np.ndarray, expected: np.ndarray) -> Detections:
+        """All particles of `image` (H, W).
+
+        `expected` (M, 2) [px] is where known particles should be. Where fewer peaks are found
+        than particles are expected, the fit starts from the expectations as well, so that
+        touching particles are told apart.
+        """
+        peaks, noise = self._filter.candidates(
+            image, self._settings.min_detection_sigma, 0.7 * self.appearance.min_contrast_grey)
+        grid = background(image, self._spacing)
+        found, hidden = self._assign(peaks, expected)
+        rows = _starts(np.vstack([found, hidden]))
+        errors = self._fit(image, grid, rows, np.ones(len(rows), bool))
+        good = self._acceptable(rows, errors, noise)
+        wrong = np.flatnonzero(~good[len(found):]) + len(found)
+        if len(wrong):
+            self._without(wrong, peaks, image, grid, rows, errors)
+            good = self._acceptable(rows, errors, noise)
+        return self._detections(rows[good], errors[good], noise)
+
+    def _assign(self, peaks: np.ndarray, expected: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Where to start: the peaks, and expected particles hidden in the peak of another.
+
+        A peak that two particles share lies between them, so it starts from the expectation.
+        """
+        found, hidden = peaks.copy(), np.empty((0, 3))
+        if len(peaks) == 0 or len(expected) == 0:
+            return found, hidden
+        distance = np.linalg.norm(expected[:, None] - peaks[None, :, :2], axis=2)
+        diameter = self.appearance.diameter_px
+        owner = np.full(len(peaks), -1)
+        homeless = []
+        for i in np.argsort(distance.min(axis=1)):
+            for k in np.argsort(distance[i])[:4]:
+                if owner[k] < 0 and distance[i, k] < _OWN_PEAK * diameter:
+                    owner[k] = i
+                    break
+            else:
+                homeless.append(i)
+        extra = []
+        for i in homeless:
+            k = int(np.argmin(distance[i]))
+            if distance[i, k] < _TOUCHING * diameter and owner[k] >= 0:
+                found[k, :2] = expected[owner[k]]
+                extra.append([*expected[i], peaks[k, 2]])
+        return found, np.array(extra).reshape(-1, 3)
+
+    def _fit(
+        self, image: np.ndarray, grid: np.ndarray, rows: np.ndarray, active: np.ndarray
+    ) -> np.ndarray:
+        """Fit the active rows in place; a cap's direction needs the fit pixel by pixel."""
+        if self._lattice is not None:
+            return self._lattice.fit(
+                image, grid, self._spacing, rows, active, self._model(image), _SWEEPS)
+        return fit(
+            image, grid, self._spacing, rows, active, self.appearance.table,
+            self.appearance.reach_px, _ITERATIONS, _SWEEPS)
+
+    def _without(
+        self, wrong: np.ndarray, peaks: np.ndarray, image: np.ndarray, grid: np.ndarray,
+        rows: np.ndarray, errors: np.ndarray,
+    ) -> None:
+        """Take hidden particles that are not there out again, and refit what they disturbed."""
+        reach = 2 * self.appearance.reach_px
+        offset = np.abs(rows[None, :len(peaks), :2] - rows[wrong, None, :2])
+        disturbed = np.zeros(len(rows), bool)
+        disturbed[:len(peaks)] = np.any(np.all(offset < reach, axis=2), axis=0)
+        rows[wrong] = _starts(np.zeros((len(wrong), 3)))
+        errors[wrong] = np.nan
+        rows[disturbed] = _starts(peaks[disturbed[:len(peaks)]])
+        again = self._fit(image, grid, rows, disturbed)
+        errors[disturbed] = again[disturbed]
+
+    def _model(self, image: np.ndarray) -> np.ndarray:
+        if self._working_space.shape != image.shape:
+            self._working_space = np.zeros(image.shape, np.float32)
+        return self._working_space
+
+    def _acceptable(self, rows: np.ndarray, errors: np.ndarray, noise: float) -> np.ndarray:
+        """Whether each fit is a particle: contrast, size, sharpness, and no other on top of it."""
+        settings, tolerance = self._settings, self._settings.size_tolerance
+        good = rows[:, CONTRAST] >= self.appearance.min_contrast_grey
+        good &= rows[:, CONTRAST] >= settings.min_detection_sigma * errors[:, CONTRAST]
+        good &= (rows[:, SIZE] <= tolerance) & (rows[:, SIZE] >= 1 / tolerance)
+        good &= self._quality(rows, errors, noise) >= settings.min_quality
+        return good & ~_doubled(rows, good, _CLOSEST * self.appearance.diameter_px)
+
+    def _quality(self, rows: np.ndarray, errors: np.ndarray, noise: float) -> np.ndarray:
+        misfit = np.maximum(errors[:, PARAMETERS] - noise**2, 0) * errors[:, PARAMETERS + 1]
+        energy = self._energy * (rows[:, CONTRAST] * rows[:, SIZE]) ** 2
+        with np.errstate(divide='ignore', invalid='ignore'):
+            return 1 - misfit / energy
+
+    def _detections(self, rows: np.ndarray, errors: np.ndarray, noise: float) -> Detections:
+        theta = np.where(errors[:, THETA] < _THETA_KNOWN, rows[:, THETA], np.nan)
+        return Detections(
+            xy=rows[:, [X, Y]],
+            sigma=np.sqrt(np.mean(errors[:, [X, Y]] ** 2, axis=1)),
+            theta=np.pi - np.mod(np.pi - theta, 2 * np.pi),
+            contrast=rows[:, CONTRAST],
+            radius=rows[:, SIZE] * self.appearance.diameter_px / 2,
+            quality=self._quality(rows, errors, noise),
+        )
+
+
+def _starts(peaks: np.ndarray) -> np.ndarray:
+    """Parameters to start a fit from rows x, y, contrast."""
+    rows = np.full((len(peaks), PARAMETERS), np.nan)
+    rows[:, [X, Y, CONTRAST]] = peaks
+    rows[:, OFFSET] = 0.0
+    rows[:, SIZE] = 1.0
+    return rows
+
+
+def _doubled(rows: np.ndarray, good: np.ndarray, closest: float) -> np.ndarray:
+    """Whether a particle of higher contrast, itself good, lies closer than `closest`."""
+    from scipy.spatial import cKDTree
+
+    doubled = np.zeros(len(rows), bool)
+    places = np.flatnonzero(good)
+    if len(places) > 1:
+        pairs = places[cKDTree(rows[places, :2]).query_pairs(closest, output_type='ndarray')]
+        weaker = np.argmin(rows[pairs, CONTRAST], axis=1)
+        doubled[pairs[np.arange(len(pairs)), weaker]] = True
+    return doubled

@@ -1,0 +1,220 @@
+"""The same fit as `fit`, for round particles, in a fixed number of dot products.
+
+For a particle near the centre of one cell of a sub-pixel lattice, the picture is linear in
+contrast, offset and small changes of position and size. The least-squares solution is then a
+fixed set of filters per cell, computed once. Each turn moves a particle to its nearest cell, so
+after two turns what is left to the linear step is a sixteenth of a pixel.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+from microbot_ros.tracking.appearance import Appearance
+from microbot_ros.tracking.fit import (
+    CONTRAST,
+    OFFSET,
+    PARAMETERS,
+    SIZE,
+    TABLE_STEP,
+    X,
+    Y,
+    background_at,
+)
+
+_CELLS = 8
+"""Cells per pixel and axis."""
+
+_FAST = {'reassoc', 'contract', 'arcp', 'nsz'}
+_UNKNOWNS = (CONTRAST, X, Y, SIZE, OFFSET)
+_LARGEST_CHANGE = 0.75
+
+
+class Lattice:
+    """Filters of every sub-pixel cell for one appearance."""
+
+    def __init__(self, appearance: Appearance) -> None:
+        self.half = int(np.ceil(appearance.reach_px)) + 1
+        v, u = np.mgrid[-self.half:self.half + 1, -self.half:self.half + 1].astype(float)
+        shape = (_CELLS, _CELLS)
+        self._filters = np.zeros((*shape, 5, *u.shape), np.float32)
+        self._picture = np.zeros((*shape, *u.shape), np.float32)
+        self._disc = np.zeros((*shape, *u.shape), np.float32)
+        self._normal = np.zeros((*shape, 5, 5))
+        self._covariance = np.zeros((*shape, 5, 5))
+        for j in range(_CELLS):
+            for i in range(_CELLS):
+                x, y = (np.array([i, j]) + 0.5) / _CELLS - 0.5
+                self._fill(j, i, u - x, v - y, appearance)
+
+    def _fill(
+        self, j: int, i: int, u: np.ndarray, v: np.ndarray, appearance: Appearance
+    ) -> None:
+        radii = np.arange(appearance.table.shape[1]) * TABLE_STEP
+        profile = appearance.table[0]
+        r = np.maximum(np.hypot(u, v), 1e-9)
+        slope = np.interp(r, radii, np.gradient(profile, TABLE_STEP), right=0.0)
+        picture = np.interp(r, radii, profile, right=0.0)
+        disc = r <= appearance.reach_px
+        columns = [picture, -slope * u / r, -slope * v / r, -slope * r, np.ones_like(r)]
+        design = np.array([(column * disc).ravel() for column in columns])
+        normal = design @ design.T
+        covariance = np.linalg.inv(normal)
+        self._normal[j, i], self._covariance[j, i] = normal, covariance
+        self._filters[j, i] = (covariance @ design).reshape(5, *r.shape)
+        self._picture[j, i] = picture
+        self._disc[j, i] = disc
+
+    def fit(
+        self, image: np.ndarray, grid: np.ndarray, spacing: int, parameters: np.ndarray,
+        active: np.ndarray, model: np.ndarray, turns: int,
+    ) -> np.ndarray:
+        """Fit particles in place; see `fit.fit` for what goes in and out.
+
+        `model` (H, W) float32 zeros: working space, zero again afterwards. Beyond the edge of
+        the picture its last pixels are repeated.
+        """
+        return _fit(
+            image, grid, spacing, parameters, active, model, turns, self._filters,
+            self._picture, self._disc, self._normal, self._covariance)
+
+
+@numba.njit(cache=True, inline='always')
+def _place(row):  # type: ignore[no-untyped-def]
+    """Whole pixel and lattice cell of a position."""
+    x, y = math.floor(row[X] + 0.5), math.floor(row[Y] + 0.5)
+    i = min(int((row[X] - x + 0.5) * _CELLS), _CELLS - 1)
+    j = min(int((row[Y] - y + 0.5) * _CELLS), _CELLS - 1)
+    return int(x), int(y), i, j
+
+
+@numba.njit(cache=True, fastmath=_FAST)
+def _draw(model, row, scale, pictures):  # type: ignore[no-untyped-def]
+    """Add `scale` times the particle to the model."""
+    x, y, i, j = _place(row)
+    picture = pictures[j, i]
+    half = picture.shape[0] // 2
+    contrast = np.float32(scale * row[CONTRAST])
+    left, right = max(x - half, 0), min(x + half + 1, model.shape[1])
+    for py in range(max(y - half, 0), min(y + half + 1, model.shape[0])):
+        line = model[py, left:right]
+        drawn = picture[py - y + half, left - x + half:right - x + half]
+        for k in range(line.size):
+            line[k] += contrast * drawn[k]
+
+
+@numba.njit(cache=True, fastmath=_FAST)
+def _gather(image, grid, spacing, model, x, y, disc, window):  # type: ignore[no-untyped-def]
+    """What light and neighbours leave in a window; returns its sum of squares in the disc."""
+    side = window.shape[0]
+    half = side // 2
+    height, width = image.shape
+    light = background_at(grid, spacing, float(x), float(y))
+    slope_x = (background_at(grid, spacing, float(x + half), float(y))
+               - background_at(grid, spacing, float(x - half), float(y))) / (2 * half)
+    slope_y = (background_at(grid, spacing, float(x), float(y + half))
+               - background_at(grid, spacing, float(x), float(y - half))) / (2 * half)
+    step = np.float32(slope_x)
+    whole = half <= x < width - half and half <= y < height - half
+    for dy in range(side):
+        start = np.float32(light + slope_y * (dy - half) - slope_x * half)
+        py = min(max(y - half + dy, 0), height - 1)
+        if whole:
+            line = image[py, x - half:x - half + side]
+            drawn = model[py, x - half:x - half + side]
+            for k in range(side):
+                window[dy, k] = np.float32(line[k]) - drawn[k] - start - step * np.float32(k)
+        else:
+            for k in range(side):
+                px = min(max(x - half + k, 0), width - 1)
+                rest = np.float32(image[py, px]) - model[py, px]
+                window[dy, k] = rest - start - step * np.float32(k)
+    squares = np.float32(0.0)
+    flat, weight = window.ravel(), disc.ravel()
+    for k in range(flat.size):
+        squares += flat[k] * flat[k] * weight[k]
+    return squares
+
+
+@numba.njit(cache=True, fastmath=_FAST)
+def _project(window, filters, solution):  # type: ignore[no-untyped-def]
+    flat = window.ravel()
+    for k in range(5):
+        row = filters[k].ravel()
+        total = np.float32(0.0)
+        for m in range(flat.size):
+            total += row[m] * flat[m]
+        solution[k] = total
+
+
+@numba.njit(cache=True, fastmath=_FAST)
+def _update(row, solution, i, j, x, y):  # type: ignore[no-untyped-def]
+    """Parameters from the linear solution about the centre of a cell."""
+    contrast = solution[0]
+    row[CONTRAST] = contrast
+    row[OFFSET] = solution[4]
+    if not abs(contrast) > 1e-6:
+        return
+    dx, dy = solution[1] / contrast, solution[2] / contrast
+    longest = max(abs(dx), abs(dy)) / _LARGEST_CHANGE
+    if longest > 1:
+        dx, dy = dx / longest, dy / longest
+    row[X] = x + (i + 0.5) / _CELLS - 0.5 + dx
+    row[Y] = y + (j + 0.5) / _CELLS - 0.5 + dy
+    row[SIZE] = 1 + solution[3] / contrast
+
+
+@numba.njit(cache=True, fastmath=_FAST)
+def _conclude(row, errors, squares, solution, normal, covariance, pixels):  # type: ignore[no-untyped-def]
+    explained = 0.0
+    for m in range(5):
+        for n in range(5):
+            explained += solution[m] * normal[m, n] * solution[n]
+    variance = max(squares - explained, 0.0) / (pixels - 5)
+    contrast = max(abs(row[CONTRAST]), 1e-6)
+    errors[CONTRAST] = math.sqrt(variance * covariance[0, 0])
+    errors[X] = math.sqrt(variance * covariance[1, 1]) / contrast
+    errors[Y] = math.sqrt(variance * covariance[2, 2]) / contrast
+    errors[SIZE] = math.sqrt(variance * covariance[3, 3]) / contrast
+    errors[OFFSET] = math.sqrt(variance * covariance[4, 4])
+    errors[PARAMETERS] = variance
+    errors[PARAMETERS + 1] = pixels
+
+
+@numba.njit(cache=True)
+def _fit(image, grid, spacing, parameters, active, model, turns, filters, pictures, discs, normals, covariances):  # type: ignore[no-untyped-def]  # noqa: E501
+    count = parameters.shape[0]
+    errors = np.full((count, PARAMETERS + 2), np.nan)
+    window = np.empty(pictures.shape[2:], np.float32)
+    half = window.shape[0] // 2
+    solution = np.empty(5)
+    inside = active.copy()
+    for n in range(count):
+        _draw(model, parameters[n], 1.0, pictures)
+    for turn in range(turns):
+        for n in range(count):
+            if not inside[n]:
+                continue
+            row = parameters[n]
+            _draw(model, row, -1.0, pictures)
+            x, y, i, j = _place(row)
+            squares = _gather(image, grid, spacing, model, x, y, discs[j, i], window)
+            _project(window, filters[j, i], solution)
+            _update(row, solution, i, j, x, y)
+            if not (-0.5 <= row[X] < image.shape[1] - 0.5
+                    and -0.5 <= row[Y] < image.shape[0] - 0.5):
+                row[X], row[Y], row[CONTRAST] = x, y, 0.0
+                inside[n] = False
+                continue
+            _draw(model, row, 1.0, pictures)
+            if turn == turns - 1:
+                pixels = normals[j, i, 4, 4]
+                _conclude(
+                    row, errors[n], squares, solution, normals[j, i], covariances[j, i], pixels)
+    for n in range(count):
+        x, y, _, _ = _place(parameters[n])
+        model[max(y - half, 0):y + half + 1, max(x - half, 0):x + half + 1] = 0
+    return errors

@@ -1,0 +1,192 @@
+"""Which detection is which particle: prediction, gating, global assignment, birth and death."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from microbot_ros.tracking.assign import assign
+from microbot_ros.tracking.detect import Detections
+from microbot_ros.tracking.motion import Motion
+from microbot_ros.tracking.settings import TrackerSettings
+
+_GATE = 5.0
+"""Standard deviations beyond which a detection can not be the predicted particle."""
+
+_CONTRAST_SPREAD = 0.25
+"""Standard deviation of ln(contrast) and ln(radius) of one particle from frame to frame."""
+
+_LEAST_SIGMA = 0.05
+"""Pixels: no prediction is better than this, whatever the formulas say."""
+
+_EXPECTED_FOR = 5
+"""Frames for which an unseen particle is still looked for at its prediction."""
+
+_UNNAMED = -1
+
+
+@dataclass
+class TrackStates:
+    """The particles being followed, arrays of equal length N; px, s, rad.
+
+    `xy` and `velocity` (N, 2); `covariance` (N, 3): variances of position, of both together, of
+    velocity, per coordinate; `step` the last measured displacement, NaN after a gap; `hits` the
+    frames seen, `missed` the frames since.
+    """
+
+    id: np.ndarray
+    xy: np.ndarray
+    velocity: np.ndarray
+    covariance: np.ndarray
+    measured: np.ndarray
+    step: np.ndarray
+    sigma: np.ndarray
+    theta: np.ndarray
+    contrast: np.ndarray
+    radius: np.ndarray
+    hits: np.ndarray
+    missed: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+    def take(self, rows: np.ndarray) -> TrackStates:
+        """Some of the particles."""
+        return TrackStates(*(getattr(self, part.name)[rows] for part in fields(self)))
+
+    def join(self, other: TrackStates) -> TrackStates:
+        """These and others."""
+        return TrackStates(*(
+            np.concatenate([getattr(self, part.name), getattr(other, part.name)])
+            for part in fields(self)
+        ))
+
+
+class Linker:
+    """Follows particles from frame to frame. Identities count up from 0 and are never reused."""
+
+    def __init__(
+        self, settings: TrackerSettings, diameter_px: float, size: tuple[int, int]
+    ) -> None:
+        self._settings = settings
+        self._size = size
+        self._motion = Motion(diameter_px)
+        self._max_step = settings.max_step_px or 2 * diameter_px
+        self._next_id = 0
+        self._interval: float | None = None
+        self._shift = np.zeros(2)
+        self.states = _none()
+
+    def predict(self, dt: float, shift: np.ndarray) -> None:
+        """Move all to where they should be `dt` [s] later; `shift` (2,) [px] is known of all."""
+        self._interval = dt if self._interval is None else 0.95 * self._interval + 0.05 * dt
+        states, keep = self.states, self._motion.keep(dt)
+        frames = dt / self._interval
+        states.xy = states.xy + states.velocity * dt + shift
+        states.velocity = states.velocity * keep
+        place, both, speed = states.covariance.T
+        change = self._motion.velocity_step / self._interval**2 * (1 - keep**2)
+        states.covariance = np.column_stack([
+            place + 2 * dt * both + dt**2 * speed + self._motion.random_step * frames,
+            keep * (both + dt * speed),
+            keep**2 * speed + change,
+        ])
+        self._shift = shift
+
+    def expected(self) -> np.ndarray:
+        """Positions (M, 2) [px] at which named particles are to be looked for."""
+        states = self.states
+        near = (states.id != _UNNAMED) & (states.missed < _EXPECTED_FOR)
+        return states.xy[near]
+
+    def update(self, found: Detections) -> None:
+        """Give each detection to a particle, or to a new one; drop who was unseen too long."""
+        states = self.states
+        track, detection = self._associate(found)
+        self._learn(track, found, detection)
+        self._correct(track, found, detection)
+        states.missed = states.missed + 1
+        states.missed[track] = 0
+        states.hits[track] += 1
+        unseen = np.setdiff1d(np.arange(len(states)), track)
+        states.step[unseen] = np.nan
+        states.theta[unseen] = np.nan
+        self._bury()
+        self._christen()
+        fresh = np.setdiff1d(np.arange(len(found)), detection)
+        self.states = self.states.join(self._born(found[fresh]))
+
+    def _associate(self, found: Detections) -> tuple[np.ndarray, np.ndarray]:
+        states = self.states
+        variance = states.covariance[:, 0]
+        fresh = states.hits == 1
+        reach = np.where(fresh, self._max_step, np.minimum(
+            _GATE * np.sqrt(variance), self._max_step * np.sqrt(1.0 + states.missed)))
+        return assign(
+            states.xy, variance, reach, np.log(states.contrast), np.log(states.radius),
+            found.xy, found.sigma**2 + _LEAST_SIGMA**2, np.log(found.contrast),
+            np.log(found.radius), _CONTRAST_SPREAD)
+
+    def _learn(self, track: np.ndarray, found: Detections, detection: np.ndarray) -> None:
+        states = self.states
+        step = found.xy[detection] - states.measured[track] - self._shift
+        again = (states.missed[track] == 0) & np.isfinite(states.step[track, 0])
+        self._motion.learn(step[again], states.step[track][again], found.sigma[detection][again])
+        states.step[track] = np.where((states.missed[track] == 0)[:, None], step, np.nan)
+
+    def _correct(self, track: np.ndarray, found: Detections, detection: np.ndarray) -> None:
+        """Kalman update per coordinate; what is published is the measurement itself."""
+        states = self.states
+        place, both, speed = states.covariance[track].T
+        sigma = found.sigma[detection]
+        total = place + sigma**2 + _LEAST_SIGMA**2
+        gain_place, gain_speed = place / total, both / total
+        innovation = found.xy[detection] - states.xy[track]
+        states.xy[track] += gain_place[:, None] * innovation
+        states.velocity[track] += gain_speed[:, None] * innovation
+        states.covariance[track] = np.column_stack([
+            (1 - gain_place) * place, (1 - gain_place) * both, speed - gain_speed * both])
+        states.measured[track] = found.xy[detection]
+        states.sigma[track] = sigma
+        states.theta[track] = found.theta[detection]
+        for name in ('contrast', 'radius'):
+            value = getattr(states, name)
+            value[track] *= (getattr(found, name)[detection] / value[track]) ** 0.2
+
+    def _bury(self) -> None:
+        states = self.states
+        patience = np.where(states.id == _UNNAMED, 0, self._settings.coast_frames)
+        height, width = self._size
+        x, y = states.xy.T
+        inside = (x > -0.5) & (y > -0.5) & (x < width - 0.5) & (y < height - 0.5)
+        self.states = states.take((states.missed <= patience) & (inside | (states.missed == 0)))
+
+    def _christen(self) -> None:
+        states = self.states
+        due = np.flatnonzero((states.id == _UNNAMED) & (states.hits >= self._settings.confirm_frames))
+        states.id[due] = self._next_id + np.arange(len(due))
+        self._next_id += len(due)
+
+    def _born(self, found: Detections) -> TrackStates:
+        count = len(found)
+        dt = self._interval or 1.0
+        speed = max(self._motion.velocity_step, (self._max_step / 4) ** 2) / dt**2
+        return TrackStates(
+            id=np.full(count, _UNNAMED), xy=found.xy.copy(), velocity=np.zeros((count, 2)),
+            covariance=np.column_stack([
+                found.sigma**2 + _LEAST_SIGMA**2, np.zeros(count), np.full(count, speed)]),
+            measured=found.xy.copy(), step=np.full((count, 2), np.nan), sigma=found.sigma.copy(),
+            theta=found.theta.copy(), contrast=found.contrast.copy(), radius=found.radius.copy(),
+            hits=np.ones(count, int), missed=np.zeros(count, int),
+        )
+
+
+def _none() -> TrackStates:
+    empty = np.empty(0)
+    return TrackStates(
+        id=np.empty(0, int), xy=np.empty((0, 2)), velocity=np.empty((0, 2)),
+        covariance=np.empty((0, 3)), measured=np.empty((0, 2)), step=np.empty((0, 2)),
+        sigma=empty, theta=empty, contrast=empty, radius=empty, hits=np.empty(0, int),
+        missed=np.empty(0, int),
+    )

@@ -1,0 +1,61 @@
+"""How particles move between frames, learned from the tracks themselves."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+_MEMORY = 2000.0
+"""Displacements over which the motion is averaged."""
+
+_PRIOR = 30.0
+"""Displacements that the first guess is worth."""
+
+
+class Motion:
+    """Random steps on top of a velocity that persists: variances per coordinate, learned online.
+
+    Successive displacements d of a particle with velocity variance V, random step variance S per
+    second and localisation variance σ² have ⟨d²⟩ = V dt² + S dt + 2σ² and
+    ⟨d d′⟩ = V dt² − σ² (V. Berglund, Physical Review E 82, 011917, 2010, with a velocity added),
+    so both follow from two averages, and Brownian spheres and swimmers need no setting.
+    """
+
+    persistence = 2.0
+    """Time [s] over which a velocity is expected to change."""
+
+    def __init__(self, diameter_px: float) -> None:
+        self._same = (0.2 * diameter_px) ** 2
+        self._next = (0.15 * diameter_px) ** 2
+        self._noise = 0.0
+        self._weight = _PRIOR
+        self._least = (0.02 * diameter_px) ** 2
+
+    def learn(self, step: np.ndarray, previous: np.ndarray, sigma: np.ndarray) -> None:
+        """Add pairs of successive displacements (N, 2) [px] with their σ (N,) [px]."""
+        if len(step) == 0:
+            return
+        # One wrong link must not widen the gate for all: long steps count as three usual ones.
+        bound = 9 * self._same
+        same = np.minimum(np.mean(step**2, axis=1), bound)
+        following = np.clip(np.mean(step * previous, axis=1), -bound, bound)
+        self._weight = min(self._weight + len(step), _MEMORY)
+        share = min(len(step) / self._weight, 1.0)
+        self._same += share * (float(np.mean(same)) - self._same)
+        self._next += share * (float(np.mean(following)) - self._next)
+        self._noise += share * (float(np.mean(sigma**2)) - self._noise)
+
+    @property
+    def velocity_step(self) -> float:
+        """Variance per coordinate [px²] of the displacement that the velocity makes in a frame."""
+        return max(self._next + self._noise, 0.0)
+
+    @property
+    def random_step(self) -> float:
+        """Variance per coordinate [px²] of the random part of a frame's displacement."""
+        return max(self._same - self.velocity_step - 2 * self._noise, self._least)
+
+    def keep(self, dt: float) -> float:
+        """Share of a velocity that persists over `dt` [s]."""
+        return math.exp(-dt / self.persistence)

@@ -1,0 +1,149 @@
+"""Finding candidates over a whole picture: matched filter, peaks, background."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from microbot_ros.tracking.appearance import Appearance
+
+_LEAST_NOISE = 0.3
+"""Grey levels: rounding to whole levels has a standard deviation of 1/√12."""
+
+
+@numba.njit(cache=True)
+def block_mean(image, size):  # type: ignore[no-untyped-def]
+    """Means (H // size, W // size) float32 over square blocks; the rest at the edge is left out."""
+    rows, columns = image.shape[0] // size, image.shape[1] // size
+    mean = np.zeros((rows, columns), np.float32)
+    scale = np.float32(1.0 / (size * size))
+    for j in range(rows):
+        for dy in range(size):
+            line = image[j * size + dy]
+            for i in range(columns):
+                total = np.float32(0.0)
+                for dx in range(size):
+                    total += line[i * size + dx]
+                mean[j, i] += total
+        for i in range(columns):
+            mean[j, i] *= scale
+    return mean
+
+
+def background(image: np.ndarray, spacing: int) -> np.ndarray:
+    """The light without particles, in cells of `spacing` px: the median of 5×5 block means.
+
+    A particle as wide as a cell covers at most a quarter of the cells of such a neighbourhood,
+    so the median doesn't see it.
+    """
+    import cv2
+
+    if min(image.shape) < spacing:
+        return np.full((1, 1), np.median(image), np.float32)
+    return np.atleast_2d(cv2.medianBlur(block_mean(image, spacing), 5))
+
+
+@numba.njit(cache=True)
+def peaks(response, least, separation):  # type: ignore[no-untyped-def]
+    """Rows (N, 3) of x, y, value: maxima above `least` within ±`separation` cells, sub-cell."""
+    height, width = response.shape
+    found = []
+    for y in range(1, height - 1):
+        for x in range(1, width - 1):
+            value = response[y, x]
+            if not value > least:
+                continue
+            highest = True
+            for dy in range(max(-separation, -y), min(separation, height - 1 - y) + 1):
+                for dx in range(max(-separation, -x), min(separation, width - 1 - x) + 1):
+                    other = response[y + dy, x + dx]
+                    if other > value or (other == value and (dy, dx) < (0, 0)):
+                        highest = False
+                        break
+                if not highest:
+                    break
+            if highest:
+                bend_x = response[y, x + 1] - 2 * value + response[y, x - 1]
+                bend_y = response[y + 1, x] - 2 * value + response[y - 1, x]
+                ox = (response[y, x - 1] - response[y, x + 1]) / 2 / min(bend_x, -1e-9)
+                oy = (response[y - 1, x] - response[y + 1, x]) / 2 / min(bend_y, -1e-9)
+                found.append((x + min(max(ox, -0.5), 0.5), y + min(max(oy, -0.5), 0.5), value))
+    rows = np.empty((len(found), 3))
+    for k in range(len(found)):
+        rows[k, 0], rows[k, 1], rows[k, 2] = found[k]
+    return rows
+
+
+def spread(response: np.ndarray) -> float:
+    """Standard deviation of a response's noise, from the median deviation: particles don't count."""
+    sample = response[1::4, 1::4]
+    middle = np.median(sample)
+    return 1.4826 * float(np.median(np.abs(sample - middle)))
+
+
+def pixel_noise(image: np.ndarray) -> float:
+    """Standard deviation of the pixel noise [grey], from a twofold second difference.
+
+    What varies slower than from pixel to pixel drops out (J. Immerkær, Computer Vision and Image
+    Understanding 64, 300, 1996); the median makes edges of particles drop out too.
+    """
+    rows, columns = max(1, image.shape[0] // 64), max(1, image.shape[1] // 64)
+    part = [
+        image[j:image.shape[0] - 2 + j:rows, i:image.shape[1] - 2 + i:columns].astype(np.float32)
+        for j in range(3) for i in range(3)
+    ]
+    corners = part[0] + part[2] + part[6] + part[8]
+    sides = part[1] + part[3] + part[5] + part[7]
+    difference = np.abs(corners - 2 * sides + 4 * part[4])
+    return max(1.4826 * float(np.median(difference)) / 6, _LEAST_NOISE)
+
+
+class MatchedFilter:
+    """Search with the learned picture itself, the optimal linear filter for white noise.
+
+    The filter sums to zero and is symmetric, so uniform light and slopes leave no response. It
+    is applied as a few separable ones (its singular vectors), on a picture shrunk so that a
+    particle is some three pixels wide.
+    """
+
+    def __init__(self, appearance: Appearance) -> None:
+        self.shrink = max(1, int(appearance.diameter_px / 2.5))
+        reach = int(np.ceil(appearance.reach_px / self.shrink))
+        offsets = np.arange(-reach, reach + 1) * float(self.shrink)
+        template = appearance.draw_round(offsets[None, :], offsets[:, None])
+        disc = offsets[None, :] ** 2 + offsets[:, None] ** 2 <= (appearance.reach_px + 0.5) ** 2
+        template = np.where(disc, template, 0.0)
+        template = np.where(disc, template - template.sum() / disc.sum(), 0.0)
+        # Response in grey levels of contrast: a particle of contrast a responds with a.
+        template /= np.sum(template**2)
+        left, weight, right = np.linalg.svd(template)
+        rank = int(np.searchsorted(np.cumsum(weight**2) / np.sum(weight**2), 0.995)) + 1
+        self._parts = [
+            ((left[:, k] * weight[k]).astype(np.float32), right[k].astype(np.float32))
+            for k in range(rank)
+        ]
+        self.gain = float(np.sqrt(np.sum(template**2)))
+        self._separation = max(1, round(0.35 * appearance.diameter_px / self.shrink))
+
+    def response(self, image: np.ndarray) -> np.ndarray:
+        """Contrast [grey] that a particle centred in each cell would have."""
+        import cv2
+
+        if self.shrink > 1:
+            image = block_mean(image, self.shrink)
+        total = None
+        for column, row in self._parts:
+            part = cv2.sepFilter2D(image, cv2.CV_32F, row, column, borderType=cv2.BORDER_REFLECT_101)
+            total = part if total is None else cv2.add(total, part, dst=total)
+        return total
+
+    def candidates(
+        self, image: np.ndarray, least_sigma: float, least_contrast: float
+    ) -> tuple[np.ndarray, float]:
+        """Rows (N, 3), x, y [px] and contrast [grey] of maxima; σ of the pixel noise [grey]."""
+        response = self.response(image)
+        noise = pixel_noise(image)
+        least = max(least_sigma * noise * self.gain / self.shrink, least_contrast)
+        found = peaks(response, least, self._separation)
+        found[:, :2] = (found[:, :2] + 0.5) * self.shrink - 0.5
+        return found, noise

@@ -1,0 +1,38 @@
+"""What a user may set of the tracker; whatever is left out is found from the first frames."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from microbot_ros.files import Settings
+
+
+class TrackerSettings(Settings):
+    """Settings of detection and linking; None means: found from the first frames."""
+
+    contrast: Literal['dark', 'bright'] | None = Field(
+        None, description='whether the middle of a particle is darker or brighter than around it')
+    shape: Literal['round', 'any'] | None = Field(
+        None, description='round: fitted with the learned picture; any: clumps, by their outline')
+    diameter_px: float | None = Field(
+        None, ge=3, le=200, description='diameter of a particle at half its contrast [px]')
+    min_contrast_grey: float | None = Field(
+        None, gt=0, description='least contrast against the background [grey levels]')
+    min_detection_sigma: float = Field(
+        6.0, ge=4, le=100, description='least response of the search, in σ of its noise')
+    min_quality: float = Field(
+        0.6, ge=0, lt=1, description='least share of a picture that the fit explains')
+    size_tolerance: float = Field(
+        1.6, gt=1, le=2.4, description='largest ratio of a size to the typical, either way')
+    cap: Literal['dark', 'bright'] = Field(
+        'dark', description='whether the cap is the darker or the brighter side of a particle')
+    max_step_px: float | None = Field(
+        None, gt=0, description='farthest a particle strays from its prediction in a frame [px]')
+    confirm_frames: int = Field(
+        3, ge=2, le=20, description='frames in which a particle must be seen before it has an id')
+    coast_frames: int = Field(
+        15, ge=0, le=1000, description='frames that an unseen particle is carried on')
+    learning_frames: int = Field(
+        10, ge=1, le=200, description='frames from which appearance is learned')

@@ -1,0 +1,250 @@
+"""Where frames come from: a video, a folder of images, a glob, a camera on this machine."""
+
+from __future__ import annotations
+
+import glob
+import os
+import re
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from microbot_ros.errors import InputError
+
+# FFmpeg writes its own complaints to standard error; what matters of them is said by us, once.
+os.environ.setdefault('OPENCV_FFMPEG_LOGLEVEL', '-8')
+os.environ.setdefault('OPENCV_LOG_LEVEL', 'ERROR')
+
+_IMAGES = ('.png', '.tif', '.tiff', '.bmp', '.jpg', '.jpeg', '.pgm', '.webp')
+_MISCOUNT = 2
+"""Containers state their length from duration × rate, which is off by a frame or two."""
+
+
+class Frame(NamedTuple):
+    """One picture: its number in the source, its time [s], and (H, W) grey uint8 or uint16."""
+
+    index: int
+    t: float
+    image: np.ndarray
+
+
+class Source(Protocol):
+    """Frames in order. `frame_rate` [Hz] and `length` are None where the source can't say."""
+
+    name: str
+    size: tuple[int, int]
+    frame_rate: float | None
+    length: int | None
+
+    def frames(self) -> Iterator[Frame]:
+        """Every frame that can be decoded; what can't is reported and left out.
+
+        `size` is (height, width) of the first frame; frames of another size are reported and
+        left out. Raises InputError if the source yields no frame at all.
+        """
+        ...
+
+
+def open_source(
+    source: str | Path,
+    report: Callable[[str], None],
+    frame_rate: float | None = None,
+) -> Source:
+    """A video file, a folder of images or a glob of images.
+
+    `report` gets one line for everything that had to be left out. `frame_rate` [Hz] overrides
+    what a video says of itself; images without one are timed one per second, so that t counts
+    frames. Raises InputError for what is missing, empty, or not decodable.
+    """
+    if frame_rate is not None and not 0 < frame_rate < float('inf'):
+        raise InputError('frame rate', f'expected a positive number of hertz, got {frame_rate}')
+    path = Path(source)
+    if path.is_file():
+        return VideoSource(path, report, frame_rate)
+    if path.is_dir():
+        found = [p for p in path.iterdir() if p.suffix.lower() in _IMAGES]
+        expected = f'expected images ({", ".join(_IMAGES)}) in this folder'
+    elif glob.has_magic(str(source)):
+        found = [Path(p) for p in glob.glob(str(source)) if Path(p).is_file()]
+        expected = 'expected a pattern that matches images; it matches no file'
+    else:
+        raise InputError(source, 'expected a video, a folder of images or a glob; not found')
+    if not found:
+        raise InputError(source, expected)
+    return ImageSource(str(source), sorted(found, key=_natural), report, frame_rate)
+
+
+def grey(image: np.ndarray) -> np.ndarray | None:
+    """A decoded picture as (H, W) grey of its own depth; None if it is not 8 or 16 bit."""
+    import cv2
+
+    if image.dtype not in (np.uint8, np.uint16):
+        return None
+    if image.ndim == 2:
+        return image
+    codes = {3: cv2.COLOR_BGR2GRAY, 4: cv2.COLOR_BGRA2GRAY}
+    code = codes.get(image.shape[2])
+    return None if code is None else cv2.cvtColor(image, code)
+
+
+class VideoSource:
+    """A video file, decoded once from start to end."""
+
+    def __init__(
+        self, path: Path, report: Callable[[str], None], frame_rate: float | None = None
+    ) -> None:
+        import cv2
+
+        self.name = str(path)
+        self._report = report
+        self._forced_rate = frame_rate
+        self._capture = cv2.VideoCapture(self.name, cv2.CAP_FFMPEG)
+        got, picture = self._capture.read() if self._capture.isOpened() else (False, None)
+        first = grey(picture) if got else None
+        if first is None:
+            raise InputError(path, 'expected a video; no frame of it can be decoded')
+        stated_rate = self._capture.get(cv2.CAP_PROP_FPS)
+        stated_length = self._capture.get(cv2.CAP_PROP_FRAME_COUNT)
+        self._stated_rate = stated_rate if 0 < stated_rate < 1e6 else None
+        self.frame_rate = frame_rate or self._stated_rate
+        self.length = int(stated_length) if 0 < stated_length < 1e9 else None
+        self.size = first.shape
+        self._first: np.ndarray | None = first
+
+    def frames(self) -> Iterator[Frame]:
+        """See `Source.frames`; a second call starts again."""
+        import cv2
+
+        if self._first is None:
+            self._capture.open(self.name, cv2.CAP_FFMPEG)
+        image, self._first = self._first, None
+        index, t = 0, 0.0
+        while True:
+            if image is None:
+                got, picture = self._capture.read()
+                if not got:
+                    break
+                image = grey(picture)
+            stamp = self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
+            t = self._time(index, t, stamp)
+            if image is None or image.shape != self.size:
+                self._report(f'{self.name}: frame {index} is not {_size(self.size)} grey; left out')
+            else:
+                yield Frame(index, t, image)
+            image = None
+            index += 1
+        self._capture.release()
+        if self.length is not None and index < self.length - _MISCOUNT:
+            self._report(f'{self.name}: ends after {index} of {self.length} frames')
+
+    def _time(self, index: int, previous: float, stamp: float) -> float:
+        """The container's stamp where it moves on (frames may be unevenly spaced), else a count."""
+        if self._forced_rate:
+            return index / self._forced_rate
+        if index == 0:
+            self._origin = stamp
+            return 0.0
+        if previous < stamp - self._origin < float('inf'):
+            return stamp - self._origin
+        return previous + 1 / (self._stated_rate or 1.0)
+
+
+class ImageSource:
+    """Images as frames, in natural order of their names (2 before 10)."""
+
+    def __init__(
+        self,
+        name: str,
+        paths: list[Path],
+        report: Callable[[str], None],
+        frame_rate: float | None = None,
+    ) -> None:
+        self.name = name
+        self.frame_rate = frame_rate
+        self.length: int | None = len(paths)
+        self._paths = paths
+        self._report = report
+        first = next((image for image in map(_read_image, paths) if image is not None), None)
+        if first is None:
+            raise InputError(name, f'expected images; none of the {len(paths)} can be decoded')
+        self.size = first.shape
+
+    def frames(self) -> Iterator[Frame]:
+        """See `Source.frames`; a second call starts again."""
+        for index, path in enumerate(self._paths):
+            image = _read_image(path)
+            if image is None:
+                self._report(f'{path}: frame {index} can not be decoded; left out')
+            elif image.shape != self.size:
+                found = _size(image.shape)
+                self._report(
+                    f'{path}: frame {index} is {found}, expected {_size(self.size)}; left out'
+                )
+            else:
+                yield Frame(index, index / (self.frame_rate or 1.0), image)
+
+
+class DeviceSource:
+    """A camera of this machine, named by index or device path; nothing else is ever opened."""
+
+    length = None
+
+    def __init__(self, device: int | str) -> None:
+        import cv2
+
+        self.name = f'camera {device}'
+        self._capture = cv2.VideoCapture(device, cv2.CAP_V4L2)
+        got, picture = self._capture.read() if self._capture.isOpened() else (False, None)
+        first = grey(picture) if got else None
+        if first is None:
+            self._capture.release()
+            raise InputError(self.name, 'expected a camera that gives frames; it gives none')
+        rate = self._capture.get(cv2.CAP_PROP_FPS)
+        self.frame_rate = rate if 0 < rate < 1e6 else None
+        self.size = first.shape
+
+    def frames(self) -> Iterator[Frame]:
+        """Frames as they come, stamped with the monotonic clock as they arrive.
+
+        Raises InputError when the camera stops or changes its picture.
+        """
+        index = 0
+        try:
+            while True:
+                got, picture = self._capture.read()
+                t = time.monotonic()
+                image = grey(picture) if got else None
+                if image is None:
+                    raise InputError(self.name, f'stopped giving frames after {index}')
+                if image.shape != self.size:
+                    found = _size(image.shape)
+                    raise InputError(
+                        self.name, f'frame {index} is {found}, expected {_size(self.size)}'
+                    )
+                yield Frame(index, t, image)
+                index += 1
+        finally:
+            self._capture.release()
+
+
+def _read_image(path: Path) -> np.ndarray | None:
+    import cv2
+
+    try:
+        content = np.fromfile(path, np.uint8)
+        image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if len(content) else None
+    except (OSError, cv2.error):
+        return None
+    return None if image is None else grey(image)
+
+
+def _natural(path: Path) -> list[str | tuple[int, str]]:
+    parts = re.split(r'(\d+)', str(path))
+    return [f'{int(part):020d}' if part.isdigit() else part for part in parts]
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    return f'{shape[1]}×{shape[0]}'

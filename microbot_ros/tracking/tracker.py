@@ -1,0 +1,161 @@
+"""The tracker: frames in, poses with lasting identities out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from microbot_ros.errors import InputError
+from microbot_ros.tracking.appearance import Appearance
+from microbot_ros.tracking.detect import RoundDetector
+from microbot_ros.tracking.learn import learn
+from microbot_ros.tracking.link import Linker, TrackStates
+from microbot_ros.tracking.settings import TrackerSettings
+
+_NO_SHIFT = np.zeros(2)
+
+
+class FrameError(InputError):
+    """A frame that can not be used: wrong size, encoding or time. The tracker is as before."""
+
+    def __init__(self, expected: str) -> None:
+        super().__init__('frame', expected)
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Where the particles are at time `t` [s]: arrays of equal length N.
+
+    `id` lasting identities, never reused; `x_px`, `y_px` image coordinates, y down, the centre
+    of the first pixel at (0, 0); `theta_rad` direction of the cap from the image's x towards its
+    y (clockwise on the screen), NaN where it is not known; `vx_px_s`, `vy_px_s` velocity;
+    `sigma_px` standard deviation of each coordinate, growing while unseen; `seen` False while a
+    particle is carried on by prediction. A seen position is the measurement itself, not a
+    smoothed one.
+    """
+
+    t: float
+    id: np.ndarray
+    x_px: np.ndarray
+    y_px: np.ndarray
+    theta_rad: np.ndarray
+    vx_px_s: np.ndarray
+    vy_px_s: np.ndarray
+    sigma_px: np.ndarray
+    seen: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+    @property
+    def xy(self) -> np.ndarray:
+        """Positions (N, 2) [px]."""
+        return np.column_stack([self.x_px, self.y_px])
+
+    @property
+    def velocity(self) -> np.ndarray:
+        """Velocities (N, 2) [px/s]."""
+        return np.column_stack([self.vx_px_s, self.vy_px_s])
+
+
+class Tracker:
+    """Finds and follows particles in a stream of frames.
+
+    Without an `appearance` the first frames in which something stands out are used to learn one
+    (`ready` turns True then), and give no poses. OpenCV is set to one thread: the tracker shares
+    its machine with the rest of the loop.
+    """
+
+    def __init__(self, settings: TrackerSettings, appearance: Appearance | None = None) -> None:
+        import cv2
+
+        cv2.setNumThreads(1)
+        self.settings = settings
+        self.appearance = appearance
+        self.size: tuple[int, int] | None = None
+        self._dtype: np.dtype | None = None
+        self._detector: RoundDetector | None = None
+        self._linker: Linker | None = None
+        self._first_frames: list[np.ndarray] = []
+        self._last = -math.inf
+        self._refused = -math.inf
+        self._shift_rate = _NO_SHIFT
+
+    @property
+    def ready(self) -> bool:
+        """Whether the appearance of the particles is known."""
+        return self.appearance is not None
+
+    def update(
+        self, image: np.ndarray, t: float, predicted_shift_px: np.ndarray | None = None
+    ) -> Poses:
+        """The poses at time `t` [s], from a frame (H, W) of uint8 or uint16.
+
+        `predicted_shift_px` (2,) is how far all particles are expected to have moved since the
+        last frame because of the command; what it leaves is predicted from each one's velocity.
+        Raises FrameError, with the tracker as it was, for a frame of another kind than the first
+        or a time that isn't later. Where the clock was set back for good, the next frame goes on
+        from there, identities kept.
+        """
+        self._check(image, predicted_shift_px)
+        dt = self._interval(t)
+        if self.appearance is None:
+            self._learn(image)
+            return _poses(t, None, _NO_SHIFT)
+        if self._linker is None or self._detector is None:
+            self._detector = RoundDetector(self.appearance, self.settings)
+            self._linker = Linker(self.settings, self.appearance.diameter_px, image.shape)
+        shift = _NO_SHIFT if predicted_shift_px is None else np.asarray(predicted_shift_px, float)
+        self._linker.predict(dt, shift)
+        self._linker.update(self._detector.detect(image, self._linker.expected()))
+        return _poses(t, self._linker.states, shift / dt)
+
+    def _check(self, image: np.ndarray, shift: np.ndarray | None) -> None:
+        if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16) or image.size == 0:
+            raise FrameError(
+                f'expected (H, W) grey uint8 or uint16, got {image.shape} {image.dtype}')
+        if self.size is None:
+            self.size, self._dtype = image.shape, image.dtype
+        if image.shape != self.size or image.dtype != self._dtype:
+            raise FrameError(
+                f'expected {self.size[1]}×{self.size[0]} {self._dtype} as before, '
+                f'got {image.shape[1]}×{image.shape[0]} {image.dtype}')
+        if shift is not None and not (np.shape(shift) == (2,) and np.all(np.isfinite(shift))):
+            raise FrameError(f'expected a finite predicted shift (2,) [px], got {shift}')
+
+    def _interval(self, t: float) -> float:
+        """Time since the last frame [s]."""
+        if not math.isfinite(t):
+            raise FrameError(f'expected a finite time stamp, got {t}')
+        if t > self._last:
+            dt = t - self._last if math.isfinite(self._last) else 1.0
+        elif t > self._refused and math.isfinite(self._refused):
+            dt = t - self._refused
+        else:
+            self._refused = t
+            kind = 'the same as' if t == self._last else f'{self._last - t:g} s before'
+            raise FrameError(f'expected a later time stamp; {t:g} s is {kind} the last one')
+        self._last, self._refused = t, -math.inf
+        return dt
+
+    def _learn(self, image: np.ndarray) -> None:
+        self._first_frames.append(image.copy())
+        if len(self._first_frames) >= self.settings.learning_frames:
+            self.appearance = learn(self._first_frames, self.settings)
+            self._first_frames.clear()
+
+
+def _poses(t: float, states: TrackStates | None, drift: np.ndarray) -> Poses:
+    if states is None:
+        empty = np.empty(0)
+        return Poses(t, np.empty(0, int), *([empty] * 6), np.empty(0, bool))
+    states = states.take(states.id >= 0)
+    seen = states.missed == 0
+    xy = np.where(seen[:, None], states.measured, states.xy)
+    velocity = states.velocity + drift
+    sigma = np.where(seen, states.sigma, np.sqrt(states.covariance[:, 0]))
+    return Poses(
+        t, states.id, xy[:, 0], xy[:, 1], states.theta, velocity[:, 0], velocity[:, 1], sigma,
+        seen)
