@@ -28,13 +28,15 @@ _NEUTRAL = {
     'background_x': 0.0, 'background_y': 0.0,
     # body
     'fuel_time': math.inf, 'slip_rate': 0.0, 'field_scale': 0.0,
-    'cut_in': 0.0, 'step_out': math.inf,
+    'cut_in': 0.0, 'step_out': math.inf, 'slip': 0.0,
+    'cut_in_steepness': 0.0, 'step_out_steepness': 0.0,
     # fluid and forces
     'drift_x': 0.0, 'drift_y': 0.0, 'gxx': 0.0, 'gxy': 0.0, 'gyx': 0.0, 'gyy': 0.0,
     'sway_speed': 0.0, 'sway_frequency': 0.0, 'sway_direction': 0.0, 'sway_phase': 0.0,
     'spot_x': 0.0, 'spot_y': 0.0, 'spot_speed': 0.0, 'spot_width': 1.0, 'gradient_rate': 0.0,
     # neighbours
     'dipole': 0.0, 'crowding': 0.0, 'repulsion_speed': 0.0, 'repulsion_range': 1.0,
+    'pusher': 0.0,
     # camera
     'aspect': 1.0, 'jump_time': math.inf, 'jump_x': 0.0, 'jump_y': 0.0,
     # in nobody's library of effects

@@ -36,19 +36,28 @@ def felt_field(body: Any, x: float, y: float) -> Pair:
 
 
 @numba.njit(cache=True)
+def _hill(drive: float, half: float, steepness: float) -> float:
+    """A curve from 0 to 1 that is ½ at `half`."""
+    return 1.0 if half == 0 else 1 / (1 + (half / drive) ** steepness)
+
+
+@numba.njit(cache=True)
 def roll_frequency(body: Any, frequency: float) -> float:
     """How often the particle turns in a field rotating at `frequency` [Hz], on average.
 
-    Two overdamped barriers: the surface holds it until the field drags it over (below cut-in it
-    rocks without rolling), and beyond step-out the magnetic torque no longer balances the drag
-    and it slips (Adler's equation, averaged over a turn).
+    The mechanics of `forces.rolled_frequency`: below cut-in the surface holds it, beyond
+    step-out it slips. Where a steepness is given, empirical curves.
     """
     drive = abs(frequency)
-    if drive <= body.cut_in:
+    if drive == 0:
         return 0.0
-    rolled = math.sqrt(drive**2 - body.cut_in**2)
-    if drive > body.step_out:
-        rolled *= 1 - math.sqrt(1 - (body.step_out / drive) ** 2)
+    if body.cut_in_steepness > 0:
+        rolled = drive * _hill(drive, body.cut_in, body.cut_in_steepness)
+        rolled *= 1 - body.slip * _hill(drive, body.step_out, body.step_out_steepness)
+    else:
+        rolled = math.sqrt(max(drive**2 - body.cut_in**2, 0.0))
+        if drive > body.step_out:
+            rolled *= 1 - math.sqrt(1 - (body.step_out / drive) ** 2)
     return math.copysign(rolled, frequency)
 
 
@@ -146,6 +155,8 @@ def neighbours(bodies: np.ndarray, i: int) -> tuple[float, float, float]:
         x, y = x / r, y / r
         du, dv = dipole_velocity(body, other, x, y, r)
         away = body.repulsion_speed * math.exp(-r / body.repulsion_range)
+        along = x * math.cos(other.heading) + y * math.sin(other.heading)
+        away += other.pusher * (3 * along**2 - 1) / r**2
         u, v = u + du + away * x, v + dv + away * y
         slowing += body.crowding / r
     return u, v, max(1 - slowing, 0.0)

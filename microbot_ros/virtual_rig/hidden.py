@@ -35,7 +35,10 @@ LISTED: dict[str, dict[str, str]] = {
     'pixel_anisotropy': {'aspect': 'aspect'},
     'gradient_force': {'rate_per_s_mT': 'gradient_rate'},
     'incomplete_alignment': {'field_scale_mT': 'field_scale'},
-    'drive_response': {'cut_in_hz': 'cut_in', 'step_out_hz': 'step_out'},
+    # The first two are the mechanics of rollers; all five, the curves that the library fits.
+    'drive_response': {
+        'cut_in_hz': 'cut_in', 'step_out_hz': 'step_out', 'slip': 'slip',
+        'cut_in_steepness': 'cut_in_steepness', 'step_out_steepness': 'step_out_steepness'},
 }
 
 UNLISTED: dict[str, dict[str, str]] = {
@@ -51,31 +54,39 @@ UNLISTED: dict[str, dict[str, str]] = {
         'wx_um_s': 'settling_x', 'wy_um_s': 'settling_y', 'tau_s': 'settling_time'},
     'trap': {'speed_um_s': 'trap_speed', 'length_um': 'trap_length'},
     'repulsion': {'speed_um_s': 'repulsion_speed', 'range_um': 'repulsion_range'},
+    'swimmer_flow': {'strength_um3_s': 'pusher'},
 }
 
 HIDDEN = LISTED | UNLISTED
 
 
-def check(effect: str, parameters: Mapping[str, object]) -> None:
-    """ValueError naming an unknown effect or parameter, and those that are known."""
+def check(effect: str, parameters: Mapping[str, float | Sequence[float]]) -> None:
+    """ValueError naming an effect or parameter that is unknown, or a value that is not finite."""
     if effect not in HIDDEN:
         raise ValueError(f"unknown effect '{effect}'; expected one of: {', '.join(HIDDEN)}")
     known = HIDDEN[effect]
-    for name in parameters:
+    for name, value in parameters.items():
         if name not in known:
             raise ValueError(
                 f"unknown parameter '{name}' of {effect}; expected one of: {', '.join(known)}")
+        if not np.isfinite(value).all():
+            raise ValueError(f'{effect} {name} must be finite; received {value}')
+        if effect in ('alignment_lag', 'speed_decay') and not np.greater(value, 0).all():
+            raise ValueError(f'{effect} {name} must be positive; received {value}')
+    missing = [name for name in known if name not in parameters]
+    if effect == 'drive_response' and 'slip' in parameters and missing:
+        raise ValueError(f'{effect} with a slip expects also: {", ".join(missing)}')
 
 
 def hide(
     bodies: np.ndarray, effect: str, parameters: Mapping[str, float | Sequence[float]],
     reference_field: float,
 ) -> None:
-    """Give the particles an effect, in place.
+    """Give the particles (N,) of type BODY an effect, in place.
 
-    Each parameter is a number, or one for each particle. A lag sets the magnetic moment that
-    makes the heading align with the time constant `tau_s` at `reference_field` [T]. ValueError
-    as from `check`.
+    Each parameter is a number, or one for each particle; what is not given stays. A lag sets
+    the magnetic moment that makes the heading align with the time constant `tau_s` at
+    `reference_field` [T]. ValueError as from `check`.
     """
     check(effect, parameters)
     for name, value in parameters.items():
