@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -46,7 +47,7 @@ def command(session: Path, json_path: Path | None, figure: Path | None, repair: 
 
     if not session.exists():
         raise InputError(session, 'expected a session folder or a recording, found nothing')
-    console = Console(highlight=False, soft_wrap=True)
+    console = Console(highlight=False, width=None if sys.stdout.isatty() else 150)
     with console.status(f'reading {session}'):
         if is_recording(session):
             with open_recording(session) as recording:
@@ -73,11 +74,11 @@ def _show(console: Console, found: Survey) -> None:
 
     state = '' if found.complete else ', cut off'
     console.print(f'{found.path}: {found.kind}{state}, {found.duration_s:.1f} s')
-    table = Table('topic', 'type', 'messages', 'Hz', 'gaps', 'longest gap [s]', box=None)
+    table = Table('topic', 'type', 'messages', 'Hz', 'gaps', 'longest (s)', box=None)
     for topic in found.topics:
         table.add_row(
-            topic.name, topic.type, str(topic.count), f'{topic.rate_hz:.1f}', str(topic.gaps),
-            f'{topic.longest_gap_s:.3f}')
+            topic.name, topic.type.replace('/msg/', '/'), str(topic.count),
+            f'{topic.rate_hz:.1f}', str(topic.gaps), f'{topic.longest_gap_s:.3f}')
     console.print(table)
     if found.frames is not None:
         console.print(
@@ -92,12 +93,13 @@ def _show(console: Console, found: Survey) -> None:
             f'p99 {found.latency_ms["p99"]:.1f} ms')
     if found.excitation:
         spread = found.excitation
-        levels = spread.frequencies_hz or spread.magnitudes_mT
+        levels = spread.frequencies_hz or spread.magnitudes_mT or (0.0,)
         unit = 'Hz' if spread.frequencies_hz else 'mT'
+        extent = f'at {levels[0]:g}' if len(levels) == 1 else (
+            f'at {len(levels)} levels from {levels[0]:g} to {levels[-1]:g}')
         console.print(
-            f'{spread.rows} commands at {", ".join(f"{level:g}" for level in levels)} {unit}, '
-            f'{spread.turns_left} turns left and {spread.turns_right} right, '
-            f'off {spread.off_share:.0%} of the time')
+            f'{spread.rows} commands {extent} {unit}, {spread.turns_left} turns left and '
+            f'{spread.turns_right} right, off {spread.off_share:.0%} of the time')
     for name, entries in found.metadata.items():
         if name != 'dropped':
             pairs = ', '.join(f'{key} {value}' for key, value in entries.items() if value)

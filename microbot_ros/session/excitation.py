@@ -23,7 +23,7 @@ class Excitation:
 
     `off_share` of that time nothing was commanded; `direction_variance` is circular, weighted by
     time: 0 for one direction, 1 for all alike; `magnitudes_mT` and `frequencies_hz` are the
-    levels used, at most 12 of them; `turns_left` and `turns_right` count changes of direction.
+    levels used; `turns_left` and `turns_right` count changes of direction.
     """
 
     rows: int
@@ -78,13 +78,13 @@ def excitation(commands: Commands, start: float, end: float) -> Excitation:
     )
 
 
-def _levels(values: np.ndarray, most: int = 12) -> tuple[float, ...]:
-    """The distinct levels among values, ascending; the ends and the middle of too many."""
-    if not len(values):
-        return ()
+def _levels(values: np.ndarray) -> tuple[float, ...]:
+    """The distinct levels among values, ascending; what is nearly the same is one."""
     ordered = np.sort(values)
-    starts = np.flatnonzero(np.diff(ordered) > _SAME_LEVEL * np.abs(ordered).max()) + 1
-    levels = np.array([np.median(group) for group in np.split(ordered, starts)])
-    if len(levels) > most:
-        levels = levels[np.linspace(0, len(levels) - 1, most).round().astype(int)]
-    return tuple(float(f'{level:.4g}') for level in levels)
+    width = _SAME_LEVEL * np.abs(ordered).max(initial=0.0)
+    levels = []
+    while len(ordered):
+        size = np.searchsorted(ordered, ordered[0] + width, side='right')
+        levels.append(float(f'{np.median(ordered[:size]):.4g}'))
+        ordered = ordered[size:]
+    return tuple(levels)

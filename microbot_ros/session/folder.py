@@ -90,8 +90,8 @@ def read_folder(path: Path) -> Session:
 def write_folder(path: Path, session: Session) -> None:
     """Write a session as a folder, all of it or nothing.
 
-    `read_folder` gives the same numbers back, bit for bit, but for the angle of a rolling field,
-    which goes through its direction.
+    `read_folder` gives the numbers of the tables back bit for bit, but for the components of a
+    rolling field, which go through its direction.
     """
     tracks, commands = session.tracks, session.commands
     measured = {'t_s': tracks.t, 'x_um': tracks.position[:, 0], 'y_um': tracks.position[:, 1]}

@@ -56,9 +56,7 @@ class Survey:
 def survey_folder(path: Path) -> tuple[Survey, Session]:
     """A look at a folder of CSV files."""
     session = read_folder(path)
-    messages = SessionMessages(session)
-    found = _survey(path, 'folder', messages, session, [])
-    return found, session
+    return _survey(path, SessionMessages(session), None, session, []), session
 
 
 def survey_recording(recording: Recording) -> tuple[Survey, Session | None]:
@@ -71,37 +69,33 @@ def survey_recording(recording: Recording) -> tuple[Survey, Session | None]:
         session = session_of(recording)
     except InputError as error:
         remarks.append(f'Not a session: {error.expected}.')
-    return _survey(recording.path, 'recording', recording, session, remarks), session
+    return _survey(recording.path, recording, recording, session, remarks), session
 
 
 def _survey(
-    path: Path, kind: str, source: Recording | SessionMessages, session: Session | None,
-    remarks: list[str],
+    path: Path, source: Recording | SessionMessages, recording: Recording | None,
+    session: Session | None, remarks: list[str],
 ) -> Survey:
-    metadata = source.metadata() if isinstance(source, Recording) else {}
-    spread = None
+    metadata = recording.metadata() if recording else {}
+    frames = spread = None
     if session is not None:
-        if len(session.commands.t):
-            spread = excitation(session.commands, session.tracks.t[0], session.tracks.t[-1])
-            remarks = [*remarks, *spread.sentences()]
-        else:
-            remarks = [*remarks, 'No commands: only drift and diffusion can be learnt.']
-        late = session.commands.t[:1] - session.tracks.t[0]
+        frames = np.unique(session.tracks.t)
+        spread = excitation(session.commands, frames[0], frames[-1])
+        late = session.commands.t[:1] - frames[0]
         if (late > 0).any():
             remarks = [*remarks, f'Nothing was commanded in the first {late[0]:.3g} s.']
-    frames = None if session is None else np.unique(session.tracks.t)
-    recorded = isinstance(source, Recording)
     return Survey(
-        path=str(path), kind=kind, complete=source.complete if recorded else True,
+        path=str(path), kind='recording' if recording else 'folder',
+        complete=recording is None or recording.complete,
         duration_s=(source.end_ns - source.start_ns) / 1e9,
         topics=tuple(_topic(source, name) for name in sorted(source.topics)),
         particles=None if session is None else len(session.tracks.particles),
         frames=None if frames is None else len(frames),
         frames_missing=None if frames is None else missing_frames(frames),
         dropped={name: int(count) for name, count in metadata.get('dropped', {}).items()},
-        latency_ms=_latency(source) if recorded else None, excitation=spread,
-        attachments=tuple(source.attachments()) if recorded else (), metadata=metadata,
-        remarks=tuple(remarks),
+        latency_ms=_latency(recording) if recording else None, excitation=spread,
+        attachments=tuple(recording.attachments()) if recording else (), metadata=metadata,
+        remarks=(*remarks, *(spread.sentences() if spread else ())),
     )
 
 
