@@ -54,7 +54,7 @@ class Counters:
     frames_sent: int = 0
     frames_received: int = 0
     crc_errors: int = 0
-    framing_errors: int = 0
+    discarded_bytes: int = 0
 
 
 class Amplifier(ABC):

@@ -24,9 +24,11 @@ class Limits:
     current_A: float
     """Largest magnitude of a current."""
     step_A: float
-    """Largest jump at once. Jumps use up one allowance, which `slew_A_per_s` restores."""
+    """What a current may change at once. Every change uses up this allowance and time restores
+    it, so that over any t all changes together stay within `step_A` + t `slew_A_per_s`.
+    """
     slew_A_per_s: float
-    """Fastest lasting change."""
+    """Fastest lasting change: a sine of amplitude I and frequency f needs 4 I f."""
     stale_s: float
     """How long a command other than zero holds without the next."""
     deviation_A: float
@@ -85,7 +87,7 @@ class Gate:
         self._commanded_s = -math.inf
         self._measured_s = -math.inf
         self._measured: Currents = ZERO
-        self._followed: Currents = ZERO  # trails the output at the slew limit
+        self._allowance = _four([limits.step_A] * 4)  # what each current may yet change
         self._outputs: deque[tuple[float, Currents]] = deque([(-math.inf, ZERO)])
 
     def arm(self, now_s: float) -> str | None:
@@ -108,7 +110,7 @@ class Gate:
     def revoke(self) -> None:
         """Disarm: zero from now on. A fault stays latched."""
         self.armed = False
-        self._put(ZERO, self._now_s)
+        self._put(ZERO)
 
     def trip(self, reason: Reason, detail: str) -> Currents:
         """Disarm and latch a fault, unless an earlier one stands; the answer is zero."""
@@ -124,14 +126,14 @@ class Gate:
         wanted = _currents(currents_A)
         if wanted is None:
             return self.trip(Reason.MALFORMED, f'expected 4 numbers; received {currents_A!r}')
-        limit, step = self.limits.current_A, self.limits.step_A
+        limit = self.limits.current_A
         if not all(-limit <= value <= limit for value in wanted):
             return self.trip(Reason.LIMIT, f'{_amperes(wanted)} is not within ±{limit:g} A')
-        jumps = [value - trail for value, trail in zip(wanted, self._followed, strict=True)]
-        if wanted != ZERO and not all(-step <= jump <= step for jump in jumps):
-            return self.trip(Reason.SLEW, f'{_amperes(wanted)} is a jump by {_amperes(jumps)}')
+        left = self._allowance_after(wanted)
+        if wanted != ZERO and not all(allowance >= 0.0 for allowance in left):
+            return self.trip(Reason.SLEW, f'from {_amperes(self.output)} to {_amperes(wanted)}')
         self._commanded_s = now_s
-        return self._put(wanted, now_s)
+        return self._put(wanted)
 
     def measured(self, currents_A: Sequence[float], now_s: float) -> Currents:
         """Take measured currents [A] into account: the currents that may flow now."""
@@ -164,18 +166,16 @@ class Gate:
 
     def _advance(self, now_s: float) -> bool:
         """Bring heat and slew to `now_s`. A clock that runs backwards or is not finite trips."""
-        if not self._now_s <= now_s < math.inf:
+        if not (math.isfinite(now_s) and self._now_s <= now_s):
             self.trip(Reason.CLOCK, f'from {self._now_s} to {now_s}')
             return False
         elapsed = now_s - self._now_s if self._now_s > -math.inf else 0.0
         keep = math.exp(-elapsed / self.limits.thermal_s)
-        step = elapsed * self.limits.slew_A_per_s
         flowing = zip(self.heat, self.output, self._measured, strict=True)
         self.heat = _four(self._load(output, measured) * (1.0 - keep) + heat * keep
                           for heat, output, measured in flowing)
-        self._followed = _four(
-            trail + min(max(output - trail, -step), step)
-            for trail, output in zip(self._followed, self.output, strict=True))
+        self._allowance = _four(min(allowance + elapsed * self.limits.slew_A_per_s,
+                                    self.limits.step_A) for allowance in self._allowance)
         self._now_s = now_s
         return True
 
@@ -185,9 +185,14 @@ class Gate:
         share = min(max(abs(output_A), abs(measured_A)) / self.limits.continuous_A, 1e3)
         return share * share
 
-    def _put(self, currents: Currents, now_s: float) -> Currents:
+    def _allowance_after(self, currents: Currents) -> Currents:
+        changes = zip(self._allowance, self.output, currents, strict=True)
+        return _four(allowance - abs(new - old) for allowance, old, new in changes)
+
+    def _put(self, currents: Currents) -> Currents:
+        self._allowance = _four(max(left, 0.0) for left in self._allowance_after(currents))
         if currents != self.output:
-            self._outputs.append((now_s, currents))
+            self._outputs.append((self._now_s, currents))
             self._forget_outputs()
         self.output = currents
         return currents
@@ -202,12 +207,10 @@ class Gate:
 def _currents(values: Sequence[float]) -> Currents | None:
     """Four finite numbers, or None for anything else."""
     try:
-        numbers = [float(value) for value in values]
-    except (TypeError, ValueError, OverflowError):
+        numbers = [float(value) for value in values if math.isfinite(value)]
+        return _four(numbers) if len(numbers) == len(values) == 4 else None
+    except (TypeError, OverflowError):  # text, None, a whole number beyond any float
         return None
-    if len(numbers) != 4 or not all(math.isfinite(number) for number in numbers):
-        return None
-    return _four(numbers)
 
 
 def _four(values: Iterable[float]) -> Currents:

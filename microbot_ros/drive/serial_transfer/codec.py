@@ -86,8 +86,8 @@ class Decoder:
     def __init__(self, payload_length: int) -> None:
         self.crc_errors = 0
         """Packets with both end marks in place and a wrong CRC."""
-        self.framing_errors = 0
-        """Start bytes that no packet followed: noise, another protocol, lost or added bytes."""
+        self.discarded_bytes = 0
+        """Bytes that were part of no good packet: noise, another protocol, damage."""
         self._length = payload_length
         self._pending = bytearray()
         self._last_byte_s = -math.inf
@@ -96,10 +96,9 @@ class Decoder:
         """The payloads completed by `data`, which arrived at `now_s` on the monotonic clock."""
         payloads: list[bytes] = []
         if self._pending and now_s - self._last_byte_s > STALL_S:
-            self.framing_errors += 1
-            del self._pending[0]
+            self._discard(1)
             self._take(payloads)
-            self._pending.clear()
+            self._discard(len(self._pending))
         if data:
             self._pending += data
             self._last_byte_s = now_s
@@ -110,18 +109,21 @@ class Decoder:
         """Move every complete payload out of the pending bytes; what may yet be one stays."""
         pending, size = self._pending, _HEADER + self._length + _TRAILER
         while (start := pending.find(START)) >= 0:
-            del pending[:start]
+            self._discard(start)
             if not self._may_start_a_packet():
-                self.framing_errors += 1
-                del pending[0]
+                self._discard(1)
             elif len(pending) < size:
                 return
+            elif (payload := self._payload(bytes(pending[:size]))) is None:
+                self._discard(1)
             else:
-                payload = self._payload(bytes(pending[:size]))
-                if payload is not None:
-                    payloads.append(payload)
-                del pending[:1 if payload is None else size]
-        pending.clear()
+                payloads.append(payload)
+                del pending[:size]
+        self._discard(len(pending))
+
+    def _discard(self, count: int) -> None:
+        self.discarded_bytes += count
+        del self._pending[:count]
 
     def _may_start_a_packet(self) -> bool:
         """Whether the pending bytes agree with a header, as far as they go."""
@@ -132,14 +134,10 @@ class Decoder:
 
     def _payload(self, packet: bytes) -> bytes | None:
         stuffed, crc, end = packet[_HEADER:-_TRAILER], packet[-2], packet[-1]
-        payload = _unstuff(stuffed, packet[2]) if end == END else None
-        if payload is None or (crc == crc8(stuffed) and encode(payload) != packet):
-            self.framing_errors += 1
-        elif crc != crc8(stuffed):
+        if end == END and crc != crc8(stuffed):
             self.crc_errors += 1
-        else:
-            return payload
-        return None
+        payload = _unstuff(stuffed, packet[2])
+        return payload if payload is not None and encode(payload) == packet else None
 
 
 COMMAND_BYTES = _COMMAND.size

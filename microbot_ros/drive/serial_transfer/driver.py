@@ -66,7 +66,7 @@ class SerialTransferAmplifier(Amplifier):
             else:
                 self._decoder.crc_errors += 1
         self.counters.crc_errors = self._decoder.crc_errors
-        self.counters.framing_errors = self._decoder.framing_errors
+        self.counters.discarded_bytes = self._decoder.discarded_bytes
         return readings
 
     def _release(self) -> None:
