@@ -108,9 +108,10 @@ class Tracker:
             self._detector = RoundDetector(self.appearance, self.settings)
             self._linker = Linker(self.settings, self.appearance.diameter_px, image.shape)
         shift = _NO_SHIFT if predicted_shift_px is None else np.asarray(predicted_shift_px, float)
-        self._linker.predict(dt, shift)
+        if dt is not None:
+            self._linker.predict(dt, shift)
         self._linker.update(self._detector.detect(image, self._linker.expected()))
-        return _poses(t, self._linker.states, shift / dt)
+        return _poses(t, self._linker.states, shift / dt if dt else _NO_SHIFT)
 
     def _check(self, image: np.ndarray, shift: np.ndarray | None) -> None:
         if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16) or image.size == 0:
@@ -125,12 +126,12 @@ class Tracker:
         if shift is not None and not (np.shape(shift) == (2,) and np.all(np.isfinite(shift))):
             raise FrameError(f'expected a finite predicted shift (2,) [px], got {shift}')
 
-    def _interval(self, t: float) -> float:
-        """Time since the last frame [s]."""
+    def _interval(self, t: float) -> float | None:
+        """Time since the last frame [s]; None for the first."""
         if not math.isfinite(t):
             raise FrameError(f'expected a finite time stamp, got {t}')
         if t > self._last:
-            dt = t - self._last if math.isfinite(self._last) else 1.0
+            dt = t - self._last if math.isfinite(self._last) else None
         elif t > self._refused and math.isfinite(self._refused):
             dt = t - self._refused
         else:
