@@ -16,7 +16,6 @@ first. Limits |Iₖ| ≤ Lₖ are met exactly, not by scaling or clipping:
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from functools import cached_property
 from itertools import product
 from typing import NamedTuple
@@ -85,12 +84,12 @@ class Allocator:
         A zero field cancels the background. ValueError for NaN or infinity: nothing to drive.
         """
         wanted = np.asarray(wanted, dtype=float)
+        magnitude = math.hypot(*wanted)
+        if not magnitude < math.inf:
+            raise ValueError(f'wanted field must be finite; received {wanted}')
         currents = self._unlimited @ (wanted - self._background)
         saturated = False
         if not (np.abs(currents) <= self._limits).all():
-            if not np.isfinite(wanted).all():
-                raise ValueError(f'wanted field must be finite; received {wanted}')
-            magnitude = math.hypot(*wanted)
             largest = self.largest(wanted) if magnitude > 0 else 0.0
             saturated = magnitude > largest
             target = wanted * (largest / magnitude) if saturated else wanted
@@ -98,24 +97,22 @@ class Allocator:
         field = self.matrix @ currents + self._background
         return Allocation(currents, field, float(currents**2 @ self._resistance), saturated)
 
-    def largest(self, direction: Sequence[float] | np.ndarray) -> float:
+    def largest(self, direction: ArrayLike) -> float:
         """The largest field [T] within the limits along a direction (2,) of any length.
 
         ValueError for a zero direction, NaN or infinity.
         """
-        length = math.hypot(*direction)
-        if not 0 < length < math.inf:
-            raise ValueError(f'direction must be finite and not zero; received {direction}')
-        across = self._normals @ direction
+        across = self._normals @ _unit(direction)
         outward = across > 0
-        return float((self._reach[outward] / across[outward]).min() * length)
+        return float((self._reach[outward] / across[outward]).min())
 
-    def price(self, direction: Sequence[float] | np.ndarray) -> float:
+    def price(self, direction: ArrayLike) -> float:
         """Heat for a field along a direction (2,), limits aside, over the least possible heat.
 
         What cancelling the gradient costs; 1 where none is cancelled or none is left to cancel.
+        ValueError as `largest`.
         """
-        unit = np.asarray(direction) / math.hypot(*direction)
+        unit = _unit(direction)
         weighted = self.matrix / self._resistance
         least = weighted.T @ np.linalg.solve(weighted @ self.matrix.T, unit)
         spent = self._unlimited @ unit
@@ -151,3 +148,11 @@ class Allocator:
         spare = np.linalg.svd(held)[2][len(held):].T
         cheapest = np.eye(4) - spare @ np.linalg.pinv(self._cost @ spare) @ self._cost
         return cheapest @ make, cheapest @ (fixed - make @ self.matrix @ fixed)
+
+
+def _unit(direction: ArrayLike) -> np.ndarray:
+    direction = np.asarray(direction, dtype=float)
+    length = math.hypot(*direction)
+    if not 0 < length < math.inf:
+        raise ValueError(f'direction must be finite and not zero; received {direction}')
+    return direction / length

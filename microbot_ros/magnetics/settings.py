@@ -83,8 +83,9 @@ def _four_in_plane() -> tuple[Winding, ...]:
 class CoilSettings(Settings):
     """Four coils and the field that is there without them.
 
-    Currents are ordered as `windings`, which are in the order of the amplifier's channels. The default is a bench rig: 400 turns of 0.5 mm copper
-    wire on a 20 mm radius, 30 mm from the centre, four times.
+    Currents are ordered as `windings`, which are in the order of the amplifier's channels. The
+    default is a bench rig: 400 turns of 0.5 mm copper wire on a 20 mm radius, 30 mm from the
+    centre, four times.
     """
 
     windings: tuple[Winding, ...] = Field(default_factory=_four_in_plane)

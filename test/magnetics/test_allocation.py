@@ -1,0 +1,175 @@
+"""Currents from fields: cheapest by an independent solver, largest by linear programming."""
+
+from __future__ import annotations
+
+import magpylib
+import numpy as np
+import osqp
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import sparse
+from scipy.optimize import linprog
+
+from microbot_ros.errors import InputError
+from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings
+
+
+def rig(seed: int, background: float = 0.1) -> CoilSet:
+    """A rig as real ones are: gains 38 % apart, signs, limits, poses that are not perfect."""
+    rng = np.random.default_rng(seed)
+    content = CoilSettings().model_dump(exclude_none=True)
+    for winding in content['windings']:
+        winding.update(
+            gain=rng.uniform(0.8, 1.1), sign=int(rng.choice([-1, 1])),
+            resistance_ohm=rng.uniform(1, 6), max_current_A=rng.uniform(1, 3),
+            position_mm=winding['position_mm'] + rng.normal(0, 0.5, 3),
+            axis=winding['axis'] + rng.normal(0, 0.05, 3))
+    content['background_mT'] = rng.uniform(-background, background, 2)
+    return CoilSet(CoilSettings.model_validate(content))
+
+
+def direction(angle: float) -> np.ndarray:
+    return np.array([np.cos(angle), np.sin(angle)])
+
+
+def cheapest_by_osqp(coils: CoilSet, allocator: Allocator, field: np.ndarray) -> float:
+    solver = osqp.OSQP()
+    demand = field - coils.background
+    solver.setup(
+        sparse.csc_matrix(2 * np.diag(coils.resistance)), np.zeros(4),
+        sparse.csc_matrix(np.vstack([1e3 * allocator.matrix, np.eye(4)])),
+        np.concatenate([1e3 * demand, -coils.max_current]),
+        np.concatenate([1e3 * demand, coils.max_current]),
+        verbose=False, eps_abs=1e-9, eps_rel=1e-9, max_iter=100_000, polishing=True)
+    return solver.solve(raise_error=True).info.obj_val
+
+
+def largest_by_linprog(coils: CoilSet, allocator: Allocator, unit: np.ndarray) -> float:
+    solution = linprog(
+        [0, 0, 0, 0, -1], A_eq=np.column_stack([1e3 * allocator.matrix, -unit]),
+        b_eq=-1e3 * coils.background, method='highs',
+        bounds=[*[(-limit, limit) for limit in coils.max_current], (0, None)])
+    return 1e-3 * solution.x[4]
+
+
+rigs = st.integers(0, 2**32 - 1).map(rig)
+angles = st.floats(0, 2 * np.pi)
+
+
+@settings(max_examples=60, deadline=None)
+@given(rigs, angles, st.floats(0.01, 0.999), st.booleans())
+def test_field_in_reach_is_made_exactly_and_as_cheaply_as_can_be(coils, angle, part, off_centre):
+    allocator = Allocator(coils, (1e-3, -2e-3, 0) if off_centre else (0, 0, 0))
+    wanted = part * allocator.largest(direction(angle)) * direction(angle)
+    found = allocator.allocate(wanted)
+    assert not found.saturated
+    assert (np.abs(found.currents) <= coils.max_current).all()
+    np.testing.assert_allclose(found.field, wanted, rtol=1e-8, atol=1e-12)
+    assert found.power == pytest.approx(coils.power(found.currents))
+    assert found.power == pytest.approx(cheapest_by_osqp(coils, allocator, wanted), rel=1e-5)
+
+
+@settings(max_examples=60, deadline=None)
+@given(rigs, angles, st.floats(1.0001, 1e6), st.booleans())
+def test_field_out_of_reach_keeps_its_direction_and_the_most_there_is(coils, angle, beyond, cancel):
+    allocator = Allocator(coils, cancel_gradient=cancel)
+    unit = direction(angle)
+    largest = largest_by_linprog(coils, allocator, unit)
+    found = allocator.allocate(beyond * largest * unit)
+    assert found.saturated
+    assert (np.abs(found.currents) <= coils.max_current).all()
+    assert allocator.largest(7 * unit) == pytest.approx(largest, rel=1e-7)
+    np.testing.assert_allclose(found.field, largest * unit, atol=1e-7 * largest)
+
+
+def test_every_direction_against_an_independent_biot_savart():
+    coils = CoilSet()
+    poses = [((0, 0.03, 0), 'x', -90), ((0.03, 0, 0), 'y', 90),
+             ((0, -0.03, 0), 'x', 90), ((-0.03, 0, 0), 'y', -90)]
+    peers = [magpylib.current.Circle(diameter=0.04, current=400, position=position)
+             .rotate_from_angax(turn, axis, anchor=None) for position, axis, turn in poses]
+    per_ampere = np.array([peer.getB((0, 0, 0)) for peer in peers])
+    allocator = Allocator(coils)
+    for magnitude, tolerance in ((1e-3, 1e-10), (1.0, 1e-8)):
+        for angle in np.linspace(0, 2 * np.pi, 181):
+            field = allocator.allocate(magnitude * direction(angle)).currents @ per_ampere
+            off = np.angle(complex(*field[:2]) * np.exp(-1j * angle))
+            assert abs(off) < tolerance
+
+
+def test_square_rig_saturates_both_coils_of_a_pair_and_leaves_the_other_cold():
+    found = Allocator(CoilSet()).allocate((-1, 0))
+    np.testing.assert_allclose(found.currents, (0, -2, 0, 2), atol=1e-12)
+
+
+def test_zero_field_cancels_the_background():
+    coils = rig(1)
+    found = Allocator(coils).allocate((0, 0))
+    assert not found.saturated
+    assert np.abs(found.field).max() < 1e-18
+    assert np.abs(found.currents).max() > 0
+    np.testing.assert_array_equal(Allocator(CoilSet()).allocate((0, 0)).currents, 0)
+
+
+@pytest.mark.parametrize('bad', [np.nan, np.inf, -np.inf])
+def test_nothing_is_driven_for_a_field_that_is_no_number(bad):
+    allocator = Allocator(rig(2))
+    for wanted in ((bad, 0), (1e-3, bad), (bad, bad)):
+        with pytest.raises(ValueError, match='must be finite'):
+            allocator.allocate(wanted)
+        with pytest.raises(ValueError, match='must be finite and not zero'):
+            allocator.largest(wanted)
+
+
+def test_zero_field_has_no_direction():
+    with pytest.raises(ValueError, match='must be finite and not zero'):
+        Allocator(CoilSet()).largest((0, 0))
+    with pytest.raises(ValueError, match='must be finite and not zero'):
+        Allocator(CoilSet()).price((0, 0))
+
+
+@settings(max_examples=30, deadline=None)
+@given(rigs, angles)
+def test_spare_currents_cancel_what_gradient_they_can_at_a_price(coils, angle):
+    point = np.array([2e-3, 1e-3, 0])
+    least, cancelling = Allocator(coils, point), Allocator(coils, point, cancel_gradient=True)
+    wanted = coils.background + 1e-4 * direction(angle)
+    maps = coils.gradient_per_ampere(point[None])[:, 0, :2, :2].reshape(4, 4).T
+    spare = np.linalg.svd(least.matrix)[2][2:].T
+    found = cancelling.allocate(wanted)
+    np.testing.assert_allclose(found.field, wanted, atol=1e-14)
+    # No step along the spare currents lowers the gradient.
+    slope = maps @ spare
+    assert np.abs(slope.T @ maps @ found.currents).max() < 1e-6 * np.linalg.norm(
+        slope) * np.linalg.norm(maps @ least.allocate(wanted).currents)
+    ratio = found.power / least.allocate(wanted).power
+    assert cancelling.price(direction(angle)) == pytest.approx(ratio, rel=1e-6)
+    assert ratio >= 1 - 1e-9
+    assert least.price(direction(angle)) == pytest.approx(1, rel=1e-9)
+
+
+def test_gradient_of_an_uneven_rig_at_its_centre_cancels():
+    content = CoilSettings().model_dump(exclude_none=True)
+    content['windings'][0]['gain'] = 0.62
+    content['windings'][0]['resistance_ohm'] = 2.0
+    coils = CoilSet(CoilSettings.model_validate(content))
+    left = {}
+    for cancel in (False, True):
+        found = Allocator(coils, cancel_gradient=cancel).allocate((1e-3, 5e-4))
+        left[cancel] = np.abs(coils.gradient(found.currents, [[0, 0, 0]])[0, :2, :2]).max()
+    assert left[False] > 1e-3
+    assert left[True] < 1e-7 * left[False]
+
+
+def test_background_beyond_the_coils_and_coils_in_line_are_refused():
+    settings_ = CoilSettings(background_mT=(9.0, 0.0))
+    with pytest.raises(InputError, match='background_mT: expected a field that the coils can'):
+        Allocator(CoilSet(settings_))
+    content = CoilSettings().model_dump(exclude_none=True)
+    for k, winding in enumerate(content['windings']):
+        winding.update(position_mm=(30 + k, 0, 0), axis=(1, 0, 0))
+    with pytest.raises(InputError, match='every field direction'):
+        Allocator(CoilSet(CoilSettings.model_validate(content)))
+    with pytest.raises(InputError, match='every field direction'):
+        Allocator(CoilSet(), (30e-3, 20e-3, 0))

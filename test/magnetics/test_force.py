@@ -1,0 +1,87 @@
+"""Magnetic force and torque, and the radius inside which the force may be left out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from microbot_ros.errors import InputError
+from microbot_ros.magnetics import CoilSet, CoilSettings, Loop
+from microbot_ros.magnetics.force import (
+    Particle,
+    force,
+    force_speed,
+    negligible_radius,
+    torque,
+)
+from microbot_ros.units import MU_0
+
+
+def test_force_on_a_moment_on_the_axis_of_a_loop():
+    a, z, moment = 0.02, 0.013, 3e-13
+    gradient = Loop(a, (0, 0, 0), (0, 0, 1)).gradient_per_ampere([[0, 0, z]])
+    along = force(np.array([0, 0, moment]), gradient)[0]
+    slope = -1.5 * MU_0 * a**2 * z / (a**2 + z**2)**2.5
+    np.testing.assert_allclose(along, (0, 0, moment * slope), rtol=1e-13, atol=1e-40)
+    across = force(np.array([moment, 0, 0]), gradient)[0]
+    np.testing.assert_allclose(across, (-moment * slope / 2, 0, 0), rtol=1e-13, atol=1e-40)
+
+
+def test_force_is_the_slope_of_the_energy():
+    rng = np.random.default_rng(0)
+    moment, points = rng.normal(0, 1e-13, (20, 3)), rng.normal(0, 5e-3, (20, 3))
+    coils, currents, step = CoilSet(), np.array([1, -0.5, 0.3, 2]), 1e-5
+    energy_slope = np.stack([
+        ((coils.field(currents, points + d) - coils.field(currents, points - d)) * moment).sum(1)
+        for d in step * np.eye(3)], axis=1) / (2 * step)
+    found = force(moment, coils.gradient(currents, points))
+    np.testing.assert_allclose(found, energy_slope, atol=1e-5 * np.abs(found).max())
+
+
+def test_torque_turns_the_moment_into_the_field():
+    found = torque(np.array([[2e-13, 0, 0], [0, 2e-13, 0]]), np.array([0, 3e-3, 0]))
+    np.testing.assert_allclose(found, [(0, 0, 6e-16), (0, 0, 0)])
+
+
+def test_numbers_of_the_papers_particle():
+    particle = Particle()
+    assert particle.drag == pytest.approx(1.0795e-7, rel=1e-4)
+    assert particle.moment == pytest.approx(4.077e-13, rel=1e-3)
+    assert particle.alignment_time(1e-3) == pytest.approx(7.47e-3, rel=1e-3)
+
+
+def test_force_is_negligible_on_this_rig_up_to_where_it_is_not():
+    coils, particle = CoilSet(), Particle()
+    radius = negligible_radius(coils, 1e-3)
+    assert 1.5e-3 < radius < 2e-3  # under 1 % of the slowest particle's own speed
+    turned = np.linspace(0, 2 * np.pi, 73)
+    circle = np.column_stack([np.cos(turned), np.sin(turned)])
+    worst = force_speed(coils, radius * circle, 1e-3, particle).max()
+    assert worst / particle.speed == pytest.approx(0.01, rel=1e-4)
+    inside = force_speed(coils, np.vstack([0.5 * circle, 0.9 * circle]) * radius, 1e-3, particle)
+    assert (inside < 0.01 * particle.speed).all()
+
+
+def test_force_grows_with_moment_and_field():
+    coils = CoilSet()
+    strong = Particle(magnetisation=3e3)
+    assert negligible_radius(coils, 1e-3, strong, 0.03) == pytest.approx(
+        negligible_radius(coils, 1e-3), rel=1e-5)
+    # What is a force in proportion to the field is a gradient in proportion to it: B twice.
+    point = np.array([[1e-3, 0.4e-3, 0]])
+    ratio = force_speed(coils, point, 4e-3, strong) / force_speed(coils, point, 1e-3, strong)
+    assert ratio == pytest.approx(4)
+
+
+def test_uneven_coils_drag_even_at_the_centre():
+    content = CoilSettings().model_dump(exclude_none=True)
+    content['windings'][0]['gain'] = 0.62
+    coils = CoilSet(CoilSettings.model_validate(content))
+    assert negligible_radius(coils, 1e-3) == 0
+    assert negligible_radius(coils, 1e-3, Particle(magnetisation=1.0), within=2e-3) == 2e-3
+
+
+@pytest.mark.parametrize('magnitude', [0, -1e-3, np.nan, np.inf, 9e-3])
+def test_magnitudes_that_have_no_answer(magnitude):
+    with pytest.raises(InputError, match='magnitude'):
+        negligible_radius(CoilSet(), magnitude)
