@@ -45,7 +45,11 @@ setup(
             'microbot = microbot_ros.cli:main',
             *(f'{node}_node = microbot_ros.nodes.process:script' for node in nodes),
         ],
-        'microbot_ros.controllers': [],
+        'microbot_ros.controllers': [
+            'hold = microbot_ros.control.hold:Hold',
+            'open_loop = microbot_ros.control.open_loop:OpenLoop',
+            'waypoint = microbot_ros.control.waypoint:Waypoint',
+        ],
         'microbot_ros.amplifiers': [
             'serial_transfer = microbot_ros.drive.serial_transfer.driver:SerialTransferAmplifier',
         ],

@@ -1,0 +1,16 @@
+"""The controller to rest in: no field."""
+
+from __future__ import annotations
+
+from microbot_ros.control.contract import Controller, FieldCommand, Situation, no_field
+
+
+class Hold(Controller):
+    """Keeps the field at zero; catalytic particles swim on and turn by chance."""
+
+    interface_version = 1
+    summary = 'No field.'
+
+    def compute(self, situation: Situation) -> FieldCommand:
+        """Zero, whatever the situation."""
+        return no_field('the field is off')

@@ -1,0 +1,55 @@
+"""Finding controllers: entry points of the group `microbot_ros.controllers`, in any package."""
+
+from __future__ import annotations
+
+import logging
+from importlib.metadata import EntryPoint, entry_points
+
+from microbot_ros.control.contract import INTERFACE_VERSION, Controller
+
+GROUP = 'microbot_ros.controllers'
+
+_log = logging.getLogger(__name__)
+
+
+class PluginError(Exception):
+    """A controller that was asked for by name can't be had; the message says why."""
+
+
+def controller_class(name: str) -> type[Controller]:
+    """The class behind one name; PluginError if there is none or it can't be used."""
+    found = {point.name: point for point in entry_points(group=GROUP)}
+    if name not in found:
+        known = ', '.join(sorted(found)) or 'none'
+        raise PluginError(f"no controller '{name}' is installed; there are: {known}")
+    return _load(found[name])
+
+
+def controller_classes(required: str | None = None) -> dict[str, type[Controller]]:
+    """Every controller that is installed and works, by name, in alphabetical order.
+
+    One that can't be loaded is logged and left out, unless it is `required`: then PluginError.
+    """
+    classes = {} if required is None else {required: controller_class(required)}
+    for point in entry_points(group=GROUP):
+        if point.name not in classes:
+            try:
+                classes[point.name] = _load(point)
+            except PluginError as error:
+                _log.warning('left out: %s', error)
+    return dict(sorted(classes.items()))
+
+
+def _load(point: EntryPoint) -> type[Controller]:
+    try:
+        found = point.load()
+    except Exception as error:
+        reason = f'{type(error).__name__}: {error}'
+        raise PluginError(f"controller '{point.name}' ({point.value}): {reason}") from error
+    if not (isinstance(found, type) and issubclass(found, Controller)):
+        raise PluginError(f"controller '{point.name}': {point.value} is no Controller class")
+    version = getattr(found, 'interface_version', None)
+    if version != INTERFACE_VERSION:
+        raise PluginError(f"controller '{point.name}': written for interface version {version}; "
+                          f'expected {INTERFACE_VERSION}')
+    return found

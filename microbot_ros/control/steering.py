@@ -1,0 +1,60 @@
+"""What the controllers share: courses, the field that steers along them, checked goals."""
+
+from __future__ import annotations
+
+import cmath
+import math
+
+import numpy as np
+
+from microbot_ros.control.contract import BadGoal, Situation
+
+
+def approach(offset: complex, hold_radius: float) -> float:
+    """The course [rad] to a place at `offset` [m], which a particle that can't stop will circle.
+
+    From afar along the tangent to a circle of radius `hold_radius` [m] about the place, so that
+    it is joined without a turn; on the circle round it, counter-clockwise; from within outwards.
+    A circle keeps the distance constant and shows an estimator every direction.
+    """
+    distance = abs(offset)
+    if distance >= hold_radius:
+        away = math.asin(hold_radius / distance)
+    else:
+        away = math.pi * (1 - distance / hold_radius / 2)
+    return cmath.phase(offset) - away
+
+
+def field_along(situation: Situation, angle: float, strength: float) -> np.ndarray:
+    """The command (2,) [T] whose field at the particles points along `angle` [rad].
+
+    As strong as `strength` [T] where the limit leaves room for what the model knows of the
+    chain from command to field (stray field, unequal or leaning coils), which is made up for.
+    """
+    limit = situation.limits.field
+    strength = min(strength, limit)
+    wanted = np.array([strength * math.cos(angle), strength * math.sin(angle)])
+    if situation.model is None or not situation.model.effects:
+        return wanted
+    command = wanted.copy()
+    for _ in range(6):
+        command += wanted - situation.model.field(command)
+        excess = math.hypot(*command) / limit
+        if excess > 1:
+            wanted, command = wanted / excess, command / excess
+    return command
+
+
+def goals_in_reach(situation: Situation) -> np.ndarray:
+    """The positions (G, 2) [m] of the goals; BadGoal for one that no camera could see."""
+    position = situation.goals.position
+    lost = np.flatnonzero(~situation.workspace.holds(position))
+    if lost.size:
+        x, y = position[lost[0]] * 1e6
+        raise BadGoal(f'goal {lost[0] + 1} at ({x:.0f}, {y:.0f}) µm is outside the workspace')
+    return position
+
+
+def excitation(elapsed: float, leg: float) -> float:
+    """The angle of the field [rad] while nothing is known: a triangle, one `leg` [s] a side."""
+    return 2 * math.pi / 3 * (elapsed // leg)

@@ -1,0 +1,222 @@
+"""Runs one of several controllers, swaps them, and lets nothing unsafe out. No ROS in it."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from microbot_ros.control.contract import (
+    PER_PARTICLE,
+    Controller,
+    ControllerError,
+    FieldCommand,
+    Limits,
+    Result,
+    Situation,
+    no_field,
+)
+from microbot_ros.control.forecast import Forecast
+from microbot_ros.control.worker import Hung, Late, Worker
+
+_log = logging.getLogger(__name__)
+
+LONGEST_STEP = 0.1
+"""A tick counts as no longer than this [s] for the slew: after a gap the field does not jump."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Whether a request was granted, and why not."""
+
+    ok: bool
+    message: str = ''
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one tick gives: the command to send, or None for no command at all."""
+
+    command: FieldCommand | None
+    result: Result = Result.OK
+    message: str = ''
+
+
+class Switchboard:
+    """All controllers of a rig, of which one drives.
+
+    `controllers` by name, `active` the first to drive. A tick waits at most `deadline` [s] for
+    its controller and gives it up after `patience` [s]. Poses older than `stale_after` [s] mean
+    no command. Whatever goes wrong, the field falls to zero at the allowed slew, and the outcome
+    says why. After a fault the controller is not asked again before the next successful swap.
+    """
+
+    def __init__(
+        self, controllers: dict[str, Controller], active: str, *,
+        deadline: float = 0.01, patience: float = 0.5, stale_after: float = 0.2,
+    ) -> None:
+        self._controllers = controllers
+        self._active = active
+        self._deadline = deadline
+        self._stale_after = stale_after
+        self._worker = Worker(patience)
+        self._forecast = Forecast()
+        self._field = np.zeros(2)
+        self._activated = False
+        self._fault = ''
+        self._last: Situation | None = None
+
+    @property
+    def active(self) -> str:
+        """The name of the controller that drives."""
+        return self._active
+
+    @property
+    def fault(self) -> str:
+        """Why the active controller is not asked any more; '' while it is."""
+        return self._fault
+
+    def configure(self, name: str, parameters: Any) -> Answer:
+        """Give one controller new parameters, whether it drives or not; all or nothing."""
+        controller = self._controllers[name]
+        before = controller.parameters
+        try:
+            controller.configure(parameters)
+        except Exception as error:
+            controller.parameters = before
+            return Answer(False, f'{name}: {_reason(error)}')
+        return Answer(True)
+
+    def swap(self, name: str) -> Answer:
+        """Let another controller drive from the next tick on; if it can't, nothing changes.
+
+        It is activated here, within the deadline, against the situation of the last tick and the
+        present field. Naming the controller that drives restarts it, after a fault too.
+        """
+        if name not in self._controllers:
+            known = ', '.join(self._controllers)
+            return Answer(False, f"no controller '{name}'; there are: {known}")
+        worker = Worker(math.inf)
+        try:
+            if self._last is not None:
+                situation = dataclasses.replace(self._last, field=self._field.copy())
+                worker.call(lambda: self._controllers[name].activate(situation), self._deadline)
+        except Exception as error:
+            if isinstance(error, Late):
+                self._renew(name)
+            return Answer(False, f'{name}: {_reason(error)}')
+        finally:
+            worker.leave_behind()
+        self._retire(name)
+        self._active, self._fault = name, ''
+        self._activated = self._last is not None
+        return Answer(True, f'{name} drives')
+
+    def reset(self) -> None:
+        """Every controller forgets what it learned and did."""
+        for name in self._controllers:
+            self._renew(name)
+        self._activated = False
+
+    def tick(self, situation: Situation) -> Outcome:
+        """The command of this tick, or None where poses are too old to give one.
+
+        Particles without a finite position are left out before the controller looks.
+        """
+        if not abs(situation.age) <= self._stale_after:
+            self._field = np.zeros(2)
+            self._forecast.clear()
+            return Outcome(None, Result.STALE, f'poses are {situation.age:.2f} s old')
+        situation = dataclasses.replace(_usable(situation), field=self._field.copy())
+        self._last = situation = self._forecast.look_ahead(situation)
+        command, result, message = self._ask(situation)
+        field = _approach(self._field, command.field, situation)
+        self._field = field
+        self._forecast.note(situation.t + situation.delay, field, command.frequency)
+        return Outcome(dataclasses.replace(command, field=field), result, message)
+
+    def close(self) -> None:
+        """Let the active controller go; nothing may be asked afterwards."""
+        self._retire(self._active)
+        self._worker.leave_behind()
+
+    def _ask(self, situation: Situation) -> tuple[FieldCommand, Result, str]:
+        """What the controller answers, or zero field with the reason why not that."""
+        if self._fault:
+            return no_field(self._fault), Result.FAULT, self._fault
+        try:
+            command = self._worker.call(lambda: self._run(situation), self._deadline)
+            _check(command, situation.limits)
+            return command, Result.OK, command.progress.message
+        except ControllerError as error:
+            result, reason = error.result, str(error)
+        except Late as error:
+            result, reason = Result.FAULT, f'{self._active}: {error}'
+        except Exception as error:
+            if isinstance(error, Hung):
+                self._renew(self._active)
+            result = Result.FAULT
+            self._fault = reason = f'{self._active}: {_reason(error)}'
+            _log.error('%s; the field is let go', reason)
+        return no_field(reason), result, reason
+
+    def _run(self, situation: Situation) -> FieldCommand:
+        controller = self._controllers[self._active]
+        if not self._activated:
+            controller.activate(situation)
+            self._activated = True
+        return controller.compute(situation)
+
+    def _retire(self, name: str) -> None:
+        if not self._activated:
+            return
+        try:
+            self._worker.call(self._controllers[name].deactivate, self._deadline)
+        except (Late, Hung):
+            self._worker.leave_behind()
+            self._renew(name)
+        except Exception as error:
+            _log.warning('%s: deactivating: %s', name, _reason(error))
+
+    def _renew(self, name: str) -> None:
+        """A fresh controller in place of one whose state can't be trusted or is to be forgotten.
+
+        What was configured stays; a call that still runs works on the old one.
+        """
+        old = self._controllers[name]
+        fresh = self._controllers[name] = type(old)()
+        fresh.configure(old.parameters)
+
+
+def _usable(situation: Situation) -> Situation:
+    good = np.isfinite(situation.position).all(1)
+    if good.all():
+        return situation
+    rows = {name: getattr(situation, name)[good] for name in PER_PARTICLE}
+    return dataclasses.replace(situation, **rows)
+
+
+def _check(command: FieldCommand, limits: Limits) -> None:
+    """ValueError unless the command is finite and within the limits."""
+    strength = float(np.hypot(*np.asarray(command.field, dtype=float).reshape(2)))
+    if not strength <= limits.field * (1 + 1e-9):
+        raise ValueError(f'commanded {strength * 1e3:g} mT; the limit is {limits.field * 1e3:g}')
+    if not 0 <= command.frequency <= limits.frequency:
+        raise ValueError(f'commanded {command.frequency:g} Hz; expected 0 to {limits.frequency:g}')
+
+
+def _approach(now: np.ndarray, wanted: np.ndarray, situation: Situation) -> np.ndarray:
+    """The wanted field, or as far towards it as the slew lets one tick go."""
+    dt = min(situation.dt, LONGEST_STEP) if situation.dt > 0 else 0.0
+    step = np.asarray(wanted, dtype=float) - now
+    length, longest = float(np.hypot(*step)), situation.limits.slew * dt
+    return now + step * (longest / length) if length > longest else now + step
+
+
+def _reason(error: Exception) -> str:
+    named = isinstance(error, ControllerError | Late | Hung | ValueError)
+    return str(error) if named else f'{type(error).__name__}: {error}'

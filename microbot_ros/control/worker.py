@@ -1,0 +1,94 @@
+"""Calls with a deadline: what hangs is left behind, and the loop goes on."""
+
+from __future__ import annotations
+
+import ctypes
+import queue
+import threading
+import time
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+T = TypeVar('T')
+
+
+class Late(Exception):
+    """A call has not returned within its deadline; it goes on, and nothing else is begun."""
+
+
+class Hung(Exception):
+    """A call has not returned for so long that it was left behind."""
+
+
+class _Call(Generic[T]):
+    def __init__(self, function: Callable[[], T]) -> None:
+        self.function = function
+        self.begun = time.monotonic()
+        self.returned = threading.Event()
+        self.error: BaseException | None = None
+        self.value: T
+
+    def run(self) -> None:
+        try:
+            self.value = self.function()
+        except BaseException as error:
+            self.error = error
+        self.returned.set()
+
+
+class Worker:
+    """One thread that makes calls for another, which waits no longer than it wants to.
+
+    A call that is late goes on, and until it returns nothing else is begun. After `patience` [s]
+    it is left behind: its thread is told to end as soon as Python code in it runs again, and the
+    next call gets a new one. A call that holds the interpreter's lock in foreign code stops the
+    whole process; against that only the dead-man in the coil driver helps.
+    """
+
+    def __init__(self, patience: float) -> None:
+        self._patience = patience
+        self._calls: queue.SimpleQueue[_Call | None] = queue.SimpleQueue()
+        self._thread: threading.Thread | None = None
+        self._last: _Call | None = None
+
+    def call(self, function: Callable[[], T], deadline: float) -> T:
+        """The value of `function()`, or what it raises.
+
+        Late after `deadline` [s], or at once if an earlier call still goes on; Hung when that
+        one has now been left behind.
+        """
+        self._check_last()
+        if self._thread is None:
+            self._calls = queue.SimpleQueue()
+            self._thread = threading.Thread(target=_serve, args=(self._calls,), daemon=True)
+            self._thread.start()
+        self._last = call = _Call(function)
+        self._calls.put(call)
+        if not call.returned.wait(deadline):
+            raise Late(f'took longer than {deadline * 1e3:g} ms')
+        if call.error is not None:
+            raise call.error
+        return call.value
+
+    def leave_behind(self) -> None:
+        """Let go of the thread: if idle it ends at once, otherwise when its call lets it."""
+        busy = self._last is not None and not self._last.returned.is_set()
+        if busy and self._thread is not None and self._thread.ident is not None:
+            identity = ctypes.c_ulong(self._thread.ident)
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(identity, ctypes.py_object(SystemExit))
+        self._calls.put(None)
+        self._thread = self._last = None
+
+    def _check_last(self) -> None:
+        if self._last is None or self._last.returned.is_set():
+            return
+        waited = time.monotonic() - self._last.begun
+        if waited > self._patience:
+            self.leave_behind()
+            raise Hung(f'did not return for {waited:.1f} s')
+        raise Late('has not returned from the tick before')
+
+
+def _serve(calls: queue.SimpleQueue[_Call | None]) -> None:
+    while (call := calls.get()) is not None:
+        call.run()
