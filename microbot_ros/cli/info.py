@@ -60,13 +60,13 @@ def command(session: Path, json_path: Path | None, figure: Path | None, repair: 
         else:
             found, content = survey_folder(session)
     _show(console, found)
-    if json_path:
-        text = json.dumps(dataclasses.asdict(found), indent=1, ensure_ascii=False)
-        write_text(json_path, text + '\n')
     if figure:
         from microbot_ros.session.survey_figure import draw_survey
 
         draw_survey(found, content, figure)
+    if json_path:
+        text = json.dumps(dataclasses.asdict(found), indent=1, ensure_ascii=False)
+        write_text(json_path, text + '\n')
 
 
 def _show(console: Console, found: Survey) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
@@ -24,13 +25,14 @@ from mcap.records import (
     MetadataIndex,
     Schema,
 )
-from mcap.stream_reader import breakup_chunk
+from mcap.stream_reader import breakup_chunk, get_chunk_data_stream
 from mcap.summary import Summary
 
 from microbot_ros.errors import InputError
 from microbot_ros.session.segment import (
     MAGIC,
     attachment_index,
+    bytes_of,
     closing_bytes,
     count_chunk,
     empty_summary,
@@ -98,6 +100,8 @@ class IndexedReader(SeekingReader):
         if not self.complete:
             with self.path.open('r+b') as file:
                 file.truncate(self._end)
+                if chunks := self._made.chunk_indexes:
+                    self._end += _complete_index(file, chunks[-1], self._end)
                 file.seek(self._end)
                 file.write(closing_bytes(self._made, self._end))
 
@@ -149,12 +153,35 @@ def _scan(file: BinaryIO) -> tuple[Summary, int]:
         end = start + 9 + length
     if chunk is not None:
         # Nothing whole follows it: its index may be short, its bytes may never have got to disk.
+        end = chunk.chunk_start_offset + chunk.chunk_length
         chunk.message_index_offsets, chunk.message_index_length = {}, 0
         try:
             _settle(file, summary, chunk, {})
         except (ValueError, McapError, zstandard.ZstdError):
             end = chunk.chunk_start_offset
     return summary, end
+
+
+def _complete_index(file: BinaryIO, index: ChunkIndex, end: int) -> int:
+    """Write the message index of the last chunk at `end` if it has none; its length."""
+    if index.message_index_offsets:
+        return 0
+    stream, size = get_chunk_data_stream(Chunk.read(_stream(
+        file, index.chunk_start_offset, index.chunk_length - 9)))
+    found: defaultdict[int, list[tuple[int, int]]] = defaultdict(list)
+    while stream.count < size:
+        offset, opcode, length = stream.count, stream.read1(), stream.read8()
+        if opcode == Opcode.MESSAGE:
+            message = Message.read(stream, length)
+            found[message.channel_id].append((message.log_time, offset))
+        else:
+            stream.read(length)
+    file.seek(end)
+    for channel, records in found.items():
+        index.message_index_offsets[channel] = end + index.message_index_length
+        block = bytes_of(MessageIndex(channel, records))
+        index.message_index_length += file.write(block)
+    return index.message_index_length
 
 
 def _records(file: BinaryIO) -> Iterator[tuple[int, int, int]]:

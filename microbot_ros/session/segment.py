@@ -17,6 +17,7 @@ from mcap.records import (
     DataEnd,
     Footer,
     Header,
+    McapRecord,
     Metadata,
     MetadataIndex,
     Schema,
@@ -42,13 +43,13 @@ class Segment:
         self.summary = empty_summary()
         self.size = 0
         self._file = path.open('xb', buffering=0)
-        self._append(MAGIC + _bytes_of(Header('ros2', f'microbot_ros {version("microbot_ros")}')))
+        self._append(MAGIC + bytes_of(Header('ros2', f'microbot_ros {version("microbot_ros")}')))
 
     def add_channel(self, schema: Schema, channel: Channel) -> None:
         """Declare a topic before the first chunk that holds it."""
         # Outside the chunks, so that a crashed file can be indexed without decompressing it.
         new = schema.id not in self.summary.schemas
-        self._append((_bytes_of(schema) if new else b'') + _bytes_of(channel))
+        self._append((bytes_of(schema) if new else b'') + bytes_of(channel))
         self.summary.schemas[schema.id] = schema
         self.summary.channels[channel.id] = channel
 
@@ -56,12 +57,12 @@ class Segment:
         """Append a chunk and the index of its messages."""
         chunk = closed.chunk
         start = self.size
-        block = _bytes_of(chunk)
+        block = bytes_of(chunk)
         length = len(block)
         offsets = {}
         for index in closed.indexes:
             offsets[index.channel_id] = start + len(block)
-            block += _bytes_of(index)
+            block += bytes_of(index)
         self._append(block)
         self.summary.chunk_indexes.append(ChunkIndex(
             chunk_length=length, chunk_start_offset=start, compression=chunk.compression,
@@ -74,13 +75,13 @@ class Segment:
 
     def add_attachment(self, record: Attachment) -> None:
         """Append a file within the file."""
-        start, block = self.size, _bytes_of(record)
+        start, block = self.size, bytes_of(record)
         self._append(block)
         self.summary.attachment_indexes.append(attachment_index(record, start, len(block)))
 
     def add_metadata(self, record: Metadata) -> None:
         """Append named keys and values."""
-        start, block = self.size, _bytes_of(record)
+        start, block = self.size, bytes_of(record)
         self._append(block)
         self.summary.metadata_indexes.append(MetadataIndex(start, len(block), record.name))
 
@@ -150,7 +151,7 @@ def closing_bytes(summary: Summary, start: int) -> bytes:
     statistics.chunk_count = len(summary.chunk_indexes)
     statistics.attachment_count = len(summary.attachment_indexes)
     statistics.metadata_count = len(summary.metadata_indexes)
-    data_end = _bytes_of(DataEnd(0))
+    data_end = bytes_of(DataEnd(0))
     start += len(data_end)
     groups = {
         Opcode.SCHEMA: summary.schemas.values(), Opcode.CHANNEL: summary.channels.values(),
@@ -160,16 +161,17 @@ def closing_bytes(summary: Summary, start: int) -> bytes:
     }
     block, offsets = b'', b''
     for opcode, records in groups.items():
-        group = b''.join(_bytes_of(record) for record in records)
+        group = b''.join(bytes_of(record) for record in records)
         if group:
-            offsets += _bytes_of(SummaryOffset(opcode, start + len(block), len(group)))
+            offsets += bytes_of(SummaryOffset(opcode, start + len(block), len(group)))
         block += group
-    footer = _bytes_of(Footer(start, start + len(block), 0))
+    footer = bytes_of(Footer(start, start + len(block), 0))
     crc = zlib.crc32(block + offsets + footer[:-4])
     return data_end + block + offsets + footer[:-4] + crc.to_bytes(4, 'little') + MAGIC
 
 
-def _bytes_of(record: object) -> bytes:
+def bytes_of(record: McapRecord) -> bytes:
+    """A record as it stands in a file."""
     builder = RecordBuilder()
-    record.write(builder)  # type: ignore[attr-defined]
+    record.write(builder)
     return builder.end()

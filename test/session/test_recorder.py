@@ -172,7 +172,7 @@ def test_a_full_disk_costs_frames_and_keeps_commands_until_it_has_room(tmp_path)
 
 
 def test_a_disk_that_stays_full_leaves_a_readable_recording_and_says_so(tmp_path, monkeypatch):
-    def full(self, block):
+    def full(*_):
         raise OSError(28, 'No space left on device')
 
     with RecordingWriter(tmp_path / 'run') as writer:

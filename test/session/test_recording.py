@@ -1,0 +1,254 @@
+"""Reading recordings: finished, cut off anywhere, foreign, mixed."""
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
+from recordings import VECTOR, encode, record, small_session, vector
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as BagWriter
+
+from microbot_ros.errors import InputError
+from microbot_ros.session import (
+    RecordingWriter,
+    is_recording,
+    open_recording,
+    read_session,
+    store,
+)
+from microbot_ros.session.as_messages import SessionMessages
+from microbot_ros.session.bag import typestore
+
+HERE = Path(__file__).parent
+
+
+def same_session(a, b) -> None:
+    np.testing.assert_array_equal(a.tracks.particle, b.tracks.particle)
+    np.testing.assert_allclose(a.tracks.t, b.tracks.t, atol=2e-9)
+    np.testing.assert_allclose(a.tracks.position, b.tracks.position, rtol=1e-7)
+    np.testing.assert_allclose(a.commands.t, b.commands.t, atol=2e-9)
+    np.testing.assert_allclose(a.commands.field, b.commands.field, rtol=1e-12)
+
+
+@pytest.mark.parametrize('rolling', [False, True])
+def test_a_session_comes_back_out_of_its_recording(tmp_path, rolling):
+    session = small_session(rolling=rolling)
+    copy = read_session(record(tmp_path / 'run', session))
+    same_session(copy, session)
+    assert copy.conditions == session.conditions
+    assert copy.name == 'run'
+    if rolling:
+        np.testing.assert_allclose(copy.commands.frequency, session.commands.frequency)
+
+
+def test_messages_come_by_topic_and_time_and_lazily(tmp_path):
+    session = small_session()
+    expected = list(SessionMessages(session).messages())
+    with open_recording(record(tmp_path / 'run', session)) as recording:
+        assert list(recording.messages()) == expected
+        assert recording.start_ns == expected[0].t_ns
+        assert recording.end_ns == expected[-1].t_ns
+        low, high = expected[40].t_ns, expected[90].t_ns
+        assert list(recording.messages(['/particles'], low, high)) == [
+            m for m in expected if m.topic == '/particles' and low <= m.t_ns < high]
+        assert recording.times('/field/command').tolist() == [
+            m.t_ns for m in expected if m.topic == '/field/command']
+        assert list(recording.messages([])) == []
+
+
+def test_a_single_file_is_a_recording_too(tmp_path):
+    folder = record(tmp_path / 'run', small_session())
+    assert is_recording(folder)
+    same_session(read_session(folder / 'run_0.mcap'), small_session())
+
+
+def chunk_ends(file: Path) -> list[int]:
+    with file.open('rb') as stream:
+        chunks = make_reader(stream).get_summary().chunk_indexes
+        return [c.chunk_start_offset + c.chunk_length + c.message_index_length for c in chunks]
+
+
+def test_cut_off_anywhere_all_whole_chunks_are_there(tmp_path, monkeypatch):
+    monkeypatch.setattr(store, 'CHUNK_BYTES', 2000)
+    file = record(tmp_path / 'run', small_session()) / 'run_0.mcap'
+    expected = list(SessionMessages(small_session()).messages())
+    whole, ends = file.read_bytes(), chunk_ends(file)
+    assert len(ends) > 8
+    for cut in [*range(8, 1200, 97), *range(1200, len(whole), 997), *ends, len(whole) - 1]:
+        crashed = tmp_path / 'crashed.mcap'
+        crashed.write_bytes(whole[:cut])
+        with open_recording(crashed) as recording:
+            found = list(recording.messages())
+            assert not recording.complete
+            assert sum(topic.count for topic in recording.topics.values()) == len(found)
+            times = [recording.times(topic) for topic in recording.topics] or [[]]
+            assert sum(map(len, times)) == len(found)
+        assert set(found) <= set(expected)
+        if cut >= ends[-1]:
+            assert found == expected
+
+
+def test_zeros_after_a_power_cut_end_the_recording(tmp_path):
+    whole = (record(tmp_path / 'run', small_session()) / 'run_0.mcap').read_bytes()
+    end = chunk_ends(tmp_path / 'run' / 'run_0.mcap')[0]
+    for content in (whole[:end] + bytes(5000), whole[:end - 3000] + bytes(3000)):
+        crashed = tmp_path / 'crashed.mcap'
+        crashed.write_bytes(content)
+        with open_recording(crashed) as recording:
+            assert not recording.complete
+            list(recording.messages())
+
+
+KILLED = """
+import sys, time
+sys.path.insert(0, sys.argv[2])
+from recordings import VECTOR, vector
+from microbot_ros.session import RecordingWriter
+
+writer = RecordingWriter(sys.argv[1])
+writer.attach('rig.yaml', 'coils: 4')
+while True:
+    now = time.time_ns()
+    writer.write('/field/command', VECTOR, now, vector(now, 1, 2))
+    print(now, flush=True)
+    time.sleep(0.005)
+"""
+
+
+def test_kill_9_costs_less_than_a_second_and_repair_makes_it_whole(tmp_path):
+    folder = tmp_path / 'run'
+    with subprocess.Popen([sys.executable, '-c', KILLED, folder, HERE],
+                          stdout=subprocess.PIPE, text=True) as process:
+        sent = [int(process.stdout.readline()) for _ in range(300)]
+        process.send_signal(signal.SIGKILL)
+        sent += [int(line) for line in process.stdout.read().splitlines(keepends=True)
+                 if line.endswith('\n')]
+    with open_recording(folder) as recording:
+        assert not recording.complete
+        kept = [message.t_ns for message in recording.messages()]
+        assert kept == sent[:len(kept)]
+        assert sent[-1] - kept[-1] < 10**9
+        recording.repair()
+    with open_recording(folder) as recording:
+        assert recording.complete
+        assert [message.t_ns for message in recording.messages()] == kept
+        assert recording.attachments() == {'rig.yaml': b'coils: 4'}
+    with AnyReader([folder]) as reader:
+        assert [t for _, t, _ in reader.messages()] == kept
+
+
+def test_a_recording_by_rosbags_reads_alike_and_survives_a_crash(tmp_path):
+    with BagWriter(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection('/rig/field/command', VECTOR, typestore=typestore())
+        for i in range(5000):
+            writer.write(connection, 10**9 + i * 1000, vector(i, 1, 2) + bytes(300))
+    file = tmp_path / 'bag' / 'bag.mcap'
+    for complete in (True, False):
+        with open_recording(tmp_path / 'bag') as recording:
+            assert recording.complete == complete
+            assert recording.topic('field/command', VECTOR) == '/rig/field/command'
+            kept = list(recording.messages())
+            assert kept[0].data == vector(0, 1, 2) + bytes(300)
+            assert len(kept) == recording.topics['/rig/field/command'].count
+            assert len(kept) == 5000 if complete else 2000 < len(kept) < 5000
+        file.write_bytes(file.read_bytes()[:-file.stat().st_size // 6])
+        (tmp_path / 'bag' / 'metadata.yaml').unlink(missing_ok=True)
+
+
+def foreign(path: Path, encoding: str = 'json') -> Path:
+    with path.open('wb') as stream:
+        writer = Writer(stream)
+        writer.start()
+        schema = writer.register_schema('Thing', 'jsonschema', b'{}')
+        channel = writer.register_channel('/thing', encoding, schema)
+        writer.add_message(channel, 1, b'{}', 1)
+        writer.finish()
+    return path
+
+
+def test_what_is_no_recording_is_refused(tmp_path):
+    for name, content, said in (
+        ('empty.mcap', b'', 'found an empty file'), ('text.mcap', b'hello world' * 9, 'MCAP'),
+        ('short.mcap', b'\x89MCAP', 'MCAP'),
+    ):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(InputError, match=said) as refusal:
+            open_recording(tmp_path / name)
+        assert refusal.value.source.endswith(name)
+    with pytest.raises(InputError, match='CDR'):
+        open_recording(foreign(tmp_path / 'foreign.mcap'))
+    with pytest.raises(InputError, match='found nothing'):
+        open_recording(tmp_path / 'nowhere')
+    (tmp_path / 'bag').mkdir()
+    (tmp_path / 'bag' / 'bag_0.db3').write_bytes(b'SQLite')
+    with pytest.raises(InputError, match='sqlite3'):
+        open_recording(tmp_path / 'bag')
+
+
+def test_broken_chunks_are_refused_where_they_are_read(tmp_path):
+    file = record(tmp_path / 'run', small_session()) / 'run_0.mcap'
+    whole = bytearray(file.read_bytes())
+    with file.open('rb') as stream:
+        start = make_reader(stream).get_summary().chunk_indexes[0].chunk_start_offset
+    whole[start + 60:start + 200] = bytes(140)
+    file.write_bytes(whole)
+    with open_recording(file) as recording, pytest.raises(InputError, match='sound chunks'):
+        list(recording.messages())
+
+
+def test_mixed_and_incomplete_folders_are_refused(tmp_path):
+    a = record(tmp_path / 'a', small_session())
+    b = record(tmp_path / 'b', small_session())
+    (b / 'b_0.mcap').rename(a / 'b_0.mcap')
+    with pytest.raises(InputError, match=r'b_0\.mcap'):
+        open_recording(b)
+    (a / 'metadata.yaml').write_text('nonsense: 1\n')
+    with pytest.raises(InputError, match='rosbag2') as refusal:
+        open_recording(a)
+    assert refusal.value.source.endswith('metadata.yaml')
+    (a / 'metadata.yaml').unlink()
+    with pytest.raises(InputError, match='files of a, b'):
+        open_recording(a)
+    (a / 'b_0.mcap').unlink()
+    (a / 'tracks.csv').write_text('')
+    with pytest.raises(InputError, match='both'):
+        read_session(a)
+
+
+def test_files_of_a_recording_that_disagree_on_a_type_are_refused(tmp_path):
+    for i, kind in enumerate((VECTOR, 'geometry_msgs/msg/PointStamped')):
+        with RecordingWriter(tmp_path / str(i)) as writer:
+            writer.write('/field/command', kind, i, b'')
+    (tmp_path / 'run').mkdir()
+    for i in range(2):
+        (tmp_path / str(i) / f'{i}_0.mcap').rename(tmp_path / 'run' / f'run_{i}.mcap')
+    with pytest.raises(InputError, match='Vector3Stamped on /field/command'):
+        open_recording(tmp_path / 'run')
+
+
+def test_a_topic_of_another_type_is_refused_by_name(tmp_path):
+    with RecordingWriter(tmp_path / 'run') as writer:
+        writer.write('/particles', 'std_msgs/msg/String', 1, encode('std_msgs/msg/String', 'x'))
+    with pytest.raises(InputError, match='PointCloud2 on /particles, found std_msgs/msg/String'):
+        read_session(tmp_path / 'run')
+
+
+def test_the_same_topic_twice_is_refused(tmp_path):
+    with RecordingWriter(tmp_path / 'run') as writer:
+        for i, topic in enumerate(('/a/particles', '/b/particles')):
+            writer.write(topic, 'sensor_msgs/msg/PointCloud2', i, b'')
+    with pytest.raises(InputError, match='/a/particles, /b/particles'):
+        read_session(tmp_path / 'run')
+
+
+def test_bytes_that_do_not_fit_their_type_are_refused(tmp_path):
+    with RecordingWriter(tmp_path / 'run') as writer:
+        writer.write('/particles', 'sensor_msgs/msg/PointCloud2', 1, b'\x00\x01\x00\x00\xff')
+    with pytest.raises(InputError, match='expected a sensor_msgs/msg/PointCloud2'):
+        read_session(tmp_path / 'run')
