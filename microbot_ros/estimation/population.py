@@ -1,0 +1,105 @@
+"""Which particles there are, and one frame's readings brought to the filter: gated, born, dropped.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from microbot_ros.estimation.bank import PhasorBank
+
+HYPOTHESES = 7
+"""Nothing changed, or c changed about 0.25, 0.5, 1, 2, 4 or 8 s ago."""
+
+TICK = 0.25
+"""Seconds between moments at which a change of c is considered."""
+
+GATE = 30.0
+"""Squared distance beyond which a reading is an outlier: χ² of two axes, 3e-7 by chance."""
+
+JUMP_FRAMES = 5
+"""Consecutive outliers after which the particle really is there."""
+
+
+@dataclass(frozen=True)
+class Taken:
+    """What became of a frame's readings: all (N,) over the population.
+
+    `used` the readings that the filter took; `innovation` complex, whitened to unit variance per
+    axis, NaN where none was taken; `jump` complex [m], by how far a particle was moved, else 0;
+    `born` particles seen for the first time.
+    """
+
+    z: np.ndarray
+    used: np.ndarray
+    innovation: np.ndarray
+    jump: np.ndarray
+    born: np.ndarray
+
+
+class Population:
+    """Particles by identity, `ids` (N,) ascending, each a column of the filter bank."""
+
+    def __init__(self, gain_prior_std: float) -> None:
+        self.bank = PhasorBank(HYPOTHESES)
+        self.ids = np.empty(0, int)
+        self.last_seen = np.empty(0)
+        self._gain_var = gain_prior_std**2
+        self._outliers = np.empty(0, int)
+        self._next_tick = -np.inf
+
+    def take(self, t: float, ids: np.ndarray, z: np.ndarray, reading: np.ndarray) -> Taken:
+        """Readings of distinct particles (n,): complex positions and their variance."""
+        born = self._admit(t, ids, z, reading)
+        rows = np.searchsorted(self.ids, ids)
+        place, noise = np.zeros(len(self.ids), complex), np.ones(len(self.ids))
+        seen = np.zeros(len(self.ids), bool)
+        place[rows], noise[rows], seen[rows] = z, reading, True
+        innovation, variance = self.bank.innovation(place, noise)
+        weight = self.bank.weights()
+        distance = np.where(weight > 0, np.abs(innovation) ** 2 / variance, np.inf).min(axis=0)
+        outlier = seen & ~(distance <= GATE)
+        self._outliers = np.where(outlier, self._outliers + 1, np.where(seen, 0, self._outliers))
+        jumped = outlier & (self._outliers >= JUMP_FRAMES)
+        jump = np.where(jumped, place - (weight * self.bank.p).sum(axis=0), 0)
+        self.bank.restart_position(place, noise, jumped)
+        self._outliers[jumped] = 0
+        used = seen & ~outlier
+        lead = weight.argmax(axis=0), np.arange(len(self.ids))
+        whitened = np.where(used & ~born, innovation[lead] / np.sqrt(variance[lead]), np.nan)
+        self.bank.update(place, noise, used & ~born)
+        self.last_seen[seen] = t
+        return Taken(place, used, whitened, jump, born)
+
+    def consider_changes(self, t: float, interval: float) -> np.ndarray:
+        """Reopen hypotheses when it is time; seconds since c changed (N,), 0 where it did not.
+
+        `interval` is the mean time [s] between changes of one particle.
+        """
+        if t < self._next_tick:
+            return np.zeros(len(self.ids))
+        self._next_tick = t + TICK
+        size = np.maximum(np.abs(self.bank.c[0]) ** 2 / 2, self.bank.c_var[0])
+        return TICK * self.bank.tick(TICK / interval, size, self._gain_var)
+
+    def forget(self, before: float) -> None:
+        """Drop particles not seen since `before` [s]."""
+        kept = self.last_seen >= before
+        if not kept.all():
+            self._select(kept)
+
+    def _admit(self, t: float, ids: np.ndarray, z: np.ndarray, reading: np.ndarray) -> np.ndarray:
+        new = ~np.isin(ids, self.ids)
+        if new.any():
+            self.bank.add(z[new], reading[new], self._gain_var)
+            self.ids = np.concatenate([self.ids, ids[new]])
+            self.last_seen = np.concatenate([self.last_seen, np.full(new.sum(), t)])
+            self._outliers = np.concatenate([self._outliers, np.zeros(new.sum(), int)])
+            self._select(np.argsort(self.ids))
+        return np.isin(self.ids, ids[new])
+
+    def _select(self, rows: np.ndarray) -> None:
+        self.bank.keep(rows)
+        self.ids, self.last_seen = self.ids[rows], self.last_seen[rows]
+        self._outliers = self._outliers[rows]

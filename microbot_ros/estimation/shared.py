@@ -1,0 +1,88 @@
+"""What all particles share, learned from a sliding window: noise levels, delay, excitation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from microbot_ros.estimation.commands import CommandLog
+from microbot_ros.estimation.delay import Delay
+from microbot_ros.estimation.noise import Noise
+from microbot_ros.estimation.population import Taken
+from microbot_ros.estimation.window import Review, Window
+from microbot_ros.model.model import Model
+
+FIRST_REVIEW, REVIEW_EVERY = 0.5, 2.0
+"""Seconds from the first frame to the first review; seconds between reviews at most."""
+
+PRIOR_LOG_STD = 1.0
+"""How far D and σ² may be from what was assumed, as a standard deviation of their logarithm."""
+
+
+class SharedKnowledge:
+    """Noise and delay in use, renewed by reviews that are worked off a slice per frame."""
+
+    def __init__(self, noise: Noise) -> None:
+        self._prior = noise
+        self.noise = noise
+        self.delay = Delay()
+        self.turn = 0j
+        self.sentences: tuple[str, ...] = ()
+        self._window = Window()
+        self._review: Iterator[Review | None] | None = None
+        self._next: float | None = None
+        self._pause = FIRST_REVIEW
+
+    def forget_model(self) -> None:
+        """Drop what was learned under another model, but the noise levels."""
+        self.delay, self.turn, self.sentences = Delay(), 0j, ()
+        self._review = None
+
+    def add(self, t: float, ids: np.ndarray, taken: Taken, changed_for: np.ndarray) -> None:
+        """A frame: identities (N,), its readings, and seconds since c changed (N,), 0 if not."""
+        for row in np.flatnonzero(taken.jump):
+            self._window.jumped(int(ids[row]), complex(taken.jump[row]))
+        for row in np.flatnonzero(changed_for):
+            self._window.changed(int(ids[row]), t - changed_for[row])
+        self._window.add(t, ids, taken.z, taken.used)
+
+    def work(self, t: float, model: Model, log: CommandLog) -> None:
+        """One slice of a review, if one is due or under way."""
+        if self._next is None:
+            self._next = t + self._pause
+        if self._review is None:
+            if t < self._next:
+                return
+            self._pause = min(2 * self._pause, REVIEW_EVERY)
+            self._next = t + self._pause
+            self._review = self._window.review(model, log, self.delay, self.noise)
+        try:
+            result = next(self._review)
+        except StopIteration:
+            self._review = None
+            return
+        if result is not None:
+            self._adopt(result)
+
+    def _adopt(self, review: Review) -> None:
+        self.noise = _weighed(self._prior, review.noise)
+        self.turn, self.sentences = review.turn, review.confounded
+        if review.delay.determined:
+            self.delay = review.delay
+        else:
+            self.delay = replace(self.delay, std=np.nan)
+
+
+def _weighed(prior: Noise, fitted: Noise) -> Noise:
+    """The fitted levels, drawn towards the assumed ones as far as the data are poor."""
+    def draw(assumed: float, value: float, std: float) -> float:
+        trust = PRIOR_LOG_STD**2 / (PRIOR_LOG_STD**2 + (std / value) ** 2)
+        return float(assumed * (value / assumed) ** trust)
+
+    return replace(
+        fitted,
+        diffusion=draw(prior.diffusion, fitted.diffusion, fitted.diffusion_std),
+        localisation=draw(prior.localisation, fitted.localisation, fitted.localisation_std),
+    )
