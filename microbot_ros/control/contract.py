@@ -44,31 +44,31 @@ class ControllerError(Exception):
     result: ClassVar[Result] = Result.NO_SOLUTION
 
 
-class BadGoal(ControllerError):
+class GoalError(ControllerError):
     """A goal or path that can't be followed: not finite, outside the workspace, too many."""
 
     result = Result.BAD_GOAL
 
 
-class ParticleLost(ControllerError):
+class ParticleLostError(ControllerError):
     """The particle to be driven is not among those seen."""
 
     result = Result.PARTICLE_LOST
 
 
-class NotKnownYet(ControllerError):
+class NotLearnedError(ControllerError):
     """Speed or angle of a particle are still to be learned."""
 
     result = Result.NOT_KNOWN_YET
 
 
-class ModelLacks(ControllerError):
+class ModelError(ControllerError):
     """The model has not what this controller works with."""
 
     result = Result.MODEL_LACKS
 
 
-class NoSolution(ControllerError):
+class NoSolutionError(ControllerError):
     """No command does what was asked."""
 
     result = Result.NO_SOLUTION
@@ -154,10 +154,10 @@ class Situation:
     expected: np.ndarray = dataclasses.field(default_factory=NO_PLACES.copy)
 
     def index(self, particle: int) -> int:
-        """The row of a particle; ParticleLost where it is not seen."""
+        """The row of a particle; ParticleLostError where it is not seen."""
         rows = np.flatnonzero(self.ids == particle)
         if not rows.size:
-            raise ParticleLost(f'particle {particle} is not seen')
+            raise ParticleLostError(f'particle {particle} is not seen')
         return int(rows[0])
 
     def learned(self, phi_std: float) -> np.ndarray:

@@ -13,7 +13,7 @@ from microbot_ros.control.contract import (
     Controller,
     FieldCommand,
     Limits,
-    NoSolution,
+    NoSolutionError,
     Progress,
     Situation,
     no_field,
@@ -114,8 +114,9 @@ def _from_file(parameters: OpenLoopParameters) -> tuple[Commands, float]:
 def _check(commands: Commands, limits: Limits) -> None:
     strongest = float(np.hypot(*commands.field.T).max())
     if not strongest <= limits.field * (1 + 1e-9):
-        raise NoSolution(f'the list asks for {strongest * 1e3:g} mT; '
-                         f'the limit is {limits.field * 1e3:g} mT')
+        raise NoSolutionError(f'the list asks for {strongest * 1e3:g} mT; '
+                              f'the limit is {limits.field * 1e3:g} mT')
     fastest = 0.0 if commands.frequency is None else float(commands.frequency.max())
     if not fastest <= limits.frequency:
-        raise NoSolution(f'the list asks for {fastest:g} Hz; the limit is {limits.frequency:g} Hz')
+        raise NoSolutionError(f'the list asks for {fastest:g} Hz; '
+                              f'the limit is {limits.frequency:g} Hz')

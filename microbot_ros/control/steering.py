@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from microbot_ros.control.contract import BadGoal, Situation
+from microbot_ros.control.contract import GoalError, Situation
 
 
 def approach(offset: complex, hold_radius: float) -> float:
@@ -46,12 +46,12 @@ def field_along(situation: Situation, angle: float, strength: float) -> np.ndarr
 
 
 def goals_in_reach(situation: Situation) -> np.ndarray:
-    """The positions (G, 2) [m] of the goals; BadGoal for one that no camera could see."""
+    """The positions (G, 2) [m] of the goals; GoalError for one that no camera could see."""
     position = situation.goals.position
     lost = np.flatnonzero(~situation.workspace.holds(position))
     if lost.size:
         x, y = position[lost[0]] * 1e6
-        raise BadGoal(f'goal {lost[0] + 1} at ({x:.0f}, {y:.0f}) µm is outside the workspace')
+        raise GoalError(f'goal {lost[0] + 1} at ({x:.0f}, {y:.0f}) µm is outside the workspace')
     return position
 
 

@@ -21,7 +21,7 @@ from microbot_ros.control.contract import (
     no_field,
 )
 from microbot_ros.control.forecast import Forecast
-from microbot_ros.control.worker import Hung, Late, Worker
+from microbot_ros.control.worker import HungError, LateError, Worker
 
 _log = logging.getLogger(__name__)
 
@@ -106,12 +106,12 @@ class Switchboard:
                 situation = dataclasses.replace(self._last, field=self._field.copy())
                 worker.call(lambda: self._controllers[name].activate(situation), self._deadline)
         except Exception as error:
-            if isinstance(error, Late):
+            if isinstance(error, LateError):
                 self._renew(name)
             return Answer(False, f'{name}: {_reason(error)}')
         finally:
             worker.leave_behind()
-        self._retire(name)
+        self._retire(self._active)
         self._active, self._fault = name, ''
         self._activated = self._last is not None
         return Answer(True, f'{name} drives')
@@ -154,10 +154,10 @@ class Switchboard:
             return command, Result.OK, command.progress.message
         except ControllerError as error:
             result, reason = error.result, str(error)
-        except Late as error:
+        except LateError as error:
             result, reason = Result.FAULT, f'{self._active}: {error}'
         except Exception as error:
-            if isinstance(error, Hung):
+            if isinstance(error, HungError):
                 self._renew(self._active)
             result = Result.FAULT
             self._fault = reason = f'{self._active}: {_reason(error)}'
@@ -176,7 +176,7 @@ class Switchboard:
             return
         try:
             self._worker.call(self._controllers[name].deactivate, self._deadline)
-        except (Late, Hung):
+        except (LateError, HungError):
             self._worker.leave_behind()
             self._renew(name)
         except Exception as error:
@@ -218,5 +218,5 @@ def _approach(now: np.ndarray, wanted: np.ndarray, situation: Situation) -> np.n
 
 
 def _reason(error: Exception) -> str:
-    named = isinstance(error, ControllerError | Late | Hung | ValueError)
+    named = isinstance(error, ControllerError | LateError | HungError | ValueError)
     return str(error) if named else f'{type(error).__name__}: {error}'

@@ -11,7 +11,7 @@ from microbot_ros.control.contract import (
     NO_PLACES,
     Controller,
     FieldCommand,
-    ParticleLost,
+    ParticleLostError,
     Progress,
     Situation,
     no_field,
@@ -62,7 +62,7 @@ class Waypoint(Controller):
         self._learning_since: float | None = None
 
     def activate(self, situation: Situation) -> None:
-        """ParticleLost where the particle asked for by name is not seen."""
+        """ParticleLostError where the particle asked for by name is not seen."""
         self._learning_since = None
         if self.parameters.particle >= 0:
             situation.index(self.parameters.particle)
@@ -99,9 +99,9 @@ class Waypoint(Controller):
             self._particle = self.parameters.particle
         elif self._particle not in situation.ids:
             if not len(situation.ids):
-                raise ParticleLost('no particle is seen')
+                raise ParticleLostError('no particle is seen')
             if self._particle >= 0 and situation.goals.ids is not None:
-                raise ParticleLost(f'particle {self._particle} is not seen')
+                raise ParticleLostError(f'particle {self._particle} is not seen')
             away = np.hypot(*(situation.position - self._goals[self._next]).T)
             self._particle = int(situation.ids[np.argmin(away)])
         return self._particle

@@ -12,11 +12,11 @@ from typing import Generic, TypeVar
 T = TypeVar('T')
 
 
-class Late(Exception):
+class LateError(Exception):
     """A call has not returned within its deadline; it goes on, and nothing else is begun."""
 
 
-class Hung(Exception):
+class HungError(Exception):
     """A call has not returned for so long that it was left behind."""
 
 
@@ -54,8 +54,8 @@ class Worker:
     def call(self, function: Callable[[], T], deadline: float) -> T:
         """The value of `function()`, or what it raises.
 
-        Late after `deadline` [s], or at once if an earlier call still goes on; Hung when that
-        one has now been left behind.
+        LateError after `deadline` [s], or at once if an earlier call still goes on; HungError
+        when that one has now been left behind.
         """
         self._check_last()
         if self._thread is None:
@@ -65,7 +65,7 @@ class Worker:
         self._last = call = _Call(function)
         self._calls.put(call)
         if not call.returned.wait(deadline):
-            raise Late(f'took longer than {deadline * 1e3:g} ms')
+            raise LateError(f'took longer than {deadline * 1e3:g} ms')
         if call.error is not None:
             raise call.error
         return call.value
@@ -85,8 +85,8 @@ class Worker:
         waited = time.monotonic() - self._last.begun
         if waited > self._patience:
             self.leave_behind()
-            raise Hung(f'did not return for {waited:.1f} s')
-        raise Late('has not returned from the tick before')
+            raise HungError(f'did not return for {waited:.1f} s')
+        raise LateError('has not returned from the tick before')
 
 
 def _serve(calls: queue.SimpleQueue[_Call | None]) -> None:

@@ -1,0 +1,106 @@
+"""What any controller must stand: run yours through it in a test of your own package.
+
+    from microbot_ros.control.testkit import exercise
+
+    def test_my_controller_keeps_the_contract():
+        exercise(MyController)
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from microbot_ros import settings
+from microbot_ros.control.contract import (
+    INTERFACE_VERSION,
+    Controller,
+    ControllerError,
+    Goals,
+    Limits,
+    Situation,
+    Workspace,
+)
+
+VIEW = Workspace(np.array([-144e-6, -108e-6]), np.array([144e-6, 108e-6]))
+
+
+def situation(count: int = 3, t: float = 0.0, seed: int = 0, **changes: Any) -> Situation:
+    """A plausible situation with `count` particles of which all is known; change what you like.
+
+    `expected` is the measured position, as for a rig without delay.
+    """
+    rng = np.random.default_rng(seed)
+    position = rng.uniform(-60e-6, 60e-6, (count, 2))
+    values: dict[str, Any] = {
+        't': t, 'dt': 1 / 60, 'age': 0.01, 'ids': np.arange(count), 'position': position,
+        'sigma': np.full(count, 5e-8), 'theta': rng.uniform(-np.pi, np.pi, count),
+        'speed': rng.uniform(3e-6, 5e-6, count), 'phi': rng.uniform(-np.pi, np.pi, count),
+        'speed_std': np.full(count, 1e-7), 'phi_std': np.full(count, 0.02),
+        'limits': Limits(), 'workspace': VIEW, 'delay': 0.03, 'expected': position,
+    }
+    return Situation(**values | changes)
+
+
+def exercise(kind: type[Controller]) -> None:
+    """AssertionError, saying what is wrong, unless a controller keeps the contract.
+
+    It must state version, summary and described parameters; configure its defaults; and answer
+    each of a series of situations, common and odd, with a finite command within the limits or
+    with a ControllerError, without changing what it was shown; also after `reset` and when it
+    is activated again.
+    """
+    assert kind.interface_version == INTERFACE_VERSION, 'written for another interface version'
+    assert kind.summary.strip(), 'has no summary'
+    for name in settings.defaults(kind.Parameters):
+        assert settings.about(kind.Parameters, name).description, f'{name} is not described'
+    controller = kind()
+    controller.configure(kind.Parameters())
+    for prepare in (controller.deactivate, controller.reset, controller.deactivate):
+        for shown in odd_situations():
+            _answer(controller, shown)
+        prepare()
+
+
+def odd_situations() -> Iterator[Situation]:
+    """Situations that happen on a rig, the dull and the awkward."""
+    goals = Goals(np.array([[20e-6, 10e-6], [-30e-6, 0], [0, 40e-6]]))
+    path = np.column_stack((np.linspace(-50e-6, 50e-6, 21), np.zeros(21)))
+    nobody = situation(0)
+    unknown = {'speed': np.full(3, np.nan), 'phi': np.full(3, np.nan),
+               'speed_std': np.full(3, np.inf), 'phi_std': np.full(3, np.inf)}
+    yield situation()
+    for t in (0.02, 0.04, 5.0):
+        yield situation(t=t, goals=goals, path=path)
+    yield situation(t=6, goals=goals, path=path, **unknown)
+    yield dataclasses.replace(nobody, t=7, goals=goals, path=path)
+    yield situation(1, t=8, goals=goals, path=path)
+    yield situation(10, t=9, goals=goals, path=path)
+    yield situation(t=10, goals=Goals(np.array([[1.0, 0.0]])), path=np.array([[1.0, 0.0]]))
+    yield situation(t=11, goals=Goals(np.full((2, 2), np.nan)), path=np.full((3, 2), np.nan))
+    yield situation(t=12, goals=Goals(goals.position, np.array([7, 8, 9])), path=path[:1])
+    here = situation(t=13)
+    yield dataclasses.replace(here, goals=Goals(here.position), path=here.position)
+    yield situation(t=14, goals=goals, path=path, limits=Limits(field=1e-4, frequency=1.0))
+    yield situation(t=15, dt=0.0, joystick=np.array([1.0, 0.0]), goals=goals)
+
+
+def _answer(controller: Controller, shown: Situation) -> None:
+    before = {name: np.copy(value) for name, value in vars(shown).items()
+              if isinstance(value, np.ndarray)}
+    try:
+        controller.activate(shown)
+        command = controller.compute(shown)
+    except ControllerError as error:
+        assert str(error), 'raises an error that says nothing'
+    else:
+        field = np.asarray(command.field, dtype=float)
+        assert field.shape == (2,), f'field of shape {field.shape} at t = {shown.t:g} s'
+        assert np.hypot(*field) <= shown.limits.field * (1 + 1e-9), f'{field} T is too much'
+        assert 0 <= command.frequency <= shown.limits.frequency, f'{command.frequency} Hz'
+    for name, value in before.items():
+        changed = not np.array_equal(value, getattr(shown, name), equal_nan=value.dtype.kind == 'f')
+        assert not changed, f'changed {name} of the situation'
