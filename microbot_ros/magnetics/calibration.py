@@ -25,6 +25,8 @@ from microbot_ros.units import from_si, to_si
 # a few percent is what probe placement costs, half or more is what swapped columns leave.
 _BELIEVED = 0.2
 _SINGULAR = 1e6
+# Coils are known better than to this factor; what is beyond is dead, or in other units.
+_PLAUSIBLE = 3
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,9 @@ def read_readings(path: str | Path, settings: CoilSettings) -> Readings:
         expected = f'expected the columns {",".join(needed)} and, if known, {",".join(optional)}'
         raise InputError(path, f'{expected}; found {",".join(header) or "none"}', 1)
     values = [_numbers(path, rows.line_num, header, row) for row in rows if row]
-    table = dict(zip(header, np.array(values).reshape(-1, len(header)).T, strict=True))
+    if not values:
+        raise InputError(path, 'expected readings below the header', 1)
+    table = dict(zip(header, np.array(values).T, strict=True))
     count = len(values)
 
     def column(name: str, missing: float) -> np.ndarray:
@@ -136,8 +140,10 @@ def calibrate(readings: Readings, settings: CoilSettings, source: str | Path) ->
     if not unexplained <= _BELIEVED:
         raise InputError(source, _explain(readings, coils, unexplained))
     for name, gain, std in zip(coils.names, calibration.gain, calibration.gain_std, strict=True):
-        if not abs(gain) > max(5 * std, 0.01):
-            raise InputError(source, f"expected a field from coil '{name}', found gain {gain:.3g}")
+        if not (1 / _PLAUSIBLE <= abs(gain) <= _PLAUSIBLE and std < abs(gain) / 5):
+            raise InputError(
+                source, f'expected a gain between 1/{_PLAUSIBLE} and {_PLAUSIBLE} for {name},'
+                f" found {gain:.3g} ± {std:.2g}: see its wiring and turns, and the columns' units")
     return calibration
 
 

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import magpylib
 import numpy as np
-import osqp
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import sparse
 from scipy.optimize import linprog
 
 from microbot_ros.errors import InputError
@@ -33,16 +31,22 @@ def direction(angle: float) -> np.ndarray:
     return np.array([np.cos(angle), np.sin(angle)])
 
 
-def cheapest_by_osqp(coils: CoilSet, allocator: Allocator, field: np.ndarray) -> float:
-    solver = osqp.OSQP()
-    demand = field - coils.background
-    solver.setup(
-        sparse.csc_matrix(2 * np.diag(coils.resistance)), np.zeros(4),
-        sparse.csc_matrix(np.vstack([1e3 * allocator.matrix, np.eye(4)])),
-        np.concatenate([1e3 * demand, -coils.max_current]),
-        np.concatenate([1e3 * demand, coils.max_current]),
-        verbose=False, eps_abs=1e-9, eps_rel=1e-9, max_iter=100_000, polishing=True)
-    return solver.solve(raise_error=True).info.obj_val
+def waste(coils: CoilSet, allocator: Allocator, currents: np.ndarray) -> float:
+    """How far currents are from the conditions for the least power (Karush, Kuhn, Tucker), 0 to 1.
+
+    Two prices per field must exist, λ, such that 2RI = aᵀλ for coils off their limits and
+    |aᵀλ| ≥ 2RI, same sign, for coils at them. A linear programme finds the λ that fails least.
+    """
+    slope, columns = 2 * coils.resistance * currents, 1e3 * allocator.matrix.T
+    upper, lower = currents >= coils.max_current, currents <= -coils.max_current
+    rows, bounds = [], []
+    for sign, spared in ((1, upper), (-1, lower)):
+        kept = ~spared
+        rows.append(np.column_stack([sign * columns, -np.ones(4)])[kept])
+        bounds.append((sign * slope)[kept])
+    solution = linprog([0, 0, 1], np.vstack(rows), np.concatenate(bounds), method='highs',
+                       bounds=[(None, None), (None, None), (0, None)])
+    return solution.fun / np.abs(slope).max()
 
 
 def largest_by_linprog(coils: CoilSet, allocator: Allocator, unit: np.ndarray) -> float:
@@ -67,12 +71,12 @@ def test_field_in_reach_is_made_exactly_and_as_cheaply_as_can_be(coils, angle, p
     assert (np.abs(found.currents) <= coils.max_current).all()
     np.testing.assert_allclose(found.field, wanted, rtol=1e-8, atol=1e-12)
     assert found.power == pytest.approx(coils.power(found.currents))
-    assert found.power == pytest.approx(cheapest_by_osqp(coils, allocator, wanted), rel=1e-5)
+    assert waste(coils, allocator, found.currents) < 1e-6
 
 
 @settings(max_examples=60, deadline=None)
 @given(rigs, angles, st.floats(1.0001, 1e6), st.booleans())
-def test_field_out_of_reach_keeps_its_direction_and_the_most_there_is(coils, angle, beyond, cancel):
+def test_field_out_of_reach_keeps_direction_and_the_most_there_is(coils, angle, beyond, cancel):
     allocator = Allocator(coils, cancel_gradient=cancel)
     unit = direction(angle)
     largest = largest_by_linprog(coils, allocator, unit)
@@ -81,6 +85,15 @@ def test_field_out_of_reach_keeps_its_direction_and_the_most_there_is(coils, ang
     assert (np.abs(found.currents) <= coils.max_current).all()
     assert allocator.largest(7 * unit) == pytest.approx(largest, rel=1e-7)
     np.testing.assert_allclose(found.field, largest * unit, atol=1e-7 * largest)
+
+
+def test_waste_is_seen():
+    coils = rig(0)
+    allocator = Allocator(coils)
+    spare = np.linalg.svd(allocator.matrix)[2][2]
+    found = allocator.allocate((1e-3, 2e-4)).currents
+    assert waste(coils, allocator, found) < 1e-6
+    assert waste(coils, allocator, found + 1e-3 * spare) > 1e-4
 
 
 def test_every_direction_against_an_independent_biot_savart():

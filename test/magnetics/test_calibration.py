@@ -1,0 +1,155 @@
+"""Coils found again from readings of wires wound finer than the fitted ones."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+
+import numpy as np
+import pytest
+import yaml
+from click.testing import CliRunner
+
+from microbot_ros.cli.calibrate import command
+from microbot_ros.errors import InputError
+from microbot_ros.magnetics import CoilSet, CoilSettings, Loop
+from microbot_ros.magnetics.calibration import calibrate, read_readings
+
+GAIN = np.array([0.81, 1.12, -1.0, 0.93])
+BACKGROUND = np.array([0.021, -0.044, 0.03])  # mT
+NOISE = 0.005  # mT
+PLACES = [(0, 0, 0), (3, 0, 0), (0, 3, 0), (-2, 2, 1)]  # mm
+NAMES = [winding.name for winding in CoilSettings().windings]
+HEADER = [*(f'{name}_A' for name in NAMES), 'x_mm', 'y_mm', 'z_mm', 'bx_mT', 'by_mT', 'bz_mT']
+
+
+@cache
+def per_ampere(place: tuple[float, float, float]) -> np.ndarray:
+    """Field (4, 3) [T/A] of coils wound in nine layers of nine, 3 mm across, 400 turns in all."""
+    point = 1e-3 * np.array([place])
+    across = np.linspace(-1.5e-3, 1.5e-3, 9)
+    fields = []
+    for winding in CoilSettings().windings:
+        centre, axis = 1e-3 * np.array(winding.position_mm), np.array(winding.axis)
+        fields.append(sum(
+            Loop(0.02 + out, centre + up * axis, axis, 400 / 81).field_per_ampere(point)[0]
+            for out in across for up in across))
+    return np.array(fields)
+
+
+def rows(seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    readings = []
+    for place in PLACES:
+        field = GAIN[:, None] * per_ampere(place) * 1e3
+        for currents in np.vstack([np.eye(4), -np.eye(4), 2 * np.eye(4), np.zeros((1, 4))]):
+            measured = currents @ field + BACKGROUND + rng.normal(0, NOISE, 3)
+            readings.append([*currents, *place, *measured])
+    return np.array(readings)
+
+
+def write(path, values, header=HEADER):
+    lines = [','.join(header), *(','.join(map(repr, row)) for row in np.asarray(values).tolist())]
+    path.write_text('\n'.join(lines) + '\n')
+    return path
+
+
+def test_gains_signs_and_background_are_found_within_their_uncertainty(tmp_path):
+    # The thick winding is weaker than the fitted loop by a part that is no error of the fit.
+    thickness = np.linalg.norm(per_ampere((0, 0, 0)), axis=1) / np.linalg.norm(
+        CoilSet().field_per_ampere([[0, 0, 0]])[:, 0], axis=1)
+    off = []
+    for seed in range(20):
+        path = write(tmp_path / 'readings.csv', rows(seed))
+        found = calibrate(read_readings(path, CoilSettings()), CoilSettings(), path)
+        off.append(np.concatenate([
+            (found.gain - GAIN * thickness) / found.gain_std,
+            (found.background - 1e-3 * BACKGROUND[:2]) / found.background_std]))
+        assert np.nanstd(found.residuals) == pytest.approx(1e-3 * NOISE, rel=0.25)
+    assert np.abs(off).max() < 4.5
+    assert np.mean(np.square(off)) == pytest.approx(1, rel=0.4)
+
+
+def test_readings_at_the_centre_in_any_order_of_columns_need_no_place_and_no_z(tmp_path):
+    values = rows()[:13, [7, 8, 3, 2, 1, 0]]
+    path = write(tmp_path / 'readings.csv', values, [HEADER[k] for k in (7, 8, 3, 2, 1, 0)])
+    found = calibrate(read_readings(path, CoilSettings()), CoilSettings(), path)
+    np.testing.assert_allclose(found.gain, GAIN, rtol=0.02)
+    assert np.isnan(found.residuals[:, 2]).all()
+
+
+def test_command_writes_a_section_that_predicts_the_readings(tmp_path):
+    path, out = write(tmp_path / 'readings.csv', rows()), tmp_path / 'out'
+    result = CliRunner().invoke(command, [
+        'coils', str(path), '--out', str(out), '--json', str(tmp_path / 'result.json')])
+    assert result.exit_code == 0
+    assert sorted(item.name for item in out.iterdir()) == [
+        'calibration.json', 'calibration.png', 'coils.yaml']
+    section = yaml.safe_load((out / 'coils.yaml').read_text())['coils']
+    coils = CoilSet(CoilSettings.model_validate(section))
+    values = rows(seed=1)
+    predicted = [1e3 * coils.field(row[:4], 1e-3 * row[None, 4:7])[0] for row in values]
+    left = values[:, 7:9] - np.array(predicted)[:, :2] - 1e3 * coils.background
+    assert np.sqrt(np.mean(left**2)) < 1.5 * NOISE
+    summary = json.loads((tmp_path / 'result.json').read_text())
+    assert [summary['coils'][name]['sign'] for name in NAMES] == [1, 1, -1, 1]
+
+    # What the file says already does not change what the readings say.
+    again = CliRunner().invoke(command, [
+        'coils', str(path), '--out', str(tmp_path / 'again'), '--config', str(out / 'coils.yaml')])
+    assert again.exit_code == 0
+    assert json.loads((tmp_path / 'again' / 'calibration.json').read_text()) == summary
+
+
+def swapped(one: str, other: str) -> list[str]:
+    trade = {one: other, other: one}
+    return [trade.get(name, name) for name in HEADER]
+
+
+PAIRED = rows()
+PAIRED[:, 2] = -PAIRED[:, 0]
+DEAD = rows()
+DEAD[:, 7:] = (DEAD[:, :4] * (1, 0, 1, 1)) @ per_ampere((0, 0, 0)) * 1e3
+STUCK = rows()
+STUCK[:, 7:] = 0.02
+NOTHING = rows()[:0]
+
+
+@pytest.mark.parametrize(('values', 'header', 'complaint'), [
+    (rows(), swapped('bx_mT', 'by_mT'), 'bx_mT holds y, by_mT holds x'),
+    (rows(), swapped('coil_plus_x_A', 'coil_plus_y_A'),
+     'coil_plus_x_A holds the current of coil_plus_y'),
+    (rows(), swapped('coil_plus_x_A', 'bx_mT'), 'a gain between 1/3 and 3 for coil_plus_x'),
+    (rows(), swapped('coil_plus_x_A', 'x_mm'), "expected readings that fit the coils' geometry"),
+    (rows() * ([1e3] * 4 + [1] * 6), HEADER, 'found 0.000.* units'),
+    (PAIRED[:, [0, 1, 2, 3, 7, 8]], [*HEADER[:4], *HEADER[7:9]], 'singular'),
+    (rows()[:3], HEADER, 'singular'),
+    (NOTHING, HEADER, 'readings.csv:1: expected readings below'),
+    (DEAD[:13], HEADER, 'expected a gain between 1/3 and 3 for coil_plus_x, found'),
+    (STUCK, HEADER, '100% of their variation is unexplained'),
+    (np.vstack([rows(), np.full(10, np.nan)]), HEADER, "readings.csv:54: .* found 'nan'"),
+    (np.vstack([rows(), np.full(10, -np.inf)]), HEADER, "readings.csv:54: .* found '-inf'"),
+    (rows()[:, 1:], HEADER[1:], 'readings.csv:1: expected the columns bx_mT,by_mT,coil_plus_y_A'),
+    (rows(), [*HEADER[:-1], 'bz_T'], 'readings.csv:1: expected the columns'),
+    (rows(), [*HEADER[:-1], 'by_mT'], 'readings.csv:1: expected the columns'),
+    (rows(), HEADER[:-1], 'readings.csv:1: expected|readings.csv:2: expected 9 values, found 10'),
+])
+def test_readings_that_say_nothing_write_nothing(values, header, complaint, tmp_path):
+    path = write(tmp_path / 'readings.csv', values, header)
+    with pytest.raises(InputError, match=complaint) as error:
+        CliRunner().invoke(command, ['coils', str(path), '--out', str(tmp_path / 'out')],
+                           catch_exceptions=False)
+    assert '\n' not in str(error.value)
+    assert [item.name for item in tmp_path.iterdir()] == ['readings.csv']
+
+
+def test_files_that_are_none(tmp_path):
+    path = tmp_path / 'readings.csv'
+    with pytest.raises(InputError, match='expected a readable CSV'):
+        read_readings(path, CoilSettings())
+    path.write_text('')
+    with pytest.raises(InputError, match=r'readings.csv:1: expected the columns .* found none'):
+        read_readings(path, CoilSettings())
+    path.write_text(','.join(HEADER) + '\n' + ','.join(['1'] * 9 + ['a bit']) + '\n')
+    with pytest.raises(InputError, match=r"readings.csv:2: .* in bz_mT, found 'a bit'"):
+        read_readings(path, CoilSettings())
