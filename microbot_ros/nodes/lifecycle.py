@@ -205,7 +205,7 @@ class RigNode(LifecycleNode):
         self._created.clear()
 
     def _report(self) -> None:
-        level, sentence, values = (OK, 'not active', {}) if not self.active else self.health()
+        level, sentence, values = self._condition()
         if self.fault:
             level, sentence = ERROR, self.fault
         elif time.monotonic() < self._complaint_until and level == OK:
@@ -216,6 +216,15 @@ class RigNode(LifecycleNode):
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(message)
+
+    def _condition(self) -> tuple[bytes, str, dict[str, object]]:
+        if not self.active:
+            return OK, 'not active', {}
+        try:
+            return self.health()
+        except Exception as error:  # would end the executor, and the node with it
+            self._failed('health', error)
+            return ERROR, f'health failed: {error}', {}
 
 
 def _text(value: object) -> str:

@@ -27,7 +27,7 @@ ESTIMATE = np.dtype([
     ('force', '<f4'), ('x_std', '<f4'), ('y_std', '<f4'), ('speed_std', '<f4'),
     ('phi_std', '<f4'), ('force_std', '<f4'),
 ])
-"""A point of `model/state`: SI; infinite standard deviations say that nothing is known yet."""
+"""A point of `model/state`: SI; NaN for what is not known yet."""
 
 TRUTH = np.dtype([
     ('id', '<u4'), ('x', '<f4'), ('y', '<f4'), ('theta', '<f4'), ('speed', '<f4'),

@@ -1,0 +1,126 @@
+"""Node `model`: speed, offset angle and force of every particle, while it happens."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from geometry_msgs.msg import Vector3Stamped
+from sensor_msgs.msg import MagneticField, PointCloud2
+
+from microbot_ros.errors import InputError
+from microbot_ros.estimation.online import Estimates, Estimator, Settings
+from microbot_ros.model.model_file import read_model
+from microbot_ros.nodes import messages
+from microbot_ros.nodes.lifecycle import OK, WARN, RigNode
+from microbot_ros.records import Conditions
+from microbot_ros.settings import setting
+
+
+@dataclass(frozen=True)
+class ModelParameters:
+    """Parameters of the node `model`."""
+
+    propulsion: str = setting(
+        'catalytic', 'What drives the particles.', choices=('catalytic', 'rolling'),
+        read_only=True)
+    radius_um: float = setting(2.3, 'Radius of the particles.', lower=0.05, upper=1000.0,
+                               read_only=True)
+    viscosity_mPa_s: float = setting(1.0, 'Viscosity of the fluid.', lower=0.05, upper=1e5,
+                                     read_only=True)
+    temperature_K: float = setting(298.0, 'Temperature of the fluid.', lower=250.0, upper=400.0,
+                                   read_only=True)
+    exposure_ms: float = setting(0.0, 'Exposure time of a frame.', lower=0.0, upper=1000.0,
+                                 read_only=True)
+    horizon_s: float = setting(0.5, 'How far ahead to predict.', lower=0.0, upper=60.0,
+                               read_only=True)
+    command_source: str = setting(
+        'applied', 'What the particles felt: the field read back from the coils, or the one '
+        'commanded where nothing is read back.', choices=('applied', 'command'), read_only=True)
+    model_file: str = setting(
+        '', 'model.yaml with the effects to filter with; empty is the first-order model. A file '
+        'that cannot be used is refused and the present model kept.')
+
+
+class ModelNode(RigNode):
+    """`particles` and the field → `model/state`."""
+
+    Parameters: ClassVar[type] = ModelParameters
+
+    def setup(self) -> None:
+        values: ModelParameters = self.settings
+        self._estimator = Estimator(
+            Conditions(
+                propulsion=values.propulsion, radius=values.radius_um * 1e-6,
+                viscosity=values.viscosity_mPa_s * 1e-3, temperature=values.temperature_K),
+            Settings(horizon=values.horizon_s, exposure=values.exposure_ms * 1e-3))
+        self._model_file = ''
+        self._estimates: Estimates | None = None
+        self._state = self.publisher(PointCloud2, 'model/state')
+        self.subscribe(PointCloud2, 'particles', self._on_particles)
+        if values.command_source == 'applied':
+            self.subscribe(MagneticField, 'field/applied', self._on_applied)
+        else:
+            self.subscribe(Vector3Stamped, 'field/command', self._on_command)
+
+    def veto(self, proposed: ModelParameters) -> str:
+        if proposed.model_file:
+            try:
+                read_model(proposed.model_file)
+            except InputError as error:
+                return str(error)
+        return ''
+
+    def health(self) -> tuple[bytes, str, dict[str, object]]:
+        found = self._estimates
+        if found is None:
+            return WARN, 'no particles yet', {}
+        noise = found.noise
+        values: dict[str, object] = {
+            'particles': len(found.id), 'known': int(found.known.sum()),
+            'delay_s': found.delay, 'delay_std_s': found.delay_std,
+            'diffusion_um2_s': noise.diffusion * 1e12,
+            'localisation_um': noise.localisation * 1e6}
+        if found.diagnosis:
+            return WARN, '; '.join(found.diagnosis), values
+        return OK, f'{int(found.known.sum())} of {len(found.id)} particles known', values
+
+    def _on_applied(self, message: MagneticField) -> None:
+        field = message.magnetic_field
+        self._estimator.command(
+            messages.to_seconds(message.header.stamp), np.array([field.x, field.y]))
+
+    def _on_command(self, message: Vector3Stamped) -> None:
+        # Its stamp is the exposure it answers; the field turns when the command arrives.
+        self._estimator.command(self.seconds(), np.array([message.vector.x, message.vector.y]))
+
+    def _on_particles(self, message: PointCloud2) -> None:
+        self._follow_model_file()
+        found = messages.points(message, messages.PARTICLE)
+        position = np.stack([found['x'], found['y']], axis=1).astype(float)
+        self._estimates = estimates = self._estimator.update(
+            messages.to_seconds(message.header.stamp), found['id'].astype(int), position,
+            found['sigma'].astype(float))
+        self._state.publish(messages.cloud(_points(estimates), message.header.stamp))
+
+    def _follow_model_file(self) -> None:
+        file = self.settings.model_file
+        if file != self._model_file:
+            self._model_file = file
+            if file:
+                self._estimator.use(read_model(file)[0])
+
+
+def _points(estimates: Estimates) -> np.ndarray:
+    points = np.empty(len(estimates.id), messages.ESTIMATE)
+    points['id'] = estimates.id
+    points['x'], points['y'] = estimates.position.T
+    points['x_std'] = points['y_std'] = estimates.position_std
+    columns: dict[str, Any] = {
+        'speed': estimates.speed, 'phi': estimates.phi, 'force': estimates.force,
+        'speed_std': estimates.speed_std, 'phi_std': estimates.phi_std,
+        'force_std': estimates.force_std}
+    for name, value in columns.items():
+        points[name] = value
+    return points

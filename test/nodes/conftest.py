@@ -1,0 +1,137 @@
+"""Real nodes, a real middleware, a real pseudo-terminal: what the tests of nodes are made of."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import rclpy
+import yaml
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.signals import SignalHandlerOptions
+
+from microbot_ros.nodes.lifecycle import RigNode
+from microbot_ros.nodes.process import make
+from microbot_ros.nodes.transport import stay_local
+
+FULL_SCALE_A = 2.0
+
+
+class Emulator:
+    """The emulated amplifier in its own process."""
+
+    def __init__(self, folder: Path, *options: str) -> None:
+        self.port = folder / 'amplifier'
+        self.log = folder / 'amplifier.jsonl'
+        self.process = subprocess.Popen(
+            [sys.executable, '-m', 'microbot_ros.cli', 'emulate', 'serial_transfer', '--link',
+             str(self.port), '--log', str(self.log), '--full-scale-A', str(FULL_SCALE_A),
+             *options], stdout=subprocess.PIPE, text=True)
+        assert self.process.stdout is not None
+        assert 'serving' in self.process.stdout.readline()
+
+    def entries(self) -> list[dict[str, Any]]:
+        """What the log holds so far."""
+        return [json.loads(line) for line in self.log.read_text().splitlines()]
+
+    @property
+    def currents(self) -> list[float]:
+        """What flows now."""
+        return list(self.entries()[-1]['currents_A'])
+
+    @property
+    def zero(self) -> bool:
+        """Whether nothing flows."""
+        return not any(self.currents)
+
+    def end(self) -> None:
+        """Switch off, as pulling the plug does."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGTERM)
+        self.process.communicate(timeout=10)
+
+
+class Ros:
+    """Nodes of one test in this process, a probe that talks to them, and an executor."""
+
+    def __init__(self, folder: Path, parameters: dict[str, dict[str, Any]]) -> None:
+        stay_local()
+        file = folder / 'parameters.yaml'
+        file.write_text(yaml.safe_dump(
+            {name: {'ros__parameters': values} for name, values in parameters.items()}))
+        rclpy.init(args=['--ros-args', '--params-file', str(file)],
+                   signal_handler_options=SignalHandlerOptions.NO)
+        self._executor = EventsExecutor()
+        self.nodes: dict[str, RigNode] = {}
+        self.probe = rclpy.create_node('probe')
+        self._executor.add_node(self.probe)
+
+    def add(self, name: str) -> RigNode:
+        """Make a node and configure and activate it; look at its `active` and `fault`."""
+        node = self.nodes[name] = make(name)
+        self._executor.add_node(node)
+        if node.trigger_configure().name == 'SUCCESS':
+            node.trigger_activate()
+        return node
+
+    def until(self, true: Callable[[], Any], seconds: float = 10.0) -> None:
+        """Spin until something is true; fail if it does not become so."""
+        deadline = time.monotonic() + seconds
+        while not true():
+            assert time.monotonic() < deadline, 'did not happen in time'
+            self._executor.spin_once(timeout_sec=0.01)
+
+    def hear(self, kind: type, topic: str, qos: Any = 100) -> list[Any]:
+        """A list that fills with the messages of a topic."""
+        heard: list[Any] = []
+        self.probe.create_subscription(kind, topic, heard.append, qos)
+        return heard
+
+    def call(self, kind: type, name: str, request: Any) -> Any:
+        """The answer of a service."""
+        client = self.probe.create_client(kind, name)
+        self.until(client.service_is_ready)
+        future = client.call_async(request)
+        self.until(future.done)
+        return future.result()
+
+    def end(self) -> None:
+        """Leave nothing running."""
+        for node in self.nodes.values():
+            node.end()
+            self._executor.remove_node(node)
+            node.destroy_node()
+        self._executor.remove_node(self.probe)
+        self.probe.destroy_node()
+        rclpy.try_shutdown()
+
+
+@pytest.fixture
+def emulator(tmp_path: Path) -> Iterator[Emulator]:
+    """An emulated amplifier that is switched off at the end."""
+    made = Emulator(tmp_path)
+    yield made
+    made.end()
+
+
+@pytest.fixture
+def ros(tmp_path: Path) -> Iterator[Callable[[dict[str, dict[str, Any]]], Ros]]:
+    """Makes a graph in this process from parameters; ends it afterwards."""
+    made: list[Ros] = []
+
+    def start(parameters: dict[str, dict[str, Any]]) -> Ros:
+        made.append(Ros(tmp_path, parameters))
+        return made[-1]
+
+    assert os.environ['ROS_DOMAIN_ID']
+    yield start
+    for graph in made:
+        graph.end()

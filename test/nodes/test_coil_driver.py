@@ -1,0 +1,147 @@
+"""The driver against the emulated amplifier: what flows, and above all when nothing flows."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import Vector3Stamped
+from sensor_msgs.msg import MagneticField, TimeReference
+from std_srvs.srv import SetBool
+
+from microbot_ros.nodes import messages
+
+
+def _start(emulator: Any, ros: Any) -> Any:
+    graph = ros({'coil_driver': {'port': str(emulator.port), 'full_scale_A': 2.0}})
+    assert graph.add('coil_driver').active
+    graph.commands = graph.probe.create_publisher(Vector3Stamped, 'field/command', 10)
+    graph.until(lambda: graph.commands.get_subscription_count() == 1)
+    return graph
+
+
+def _arm(graph: Any, on: bool = True) -> Any:
+    return graph.call(SetBool, 'coil_driver/arm', SetBool.Request(data=on))
+
+
+def _command(graph: Any, x: float, y: float, age: float = 0.0) -> None:
+    stamp = messages.to_stamp(graph.nodes['coil_driver'].seconds() - age)
+    graph.commands.publish(messages.field_vector(np.array([x, y]), stamp))
+
+
+def test_a_field_that_is_commanded_is_read_back(emulator: Any, ros: Any) -> None:
+    graph = _start(emulator, ros)
+    fields = graph.hear(MagneticField, 'field/applied')
+    latencies = graph.hear(TimeReference, 'coil_driver/latency')
+    graph.until(lambda: _arm(graph).success)
+
+    def matches() -> bool:
+        _command(graph, 3e-3, -1e-3)
+        now = fields[-1].magnetic_field if fields else None
+        return bool(now and math.hypot(now.x - 3e-3, now.y + 1e-3) < 2e-5)
+    graph.until(matches)
+    graph.until(lambda: latencies)
+    spent = messages.to_seconds(latencies[0].header.stamp) - messages.to_seconds(
+        latencies[0].time_ref)
+    assert 0 < spent < 0.1
+    plus_y, plus_x, minus_y, minus_x = emulator.currents
+    assert plus_x == pytest.approx(-minus_x, rel=1e-3)
+    assert plus_y == pytest.approx(-minus_y, rel=1e-3)
+    assert plus_x > 0 > plus_y
+
+
+def test_nothing_flows_before_arming(emulator: Any, ros: Any) -> None:
+    graph = _start(emulator, ros)
+    received = graph.nodes['coil_driver']._driver.amplifier.counters
+
+    begin = received.frames_received
+    def answered() -> bool:
+        _command(graph, 3e-3, 0.0)
+        return received.frames_received > begin + 20
+    graph.until(answered)
+    assert not any(any(entry['currents_A']) for entry in emulator.entries())
+
+
+@pytest.mark.parametrize('field', [(math.nan, 0.0), (0.0, math.inf), (-math.inf, math.nan)])
+def test_a_field_that_is_no_number_latches_zero(
+        emulator: Any, ros: Any, field: tuple[float, float]) -> None:
+    graph = _start(emulator, ros)
+    graph.until(lambda: _arm(graph).success)
+    graph.until(lambda: _command(graph, 3e-3, 0.0) or not emulator.zero)
+    _command(graph, *field)
+    driver = graph.nodes['coil_driver']
+    graph.until(lambda: driver._driver.gate.fault)
+    graph.until(lambda: emulator.zero)
+    level, sentence, _ = driver.health()
+    assert level == b'\x02'
+    assert 'not four finite numbers' in sentence
+    _command(graph, 3e-3, 0.0)  # and stays latched
+    graph.until(lambda: not graph.nodes['coil_driver']._awaiting)
+    assert emulator.zero
+
+
+def test_silence_and_stale_stamps_end_in_zero(emulator: Any, ros: Any) -> None:
+    graph = _start(emulator, ros)
+    graph.until(lambda: _arm(graph).success)
+    graph.until(lambda: _command(graph, 3e-3, 0.0) or not emulator.zero)
+    last = time.monotonic()
+
+    def old_commands_only() -> bool:
+        _command(graph, 3e-3, 0.0, age=1.0)
+        return bool(emulator.zero)
+    graph.until(old_commands_only)
+    assert emulator.entries()[-1]['t_monotonic_s'] - last < 0.2
+    assert graph.nodes['coil_driver']._refused > 0
+
+
+@pytest.mark.parametrize('leave', ['deactivate', 'shutdown', 'exception'])
+def test_every_way_out_ends_in_zero(emulator: Any, ros: Any, leave: str) -> None:
+    graph = _start(emulator, ros)
+    driver = graph.nodes['coil_driver']
+    graph.until(lambda: _arm(graph).success)
+    graph.until(lambda: _command(graph, 3e-3, 0.0) or not emulator.zero)
+    if leave == 'exception':
+        def broken(_: Any) -> None:
+            raise RuntimeError('broken on purpose')
+        driver._allocator.allocate = broken
+        _command(graph, 3e-3, 0.0)
+    else:
+        getattr(driver, f'trigger_{leave}')()
+    graph.until(lambda: emulator.zero)
+    assert not driver._driver.gate.armed
+
+
+def test_the_line_may_go_and_come_back_but_stays_disarmed(
+        emulator: Any, ros: Any, tmp_path: Any) -> None:
+    graph = _start(emulator, ros)
+    driver = graph.nodes['coil_driver']
+    graph.until(lambda: _arm(graph).success)
+    graph.until(lambda: _command(graph, 3e-3, 0.0) or not emulator.zero)
+    emulator.end()
+    graph.until(lambda: driver.health()[0] == b'\x02')
+    refusal = _arm(graph)
+    assert (refusal.success, 'not connected' in refusal.message) == (False, True)
+    again = type(emulator)(tmp_path)
+    try:
+        graph.until(lambda: driver._driver.connected)
+        assert again.zero
+        graph.until(lambda: _arm(graph).success)
+    finally:
+        again.end()
+
+
+@pytest.mark.parametrize(('parameters', 'expected'), [
+    ({}, 'expected a parameter port'),
+    ({'port': '/nowhere/tty'}, '/nowhere/tty'),
+    ({'port': 'x', 'amplifier': 'steam'}, "received 'steam'"),
+    ({'port': 'x', 'coils_file': '/nowhere/coils.yaml'}, '/nowhere/coils.yaml'),
+])
+def test_what_cannot_be_opened_is_one_clear_line(
+        ros: Any, parameters: dict[str, Any], expected: str) -> None:
+    node = ros({'coil_driver': parameters}).add('coil_driver')
+    assert not node.active
+    assert expected in node.fault
+    assert '\n' not in node.fault
