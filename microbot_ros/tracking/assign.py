@@ -2,28 +2,29 @@
 
 from __future__ import annotations
 
+import math
+
 import numba
 import numpy as np
 
-_MISS_COST = 30.0
-"""Cost of leaving a particle unseen: a match may cost at most this."""
+_TAIL = 8.0
+"""Degrees of freedom of a displacement's distribution: particles start, stop and turn at once."""
 
 
 def assign(
-    predicted: np.ndarray, variance: np.ndarray, reach: np.ndarray, contrast: np.ndarray,
-    radius: np.ndarray, found: np.ndarray, noise: np.ndarray, found_contrast: np.ndarray,
-    found_radius: np.ndarray, spread: float,
+    predicted: np.ndarray, variance: np.ndarray, reach: np.ndarray, looks: np.ndarray,
+    found: np.ndarray, noise: np.ndarray, found_looks: np.ndarray, spread: float, stranger: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rows of predictions and of detections that belong together.
 
     `predicted` (N, 2) with variance per coordinate (N,) and the farthest distance (N,) to look;
-    `found` (M, 2) with variance `noise` (M,); logarithms of contrast and radius of both, which
-    vary by `spread` between frames. Minimises the sum of squared normalised differences over the
-    picture, where an unmatched prediction costs as much as a match at 5½ standard deviations.
+    `found` (M, 2) with variance `noise` (M,); `looks` (N, F) and `found_looks` (M, F) are traits
+    that vary by `spread` from frame to frame. Maximises the likelihood of the whole picture:
+    displacements follow Student's t, and `stranger` [1/px²] is the likelihood that a particle
+    goes unseen and a new one turns up instead.
     """
-    pairs = _pairs(
-        predicted, variance, reach, contrast, radius, found, noise, found_contrast, found_radius,
-        spread)
+    limit = -np.log(stranger)
+    pairs = _pairs(predicted, variance, reach, looks, found, noise, found_looks, spread, limit)
     if len(pairs) == 0:
         return np.empty(0, int), np.empty(0, int)
     track, detection = pairs[:, 0].astype(int), pairs[:, 1].astype(int)
@@ -31,14 +32,15 @@ def assign(
     matched = [np.column_stack([track[alone], detection[alone]])]
     rest = ~alone
     if np.any(rest):
-        matched += _clusters(track[rest], detection[rest], pairs[rest, 2], len(predicted), len(found))
+        # Costs are relative to `limit`, so that leaving both alone costs nothing.
+        matched += _clusters(track[rest], detection[rest], pairs[rest, 2] - limit)
     both = np.concatenate(matched)
     return both[:, 0], both[:, 1]
 
 
 @numba.njit(cache=True)
-def _pairs(predicted, variance, reach, contrast, radius, found, noise, found_contrast, found_radius, spread):  # type: ignore[no-untyped-def]  # noqa: E501
-    """Rows (K, 3): prediction, detection, cost of all pairs worth considering."""
+def _pairs(predicted, variance, reach, looks, found, noise, found_looks, spread, limit):  # type: ignore[no-untyped-def]
+    """Rows (K, 3): prediction, detection, cost of all pairs likelier than strangers."""
     pairs = []
     for i in range(len(predicted)):
         for k in range(len(found)):
@@ -48,10 +50,12 @@ def _pairs(predicted, variance, reach, contrast, radius, found, noise, found_con
             square = dx * dx + dy * dy
             if square > reach[i] * reach[i]:
                 continue
-            cost = square / (variance[i] + noise[k])
-            cost += ((found_contrast[k] - contrast[i]) / spread) ** 2
-            cost += ((found_radius[k] - radius[i]) / spread) ** 2
-            if cost < _MISS_COST:
+            total = variance[i] + noise[k]
+            cost = (_TAIL / 2 + 1) * math.log(1 + square / (_TAIL * total))
+            cost += math.log(2 * math.pi * total)
+            for f in range(looks.shape[1]):
+                cost += 0.5 * ((found_looks[k, f] - looks[i, f]) / spread) ** 2
+            if cost < limit:
                 pairs.append((float(i), float(k), cost))
     rows = np.empty((len(pairs), 3))
     for n in range(len(pairs)):
@@ -59,28 +63,23 @@ def _pairs(predicted, variance, reach, contrast, radius, found, noise, found_con
     return rows
 
 
-def _clusters(
-    track: np.ndarray, detection: np.ndarray, cost: np.ndarray, tracks: int, detections: int
-) -> list[np.ndarray]:
+def _clusters(track: np.ndarray, detection: np.ndarray, cost: np.ndarray) -> list[np.ndarray]:
     """Solve each group of predictions and detections that compete with one another."""
     from scipy.optimize import linear_sum_assignment
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    graph = coo_array(
-        (np.ones(len(track)), (track, tracks + detection)),
-        shape=(tracks + detections, tracks + detections))
+    tracks, total = track.max() + 1, track.max() + 1 + detection.max() + 1
+    graph = coo_array((np.ones(len(track)), (track, tracks + detection)), shape=(total, total))
     group = connected_components(graph, directed=False)[1][track]
     matched = []
     order = np.argsort(group, kind='stable')
     for rows in np.split(order, np.flatnonzero(np.diff(group[order])) + 1):
         some_tracks, i = np.unique(track[rows], return_inverse=True)
         some_found, k = np.unique(detection[rows], return_inverse=True)
-        matrix = np.full((len(some_tracks), len(some_found) + len(some_tracks)), 1e6)
+        matrix = np.zeros((len(some_tracks), len(some_found) + len(some_tracks)))
         matrix[i, k] = cost[rows]
-        matrix[np.arange(len(some_tracks)), len(some_found) + np.arange(len(some_tracks))] = \
-            _MISS_COST
         i, k = linear_sum_assignment(matrix)
-        real = k < len(some_found)
+        real = matrix[i, k] < 0
         matched.append(np.column_stack([some_tracks[i[real]], some_found[k[real]]]))
     return matched

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,7 +19,8 @@ from microbot_ros.tracking.fit import (
     background_of,
     fit,
 )
-from microbot_ros.tracking.search import background, block_mean, peaks, spread
+from microbot_ros.tracking.outline import OutlineDetector
+from microbot_ros.tracking.search import background, block_mean, peaks, pixel_noise, spread
 from microbot_ros.tracking.settings import TrackerSettings
 
 _LADDER = 2.0 ** np.arange(2, 6.6, 0.5)
@@ -27,7 +28,14 @@ _LADDER = 2.0 ** np.arange(2, 6.6, 0.5)
 
 _MOST_CANDIDATES = 80
 _MOST_FRAMES = 6
+_MOST_PIXELS = 150_000
 _LEAST_SIGMA = 8.0
+
+_LEAST_OUTLINE = 8.0
+"""Pixels: a smaller particle has no outline to speak of."""
+
+_IRREGULAR = 0.2
+"""Spread of ln(diameter), or ln(length/width), from which particles count as irregular."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +70,9 @@ def _best_guess(frames: list[np.ndarray], settings: TrackerSettings) -> _Guess |
     best = max(guesses, key=lambda guess: guess.energy, default=None)
     if best is None:
         return None
-    everywhere = [_spots(frame, best.diameter, best.sign) for frame in frames]
+    # Enough pixels for a smooth picture; the strongest spots are the likeliest particles.
+    most = max(4, int(_MOST_PIXELS / len(frames) / (1.5 * best.diameter + 3) ** 2 / 4))
+    everywhere = [_spots(frame, best.diameter, best.sign)[:most] for frame in frames]
     return _Guess(best.diameter, best.sign, everywhere, best.energy)
 
 
@@ -216,7 +226,7 @@ class _Learner:
         contrast = np.concatenate([rows[:, CONTRAST] for rows in self._parameters])
         typical = float(np.median(contrast))
         least = self._settings.min_contrast_grey
-        return Appearance(
+        appearance = Appearance(
             table=self._table,
             reach_px=self._reach,
             diameter_px=float(2 * half),
@@ -224,6 +234,18 @@ class _Learner:
             min_contrast_grey=0.35 * typical if least is None else least,
             round=self._settings.shape != 'any',
         )
+        if self._settings.shape is None and self._irregular(appearance):
+            return replace(appearance, round=False)
+        return appearance
+
+    def _irregular(self, appearance: Appearance) -> bool:
+        """Whether outlines differ so much that one picture can't fit them all."""
+        noise = max(pixel_noise(frame) for frame in self._frames)
+        if appearance.diameter_px < _LEAST_OUTLINE or appearance.contrast_grey < 15 * noise:
+            return False
+        detector = OutlineDetector(appearance, self._settings)
+        found = [detector.irregularity(frame) for frame in self._frames]
+        return float(np.median(found)) > _IRREGULAR
 
 
 def _start(spots: np.ndarray) -> np.ndarray:

@@ -11,10 +11,16 @@ from microbot_ros.tracking.detect import Detections
 from microbot_ros.tracking.motion import Motion
 from microbot_ros.tracking.settings import TrackerSettings
 
-_GATE = 5.0
-"""Standard deviations beyond which a detection can not be the predicted particle."""
+_MISS_RATE = 0.02
+"""Probability that a particle in view is not detected in a frame."""
 
-_CONTRAST_SPREAD = 0.25
+_BIRTHS = (0.5, 0.02)
+"""New particles per frame: the first guess, and the least that is reckoned with."""
+
+_SURPRISE = 9.0
+"""Squared innovation, in its variance, from which a particle is taken to have changed course."""
+
+_LOOKS_SPREAD = 0.25
 """Standard deviation of ln(contrast) and ln(radius) of one particle from frame to frame."""
 
 _LEAST_SIGMA = 0.05
@@ -72,7 +78,8 @@ class Linker:
         self._settings = settings
         self._size = size
         self._motion = Motion(diameter_px)
-        self._max_step = settings.max_step_px or 2 * diameter_px
+        self._max_step = settings.max_step_px or diameter_px
+        self._birth_rate = _BIRTHS[0]
         self._next_id = 0
         self._interval: float | None = None
         self._shift = np.zeros(2)
@@ -115,18 +122,18 @@ class Linker:
         self._bury()
         self._christen()
         fresh = np.setdiff1d(np.arange(len(found)), detection)
+        if len(track):
+            self._birth_rate += 0.02 * (len(fresh) - self._birth_rate)
+            self._birth_rate = max(self._birth_rate, _BIRTHS[1])
         self.states = self.states.join(self._born(found[fresh]))
 
     def _associate(self, found: Detections) -> tuple[np.ndarray, np.ndarray]:
         states = self.states
-        variance = states.covariance[:, 0]
-        fresh = states.hits == 1
-        reach = np.where(fresh, self._max_step, np.minimum(
-            _GATE * np.sqrt(variance), self._max_step * np.sqrt(1.0 + states.missed)))
+        reach = self._max_step * np.sqrt(1.0 + states.missed)
+        rate = _MISS_RATE * self._birth_rate / (self._size[0] * self._size[1])
         return assign(
-            states.xy, variance, reach, np.log(states.contrast), np.log(states.radius),
-            found.xy, found.sigma**2 + _LEAST_SIGMA**2, np.log(found.contrast),
-            np.log(found.radius), _CONTRAST_SPREAD)
+            states.xy, states.covariance[:, 0], reach, _looks(states),
+            found.xy, found.sigma**2 + _LEAST_SIGMA**2, _looks(found), _LOOKS_SPREAD, rate)
 
     def _learn(self, track: np.ndarray, found: Detections, detection: np.ndarray) -> None:
         states = self.states
@@ -138,11 +145,15 @@ class Linker:
     def _correct(self, track: np.ndarray, found: Detections, detection: np.ndarray) -> None:
         """Kalman update per coordinate; what is published is the measurement itself."""
         states = self.states
-        place, both, speed = states.covariance[track].T
-        sigma = found.sigma[detection]
-        total = place + sigma**2 + _LEAST_SIGMA**2
-        gain_place, gain_speed = place / total, both / total
         innovation = found.xy[detection] - states.xy[track]
+        sigma = found.sigma[detection]
+        noise = sigma**2 + _LEAST_SIGMA**2
+        surprise = np.mean(innovation**2, axis=1) / (states.covariance[track, 0] + noise)
+        # A particle that starts, stops or turns has outrun its covariance; let that catch up.
+        doubt = np.maximum(surprise / _SURPRISE, 1.0)[:, None]
+        place, both, speed = (states.covariance[track] * doubt).T
+        total = place + noise
+        gain_place, gain_speed = place / total, both / total
         states.xy[track] += gain_place[:, None] * innovation
         states.velocity[track] += gain_speed[:, None] * innovation
         states.covariance[track] = np.column_stack([
@@ -180,6 +191,11 @@ class Linker:
             theta=found.theta.copy(), contrast=found.contrast.copy(), radius=found.radius.copy(),
             hits=np.ones(count, int), missed=np.zeros(count, int),
         )
+
+
+def _looks(of: TrackStates | Detections) -> np.ndarray:
+    """Traits (N, 2) that tell particles apart: logarithms of contrast and radius."""
+    return np.log(np.column_stack([of.contrast, of.radius]))
 
 
 def _none() -> TrackStates:

@@ -12,6 +12,7 @@ from microbot_ros.tracking.appearance import Appearance
 from microbot_ros.tracking.detect import RoundDetector
 from microbot_ros.tracking.learn import learn
 from microbot_ros.tracking.link import Linker, TrackStates
+from microbot_ros.tracking.outline import OutlineDetector
 from microbot_ros.tracking.settings import TrackerSettings
 
 _NO_SHIFT = np.zeros(2)
@@ -76,7 +77,7 @@ class Tracker:
         self.appearance = appearance
         self.size: tuple[int, int] | None = None
         self._dtype: np.dtype | None = None
-        self._detector: RoundDetector | None = None
+        self._detector: RoundDetector | OutlineDetector | None = None
         self._linker: Linker | None = None
         self._first_frames: list[np.ndarray] = []
         self._last = -math.inf
@@ -105,7 +106,8 @@ class Tracker:
             self._learn(image)
             return _poses(t, None, _NO_SHIFT)
         if self._linker is None or self._detector is None:
-            self._detector = RoundDetector(self.appearance, self.settings)
+            kind = RoundDetector if self.appearance.round else OutlineDetector
+            self._detector = kind(self.appearance, self.settings)
             self._linker = Linker(self.settings, self.appearance.diameter_px, image.shape)
         shift = _NO_SHIFT if predicted_shift_px is None else np.asarray(predicted_shift_px, float)
         if dt is not None:

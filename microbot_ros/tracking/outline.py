@@ -1,0 +1,157 @@
+"""Opaque particles of any shape, clumps included: found and measured by their outline."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+from microbot_ros.tracking.appearance import Appearance
+from microbot_ros.tracking.detect import Detections
+from microbot_ros.tracking.search import background, block_mean, pixel_noise
+from microbot_ros.tracking.settings import TrackerSettings
+
+_LOW, _HIGH = 0.35, 0.7
+"""Shares of the typical contrast: the outline, and what counts as fully dark (or bright)."""
+
+_LARGEST_CLUMP = 5.0
+"""Typical diameters."""
+
+_LONGEST = 4.0
+"""Length over width beyond which an object is a hair."""
+
+_LEAST_SIGMA = 1e-3
+"""Pixels: a noiseless picture does not make a centroid exact."""
+
+_COUNT, _CORE, _WEIGHT, _WX, _WY, _WXX, _WYY, _WXY, _EDGE_X, _EDGE_Y, _PEAK = range(11)
+
+
+class OutlineDetector:
+    """Connected regions that are dark (or bright) enough, sharp enough and big enough.
+
+    The position is the centroid of the contrast, capped at the typical: what is fully dark counts
+    fully, edges by their share, so the position is sub-pixel. Debris out of focus has no core,
+    specks are too small, hairs too long.
+    """
+
+    def __init__(self, appearance: Appearance, settings: TrackerSettings) -> None:
+        self.appearance = appearance
+        self._shrink = max(1, int(appearance.diameter_px / 10))
+        self._spacing = max(4, int(np.ceil(appearance.diameter_px / self._shrink)))
+        self._least_sharpness = settings.min_quality * 0.75
+        self._least_diameter = appearance.diameter_px / settings.size_tolerance**2
+        self._least_peak = max(0.75 * appearance.contrast_grey, appearance.min_contrast_grey)
+
+    def detect(self, image: np.ndarray, expected: np.ndarray) -> Detections:
+        """All particles of `image` (H, W); outlines need no expectations."""
+        contrast = self._contrast(image)
+        sums, elongation = self._regions(contrast)
+        good = self._good(sums, elongation)
+        return self._detections(sums[good], pixel_noise(image) / self._shrink)
+
+    def _contrast(self, image: np.ndarray) -> np.ndarray:
+        """Contrast of the typical sign against the light (h, w), shrunk."""
+        import cv2
+
+        small = block_mean(image, self._shrink)
+        light = cv2.resize(
+            background(small, self._spacing), None, fx=self._spacing, fy=self._spacing,
+            interpolation=cv2.INTER_LINEAR)
+        rows, columns = np.subtract(small.shape, light.shape)
+        light = cv2.copyMakeBorder(light, 0, rows, 0, columns, cv2.BORDER_REPLICATE)
+        first, second = (light, small) if self.appearance.dark else (small, light)
+        contrast: np.ndarray = cv2.subtract(first, second)
+        return contrast
+
+    def _regions(self, contrast: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        import cv2
+
+        typical = self.appearance.contrast_grey
+        mask = cv2.compare(contrast, _LOW * typical, cv2.CMP_GT)
+        count, labels = cv2.connectedComponents(mask, connectivity=8, ltype=cv2.CV_32S)
+        sums = _sums(contrast, labels, count, typical)[1:]
+        weight = sums[:, _WEIGHT]
+        x, y = sums[:, _WX] / weight, sums[:, _WY] / weight
+        xx = sums[:, _WXX] / weight - x**2 + 1 / 12
+        yy = sums[:, _WYY] / weight - y**2 + 1 / 12
+        xy = sums[:, _WXY] / weight - x * y
+        root = np.sqrt((xx - yy) ** 2 / 4 + xy**2)
+        middle = (xx + yy) / 2
+        return sums, np.sqrt((middle + root) / np.maximum(middle - root, 1 / 12))
+
+    def _good(self, sums: np.ndarray, elongation: np.ndarray) -> np.ndarray:
+        """Whether each region is a particle: size, length, sharpness, contrast."""
+        diameter = _diameter(sums) * self._shrink
+        good = (diameter >= self._least_diameter) & (elongation <= _LONGEST)
+        good &= diameter <= _LARGEST_CLUMP * self.appearance.diameter_px
+        good &= _sharpness(sums) >= self._least_sharpness
+        return good & (sums[:, _PEAK] >= self._least_peak)
+
+    def _detections(self, sums: np.ndarray, noise: float) -> Detections:
+        weight = sums[:, _WEIGHT]
+        places = np.column_stack([sums[:, _WX], sums[:, _WY]]) / weight[:, None]
+        edge = (sums[:, _EDGE_X] + sums[:, _EDGE_Y]) / 2
+        sigma = noise / self.appearance.contrast_grey * np.sqrt(edge) / weight * self._shrink
+        return Detections(
+            xy=(places + 0.5) * self._shrink - 0.5,
+            sigma=np.maximum(sigma, _LEAST_SIGMA),
+            theta=np.full(len(sums), np.nan),
+            contrast=sums[:, _PEAK],
+            radius=_diameter(sums) * self._shrink / 2,
+            quality=_sharpness(sums),
+        )
+
+    def irregularity(self, image: np.ndarray) -> float:
+        """How far particles are from equal discs; 0 where there is none.
+
+        The spread of ln(diameter) or the typical ln(length/width), whichever is larger.
+        """
+        sums, elongation = self._regions(self._contrast(image))
+        good = self._good(sums, elongation)
+        if not np.any(good):
+            return 0.0
+        size = np.log(_diameter(sums[good]))
+        spread = 1.4826 * float(np.median(np.abs(size - np.median(size))))
+        return max(spread, math.log(float(np.median(elongation[good]))))
+
+
+def _diameter(sums: np.ndarray) -> np.ndarray:
+    """Diameter of the disc of equal area, in shrunk pixels."""
+    return np.sqrt(4 * sums[:, _WEIGHT] / np.pi)
+
+
+def _sharpness(sums: np.ndarray) -> np.ndarray:
+    """Share of a region that has the full contrast: near 1 in focus, 0 for a blur."""
+    return sums[:, _CORE] / sums[:, _COUNT]
+
+
+@numba.njit(cache=True)
+def _sums(contrast, labels, count, typical):  # type: ignore[no-untyped-def]
+    """Moments (count, 11) of every labelled region, in order of the names above."""
+    sums = np.zeros((count, 11))
+    for y in range(labels.shape[0]):
+        for x in range(labels.shape[1]):
+            k = labels[y, x]
+            if k == 0:
+                continue
+            value = contrast[y, x]
+            w = min(value / typical, 1.0)
+            row = sums[k]
+            row[_COUNT] += 1
+            row[_CORE] += value > _HIGH * typical
+            row[_WEIGHT] += w
+            row[_WX] += w * x
+            row[_WY] += w * y
+            row[_WXX] += w * x * x
+            row[_WYY] += w * y * y
+            row[_WXY] += w * x * y
+            row[_PEAK] = max(row[_PEAK], value)
+    for y in range(labels.shape[0]):
+        for x in range(labels.shape[1]):
+            k = labels[y, x]
+            if k > 0 and contrast[y, x] < typical:
+                row = sums[k]
+                row[_EDGE_X] += (x - row[_WX] / row[_WEIGHT]) ** 2
+                row[_EDGE_Y] += (y - row[_WY] / row[_WEIGHT]) ** 2
+    return sums
