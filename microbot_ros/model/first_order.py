@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from microbot_ros.model.heading import course
-from microbot_ros.model.increments import as_vectors, respond
+from microbot_ros.model.increments import Response, as_vectors, respond
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.scene import Places, Scene
 from microbot_ros.model.timeline import Timeline
@@ -27,12 +27,29 @@ def simulate(model: Model, particles: ParticleParameters, commands: Commands, ti
     if model.needs_position:
         return _step(model, particles, timeline, np.asarray(start, dtype=float), begin)
     response = respond(model, timeline, begin)
-    position = np.empty((len(times), len(particles.ids), 2))
-    position[0] = start
-    moved = position[1:].view(complex)[..., 0]
-    np.multiply(np.cumsum(response.propulsion, axis=0), particles.velocity, out=moved)
-    position[1:] += np.asarray(start) + np.cumsum(response.drift, axis=0)
-    return position
+    if response.propulsion.shape[1] == 1:
+        return _spread(response, particles.velocity, np.asarray(start, dtype=float))
+    moved = as_vectors(particles.velocity * response.propulsion) + response.drift
+    return np.concatenate([[start], start + np.cumsum(moved, axis=0)])
+
+
+def _spread(response: Response, velocity: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """All trajectories at once, where the particles share one course and one drift.
+
+    Each coordinate is then linear in five numbers that only depend on time, so one matrix
+    product writes every position once.
+    """
+    path = np.zeros((len(response.propulsion) + 1, 5))
+    path[:, 4] = 1.0
+    path[1:, :2] = as_vectors(response.propulsion[:, 0])
+    path[1:, 2:4] = response.drift[:, 0]
+    np.cumsum(path[:, :4], axis=0, out=path[:, :4])
+    weights = np.zeros((5, *start.shape))
+    weights[0] = as_vectors(velocity)
+    weights[1] = as_vectors(1j * velocity)
+    weights[2, :, 0] = weights[3, :, 1] = 1.0
+    weights[4] = start
+    return (path @ weights.reshape(5, -1)).reshape(-1, *start.shape)
 
 
 def _step(model: Model, particles: ParticleParameters, timeline: Timeline, start: np.ndarray,

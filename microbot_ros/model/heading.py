@@ -67,10 +67,8 @@ def _hold(target: np.ndarray, driven: np.ndarray, start: np.ndarray | None) -> n
     if driven.all():
         return target
     before = np.zeros((1, 1)) if start is None else np.asarray(start)[None]
-    shape = np.broadcast_shapes(target.shape, (1, before.shape[1]))
+    shape = (len(target), max(before.shape[1], target.shape[1]))
     known = np.concatenate([np.broadcast_to(before, (1, shape[1])),
                             np.broadcast_to(target, shape)])
-    spans = np.arange(1, len(known))[:, None] * np.broadcast_to(driven, shape)
-    last = np.maximum.accumulate(spans, axis=0)
-    held: np.ndarray = np.take_along_axis(known, last, axis=0)
-    return held
+    last = np.maximum.accumulate(np.where(driven[:, 0], np.arange(1, len(known)), 0))
+    return known[last]

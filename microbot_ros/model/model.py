@@ -57,6 +57,9 @@ class Model:
         ids = [effect.id for effect in self.effects]
         if len(set(ids)) != len(ids):
             raise ValueError(f'effects must be one of a kind; received {", ".join(ids)}')
+        if not 0 < self.reference_field < np.inf:
+            received = self.reference_field
+            raise ValueError(f'reference_field must be positive; received {received}')
         ordered = sorted(self.effects, key=lambda e: _ORDER.get(e.id, len(_ORDER)))
         object.__setattr__(self, 'effects', tuple(ordered))
 

@@ -111,7 +111,7 @@ class Timeline:
 
 def _subdivide(start: np.ndarray, span: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The spans cut into equal parts no longer than LONGEST."""
-    parts = np.ceil(span / LONGEST).astype(int)
+    parts = np.ceil(span / LONGEST - 1e-9).astype(int)  # frames of just LONGEST stay whole
     if parts.max() <= 1:
         return start, span
     part = np.repeat(span / parts, parts)

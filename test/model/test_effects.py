@@ -1,0 +1,234 @@
+"""A walk over the whole library: names, units, strength zero, derivatives, shapes, gaps."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from microbot_ros import units
+from microbot_ros.model.effects import EFFECTS
+from microbot_ros.model.increments import respond
+from microbot_ros.model.model import Model, ParticleParameters
+from microbot_ros.model.scene import Places, Scene
+from microbot_ros.model.timeline import Timeline
+from microbot_ros.records import Commands
+
+# The public names, as the interface states them.
+PUBLIC = {
+    'uniform_drift': ('wx_um_s', 'wy_um_s'),
+    'linear_flow': ('gxx_per_s', 'gxy_per_s', 'gyx_per_s', 'gyy_per_s'),
+    'alignment_lag': ('tau_s',),
+    'background_field': ('bx_mT', 'by_mT'),
+    'coil_gain_mismatch': ('gain_ratio',),
+    'coil_misalignment': ('skew_rad',),
+    'speed_decay': ('tau_s',),
+    'command_delay': ('delay_s',),
+    'heading_slip': ('rate_rad_s',),
+    'dipole_interaction': ('strength_um5_s',),
+    'hydrodynamic_slowdown': ('length_um',),
+    'hot_spot': ('x_um', 'y_um', 'speed_um_s', 'width_um'),
+    'periodic_drift': ('amplitude_um_s', 'frequency_hz'),
+    'amplifier_deadband': ('deadband_mT',),
+    'pixel_anisotropy': ('aspect',),
+    'gradient_force': ('rate_per_s_mT',),
+    'incomplete_alignment': ('field_scale_mT',),
+    'drive_response': (),
+}
+# An instance of each at plain strength; shapes away from their stand-ins.
+PLAIN = {
+    name: effect(**{
+        p.field: p.from_fit(1.3) if p.shape or p.inverse else p.neutral + 0.7 * p.scale
+        for p in effect.parameters()
+    })
+    for name, effect in EFFECTS.items()
+}
+every_effect = pytest.mark.parametrize('effect', EFFECTS.values(), ids=EFFECTS)
+
+
+def commands() -> Commands:
+    """Random steps of direction, strength and frequency, a zero and switches inside frames."""
+    rng = np.random.default_rng(5)
+    t = np.array([-1.0, 0.0, 0.91, 2.017, 2.8, 3.55, 4.49])
+    angle = rng.uniform(-np.pi, np.pi, len(t))
+    field = rng.uniform(1e-3, 4e-3, len(t))[:, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
+    field[4] = 0.0
+    return Commands(t, field, rng.uniform(0.5, 20.0, len(t)))
+
+
+def particles(count: int = 3) -> ParticleParameters:
+    return ParticleParameters(
+        np.arange(count), np.linspace(3e-6, 5e-6, count), np.linspace(-2.0, 3.0, count))
+
+
+def timeline(count: int = 3, frames: int = 151) -> Timeline:
+    rng = np.random.default_rng(6)
+    start = rng.uniform(-30e-6, 30e-6, (1, count, 2))
+    walk = np.cumsum(rng.normal(0, 1e-7, (frames, count, 2)), axis=0)
+    return Timeline(commands(), np.arange(frames) / 30, start + walk)
+
+
+def model_of(effect) -> Model:
+    return Model(2e-3, 'rolling' if effect.id == 'drive_response' else 'catalytic', (effect,))
+
+
+def moved(effect, line: Timeline | None = None) -> np.ndarray:
+    line = line or timeline()
+    count = line.positions.shape[1]
+    return respond(model_of(effect), line).increments(particles(count))
+
+
+def baseline(effect, line: Timeline) -> np.ndarray:
+    model = dataclasses.replace(model_of(effect), effects=())
+    return respond(model, line).increments(particles())
+
+
+def test_the_library_is_the_public_one():
+    assert set(EFFECTS) == set(PUBLIC)
+    for name, expected in PUBLIC.items():
+        parameters = EFFECTS[name].parameters()
+        assert tuple(p.name for p in parameters)[:len(expected)] == expected
+        if expected:  # what the interface does not list need not be given
+            more = {p.field for p in parameters[len(expected):]}
+            assert set(EFFECTS[name].defaults()) == more
+
+
+@every_effect
+def test_parameters_have_units_ranges_and_a_field_in_si(effect):
+    fields = [field.name for field in dataclasses.fields(effect)]
+    assert [p.field for p in effect.parameters()] == fields
+    for p in effect.parameters():
+        dimensionless = {'gain_ratio', 'aspect', 'slip', 'cut_in_steepness', 'step_out_steepness'}
+        assert (units.suffix(p.name) == '') == (p.name in dimensionless)
+        assert p.meaning
+        assert p.scale > 0
+        assert p.low < p.high
+        assert p.low <= p.neutral <= p.high
+        assert p.to_fit(p.neutral) == 0
+        assert p.from_fit(0.0) == p.neutral
+        value = getattr(PLAIN[effect.id], p.field)
+        assert p.from_fit(p.to_fit(value)) == pytest.approx(value, rel=1e-12)
+        assert p.fit_bounds[0] <= p.to_fit(value) <= p.fit_bounds[1]
+    assert any(not p.shape for p in effect.parameters())
+
+
+@every_effect
+def test_it_says_what_it_is_and_what_it_is_mistaken_for(effect):
+    assert effect.stage in ('field', 'heading', 'velocity', 'observation')
+    assert effect.__doc__
+    assert effect.summary.endswith('.')
+    assert effect.shows_under
+    assert effect.id not in effect.mistaken_for
+    assert effect.mistaken_for
+    for other in effect.mistaken_for:
+        assert effect.id in EFFECTS[other].mistaken_for, f'{other} does not name {effect.id} back'
+
+
+@every_effect
+@settings(max_examples=10, deadline=None)
+@given(data=st.data())
+def test_at_strength_zero_it_does_nothing_whatever_its_shape(effect, data):
+    shapes = {
+        p.field: data.draw(st.floats(p.low, p.high), p.name)
+        for p in effect.parameters() if p.shape
+    }
+    line = timeline(frames=31)
+    off = dataclasses.replace(effect.neutral(), **shapes)
+    np.testing.assert_allclose(moved(off, line), baseline(effect, line), rtol=1e-12, atol=1e-21)
+
+
+@every_effect
+def test_at_plain_strength_it_shows(effect):
+    line = timeline()
+    difference = np.abs(moved(PLAIN[effect.id], line) - baseline(effect, line))
+    assert difference.sum(axis=0).max() > 1e-7
+
+
+@every_effect
+def test_central_differences_are_finite_smooth_and_not_all_zero(effect):
+    model, line = model_of(PLAIN[effect.id]), timeline()
+    at = model.vector()
+
+    def slope(k: int, step: float) -> np.ndarray:
+        shift = step * np.eye(len(at))[k]
+        ends = (respond(model.with_vector(at + s), line).increments(particles())
+                for s in (shift, -shift))
+        return (next(ends) - next(ends)) / (2 * step)
+
+    for k, p in enumerate(effect.parameters()):
+        coarse, fine = slope(k, 1e-3), slope(k, 1e-4)
+        assert np.isfinite(fine).all(), p.name
+        assert np.abs(fine).max() > 1e-12, p.name
+        np.testing.assert_allclose(coarse, fine, atol=1e-4 * np.abs(fine).max(), err_msg=p.name)
+
+
+@every_effect
+def test_hooks_broadcast_over_time_and_particles(effect):
+    rng = np.random.default_rng(1)
+    shape = (4, 3)
+    scene = Scene(
+        t=rng.uniform(0, 9, (*shape, 1)), span=rng.uniform(0, 0.1, (*shape, 1)),
+        field=rng.normal(0, 1e-3, (*shape, 1, 2)), frequency=rng.uniform(1, 9, (*shape, 1)),
+        reference_field=1e-3, places=Places(rng.normal(0, 3e-5, (*shape, 5, 2))),
+    )
+    model = model_of(PLAIN[effect.id])
+    together = hooks(model, scene, shape)
+    for i, j in np.ndindex(shape):
+        one = Scene(scene.t[i, j], scene.span[i, j], scene.field[i, j], scene.frequency[i, j],
+                    1e-3, Places(scene.position[i, j]))
+        for all_of_them, alone in zip(together, hooks(model, one, ()), strict=True):
+            np.testing.assert_allclose(all_of_them[i, j], alone, rtol=1e-12, atol=1e-22)
+
+
+def hooks(model: Model, scene: Scene, shape: tuple[int, ...]) -> list[np.ndarray]:
+    """What every hook gives, for five particles."""
+    rate, drift = model.alignment_rate(scene), model.drift(scene)
+    return [
+        model.field(scene.field),
+        np.broadcast_to(model.heading_offset(scene), (*shape, 5)),
+        np.broadcast_to(0.0 if rate is None else rate, (*shape, 5)),
+        np.broadcast_to(model.speed_factor(scene), (*shape, 5)),
+        np.broadcast_to(0.0 if drift is None else drift, (*shape, 5, 2)),
+        model.observe(scene.position),
+    ]
+
+
+@every_effect
+def test_a_missing_particle_is_absent_for_the_others(effect):
+    line = timeline(count=4, frames=31)
+    gap = line.positions.copy()
+    gap[10:20, 3] = np.nan
+    with_gap = Timeline(line.commands, line.times, gap)
+    without = Timeline(line.commands, line.times, line.positions[:, :3])
+    seen = moved(PLAIN[effect.id], with_gap)
+    three = respond(model_of(PLAIN[effect.id]), without)
+    alone = three.increments(ParticleParameters(*(a[:3] for a in (
+        particles(4).ids, particles(4).speed, particles(4).phi))))
+    np.testing.assert_allclose(seen[10:20, :3], alone[10:20], rtol=1e-12, atol=1e-21)
+    np.testing.assert_array_equal(seen[:10], moved(PLAIN[effect.id], line)[:10])
+
+
+@every_effect
+def test_observing_and_the_true_position_are_inverse(effect):
+    position = np.random.default_rng(2).normal(0, 1e-5, (6, 2, 2))
+    one = PLAIN[effect.id]
+    np.testing.assert_allclose(one.true_position(one.observe(position)), position, rtol=1e-15)
+
+
+@every_effect
+def test_fits_begin_inside_the_bounds(effect):
+    starts = effect.starts(timeline())
+    assert starts
+    for start in starts:
+        for p, value in start.values().items():
+            assert p.low <= value <= p.high, p.name
+
+
+@pytest.mark.parametrize('name', ['hot_spot', 'linear_flow', 'gradient_force',
+                                  'dipole_interaction', 'hydrodynamic_slowdown'])
+def test_without_positions_an_effect_that_needs_them_says_so(name):
+    assert EFFECTS[name].needs_position
+    blind = Timeline(commands(), np.arange(31) / 30)
+    with pytest.raises(ValueError, match='needs positions'):
+        respond(model_of(PLAIN[name]), blind)

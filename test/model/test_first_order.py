@@ -1,0 +1,181 @@
+"""The first-order integrator against the paper's equation, closed forms and its own refinement."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from microbot_ros.model.effects.alignment_lag import AlignmentLag
+from microbot_ros.model.effects.dipole_interaction import DipoleInteraction
+from microbot_ros.model.effects.heading_slip import HeadingSlip
+from microbot_ros.model.effects.linear_flow import LinearFlow
+from microbot_ros.model.effects.uniform_drift import UniformDrift
+from microbot_ros.model.first_order import simulate
+from microbot_ros.model.model import Model, ParticleParameters
+from microbot_ros.records import Commands
+
+B = 2e-3
+PAPER = ParticleParameters(
+    np.arange(1, 4), np.array([3.71e-6, 4.38e-6, 4.98e-6]), np.array([-1.09, 3.82, 2.64]))
+ORIGIN = np.zeros((3, 2))
+
+
+def steer(*legs: tuple[float, float], strength: float = B) -> Commands:
+    """Legs of (start [s], direction [rad])."""
+    t, angle = np.array(legs, dtype=float).T
+    return Commands(t, strength * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+
+
+def test_one_leg_is_the_papers_equation():
+    end = simulate(Model(B), PAPER, steer((0.0, 0.7)), np.array([0.0, 5.0]), ORIGIN)[-1]
+    expected = 5.0 * PAPER.speed * np.exp(1j * (PAPER.phi + 0.7))
+    np.testing.assert_allclose(end @ [1, 1j], expected, rtol=1e-14)
+
+
+def test_the_reachable_set_of_all_particles_together_has_two_dimensions():
+    rng = np.random.default_rng(0)
+    ends = []
+    for _ in range(12):
+        legs = zip(np.arange(5.0), rng.uniform(-np.pi, np.pi, 5), strict=True)
+        ends.append(simulate(Model(B), PAPER, steer(*legs), np.array([0.0, 5.0]), ORIGIN)[-1])
+    singular = np.linalg.svd(np.reshape(ends, (12, 6)), compute_uv=False)
+    assert singular[2] < 1e-12 * singular[1]
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    switches=st.lists(st.floats(0.001, 3.99), max_size=6, unique=True),
+    frames=st.lists(st.floats(0.01, 3.99), max_size=30, unique=True),
+    tau=st.sampled_from([0.0, 0.05, 0.7]),
+)
+def test_frames_do_not_change_where_particles_get_to(switches, frames, tau):
+    legs = [(0.0, 0.1), *((s, 5.0 * s) for s in sorted(switches))]
+    model = Model(B, effects=(AlignmentLag(tau), UniformDrift(1e-6, 2e-6)))
+    few, many = np.array([0.0, 4.0]), np.unique([0.0, *frames, 4.0])
+    direct = simulate(model, PAPER, steer(*legs), few, ORIGIN)[-1]
+    by_steps = simulate(model, PAPER, steer(*legs), many, ORIGIN)[-1]
+    np.testing.assert_allclose(by_steps, direct, rtol=1e-9, atol=1e-17)
+
+
+def test_a_quarter_turn_with_lag_is_the_closed_form():
+    """tan(δ/2) decays with κ, so after a turn by 90° the lost way along the field is ln 2/κ."""
+    tau = 0.25
+    model = Model(B, effects=(AlignmentLag(tau),))
+    commands = steer((0.0, 0.0), (1.0, np.pi / 2))
+    one = ParticleParameters(np.array([0]), np.array([1.0]), np.array([0.0]))
+    x, y = simulate(model, one, commands, np.array([1.0, 60.0]), np.zeros((1, 2)))[-1, 0]
+    assert x == pytest.approx(tau * np.pi / 2, rel=1e-12)
+    assert y == pytest.approx(59.0 - tau * np.log(2), rel=1e-12)
+
+
+def test_lag_is_slower_in_a_weaker_field():
+    model = Model(B, effects=(AlignmentLag(0.25),))
+    one = ParticleParameters(np.array([0]), np.array([1.0]), np.array([0.0]))
+    commands = steer((0.0, 0.0), (1.0, np.pi / 2), strength=B / 4)
+    x = simulate(model, one, commands, np.array([1.0, 90.0]), np.zeros((1, 2)))[-1, 0, 0]
+    assert x == pytest.approx(4 * 0.25 * np.pi / 2, rel=1e-12)
+
+
+def test_a_short_lag_tends_to_none():
+    commands, times = steer((0.0, 0.0), (1.3, 2.0), (2.9, -1.0)), np.linspace(0, 4, 41)
+    without = simulate(Model(B), PAPER, commands, times, ORIGIN)
+    errors = [
+        np.abs(simulate(Model(B, effects=(AlignmentLag(tau),)), PAPER, commands, times, ORIGIN)
+               - without).max() for tau in (1e-2, 1e-3, 1e-4)
+    ]
+    assert errors[0] / errors[1] == pytest.approx(10, rel=1e-2)
+    assert errors[1] / errors[2] == pytest.approx(10, rel=1e-2)
+
+
+def test_an_exact_reversal_is_released_and_not_stuck():
+    model = Model(B, effects=(AlignmentLag(0.1),))
+    commands = steer((0.0, 0.0), (1.0, np.pi))
+    one = ParticleParameters(np.array([0]), np.array([1.0]), np.array([0.0]))
+    x = simulate(model, one, commands, np.array([0.0, 1.0, 11.0]), np.zeros((1, 2)))[:, 0, 0]
+    assert x[1] == pytest.approx(1.0)
+    # Released 0.01 rad from opposition it takes ln(2/0.01) τ to turn half-way.
+    assert x[2] == pytest.approx(1.0 - 10.0 + 2 * 0.1 * np.log(2 / 0.01), abs=1e-3)
+
+
+def test_without_a_field_particles_keep_their_heading():
+    commands = Commands(np.array([0.0, 1.0, 3.0]), np.array([[0.0, B], [0, 0], [B, 0]]))
+    one = ParticleParameters(np.array([0]), np.array([1.0]), np.array([0.0]))
+    for effects in ((), (AlignmentLag(1e-9),)):
+        model = Model(B, effects=effects)
+        end = simulate(model, one, commands, np.array([0.0, 3.0, 4.0]), np.zeros((1, 2)))
+        np.testing.assert_allclose(end[:, 0], [[0, 0], [0, 3], [1, 3]], atol=1e-7)
+
+
+def test_before_the_first_command_nothing_moves_but_the_liquid():
+    times = np.array([0.0, 2.0, 3.0])
+    one = ParticleParameters(np.array([0]), np.array([1.0]), np.array([0.0]))
+    model = Model(B, effects=(UniformDrift(0.0, 0.5),))
+    end = simulate(model, one, steer((2.0, 0.0)), times, np.zeros((1, 2)))
+    np.testing.assert_allclose(end[:, 0], [[0, 0], [0, 1.0], [1, 1.5]], atol=1e-15)
+    none = Commands(np.zeros(0), np.zeros((0, 2)))
+    np.testing.assert_array_equal(
+        simulate(Model(B), one, none, times, np.zeros((1, 2))), np.zeros((3, 1, 2)))
+
+
+def test_a_known_heading_is_followed_from_the_start():
+    still = Commands(np.zeros(0), np.zeros((0, 2)))
+    heading = np.array([0.1, 1.2, -2.0])
+    end = simulate(Model(B), PAPER, still, np.array([0.0, 2.0]), ORIGIN, heading)[-1]
+    np.testing.assert_allclose(end @ [1, 1j], 2 * PAPER.speed * np.exp(1j * heading), rtol=1e-12)
+
+
+def test_each_particle_turns_from_its_own_heading():
+    model = Model(B, effects=(AlignmentLag(0.3),))
+    commands, heading = steer((-5.0, 0.3), (1.0, 2.0)), np.array([0.4, 1.5, -1.9])
+    times = np.linspace(0.0, 3.0, 4)
+    simulated = simulate(model, PAPER, commands, times, ORIGIN, heading)
+
+    def right_side(_, state, angle):
+        theta = state[6:]
+        go = PAPER.speed * 1e6 * np.array([np.cos(theta), np.sin(theta)])
+        return np.concatenate([*go, np.sin(angle + PAPER.phi - theta) / 0.3])
+
+    state = np.concatenate([np.zeros(6), heading])
+    for begin, end, angle in ((0.0, 1.0, 0.3), (1.0, 3.0, 2.0)):
+        state = solve_ivp(right_side, (begin, end), state, 'DOP853', args=(angle,),
+                          rtol=1e-10, atol=1e-10).y[:, -1]
+    np.testing.assert_allclose(simulated[-1].T.ravel() * 1e6, state[:6], atol=1e-7)
+
+
+def test_a_linear_flow_is_the_matrix_exponential():
+    model = Model(B, effects=(LinearFlow(0.0, -0.4, 0.4, 0.0),))
+    start = np.array([[1e-5, 0.0], [0.0, 2e-5], [1e-5, 1e-5]])
+    still = Commands(np.zeros(0), np.zeros((0, 2)))
+    times = np.linspace(0.0, 10.0, 5)
+    turned = start @ [1, 1j] * np.exp(0.4j * times[:, None])
+    simulated = simulate(model, PAPER, still, times, start) @ [1, 1j]
+    np.testing.assert_allclose(simulated, turned, rtol=1e-6)
+
+
+def test_side_by_side_dipoles_repel_as_the_fifth_root():
+    """Two alone obey dr/dt = 2S/r⁴, so r⁵ = r₀⁵ + 10 S t."""
+    strength, r0 = 1e-26, 8e-6
+    model = Model(B, effects=(DipoleInteraction(strength),))
+    pair = ParticleParameters(np.arange(2), np.zeros(2), np.zeros(2))
+    end = simulate(model, pair, steer((0.0, np.pi / 2)), np.array([0.0, 20.0]),
+                   np.array([[0.0, 0.0], [r0, 0.0]]))[-1]
+    assert end[1, 0] - end[0, 0] == pytest.approx((r0**5 + 10 * strength * 20.0) ** 0.2, rel=1e-6)
+    np.testing.assert_allclose(end.sum(axis=0), [r0, 0.0], atol=1e-18)
+
+
+def test_slip_under_lag_is_of_second_order_in_the_frames():
+    model = Model(B, effects=(AlignmentLag(0.3), HeadingSlip(0.5)))
+    heading = PAPER.phi + 0.2
+    ends = [
+        simulate(model, PAPER, steer((0.0, 0.2)), np.linspace(0, 2, n + 1), ORIGIN, heading)[-1]
+        for n in (40, 80, 160)
+    ]
+    ratio = np.abs(ends[0] - ends[1]).max() / np.abs(ends[1] - ends[2]).max()
+    assert ratio == pytest.approx(4.0, rel=0.05)
+
+
+@pytest.mark.parametrize('times', [[0.0], [0.0, 0.0], [1.0, 0.0], [0.0, np.nan], []])
+def test_times_must_ascend(times):
+    with pytest.raises(ValueError, match='ascending'):
+        simulate(Model(B), PAPER, steer((0.0, 0.0)), np.array(times), ORIGIN)

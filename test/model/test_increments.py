@@ -1,0 +1,129 @@
+"""Increments for fitting: the same physics as the simulation, linear in v and φ, honest gaps."""
+
+import numpy as np
+import pytest
+
+from microbot_ros.model.effects.alignment_lag import AlignmentLag
+from microbot_ros.model.effects.background_field import BackgroundField
+from microbot_ros.model.effects.command_delay import CommandDelay
+from microbot_ros.model.effects.hot_spot import HotSpot
+from microbot_ros.model.effects.pixel_anisotropy import PixelAnisotropy
+from microbot_ros.model.effects.speed_decay import SpeedDecay
+from microbot_ros.model.first_order import simulate
+from microbot_ros.model.increments import heading_response, increments, respond
+from microbot_ros.model.model import Model, ParticleParameters
+from microbot_ros.model.timeline import Timeline
+from microbot_ros.records import Commands
+
+B = 2e-3
+RNG = np.random.default_rng(3)
+ANGLE = RNG.uniform(-np.pi, np.pi, 9)
+COMMANDS = Commands(
+    np.arange(9) * 0.93 - 2.0, B * np.stack([np.cos(ANGLE), np.sin(ANGLE)], axis=1),
+    RNG.uniform(1, 9, 9))
+TIMES = np.arange(150) / 30
+PARTICLES = ParticleParameters(np.arange(3), np.array([3e-6, 4e-6, 5e-6]), np.array([-1, 2, 0.5]))
+START = np.array([[0.0, 0.0], [1e-5, 0.0], [0.0, 2e-5]])
+
+MODELS = {
+    'baseline': Model(B),
+    'rolling': Model(B, 'rolling', (SpeedDecay(20.0),)),
+    'lag': Model(B, effects=(AlignmentLag(0.3), BackgroundField(1e-4, 2e-4))),
+    'camera': Model(B, effects=(CommandDelay(0.11), PixelAnisotropy(1.1))),
+    'place': Model(B, effects=(HotSpot(1e-5, 0.0, 3e-6, 8e-6), PixelAnisotropy(0.9))),
+}
+every_model = pytest.mark.parametrize('model', MODELS.values(), ids=MODELS)
+
+
+def prepared(model: Model) -> tuple[np.ndarray, Timeline]:
+    """Simulated measured positions, and the timeline that has them as covariates."""
+    seen = model.observe(simulate(model, PARTICLES, COMMANDS, TIMES, START))
+    return seen, Timeline(COMMANDS, TIMES, seen)
+
+
+@every_model
+def test_increments_are_those_of_the_simulation(model):
+    seen, timeline = prepared(model)
+    # Where velocity depends on place it is taken where the interval begins.
+    tolerance = 2e-3 * 1e-6 if model.needs_position else 1e-18
+    np.testing.assert_allclose(
+        increments(model, PARTICLES, timeline), np.diff(seen, axis=0), atol=tolerance)
+
+
+@every_model
+def test_increments_are_linear_in_v_and_phi(model):
+    _, timeline = prepared(model)
+    response = respond(model, timeline)
+    c = PARTICLES.velocity
+    ab = np.stack([c.real, c.imag], axis=-1)
+    linear = np.einsum('tixk,ik->tix', np.broadcast_to(
+        response.columns(), (len(TIMES) - 1, 3, 2, 2)), ab) + response.offset()
+    np.testing.assert_allclose(linear, response.increments(PARTICLES), rtol=1e-12, atol=1e-20)
+
+
+@every_model
+def test_a_prepared_timeline_answers_as_a_fresh_one(model):
+    seen, timeline = prepared(model)
+    for other in MODELS.values():
+        respond(other, timeline)
+    np.testing.assert_array_equal(
+        respond(model, timeline).increments(PARTICLES),
+        respond(model, Timeline(COMMANDS, TIMES, seen)).increments(PARTICLES))
+
+
+def test_a_block_from_the_middle_remembers_the_commands_before_it():
+    model = MODELS['lag']
+    whole = increments(model, PARTICLES, Timeline(COMMANDS, TIMES))
+    block = increments(model, PARTICLES, Timeline(COMMANDS, TIMES[60:]))
+    np.testing.assert_allclose(block, whole[60:], rtol=1e-9, atol=1e-18)
+
+
+def test_coarse_frames_sum_fine_ones():
+    for name in ('baseline', 'rolling', 'lag', 'camera'):
+        model = MODELS[name]
+        fine = increments(model, PARTICLES, Timeline(COMMANDS, TIMES[:149]))
+        coarse = increments(model, PARTICLES, Timeline(COMMANDS, TIMES[:149:4]))
+        np.testing.assert_allclose(
+            coarse, fine.reshape(-1, 4, 3, 2).sum(axis=1), rtol=2e-5, atol=1e-15, err_msg=name)
+
+
+def test_a_turned_heading_is_felt_as_the_sensitivity_says():
+    model = Model(B, effects=(AlignmentLag(0.3), PixelAnisotropy(1.1), SpeedDecay(30.0)))
+    felt = heading_response(model, PARTICLES, Timeline(COMMANDS, TIMES))
+    for k in (5, 28, 29, 77):  # a switch falls into the second
+        theta = felt.theta[k]
+        later = Timeline(COMMANDS, TIMES[k:k + 2])
+        ends = [respond(model, later, np.exp(1j * (theta + turn - PARTICLES.phi)))
+                for turn in (1e-5, -1e-5)]
+        slope = (ends[0].increments(PARTICLES) - ends[1].increments(PARTICLES))[0] / 2e-5
+        np.testing.assert_allclose(felt.sensitivity[k], slope, rtol=1e-6, atol=1e-14)
+        turned = np.angle(ends[0].heading[-1] / ends[1].heading[-1]) / 2e-5
+        np.testing.assert_allclose(felt.kept[k], turned, rtol=1e-6)
+
+
+def test_the_heading_path_is_that_of_the_increments():
+    felt = heading_response(MODELS['lag'], PARTICLES, Timeline(COMMANDS, TIMES))
+    moved = increments(MODELS['lag'], PARTICLES, Timeline(COMMANDS, TIMES))
+    middle = np.angle(np.exp(1j * felt.theta[:-1]) + np.exp(1j * felt.theta[1:]))
+    off = np.angle(moved @ [1, 1j] * np.exp(-1j * middle))
+    assert np.median(np.abs(off)) < 1e-3
+
+
+def test_alignment_at_once_forgets_a_turned_heading_and_no_field_keeps_it():
+    field = np.array([[B, 0.0], [0.0, 0.0]])
+    timeline = Timeline(Commands(np.array([0.0, 1.0]), field), np.array([0.0, 0.5, 1.0, 1.5, 2.0]))
+    felt = heading_response(Model(B), PARTICLES, timeline)
+    np.testing.assert_array_equal(felt.kept[:, 0], [0, 0, 1, 1])
+    np.testing.assert_allclose(felt.sensitivity[3] @ [1, 1j],
+                               0.5j * PARTICLES.velocity, rtol=1e-12)
+    np.testing.assert_array_equal(felt.sensitivity[:2], 0)
+
+
+def test_a_heading_is_unknown_before_the_first_command():
+    late = Commands(np.array([1.0]), np.array([[B, 0.0]]))
+    timeline = Timeline(late, np.array([0.0, 0.5, 1.0, 1.5]))
+    for model in (Model(B), MODELS['lag'].without('background_field')):
+        felt = heading_response(model, PARTICLES, timeline)
+        assert np.isnan(felt.theta[:2]).all()
+        np.testing.assert_allclose(felt.theta[2:], [PARTICLES.phi] * 2)
+        np.testing.assert_array_equal(increments(model, PARTICLES, timeline)[:2], 0.0)
