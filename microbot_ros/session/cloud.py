@@ -16,25 +16,38 @@ _REQUIRED = ('id', 'x', 'y')
 _OPTIONAL = ('theta', 'sigma')
 
 
+def is_cloud(content: Any) -> bool:
+    """Whether a decoded message is a PointCloud2 whose data agree with its fields."""
+    return (
+        getattr(content, '__msgtype__', '') == 'sensor_msgs/msg/PointCloud2'
+        and len(content.data) == content.width * content.height * content.point_step
+        and all(field.datatype in _TYPES and field.count == 1 for field in content.fields)
+    )
+
+
+def cloud_table(content: Any) -> np.ndarray:
+    """The points of a cloud, (n,) with a named column for each of its fields."""
+    fields = tuple((field.name, field.datatype, field.offset) for field in content.fields)
+    dtype = _dtype(fields, content.point_step, bool(content.is_bigendian))
+    return np.frombuffer(content.data, dtype)
+
+
 def cloud_points(content: Any, path: Path, topic: str) -> dict[str, np.ndarray]:
     """The columns `id`, `x`, `y` [m], `theta` [rad] and `sigma` [m] of a decoded cloud, (n,) each.
 
     NaN for `theta` and `sigma` where the cloud has no such field; InputError where it lacks
     another or its size contradicts its fields.
     """
-    fields = tuple((field.name, field.datatype, field.offset) for field in content.fields)
-    missing = [name for name in _REQUIRED if name not in {field[0] for field in fields}]
-    count = content.width * content.height
-    if missing or len(content.data) != count * content.point_step:
-        problem = f'fields {", ".join(_REQUIRED)}' if missing else 'as much data as points'
-        raise InputError(path, f'{topic}: expected {problem}')
-    dtype = _dtype(fields, content.point_step, bool(content.is_bigendian))
-    points = np.frombuffer(content.data, dtype, count)
-    columns = {name: points[name].astype(float) for name in _REQUIRED}
-    for name in _OPTIONAL:
-        known = name in (dtype.names or ())
-        columns[name] = points[name].astype(float) if known else np.full(count, np.nan)
-    return columns
+    there = {field.name for field in content.fields}
+    if not there.issuperset(_REQUIRED):
+        raise InputError(path, f'{topic}: expected fields {", ".join(_REQUIRED)}')
+    if not is_cloud(content):
+        raise InputError(path, f'{topic}: expected as much data as points')
+    points = cloud_table(content)
+    unknown = np.full(len(points), np.nan)
+    return {name: points[name].astype(float) for name in _REQUIRED} | {
+        name: points[name].astype(float) if name in there else unknown for name in _OPTIONAL
+    }
 
 
 @cache

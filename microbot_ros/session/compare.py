@@ -1,0 +1,146 @@
+"""Two recordings side by side: which topics differ, and the first point where they part."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from collections.abc import Collection, Hashable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from microbot_ros.session.cloud import cloud_table, is_cloud
+from microbot_ros.session.from_recording import stamp_ns
+from microbot_ros.session.recording import Recording
+
+
+@dataclass(frozen=True)
+class Parting:
+    """The first field of the first pair of messages that differ, `t_s` since the start of a."""
+
+    t_s: float
+    field: str
+    a: str
+    b: str
+
+
+@dataclass(frozen=True)
+class TopicDifference:
+    """How one topic differs between recordings a and b.
+
+    `pairs` messages have a partner, `unequal` of them differ in some field; `only_a` and
+    `only_b` have none. `largest` is the largest difference between numbers, by field.
+    """
+
+    topic: str
+    pairs: int
+    unequal: int
+    only_a: int
+    only_b: int
+    first: Parting | None
+    largest: dict[str, float]
+
+    @property
+    def same(self) -> bool:
+        """Whether the topic holds the same in both."""
+        return not (self.unequal or self.only_a or self.only_b)
+
+
+def compare(
+    a: Recording, b: Recording, topics: Collection[str] | None = None,
+) -> list[TopicDifference]:
+    """Every topic of either recording (or those chosen), compared field by field.
+
+    Messages with a header are paired by its stamp, others by their order; times of receipt do
+    not count, and serialised bytes are never compared, since their padding is arbitrary. NaN
+    equals NaN.
+    """
+    names = sorted({*a.topics, *b.topics} if topics is None else topics)
+    return [_compare_topic(a, b, name) for name in names]
+
+
+def _compare_topic(a: Recording, b: Recording, topic: str) -> TopicDifference:
+    pairs = unequal = 0
+    first: Parting | None = None
+    largest: dict[str, float] = {}
+    unpaired: list[dict[Hashable, tuple[int, dict[str, Any]]]] = [{}, {}]
+    for side, key, item in _keyed(a, b, topic):
+        unpaired[side][key] = item
+        if key not in unpaired[1 - side]:
+            continue
+        (t_ns, left), (_, right) = (entries.pop(key) for entries in unpaired)
+        pairs += 1
+        t_s = (t_ns - a.start_ns) / 1e9
+        partings = list(_partings(left, right))
+        unequal += bool(partings)
+        for field, place, x, y, size in partings:
+            largest[field] = max(largest.get(field, 0.0), size)
+            if first is None or t_s < first.t_s:
+                first = Parting(t_s, field + place, x, y)
+    return TopicDifference(
+        topic, pairs, unequal, len(unpaired[0]), len(unpaired[1]), first, largest)
+
+
+def _keyed(
+    a: Recording, b: Recording, topic: str,
+) -> Iterator[tuple[int, Hashable, tuple[int, dict[str, Any]]]]:
+    """The messages of a topic of both in turn: (0 or 1, key to pair them, (time, fields))."""
+    streams = {0: _entries(a, topic), 1: _entries(b, topic)}
+    while streams:
+        for side in list(streams):
+            entry = next(streams[side], None)
+            if entry is None:
+                del streams[side]
+            else:
+                yield side, *entry
+
+
+def _entries(
+    recording: Recording, topic: str,
+) -> Iterator[tuple[Hashable, tuple[int, dict[str, Any]]]]:
+    seen: Counter[int] = Counter()
+    if topic not in recording.topics:
+        return
+    for message in recording.messages([topic]):
+        content = recording.decode(message)
+        stamp = stamp_ns(content) if hasattr(content, 'header') else 0
+        seen[stamp] += 1
+        yield (stamp, seen[stamp]), (message.t_ns, dict(_leaves(content, '')))
+
+
+def _leaves(value: Any, path: str) -> Iterator[tuple[str, Any]]:
+    """Every leaf of a message by its path: 'header.stamp.sec', 'points.x', 'poses[3].x'."""
+    if is_cloud(value):
+        points = cloud_table(value)
+        for name in points.dtype.names or ():
+            yield f'points.{name}', points[name]
+        yield from _leaves(value.header, 'header.')
+    elif dataclasses.is_dataclass(value):
+        for field in dataclasses.fields(value):
+            yield from _leaves(getattr(value, field.name), f'{path}{field.name}.')
+    elif isinstance(value, list):
+        for place, item in enumerate(value):
+            yield from _leaves(item, f'{path[:-1]}[{place}].')
+    else:
+        yield path[:-1], value
+
+
+def _partings(
+    left: dict[str, Any], right: dict[str, Any],
+) -> Iterator[tuple[str, str, str, str, float]]:
+    """(field, place in it, value in a, value in b, size) of every field that differs; the size
+    is infinite where it is no matter of numbers."""
+    for field in dict.fromkeys([*left, *right]):
+        a, b = left.get(field), right.get(field)
+        x, y = np.asarray(a), np.asarray(b)
+        if x.shape != y.shape or not {x.dtype.kind, y.dtype.kind} <= set('iuf'):
+            if not np.array_equal(x, y):
+                yield field, '', str(a), str(b), np.inf
+            continue
+        unequal = ~((x == y) | (np.isnan(x) & np.isnan(y)))
+        if unequal.any():
+            place = np.unravel_index(np.argmax(unequal), x.shape)
+            size = np.abs(x.astype(float) - y.astype(float))[unequal].max()
+            where = f'[{", ".join(map(str, place))}]' if place else ''
+            yield field, where, str(x[place]), str(y[place]), float(size)

@@ -1,0 +1,168 @@
+"""When each message of a session is due: rate, limits, loop, pause, step and seek."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Protocol
+
+from microbot_ros.errors import InputError
+from microbot_ros.session.as_messages import SessionMessages
+from microbot_ros.session.folder import read_folder
+from microbot_ros.session.recording import Message, Topic, is_recording, open_recording
+from microbot_ros.session.topics import is_topic
+
+SLOWEST, FASTEST = 0.1, 100.0
+
+
+class Source(Protocol):
+    """What can be played: a `Recording` or `SessionMessages`."""
+
+    topics: dict[str, Topic]
+    start_ns: int
+    end_ns: int
+
+    def messages(
+        self, topics: Collection[str] | None = None, start_ns: int | None = None,
+        end_ns: int | None = None,
+    ) -> Iterator[Message]:
+        """Messages in order of time."""
+
+
+@contextmanager
+def open_source(path: str | Path) -> Iterator[Source]:
+    """A session of either kind, open for playing."""
+    path = Path(path)
+    if path.exists() and not is_recording(path):
+        yield SessionMessages(read_folder(path))
+    else:
+        with open_recording(path) as recording:
+            yield recording
+
+
+class Playback:
+    """Hands out the messages of a source when they are due.
+
+    Pure: the caller brings the time, `now` [s], from any steady clock, sends what `take` gives
+    and publishes `clock_ns`. `rate` is times real time, 0.1 to 100, or infinity for as fast as
+    the caller takes. `start` and `end` are seconds since the beginning of the source. With
+    `loop` the end is followed by the start again, and the clock jumps back. `topics` chooses by
+    name, with or without namespace; None is all. InputError for a rate or limits out of range
+    and for topics that are not there.
+    """
+
+    def __init__(
+        self, source: Source, now: float, *, rate: float = 1.0, start: float = 0.0,
+        end: float | None = None, loop: bool = False, topics: Collection[str] | None = None,
+    ) -> None:
+        self._source = source
+        self._topics = None if topics is None else _chosen(source, topics)
+        length = (source.end_ns - source.start_ns) / 1e9
+        if not 0 <= start <= length:
+            raise InputError('start', f'expected 0 to {length:g} s, got {start:g}')
+        if end is not None and not start <= end < math.inf:
+            raise InputError('end', f'expected {start:g} s or more, got {end:g}')
+        self._first = source.start_ns + round(start * 1e9)
+        self._last = source.end_ns if end is None else min(
+            source.end_ns, source.start_ns + round(end * 1e9))
+        self._loop = loop
+        self._paused = False
+        self._rate = _checked_rate(rate)
+        self._go_to(self._first, now)
+
+    @property
+    def finished(self) -> bool:
+        """Whether everything has been taken; never so in a loop that holds a message."""
+        return self._next is None
+
+    @property
+    def paused(self) -> bool:
+        """Whether only `step` moves on."""
+        return self._paused
+
+    def take(self, now: float) -> Message | None:
+        """The next message if it is due, else None."""
+        if self._paused or self._next is None or self.wait(now) > 0:
+            return None
+        return self._advance(now)
+
+    def wait(self, now: float) -> float:
+        """Seconds until the next message is due; 0 if it is, infinity while nothing will be."""
+        if self._paused or self._next is None:
+            return math.inf
+        if self._rate == math.inf:
+            return 0.0
+        due = self._since + (self._next.t_ns - self._at) / 1e9 / self._rate
+        return max(0.0, due - now)
+
+    def clock_ns(self, now: float) -> int:
+        """Time for `/clock`: it never passes a message that has not been taken."""
+        limit = self._last if self._next is None else self._next.t_ns
+        if self._paused or self._rate == math.inf:
+            return min(self._at, limit)
+        return min(self._at + round((now - self._since) * 1e9 * self._rate), limit)
+
+    def pause(self, now: float) -> None:
+        """Stop the clock where it is."""
+        self._at, self._paused = self.clock_ns(now), True
+
+    def resume(self, now: float) -> None:
+        """Let the clock run on."""
+        self._since, self._paused = now, False
+
+    def set_rate(self, rate: float, now: float) -> None:
+        """Change the rate from here on; InputError out of range."""
+        rate = _checked_rate(rate)
+        self._at, self._since, self._rate = self.clock_ns(now), now, rate
+
+    def seek(self, seconds: float, now: float) -> None:
+        """Go to a time since the beginning of the source, within the limits of the playback."""
+        position = seconds * 1e9 + self._source.start_ns
+        if not self._first <= position <= self._last:
+            low, high = (
+                (limit - self._source.start_ns) / 1e9 for limit in (self._first, self._last))
+            raise InputError('seek', f'expected {low:g} to {high:g} s, got {seconds:g}')
+        self._go_to(round(position), now)
+
+    def step(self, now: float, topic: str | None = None) -> Iterator[Message]:
+        """Pause, and hand out the next message, or all up to the next of `topic`."""
+        self.pause(now)
+        while self._next is not None:
+            message = self._advance(now)
+            yield message
+            if topic is None or is_topic(message.topic, topic):
+                return
+
+    def _advance(self, now: float) -> Message:
+        message = self._next
+        assert message is not None
+        if self._paused or self._rate == math.inf:
+            self._at = message.t_ns
+        self._next = next(self._stream, None)
+        if self._next is None and self._loop:
+            self._go_to(self._first, now)
+        return message
+
+    def _go_to(self, position: int, now: float) -> None:
+        self._at, self._since = position, now
+        self._stream = self._source.messages(self._topics, position, self._last + 1)
+        self._next: Message | None = next(self._stream, None)
+
+
+def _checked_rate(rate: float) -> float:
+    if not (SLOWEST <= rate <= FASTEST or rate == math.inf):
+        raise InputError('rate', f'expected {SLOWEST:g} to {FASTEST:g}, or inf, got {rate:g}')
+    return rate
+
+
+def _chosen(source: Source, names: Collection[str]) -> list[str]:
+    chosen = []
+    for name in names:
+        found = [topic for topic in source.topics if is_topic(topic, name.lstrip('/'))]
+        if not found:
+            there = ', '.join(sorted(source.topics)) or 'none'
+            raise InputError('topics', f'expected some of {there}, got {name}')
+        chosen += found
+    return chosen
