@@ -25,6 +25,9 @@ COILS = ('coil_plus_y', 'coil_plus_x', 'coil_minus_y', 'coil_minus_x')
 READ_BACK_S = 0.25
 """How long a driver waits for the read-back that proves a zero."""
 
+_AGREEMENT = 0.02
+"""How near a reading must be to a command to acknowledge it, as a part of full scale."""
+
 
 @dataclass(frozen=True, eq=False)
 class Command:
@@ -60,20 +63,21 @@ class Counters:
 class Amplifier(ABC):
     """A four-channel current source behind one protocol.
 
-    `url` names its port (for a protocol with one port per coil: four, separated by commas),
-    `full_scale_A` the current of each coil at full output (a scalar means all alike) and
-    `tolerance` how near a reading must be to a command to acknowledge it, as a part of full
-    scale. One thread may write while another polls.
+    `url` names its port (for a protocol with several: all, separated by commas) and
+    `full_scale_A` the current of each coil at full output (a scalar means all alike).
+    One thread may write while another polls.
     """
 
-    def __init__(self, url: str, full_scale_A: float | Sequence[float],
-                 tolerance: float = 0.02) -> None:
+    resolution_A = 0.0
+    """The step in which the device reports currents."""
+
+    def __init__(self, url: str, full_scale_A: float | Sequence[float]) -> None:
         self.url = url
         self.full_scale_A = np.broadcast_to(np.asarray(full_scale_A, float), 4).copy()
         if not np.all((self.full_scale_A > 0) & np.isfinite(self.full_scale_A)):
             raise InputError('full_scale_A', f'expected amperes above 0, got {full_scale_A}')
         self.counters = Counters()
-        self._tolerance_A = tolerance * self.full_scale_A
+        self._tolerance_A = _AGREEMENT * self.full_scale_A + self.resolution_A / 2
         self._unacknowledged: deque[Command] = deque(maxlen=64)
         self._lock = Lock()
 

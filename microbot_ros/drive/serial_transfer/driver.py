@@ -13,36 +13,37 @@ from microbot_ros.drive.serial_transfer import codec
 from microbot_ros.drive.transport import Port
 
 _EXPECTED = 'SerialTransfer packets of six measured currents'
-_FIRST_PACKET_S = 1.0  # fifty times the period at which a board reports
+_RUNNING_S = 0.035  # two periods: longer than a board that opening the port resets lives on
 _PLAUSIBLE = 2.0  # a reading beyond this part of full scale is damage that the CRC-8 let through
 
 
 class SerialTransferAmplifier(Amplifier):
     """A coil board on one serial line; duty −1 … 1 is ± `full_scale_A` of each coil.
 
-    `reset_wait_s` is how long the board takes to boot after its port opens: about 2 s for an
-    Arduino, 0 for boards (and the emulator) that do not reset. The watchdog is the firmware's
-    own; this protocol has no message to arm one.
+    Opening the port resets an Arduino, which takes 2 s to boot; others run on. The driver is
+    connected when packets have kept coming, and gives up after `boot_s`. The watchdog is the
+    firmware's own; this protocol has no message to arm one.
     """
 
     def __init__(self, url: str, full_scale_A: float | Sequence[float], *, baud: int = 500_000,
-                 reset_wait_s: float = 2.0, tolerance: float = 0.02) -> None:
-        super().__init__(url, full_scale_A, tolerance)
+                 boot_s: float = 3.0) -> None:
+        super().__init__(url, full_scale_A)
         self._baud = baud
-        self._reset_wait_s = reset_wait_s
+        self._boot_s = boot_s
         self._port: Port | None = None
         self._decoder = codec.Decoder(codec.MEASUREMENT_BYTES)
 
     def _open(self) -> None:
         self._port = Port(self.url, self._baud)
-        time.sleep(self._reset_wait_s)
-        self._port.discard_input()
-        heard = b''
-        deadline = time.monotonic() + _FIRST_PACKET_S
+        deadline = time.monotonic() + self._boot_s
+        heard, first = b'', None
         while (left := deadline - time.monotonic()) > 0:
             data = self._port.receive(left)
-            if self._decoder.feed(data, time.monotonic()):
-                return
+            now = time.monotonic()
+            if self._decoder.feed(data, now):
+                first = first or now
+                if now - first >= _RUNNING_S:
+                    return
             heard += data
         if heard:
             received = f'{len(heard)} bytes: {heard[:12].hex(" ")} …'

@@ -1,0 +1,77 @@
+"""Emulated amplifiers as processes of their own, and a way to wait for what they log."""
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+DEADLINE_S = 20.0
+FULL_SCALE_A = 2.0
+
+
+def eventually(condition: Callable[[], object]) -> object:
+    """The first true value of the condition; fails the test after a generous deadline."""
+    deadline = time.monotonic() + DEADLINE_S
+    while time.monotonic() < deadline:
+        if value := condition():
+            return value
+        time.sleep(0.002)
+    raise AssertionError('the awaited condition never came true')
+
+
+class Emulated:
+    """One emulator: its port, its log, its faults."""
+
+    def __init__(self, protocol: str, folder: Path, options: tuple[str, ...]) -> None:
+        self.link, self.log = folder / protocol, folder / f'{protocol}.jsonl'
+        self.process = subprocess.Popen(
+            [sys.executable, '-m', 'microbot_ros.cli', 'emulate', protocol, '--link', self.link,
+             '--log', self.log, '--full-scale-A', str(FULL_SCALE_A), '--fault', '-', *options],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        *_, places = self.process.stdout.readline().partition(' at ')
+        self.url = ','.join(places.split())
+
+    def fault(self, text: str) -> None:
+        """Let a fault happen from now on."""
+        self.process.stdin.write(text + '\n')
+        self.process.stdin.flush()
+
+    def entries(self) -> list[dict]:
+        """What was logged so far."""
+        return [json.loads(line) for line in self.log.read_text().splitlines(keepends=True)
+                if line.endswith('\n')]
+
+    def currents(self) -> list[float]:
+        return self.entries()[-1]['currents_A']
+
+    def eventually_at(self, currents: object, cause: str | None = None) -> dict:
+        """The last entry, once it has these currents (and this cause)."""
+        return eventually(lambda: (last := self.entries()[-1]) and (
+            last['currents_A'] == pytest.approx(list(currents), abs=0.011 * FULL_SCALE_A)
+            and cause in (None, last['cause']) and last))
+
+    def end(self) -> int:
+        if self.process.poll() is None:
+            self.process.terminate()
+        code = self.process.wait(DEADLINE_S)
+        self.process.stdin.close()
+        self.process.stdout.close()
+        return code
+
+
+@pytest.fixture
+def emulate(tmp_path):
+    """A function that starts the emulator of a protocol with options; all end with the test."""
+    started = []
+
+    def start(protocol: str, *options: str) -> Emulated:
+        started.append(Emulated(protocol, tmp_path, options))
+        return started[-1]
+
+    yield start
+    for emulated in started:
+        emulated.end()

@@ -1,0 +1,356 @@
+"""The gate: every limit swept densely across its boundary, armed and disarmed alike."""
+
+import math
+
+import numpy as np
+import pytest
+
+from microbot_ros.drive.gate import ZERO, Gate, Limits, Reason
+
+LIMITS = Limits(
+    current_A=2.0, step_A=3.0, slew_A_per_s=10.0, stale_s=0.125, deviation_A=0.25,
+    settling_s=0.0625, silence_s=0.25, continuous_A=1.0, thermal_s=8.0)
+NOT_FINITE = [math.nan, math.inf, -math.inf]
+COILS = range(4)
+
+
+def only(coil: int, value: float) -> tuple[float, ...]:
+    return tuple(value if index == coil else 0.0 for index in COILS)
+
+
+def around(boundary: float) -> list[tuple[float, bool]]:
+    """Values across a boundary, and whether each is within ±boundary."""
+    steps = [math.nextafter(boundary, 0), boundary, math.nextafter(boundary, math.inf)]
+    near = [boundary * (1 + k * 1e-3) for k in range(-5, 6)]
+    far = [0.5 * boundary, 2 * boundary, 1e6 * boundary]
+    values = [sign * value for value in steps + near + far for sign in (1, -1)]
+    return [(value, abs(value) <= boundary) for value in values] + [
+        (value, False) for value in NOT_FINITE]
+
+
+def armed(limits: Limits = LIMITS) -> Gate:
+    gate = Gate(limits)
+    gate.measured(ZERO, 0.0)
+    assert gate.arm(0.0) is None
+    return gate
+
+
+def driving(currents: tuple[float, ...], limits: Limits = LIMITS) -> Gate:
+    gate = armed(limits)
+    assert gate.command(currents, 0.0) == currents
+    return gate
+
+
+def tripped(gate: Gate, reason: Reason) -> bool:
+    assert gate.output == ZERO
+    assert not gate.armed
+    assert gate.fault is not None
+    assert gate.fault.detail
+    return gate.fault.reason is reason
+
+
+def test_it_is_silent_until_armed():
+    gate = Gate(LIMITS)
+    assert (gate.armed, gate.fault, gate.output) == (False, None, ZERO)
+    for value, _ in around(2.0):
+        assert gate.command((value,) * 4, 0.0) == ZERO
+    assert gate.fault is None
+
+
+@pytest.mark.parametrize('coil', COILS)
+@pytest.mark.parametrize(('value', 'within'), around(2.0))
+def test_current_limit(coil, value, within):
+    gate = armed()
+    wanted = only(coil, value)
+    if within:
+        assert gate.command(wanted, 0.0) == wanted == gate.output
+        assert gate.fault is None
+    else:
+        assert gate.command(wanted, 0.0) == ZERO
+        assert tripped(gate, Reason.LIMIT if math.isfinite(value) else Reason.MALFORMED)
+        assert gate.command(ZERO, 0.0) == ZERO
+        assert tripped(gate, Reason.LIMIT if math.isfinite(value) else Reason.MALFORMED)
+
+
+@pytest.mark.parametrize('malformed', [
+    (), (0.0,) * 3, (0.0,) * 5, (None,) * 4, '0000', 'oops', ('1', '1', '1', '1'), 7, None,
+    (10**400, 0, 0, 0), [[0.0] * 4] * 4, (1j, 0, 0, 0),
+])
+def test_what_is_not_four_numbers_trips(malformed):
+    gate = driving((1.0,) * 4)
+    assert gate.command(malformed, 0.0) == ZERO
+    assert tripped(gate, Reason.MALFORMED)
+    gate = Gate(LIMITS)
+    assert gate.measured(malformed, 0.0) == ZERO
+    assert tripped(gate, Reason.MALFORMED)
+
+
+def test_numpy_values_come_out_as_floats():
+    out = armed().command(np.array([0.5, -0.5, 1, 0], np.float32), 0.0)
+    assert out == (0.5, -0.5, 1.0, 0.0)
+    assert all(type(value) is float for value in out)
+
+
+@pytest.mark.parametrize('coil', COILS)
+@pytest.mark.parametrize(('change', 'within'), around(3.0)[:22])
+def test_step_limit(coil, change, within):
+    start = -math.copysign(1.5, change)
+    gate = driving(only(coil, start), Limits(**{**vars(LIMITS), 'current_A': 100.0}))
+    gate.command(only(coil, start), 0.0)
+    for now in (0.1, 0.2):  # time restores the allowance that the start used up, and no more
+        gate.measured(only(coil, start), now)
+        gate.command(only(coil, start), now)
+    wanted = only(coil, start + change)
+    exact = abs(wanted[coil] - start) <= 3.0
+    assert gate.command(wanted, 0.2) == (wanted if exact else ZERO)
+    assert exact or tripped(gate, Reason.SLEW)
+    assert exact == within or abs(abs(change) - 3.0) < 1e-12
+
+
+def test_changes_share_one_allowance_that_time_restores():
+    gate = driving(only(0, 1.5))
+    assert gate.command(only(0, 0.25), 0.0) == only(0, 0.25)
+    gate.measured(only(0, 0.25), 0.0625)
+    assert gate.command(only(0, 1.125), 0.0625) == only(0, 1.125)  # left: 0.25 + 0.625 − 0.875
+    assert gate.command(only(1, 1.0), 0.0625) == ZERO  # coil 2 may, coil 1 may not
+    assert tripped(gate, Reason.SLEW)
+
+
+def test_a_fault_leaves_no_fresh_allowance():
+    gate = driving(only(2, 2.0))
+    gate.trip(Reason.LINE, 'test')
+    gate.measured(ZERO, 0.0)
+    assert gate.arm(0.0) is None
+    assert gate.command(only(2, 0.001), 0.0) == ZERO
+    assert tripped(gate, Reason.SLEW)
+
+
+def test_zero_is_affirmed_whatever_the_slew():
+    gate = driving((2.0, -2.0, 2.0, -2.0))
+    assert gate.command(ZERO, 0.0) == ZERO
+    assert gate.armed
+    assert gate.fault is None
+
+
+@pytest.mark.parametrize(('age', 'holds'), [
+    (0.0, True), (math.nextafter(0.125, 0), True), (0.125, True),
+    (math.nextafter(0.125, 1), False), (0.2, False),
+])
+def test_a_command_goes_stale(age, holds):
+    gate = driving(only(1, 0.5))
+    gate.measured(only(1, 0.5), 0.0)
+    assert gate.tick(age) == (only(1, 0.5) if holds else ZERO)
+    assert holds or tripped(gate, Reason.STALE)
+
+
+def test_a_late_command_finds_the_gate_tripped():
+    gate = driving(only(1, 0.5))
+    assert gate.command(only(1, 0.5), 0.2) == ZERO
+    assert tripped(gate, Reason.STALE)
+
+
+def test_each_command_starts_the_time_anew():
+    gate = armed()
+    for step in range(50):
+        now = step * 0.125
+        gate.measured(gate.output, now)
+        assert gate.command((0.5,) * 4, now) == (0.5,) * 4
+
+
+def test_a_zero_never_goes_stale():
+    gate = armed()
+    for now in np.arange(0.0, 10.0, 0.25):
+        gate.measured(ZERO, now)
+        assert gate.tick(now) == ZERO
+    assert gate.armed
+
+
+@pytest.mark.parametrize('output', [ZERO, (0.5,) * 4])
+@pytest.mark.parametrize(('age', 'holds'), [
+    (math.nextafter(0.25, 0), True), (0.25, True), (math.nextafter(0.25, 1), False),
+])
+def test_no_current_without_measurements(output, age, holds):
+    gate = driving(output, Limits(**{**vars(LIMITS), 'stale_s': 10.0}))
+    assert gate.tick(age) == (output if holds else ZERO)
+    assert gate.armed == holds
+    assert holds or tripped(gate, Reason.SILENCE)
+
+
+@pytest.mark.parametrize('coil', COILS)
+@pytest.mark.parametrize(('error', 'within'), around(0.25))
+def test_a_measurement_away_from_the_command_trips(coil, error, within):
+    gate = driving((1.0,) * 4)
+    gate.measured((1.0,) * 4, 0.07)
+    measured = [1.0] * 4
+    measured[coil] += error
+    within = 0.75 <= measured[coil] <= 1.25  # as rounded
+    assert gate.measured(measured, 0.07) == ((1.0,) * 4 if within else ZERO)
+    reason = Reason.DEVIATION if math.isfinite(error) else Reason.MALFORMED
+    assert within or tripped(gate, reason)
+
+
+@pytest.mark.parametrize('coil', COILS)
+@pytest.mark.parametrize(('value', 'within'), around(0.25))
+def test_current_without_a_command_trips_a_disarmed_gate_too(coil, value, within):
+    gate = Gate(LIMITS)
+    assert gate.measured(only(coil, value), 0.0) == ZERO
+    assert (gate.fault is None) == within
+    assert within or tripped(
+        gate, Reason.DEVIATION if math.isfinite(value) else Reason.MALFORMED)
+
+
+@pytest.mark.parametrize(('age', 'settled'), [
+    (0.0, False), (0.03, False), (math.nextafter(0.0625, 0), False), (0.0625, True), (0.1, True),
+])
+def test_a_current_has_the_settling_time_to_follow(age, settled):
+    for reading in (-0.25, 0.0, 0.6, 1.25):
+        gate = driving(only(3, 1.0))
+        still_settling = gate.measured(only(3, reading), age) != ZERO
+        assert still_settling == (not settled or reading == 1.25)
+
+
+def test_it_settles_from_every_command_of_the_settling_time():
+    gate = driving(only(0, 1.0))
+    gate.command(only(0, -0.5), 0.03)
+    gate.command(only(0, 0.25), 0.06)
+    for reading, passes in ((1.25, True), (-0.75, True), (1.26, False)):
+        assert (gate.measured(only(0, reading), 0.06) != ZERO) == passes
+    gate = driving(only(0, 1.0))
+    gate.command(only(0, -0.5), 0.03)
+    gate.command(only(0, 0.25), 0.06)
+    assert gate.measured(only(0, -0.75), 0.1) != ZERO  # 1.0 was gone at 0.03, −0.5 at 0.06
+    assert gate.measured(only(0, 0.51), 0.1) == ZERO
+
+
+def test_heat_follows_the_exponential_and_trips_above_what_a_coil_bears():
+    limits = Limits(**{**vars(LIMITS), 'stale_s': 100.0, 'silence_s': 100.0})
+    gate = driving((0.0, 2.0, -1.0, 0.5), limits)
+    until_hot = -8.0 * math.log(1 - 1 / 4)  # 4 (1 − exp(−t/8)) = 1
+    for now in np.linspace(0.01, until_hot - 1e-6, 37):
+        assert gate.measured(gate.output, now) != ZERO
+        assert gate.tick(now) != ZERO
+    rise = 1 - math.exp(-(until_hot - 1e-6) / 8)
+    assert gate.heat == pytest.approx((0.0, 4 * rise, rise, 0.25 * rise), rel=1e-9)
+    assert gate.tick(until_hot + 1e-6) == ZERO
+    assert tripped(gate, Reason.HEAT)
+    gate.measured(ZERO, until_hot + 1e-6)
+    assert 'too hot' in gate.arm(until_hot + 1e-6)
+    gate.tick(until_hot + 1.0)
+    assert gate.heat[1] == pytest.approx(math.exp(-1 / 8), rel=1e-4)
+    assert gate.arm(until_hot + 1.0) is None
+
+
+def test_a_coil_bears_its_continuous_current_for_ever():
+    gate = driving((1.0,) * 4)
+    for now in np.arange(0.0, 200.0, 0.125):
+        gate.measured((1.0,) * 4, now)
+        assert gate.command((1.0,) * 4, now) == (1.0,) * 4
+    assert gate.heat == pytest.approx((1.0,) * 4)
+
+
+def test_measured_current_heats_where_it_is_the_larger():
+    gate = driving(only(0, 0.5))
+    gate.measured(only(0, -0.75 + 1.0), 0.0)
+    gate.measured(only(0, 0.75), 0.01)
+    before = gate.heat[0]
+    gate.tick(0.11)
+    keep = math.exp(-0.1 / 8)
+    assert gate.heat[0] == pytest.approx(before * keep + 0.75**2 * (1 - keep), rel=1e-12)
+
+
+def test_a_nonsensical_measurement_does_not_heat_for_ever():
+    gate = Gate(LIMITS)
+    gate.measured((1e200,) * 4, 0.0)
+    gate.measured(ZERO, 0.001)
+    assert max(gate.heat) == pytest.approx(1e6 * -math.expm1(-0.001 / 8))
+    gate.measured(ZERO, 200.0)
+    assert gate.arm(200.0) is None
+
+
+@pytest.mark.parametrize('call', ['command', 'measured', 'tick', 'arm'])
+@pytest.mark.parametrize('now', [*NOT_FINITE, math.nextafter(1.0, 0), 0.5, -1.0])
+def test_a_clock_that_goes_wrong_trips(call, now):
+    gate = driving((0.5,) * 4, Limits(**{**vars(LIMITS), 'stale_s': 5.0, 'silence_s': 5.0}))
+    assert gate.tick(1.0) != ZERO
+    arguments = ((0.5,) * 4, now) if call in ('command', 'measured') else (now,)
+    answer = getattr(gate, call)(*arguments)
+    assert 'clock' in answer if call == 'arm' else answer == ZERO
+    assert tripped(gate, Reason.CLOCK)
+    assert gate.tick(1.0) == ZERO
+
+
+@pytest.mark.parametrize(('measured', 'age', 'refusal'), [
+    (None, 0.0, 'no measured currents'),
+    (ZERO, 0.25, None),
+    (ZERO, math.nextafter(0.25, 1), 'no measured currents'),
+    ((0.25, -0.25, 0.25, -0.25), 0.0, None),
+    (only(0, math.nextafter(0.25, 1)), 0.0, 'without a command'),
+    (only(1, -0.3), 0.0, 'without a command'),
+    (only(3, math.inf), 0.0, 'no measured currents'),
+])
+def test_arming_needs_a_fresh_measurement_of_no_current(measured, age, refusal):
+    gate = Gate(LIMITS)
+    if measured is not None:
+        gate.measured(measured, 0.0)
+    fault = gate.fault
+    answer = gate.arm(age)
+    assert gate.armed == (answer is None) == (refusal is None)
+    assert refusal is None or refusal in answer
+    assert gate.fault is (fault if refusal else None)
+
+
+def test_arming_again_starts_from_zero():
+    gate = driving((0.5,) * 4)
+    gate.measured((0.1,) * 4, 0.0)
+    assert gate.arm(0.0) is None
+    assert gate.output == ZERO
+
+
+def test_revoking_zeroes_and_keeps_the_fault():
+    gate = driving((0.5,) * 4)
+    gate.revoke()
+    assert (gate.output, gate.armed, gate.fault) == (ZERO, False, None)
+    assert gate.command((0.5,) * 4, 0.0) == ZERO
+    gate.trip(Reason.LINE, 'unplugged')
+    gate.trip(Reason.HEAT, 'later')
+    gate.revoke()
+    assert gate.fault.reason is Reason.LINE
+    assert gate.fault.detail == 'unplugged'
+
+
+def test_after_disarming_the_current_may_still_fall():
+    gate = driving((1.0,) * 4)
+    gate.revoke()
+    gate.measured((1.0,) * 4, 0.06)
+    assert gate.fault is None
+    gate.measured((1.0,) * 4, 0.07)
+    assert tripped(gate, Reason.DEVIATION)
+
+
+@pytest.mark.parametrize('name', vars(LIMITS))
+@pytest.mark.parametrize('value', [0.0, -1.0, *NOT_FINITE])
+def test_a_limit_that_limits_nothing_is_refused(name, value):
+    with pytest.raises(ValueError, match=name):
+        Limits(**{**vars(LIMITS), name: value})
+
+
+def test_random_commands_never_break_a_limit():
+    random = np.random.default_rng(3)
+    gate = armed()
+    now, history = 0.0, []
+    for _ in range(20_000):
+        now += float(random.exponential(0.01))
+        gate.measured(gate.output, now)
+        if not gate.armed and gate.arm(now) is None:
+            history.append((now, ZERO))
+        scale = random.choice([0.1, 1.0, 2.0, 3.0])
+        history.append((now, gate.command(random.normal(0, scale, 4), now)))
+    times = np.array([t for t, _ in history])
+    currents = np.array([out for _, out in history])
+    assert np.all(np.abs(currents) <= 2.0)
+    assert np.count_nonzero(currents.any(axis=1)) > 3000
+    rise = np.maximum(np.abs(currents[1:]) - np.abs(currents[:-1]), 0)  # a fall may be a trip
+    for window in (1, 2, 3, 10):
+        total = np.array([rise[i:i + window].sum(axis=0) for i in range(len(rise) - window)])
+        lasted = (times[window:] - times[:-window])[:len(total), None]
+        assert np.all(total <= 3.0 + 10.0 * lasted + 1e-9)

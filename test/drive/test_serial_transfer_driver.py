@@ -1,0 +1,170 @@
+"""The SerialTransfer driver against the emulated board, over a real pseudo-terminal."""
+
+import math
+import os
+import pty
+import threading
+import tty
+
+import numpy as np
+import pytest
+import serial
+
+from microbot_ros.drive.errors import (
+    NoAnswerError,
+    PortBusyError,
+    PortLostError,
+    PortMissingError,
+    WrongDeviceError,
+)
+from microbot_ros.drive.serial_transfer import codec
+from microbot_ros.drive.serial_transfer.driver import SerialTransferAmplifier
+
+FULL_SCALE = (2.0, 2.0, 2.0, 2.0)
+
+
+@pytest.fixture
+def board(emulate):
+    return emulate('serial_transfer')
+
+
+@pytest.fixture
+def amplifier(board):
+    amplifier = SerialTransferAmplifier(board.url, FULL_SCALE)
+    amplifier.connect()
+    yield amplifier
+    amplifier.close()
+
+
+def acknowledged(amplifier, command):
+    return next(reading for _ in range(1000) for reading in amplifier.poll(0.1)
+                if reading.acknowledges is command)
+
+
+def test_each_command_is_acknowledged_by_its_own_reading(amplifier, board):
+    random = np.random.default_rng(1)
+    for _ in range(20):
+        command = amplifier.write(random.uniform(-2, 2, 4))
+        reading = acknowledged(amplifier, command)
+        assert reading.currents_A == pytest.approx(command.currents_A, abs=1e-6)
+        assert reading.t_monotonic_s >= command.t_monotonic_s
+    assert board.currents() == pytest.approx(command.currents_A, abs=1e-6)
+    assert (amplifier.counters.crc_errors, amplifier.counters.discarded_bytes) == (0, 0)
+    assert amplifier.counters.frames_sent == 21  # and the zero of connecting
+
+
+def test_it_reports_by_itself(amplifier):
+    times = [reading.t_monotonic_s for _ in range(10) for reading in amplifier.poll(1.0)]
+    assert len(times) >= 10
+
+
+def test_the_log_shows_a_command_and_the_zero_of_closing(amplifier, board):
+    amplifier.write([1.0, -0.5, 0.25, 2.0])
+    assert board.eventually_at([1.0, -0.5, 0.25, 2.0])['cause'] == 'command'
+    assert amplifier.close()
+    assert board.entries()[-1]['currents_A'] == [0, 0, 0, 0]
+    assert board.entries()[-1]['cause'] == 'command'
+    assert amplifier.close() is False
+
+
+def test_it_can_be_reopened(amplifier, board):
+    for currents in ([1.0, 0, 0, 0], [0, 1.0, 0, 0]):
+        amplifier.write(currents)
+        board.eventually_at(currents)
+        amplifier.close()
+        amplifier.connect()
+        assert board.currents() == [0, 0, 0, 0]
+
+
+def test_closing_tells_where_no_reading_confirms_the_zero(amplifier, board):
+    amplifier.write([1.0, 0, 0, 0])
+    board.eventually_at([1.0, 0, 0, 0])
+    board.fault('silence')
+    assert amplifier.close() is False
+    board.eventually_at([0, 0, 0, 0])
+
+
+def test_a_second_driver_on_the_port_is_refused(amplifier, board):
+    with pytest.raises(PortBusyError, match='in use'):
+        SerialTransferAmplifier(board.url, 2.0).connect()
+    command = amplifier.write([1.0, 0, 0, 0])
+    assert acknowledged(amplifier, command)
+
+
+@pytest.mark.parametrize('url', ['/nowhere/coils', 'nonsense://x', '/dev/null'])
+def test_a_missing_port_is_named(url):
+    with pytest.raises(PortMissingError, match=url):
+        SerialTransferAmplifier(url, 2.0).connect()
+
+
+def test_an_unplugged_line_is_named(amplifier, board):
+    board.fault('unplug')
+    with pytest.raises(PortLostError, match='lost'):
+        for _ in range(1000):
+            amplifier.write([0.5, 0, 0, 0])
+            amplifier.poll(0.1)
+
+
+def test_use_before_connecting_is_named(board):
+    with pytest.raises(NoAnswerError, match='connection'):
+        SerialTransferAmplifier(board.url, 2.0).poll()
+
+
+def test_another_model_is_told_from_silence(board):
+    board.fault('wrong_reply')
+    with pytest.raises(WrongDeviceError, match='six measured currents'):
+        SerialTransferAmplifier(board.url, 2.0, boot_s=0.2).connect()
+    board.fault('silence')
+    with pytest.raises(NoAnswerError):
+        SerialTransferAmplifier(board.url, 2.0, boot_s=0.2).connect()
+    serial.Serial(board.url, exclusive=True).close()  # both gave the port back
+
+
+@pytest.mark.parametrize('value', [math.nan, math.inf, -math.inf, math.nextafter(2.0, 3), -2.1])
+@pytest.mark.parametrize('coil', range(4))
+def test_no_byte_is_written_for_a_current_outside(amplifier, value, coil):
+    sent = amplifier.counters.frames_sent
+    currents = [0.0] * 4
+    currents[coil] = value
+    with pytest.raises(ValueError, match='within'):
+        amplifier.write(currents)
+    assert amplifier.counters.frames_sent == sent
+
+
+def test_the_bytes_of_a_session_and_no_others():
+    """Connect, one command, close: the whole transcript, with a scripted board."""
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    received, ended = bytearray(), threading.Event()
+
+    def board() -> None:
+        decoder = codec.Decoder(codec.COMMAND_BYTES)
+        duties, clock = (0.0,) * 6, 0.0
+        while not ended.wait(0.004):
+            os.set_blocking(master, False)
+            try:
+                data = os.read(master, 4096)
+            except BlockingIOError:
+                data = b''
+            received.extend(data)
+            for payload in decoder.feed(data, clock):
+                duties = codec.duties(payload)
+            os.write(master, codec.encode(codec.measurement([2 * duty for duty in duties])))
+
+    thread = threading.Thread(target=board)
+    thread.start()
+    try:
+        amplifier = SerialTransferAmplifier(os.ttyname(slave), FULL_SCALE)
+        amplifier.connect()
+        acknowledged(amplifier, amplifier.write([2.0, -1.0, 0.0, 0.5]))
+        assert amplifier.close()
+    finally:
+        ended.set()
+        thread.join()
+        os.close(master)
+        os.close(slave)
+    zero = bytes.fromhex('7e00ff44') + bytes(68) + bytes.fromhex('0081')
+    drive = (bytes.fromhex('7e00ff44') + bytes(44)
+             + bytes.fromhex('0000803f 000000bf 00000000 0000803e') + bytes(8))
+    crc = codec.crc8(drive[4:])
+    assert received == zero + drive + bytes((crc, 0x81)) + zero
