@@ -17,6 +17,7 @@ _COMMANDS = {
     'arm': 'Arm or disarm the gate of a running rig.',
     'set': 'Change a parameter of a running node.',
     'goal': 'Send goals to the running controller.',
+    'simulate': 'Simulate particles, camera and hidden effects as a session.',
     'info': 'Show what is in a session or recording.',
     'doctor': 'Is this machine, is the rig ready?',
     'calibrate': 'Find constants of the rig from measurements.',

@@ -54,7 +54,7 @@ BODY = np.dtype([(name, np.float64) for name in _NEUTRAL])
 def bodies(
     fluid: Fluid,
     radius: np.ndarray,
-    moment: np.ndarray,
+    moment: np.ndarray | float,
     phi: np.ndarray,
     position: np.ndarray,
     *,
@@ -64,7 +64,7 @@ def bodies(
 ) -> np.ndarray:
     """Undisturbed particles (N,) of type BODY, with Stokes' drag and Einstein's diffusion.
 
-    `radius` [m], `moment` [A·m²], `phi` [rad], `heading` [rad] each (N,); `position` (N, 2) [m];
+    `radius` (N,) [m], `moment` [A·m²], `phi` (N,) [rad], `position` (N, 2) [m], `heading` [rad];
     `speed` [m/s] of a swimmer with full fuel; `gain` [m/s/Hz] of a roller.
     """
     radius = np.asarray(radius, dtype=float)

@@ -10,11 +10,11 @@ import numpy as np
 from microbot_ros.model.forces import unit
 from microbot_ros.records import Commands
 
+Levels = float | Sequence[float] | np.ndarray
 
 def steps(
-    rng: np.random.Generator, duration: float, field: float | Sequence[float],
-    dwell: tuple[float, float], centre: float = 0.0, spread: float = math.pi,
-    frequency: float | Sequence[float] | None = None,
+    rng: np.random.Generator, duration: float, field: Levels, dwell: tuple[float, float],
+    centre: float = 0.0, spread: float = math.pi, frequency: Levels | None = None,
 ) -> Commands:
     """Directions drawn evenly within ± `spread` of `centre` [rad], each held for a while.
 

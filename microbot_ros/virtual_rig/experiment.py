@@ -17,6 +17,8 @@ from microbot_ros.virtual_rig.world import FieldHistory, World
 Feedback = Callable[[float, np.ndarray], np.ndarray]
 """From the time [s] and the positions seen (N, 2) [m] to the field wanted (2,) [T]."""
 
+_NOTHING = Commands(np.empty(0), np.empty((0, 2)))
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -49,31 +51,24 @@ def perform(
     shutter = camera.exposure / camera.frame_rate
     count = math.floor((duration - shutter) * camera.frame_rate + 1e-9) + 1
     opens = np.arange(count) / camera.frame_rate
-    visible = _visible(camera, count, len(world.bodies), rng)
+    errors = detection_errors(camera, count, len(world.bodies), rng)
     path = Path(opens + shutter / 2, *_empty(count, len(world.bodies)))
-    seen = np.full_like(path.position, np.nan)
-    commands = control if isinstance(control, Commands) else _nothing(world)
+    seen = np.empty_like(path.position)
+    commands = control if isinstance(control, Commands) else _NOTHING
     history = FieldHistory.uniform(commands)
     for k, begin in enumerate(opens):
         world.advance(begin, history)
         first = world.advance(path.t[k], history)
         path.position[k], path.heading[k] = world.position, world.heading
         second = world.advance(begin + shutter, history)
-        picture = _picture(world, (first + second) / 2, path.t[k])
-        picture += camera.noise * rng.standard_normal(picture.shape)
-        seen[k] = np.where(visible[k, :, None], picture, np.nan)
+        seen[k] = _picture(world, (first + second) / 2, path.t[k]) + errors[k]
         if not isinstance(control, Commands):
             wanted = control(world.t, seen[k])
             commands = Commands(
                 np.append(commands.t, world.t), np.vstack((commands.field, wanted)))
             history = FieldHistory.uniform(commands)
     recorded = replace(conditions or Conditions(), frame_rate=camera.frame_rate)
-    return Session(_tracks(path.t, seen), commands, recorded), path
-
-
-def _nothing(world: World) -> Commands:
-    """No field from the beginning."""
-    return Commands(np.array([world.t]), np.zeros((1, 2)))
+    return Session(as_tracks(path.t, seen), commands, recorded), path
 
 
 def _empty(frames: int, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -89,8 +84,13 @@ def _picture(world: World, position: np.ndarray, t: float) -> np.ndarray:
         body['aspect'] * position[:, 1] + jumped * body['jump_y']))
 
 
-def _visible(camera: Camera, frames: int, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Which particles (frames, N) are seen: runs of misses as a two-state chain, lost frames."""
+def detection_errors(
+    camera: Camera, frames: int, count: int, rng: np.random.Generator,
+) -> np.ndarray:
+    """What to add to true positions (frames, N, 2) [m]: noise, NaN where one was missed.
+
+    Misses of a particle are a two-state chain; a dropped frame misses all.
+    """
     visible = np.ones((frames, count), dtype=bool)
     if camera.missed > 0:
         found_again = 1 / camera.run
@@ -100,10 +100,12 @@ def _visible(camera: Camera, frames: int, count: int, rng: np.random.Generator) 
             chance = np.where(visible[k - 1], 1 - lost, found_again)
             visible[k] = rng.random(count) < chance
     visible[rng.random(frames) < camera.dropped] = False
-    return visible
+    noise = camera.noise * rng.standard_normal((frames, count, 2))
+    return np.where(visible[..., None], noise, np.nan)
 
 
-def _tracks(t: np.ndarray, seen: np.ndarray) -> Tracks:
+def as_tracks(t: np.ndarray, seen: np.ndarray) -> Tracks:
+    """Tracks of positions (T, N, 2) [m] at times (T,) [s]; NaN where there is no row."""
     frame, particle = np.nonzero(np.isfinite(seen[..., 0]))
     unknown = np.full(len(frame), np.nan)
     return Tracks(t[frame], particle, seen[frame, particle], unknown, unknown.copy())

@@ -208,7 +208,8 @@ def test_walls_stop_particles_and_spheres_do_not_overlap():
 
 def test_dipoles_obey_the_force_law():
     moment = 3e-13
-    made = swarm(dipole=dipole_mobility(FLUID, RADIUS, moment), heading=np.add(PHIS, [0.2, 1.3, -0.8]))
+    turned = np.add(PHIS, [0.2, 1.3, -0.8])
+    made = swarm(dipole=dipole_mobility(FLUID, RADIUS, moment), heading=turned)
     pair = np.array([9e-6, -14e-6])
     distance = np.hypot(*pair)
     velocity = dynamics.dipole_velocity(made[0], made[1], *(pair / distance), distance)

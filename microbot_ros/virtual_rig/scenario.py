@@ -1,0 +1,236 @@
+"""Scenarios: what `microbot simulate` is asked for, as YAML with a unit in every name."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import pydantic
+
+from microbot_ros.errors import InputError
+from microbot_ros.files import Settings, line_of, read_yaml
+from microbot_ros.model.effect_table import exact_si
+from microbot_ros.model.model import Model, ParticleParameters, Propulsion
+from microbot_ros.model.model_file import read_model
+from microbot_ros.model.particle import Fluid
+from microbot_ros.records import Commands, Conditions
+from microbot_ros.virtual_rig.commands import Herding, rotating, steps
+from microbot_ros.virtual_rig.experiment import Camera, Feedback
+from microbot_ros.virtual_rig.hidden import check
+
+Positive = Annotated[float, pydantic.Field(gt=0)]
+Fraction = Annotated[float, pydantic.Field(ge=0, lt=1)]
+Levels = Positive | Annotated[tuple[Positive, ...], pydantic.Field(min_length=1)]
+EffectSettings = dict[str, dict[str, float | tuple[float, ...]]]
+
+
+class FluidSettings(Settings):
+    """The section `fluid`."""
+
+    viscosity_mPa_s: Positive
+    temperature_K: Positive = 298.15
+
+
+class CameraSettings(Settings):
+    """The section `camera`; see `experiment.Camera`."""
+
+    frame_rate_hz: Positive
+    exposure: Annotated[float, pydantic.Field(ge=0, le=1)] = 0.0
+    localisation_um: Annotated[float, pydantic.Field(ge=0)] = 0.0
+    missed: Fraction = 0.0
+    run: Annotated[float, pydantic.Field(ge=1)] = 1.0
+    dropped: Fraction = 0.0
+
+    def camera(self) -> Camera:
+        """The camera in SI."""
+        noise = self.localisation_um * 1e-6
+        return Camera(
+            self.frame_rate_hz, self.exposure, noise, self.missed, self.run, self.dropped)
+
+
+class SwimmerSettings(Settings):
+    """One of `particles`: where it starts and how it answers the field."""
+
+    x_um: float
+    y_um: float
+    phi_rad: float
+    v_um_s: float = 0.0
+    gain_um_s_hz: float = 0.0
+
+
+class StepSettings(Settings):
+    """Commands drawn at random; see `commands.steps`."""
+
+    field_mT: Levels
+    dwell_s: tuple[Positive, Positive]
+    centre_deg: float = 0.0
+    spread_deg: Annotated[float, pydantic.Field(gt=0, le=180)] = 180.0
+    frequency_hz: Levels | None = None
+
+
+class RotatingSettings(Settings):
+    """A steadily turning field; see `commands.rotating`."""
+
+    field_mT: Positive
+    period_s: Positive
+
+
+class HerdingSettings(Settings):
+    """Feedback; see `commands.Herding`."""
+
+    field_mT: Positive
+    patience_s: Positive = 2.0
+
+
+class RowSettings(Settings):
+    """One of a list of commands, held until the next."""
+
+    t_s: float
+    field_mT: Annotated[float, pydantic.Field(ge=0)]
+    direction_deg: float
+    frequency_hz: float | None = None
+
+
+class CommandSettings(Settings):
+    """The section `commands`: exactly one way to command."""
+
+    steps: StepSettings | None = None
+    rotating: RotatingSettings | None = None
+    herding: HerdingSettings | None = None
+    rows: tuple[RowSettings, ...] | None = None
+
+    @pydantic.model_validator(mode='after')
+    def one_way(self) -> CommandSettings:
+        if len(self.model_fields_set) != 1:
+            raise ValueError('expected exactly one of: steps, rotating, herding, rows')
+        return self
+
+    def control(
+        self, duration: float, phi: np.ndarray, rng: np.random.Generator,
+    ) -> Commands | Feedback:
+        """The commands, or the feedback that decides them, in SI; phi (N,) [rad]."""
+        if self.steps:
+            s = self.steps
+            return steps(
+                rng, duration, np.multiply(s.field_mT, 1e-3), s.dwell_s,
+                math.radians(s.centre_deg), math.radians(s.spread_deg), s.frequency_hz)
+        if self.rotating:
+            return rotating(duration, self.rotating.field_mT * 1e-3, self.rotating.period_s)
+        if self.herding:
+            return Herding(phi, self.herding.field_mT * 1e-3, self.herding.patience_s)
+        return self._listed()
+
+    def _listed(self) -> Commands:
+        rows = sorted(self.rows or (), key=lambda row: row.t_s)
+        angle = np.radians([row.direction_deg for row in rows])
+        strength = np.array([row.field_mT for row in rows]) * 1e-3
+        field = np.column_stack((strength * np.cos(angle), strength * np.sin(angle)))
+        rolled = np.array([row.frequency_hz or 0.0 for row in rows])
+        rolls = any(row.frequency_hz is not None for row in rows)
+        return Commands(np.array([row.t_s for row in rows]), field, rolled if rolls else None)
+
+
+class Scenario(Settings):
+    """A whole scenario.
+
+    `particles` are listed, or `model` names a `model.yaml` (its path from the scenario's folder)
+    whose particles start at random within ± `spread_um` and whose effects are added to `effects`.
+    `alignment_ms` is how fast the field aligns them at the reference field.
+    """
+
+    physics: Literal['langevin', 'first_order', 'newton_stokes'] = 'langevin'
+    propulsion: Propulsion = 'catalytic'
+    duration_s: Positive
+    seed: Annotated[int, pydantic.Field(ge=0)] = 0
+    radius_um: Positive
+    reference_field_mT: Positive
+    alignment_ms: Positive = 0.5
+    fluid: FluidSettings
+    camera: CameraSettings
+    particles: tuple[SwimmerSettings, ...] = ()
+    model: str | None = None
+    spread_um: Positive = 100.0
+    commands: CommandSettings
+    effects: EffectSettings = pydantic.Field(default_factory=dict)
+
+    @pydantic.model_validator(mode='after')
+    def particles_fit(self) -> Scenario:
+        if bool(self.particles) == bool(self.model):
+            raise ValueError("expected either 'particles' or 'model'")
+        for i, particle in enumerate(self.particles):
+            if particle.model_fields_set & {'v_um_s', 'gain_um_s_hz'} != {self.speed_key}:
+                raise ValueError(f"expected '{self.speed_key}' of {self.propulsion} particle {i}")
+        return self
+
+    @property
+    def speed_key(self) -> str:
+        """What the speed of a particle is called."""
+        return 'v_um_s' if self.propulsion == 'catalytic' else 'gain_um_s_hz'
+
+    @property
+    def reference_field(self) -> float:
+        """In tesla."""
+        return exact_si('reference_field_mT', self.reference_field_mT)
+
+    @property
+    def radius(self) -> float:
+        """In metres."""
+        return exact_si('radius_um', self.radius_um)
+
+    @property
+    def medium(self) -> Fluid:
+        """The fluid in SI."""
+        return Fluid(
+            exact_si('viscosity_mPa_s', self.fluid.viscosity_mPa_s), self.fluid.temperature_K)
+
+    @property
+    def conditions(self) -> Conditions:
+        """What the session will say of its rig."""
+        return Conditions(
+            self.propulsion, self.radius, self.medium.viscosity,
+            self.medium.temperature, self.camera.frame_rate_hz, None, self.reference_field)
+
+
+def read_scenario(path: Path) -> tuple[Scenario, ParticleParameters]:
+    """A scenario and its particles; effects of its `model` are among its effects.
+
+    Raises InputError naming file, line, key and what was expected.
+    """
+    scenario = read_yaml(path, Scenario)
+    name = scenario.speed_key
+    if scenario.model is None:
+        particles = ParticleParameters(
+            np.arange(len(scenario.particles)),
+            np.array([exact_si(name, getattr(p, name)) for p in scenario.particles]),
+            np.array([p.phi_rad for p in scenario.particles]))
+    else:
+        model, particles = read_model(path.parent / scenario.model)
+        scenario = _with_model(path, scenario, model)
+    for effect, parameters in scenario.effects.items():
+        try:
+            check(effect, parameters)
+        except ValueError as error:
+            raise InputError(path, str(error), line_of(path, 'effects', effect)) from None
+        if any(np.size(v) not in (1, len(particles.ids)) for v in parameters.values()):
+            raise InputError(
+                path, f'{effect}: expected one value, or one for each particle',
+                line_of(path, 'effects', effect))
+    return scenario, particles
+
+
+def _with_model(path: Path, scenario: Scenario, model: Model) -> Scenario:
+    """The scenario with a model's effects; those that it names itself stay."""
+    if model.propulsion != scenario.propulsion:
+        raise InputError(
+            path, f"'propulsion': expected {model.propulsion}, as in {scenario.model}",
+            line_of(path, 'propulsion'))
+    if not math.isclose(model.reference_field, scenario.reference_field):
+        raise InputError(
+            path, f"'reference_field_mT': expected {model.reference_field * 1e3:g}, as in "
+            f'{scenario.model}', line_of(path, 'reference_field_mT'))
+    found = {
+        effect.id: {p.name: p.edge(value) for p, value in effect.values().items()}
+        for effect in model.effects}
+    return scenario.model_copy(update={'effects': found | scenario.effects})

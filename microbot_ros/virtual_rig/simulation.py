@@ -1,0 +1,116 @@
+"""Running a scenario by the physics that it asks for."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pydantic
+
+from microbot_ros.errors import InputError
+from microbot_ros.model.effect_table import EffectTable, build_effects
+from microbot_ros.model.first_order import simulate
+from microbot_ros.model.model import Model, ParticleParameters
+from microbot_ros.model.newton_stokes import newton_stokes
+from microbot_ros.model.particle import Particle, rotational_drag, sphere_mass, stokes_drag
+from microbot_ros.records import Commands, Session
+from microbot_ros.virtual_rig.body import bodies
+from microbot_ros.virtual_rig.experiment import as_tracks, detection_errors, perform, scatter
+from microbot_ros.virtual_rig.hidden import hide
+from microbot_ros.virtual_rig.scenario import Scenario
+from microbot_ros.virtual_rig.world import World
+
+POLYSTYRENE = 984.0
+"""Density [kg/m³] that the paper's mass and radius give: for inertia, in `newton_stokes`."""
+
+
+def run(scenario: Scenario, particles: ParticleParameters, source: str) -> Session:
+    """The session that a scenario makes; InputError, naming `source`, for what it cannot be."""
+    rng = np.random.default_rng(scenario.seed)
+    count = len(particles.ids)
+    if scenario.particles:
+        start = np.array([(p.x_um, p.y_um) for p in scenario.particles]) * 1e-6
+    else:
+        try:
+            start = scatter(rng, count, scenario.spread_um * 1e-6, 3 * scenario.radius)
+        except ValueError as error:
+            raise InputError(source, f"'spread_um': {error}") from None
+    control = scenario.commands.control(scenario.duration_s, particles.phi, rng)
+    heading = rng.uniform(-math.pi, math.pi, count)
+    if scenario.physics == 'langevin':
+        world = World(_bodies(scenario, particles, start, heading), rng)
+        session, _ = perform(
+            world, control, scenario.camera.camera(), scenario.duration_s, rng,
+            scenario.conditions)
+    else:
+        session = _without_noise(scenario, particles, control, start, heading, rng, source)
+    # The particles keep the names that the scenario or its model gave them.
+    named = replace(session.tracks, particle=particles.ids[session.tracks.particle])
+    return replace(session, tracks=named)
+
+
+def _bodies(
+    scenario: Scenario, particles: ParticleParameters, start: np.ndarray, heading: np.ndarray,
+) -> np.ndarray:
+    radius = np.full(len(start), scenario.radius)
+    made = bodies(
+        scenario.medium, radius, _moment(scenario), particles.phi, start, heading=heading,
+        **{'speed' if scenario.propulsion == 'catalytic' else 'gain': particles.speed})
+    for effect, parameters in scenario.effects.items():
+        hide(made, effect, parameters, scenario.reference_field)
+    return made
+
+
+def _moment(scenario: Scenario) -> float:
+    """The moment [A·m²] that aligns as fast as asked."""
+    drag = rotational_drag(scenario.medium, scenario.radius)
+    return drag / (scenario.alignment_ms * 1e-3 * scenario.reference_field)
+
+
+def _without_noise(
+    scenario: Scenario, particles: ParticleParameters, control: object, start: np.ndarray,
+    heading: np.ndarray, rng: np.random.Generator, source: str,
+) -> Session:
+    """By equations without chance: only the camera's errors are random."""
+    camera = scenario.camera.camera()
+    if not isinstance(control, Commands) or camera.exposure > 0:
+        raise InputError(
+            source, f"'physics': expected langevin with feedback or an exposure, "
+            f"got '{scenario.physics}'")
+    frames = math.floor(scenario.duration_s * camera.frame_rate + 1e-9) + 1
+    times = np.arange(frames) / camera.frame_rate
+    if scenario.physics == 'first_order':
+        model = _model(scenario, source)
+        path = model.observe(simulate(model, particles, control, times, start))
+    else:
+        path = _newton_stokes(scenario, particles, control, times, start, heading, source)
+    seen = path + detection_errors(camera, frames, len(start), rng)
+    return Session(as_tracks(times, seen), control, scenario.conditions)
+
+
+def _model(scenario: Scenario, source: str) -> Model:
+    try:
+        table = pydantic.TypeAdapter(EffectTable).validate_python(scenario.effects)
+    except pydantic.ValidationError as error:
+        first = error.errors()[0]
+        key = '.'.join(str(part) for part in first['loc'])
+        raise InputError(
+            source, f"'effects.{key}': {first['msg']}, for first_order physics") from None
+    return Model(scenario.reference_field, scenario.propulsion, build_effects(table))
+
+
+def _newton_stokes(
+    scenario: Scenario, particles: ParticleParameters, commands: Commands, times: np.ndarray,
+    start: np.ndarray, heading: np.ndarray, source: str,
+) -> np.ndarray:
+    if scenario.effects or scenario.propulsion != 'catalytic':
+        raise InputError(
+            source, "'physics': newton_stokes expects catalytic particles without effects")
+    radius = scenario.radius
+    forces = particles.speed * stokes_drag(scenario.medium, radius)
+    swimmers = [
+        Particle(radius, sphere_mass(radius, POLYSTYRENE), float(force), float(phi),
+                 _moment(scenario))
+        for force, phi in zip(forces, particles.phi, strict=True)]
+    return newton_stokes(scenario.medium, swimmers, commands, times, start, heading)[0]
