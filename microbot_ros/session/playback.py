@@ -53,6 +53,8 @@ class Playback:
     and for topics that are not there.
     """
 
+    _next: Message | None
+
     def __init__(
         self, source: Source, now: float, *, rate: float = 1.0, start: float = 0.0,
         end: float | None = None, loop: bool = False, topics: Collection[str] | None = None,
@@ -148,7 +150,7 @@ class Playback:
     def _go_to(self, position: int, now: float) -> None:
         self._at, self._since = position, now
         self._stream = self._source.messages(self._topics, position, self._last + 1)
-        self._next: Message | None = next(self._stream, None)
+        self._next = next(self._stream, None)
 
 
 def _checked_rate(rate: float) -> float:
