@@ -1,4 +1,4 @@
-"""The exact filter for position and complex gain, run under several hypotheses of when c changed."""
+"""The exact filter for position and complex gain, under several hypotheses of when c changed."""
 
 from __future__ import annotations
 
@@ -19,10 +19,11 @@ class PhasorBank:
     exactly for diffusion and localisation noise.
 
     Hypothesis 0 is "nothing changed"; slot j > 0 says "c changed when this slot was opened".
-    Slot j is reopened every 2ʲ ticks (the last as often as the one before it), so that the bank always holds moments of change spread
-    evenly over the logarithm of the age: an abrupt change is met by a filter that starts afresh
-    at the right moment, without process noise that would blur the steady state. (The run-length
-    posterior of Bayesian online change-point detection, Adams & MacKay 2007, on a fixed grid.)
+    Slot j is reopened every 2ʲ ticks (the last as often as the one before it), so that the bank
+    always holds moments of change spread evenly over the logarithm of the age: an abrupt change
+    is met by a filter that starts afresh at the right moment, without process noise that would
+    blur the steady state. (The run-length posterior of Bayesian online change-point detection,
+    Adams & MacKay 2007, on a fixed grid.)
     """
 
     _ARRAYS = ('p', 'c', 'g', 'p_var', 'c_var', 'log_weight')
@@ -57,6 +58,10 @@ class PhasorBank:
         for name, born in births.items():
             setattr(self, name, np.concatenate([getattr(self, name), born], axis=1))
 
+    def scale_gain(self, factor: complex) -> None:
+        """Multiply every c by a factor near 1, as after a better value of something shared."""
+        self.c *= factor
+
     def keep(self, particles: np.ndarray) -> None:
         """Keep only these columns: a mask or indices (n,)."""
         for name in self._ARRAYS:
@@ -66,8 +71,7 @@ class PhasorBank:
         self, drive: np.ndarray | complex, drift: np.ndarray | complex, diffused: float,
         wander: float,
     ) -> None:
-        """Move on by ∫u dt (N,) and ∫drift dt (N,); `diffused` = 2Dh, `wander` variance added to c.
-        """
+        """Move on by ∫u dt (N,) and ∫drift dt (N,); `diffused` = 2Dh, c wanders by a variance."""
         self.p += self.c * drive + drift
         self.g += drive
         self.p_var += diffused
@@ -127,7 +131,7 @@ class PhasorBank:
         return weight / weight.sum(axis=0)
 
     def combined(self) -> dict[str, np.ndarray]:
-        """Mean and covariance over hypotheses: p, c (N,), variances p_var, c_var, cross = E p̃c̃*."""
+        """Mean and covariance over hypotheses: p, c, their variances, and cross = ½ E p̃c̃* (N,)."""
         return self._combine(self.weights())
 
     def _combine(self, weight: np.ndarray) -> dict[str, np.ndarray]:

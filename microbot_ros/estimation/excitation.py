@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from microbot_ros.estimation.noise import Noise, whiten
 
-PARAMETERS = ('speed', 'φ', 'delay', 'drift along x', 'drift along y')
+PARAMETERS = ('speed', 'φ', 'delay', 'drift', 'drift')
+"""Rows of the information: log v, φ, delay, drift along x, drift along y."""
 
 WEAK = 0.01
 """A combination of parameters with less than this share of their information is unseen."""
@@ -19,8 +22,54 @@ _ADVICE = {
 }
 
 
+@dataclass(frozen=True)
+class Excitation:
+    """What a command of `seconds` length leaves open.
+
+    `pairs` of PARAMETERS that cannot be told apart, worst first; `driven`: something moved;
+    `turned`: the command changed, so that a delay shows.
+    """
+
+    seconds: float
+    driven: bool
+    turned: bool
+    pairs: tuple[tuple[str, str], ...]
+
+    @property
+    def shows_delay(self) -> bool:
+        """Whether a delay can be told from φ."""
+        return self.driven and self.turned and ('φ', 'delay') not in self.pairs
+
+    @property
+    def sentences(self) -> list[str]:
+        """One sentence for everything that is open, with what would settle it."""
+        last = f'the last {self.seconds:.0f} s'
+        if not self.driven:
+            return [f'nothing was driven in {last}: speed, φ and delay are unseen']
+        told = [
+            f'{first} and {second} cannot be told apart under the commands of {last}: '
+            + _ADVICE.get(frozenset((first, second)), 'vary the command')
+            for first, second in self.pairs
+        ]
+        if not self.turned:
+            told.append(f'the delay is unseen: the command did not turn in {last}')
+        return told
+
+
+def judge(times: np.ndarray, path: np.ndarray, late: np.ndarray, noise: Noise) -> Excitation:
+    """What the drive's `path` (T,) and its derivative by the delay `late` (T,) tell apart."""
+    info = information(times, path, late, noise)
+    size = np.sqrt(np.diag(info))
+    return Excitation(
+        seconds=float(times[-1] - times[0]),
+        driven=bool(size[0] > 0),
+        turned=bool(size[2] > 1e-4 * size[0]),
+        pairs=_confounded(info),
+    )
+
+
 def information(times: np.ndarray, path: np.ndarray, late: np.ndarray, noise: Noise) -> np.ndarray:
-    """Fisher information (5, 5) about (log v, φ, delay, drift x, drift y) of one particle.
+    """Fisher information (5, 5) about PARAMETERS, from one particle.
 
     For v = 1 and φ = 0: `path` (T,) complex ∫u dt, `late` (T,) its derivative by the delay. Both
     axes are whitened as positions are; a slow drift is a column that grows with time.
@@ -32,8 +81,8 @@ def information(times: np.ndarray, path: np.ndarray, late: np.ndarray, noise: No
     return np.real(np.conj(columns).T @ columns)
 
 
-def confounded(info: np.ndarray) -> list[tuple[str, str]]:
-    """Pairs of PARAMETERS that a singular direction of the information mixes, worst first."""
+def _confounded(info: np.ndarray) -> tuple[tuple[str, str], ...]:
+    """Pairs that a nearly singular direction of the scaled information mixes, worst first."""
     size = np.sqrt(np.diag(info))
     present = size > 1e-9 * size.max(initial=1e-300)
     names = [name for name, there in zip(PARAMETERS, present, strict=True) if there]
@@ -43,23 +92,6 @@ def confounded(info: np.ndarray) -> list[tuple[str, str]]:
     for value, vector in zip(values, vectors.T, strict=True):
         if value < WEAK:
             first, second = sorted(np.argsort(-np.abs(vector))[:2])
-            pairs.append((names[first], names[second]))
-    return pairs
-
-
-def sentences(info: np.ndarray, seconds: float) -> list[str]:
-    """One sentence for each pair that the last `seconds` of commands confound."""
-    if not info[0, 0] > 0:
-        return [f'nothing was commanded in the last {seconds:.0f} s: speed, φ and delay are unseen']
-    told = []
-    for first, second in dict.fromkeys(
-        (a.split(' along')[0], b.split(' along')[0]) for a, b in confounded(info)
-    ):
-        advice = _ADVICE.get(frozenset((first, second)), 'vary the command')
-        told.append(
-            f'{first} and {second} cannot be told apart under the last {seconds:.0f} s of '
-            f'commands: {advice}'
-        )
-    if info[2, 2] <= 1e-9 * info[0, 0]:
-        told.append(f'the delay is unseen: the command did not turn in the last {seconds:.0f} s')
-    return told
+            if names[first] != names[second]:
+                pairs.append((names[first], names[second]))
+    return tuple(dict.fromkeys(pairs))

@@ -1,11 +1,13 @@
-"""The online estimator: where every particle is, how fast and which way it swims, how sure we are."""
+"""The online estimator: where every particle is, how fast and which way it swims."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
+from microbot_ros.errors import InputError
 from microbot_ros.estimation.commands import CommandLog
 from microbot_ros.estimation.noise import Noise
 from microbot_ros.estimation.phasor import Polar, polar
@@ -13,6 +15,7 @@ from microbot_ros.estimation.population import Population
 from microbot_ros.estimation.propagation import Propagator
 from microbot_ros.estimation.shared import SharedKnowledge
 from microbot_ros.model.model import Model
+from microbot_ros.model.model_file import read_model
 from microbot_ros.model.particle import Fluid, stokes_drag, translational_diffusion
 from microbot_ros.records import Conditions
 
@@ -102,6 +105,16 @@ class Estimator:
         """The model that the filter runs on."""
         return self._propagator.model
 
+    def load(self, path: str | Path) -> None:
+        """Filter with a `model.yaml`; InputError for a bad file, and the old model stays."""
+        model, _ = read_model(path)
+        if model.propulsion != self.model.propulsion:
+            raise InputError(
+                path, f'expected propulsion: {self.model.propulsion}, as this estimator was '
+                f'started with; found {model.propulsion}'
+            )
+        self.use(model)
+
     def use(self, model: Model) -> None:
         """Filter with another model from the next frame on; what is known of v and φ stays."""
         self._propagator = Propagator(model, self.settings.horizon)
@@ -138,7 +151,7 @@ class Estimator:
         self._report(taken.jump)
         changed = self._population.consider_changes(t, self.settings.change_interval)
         shared.add(t, self._population.ids, taken, changed)
-        shared.work(t, self.model, self._log)
+        shared.work(t, self.model, self._log, self._population.bank)
         self._forget(t)
         return self._estimates(np.isin(self._population.ids, ids))
 
@@ -156,13 +169,11 @@ class Estimator:
     def _knowledge(self, sigma: np.ndarray) -> SharedKnowledge:
         """What is shared; assumed from the conditions and the tracker at the first reading."""
         if self._shared is None:
-            sized = self.conditions.radius and self.conditions.viscosity
+            radius, viscosity = self.conditions.radius, self.conditions.viscosity
             diffusion = 1e-13
-            if sized:
-                fluid = Fluid(
-                    self.conditions.viscosity, self.conditions.temperature or 298.15
-                )
-                diffusion = translational_diffusion(fluid, self.conditions.radius)
+            if radius and viscosity:
+                fluid = Fluid(viscosity, self.conditions.temperature or 298.15)
+                diffusion = translational_diffusion(fluid, radius)
             typical = np.median(sigma[sigma > 0]) if (sigma > 0).any() else 1e-7
             assumed = Noise(diffusion, float(typical), self.settings.exposure)
             if not len(sigma):
@@ -208,15 +219,19 @@ class Estimator:
             state['p_var'] + 2 * np.real(ahead.drive * np.conj(state['cross']))
             + np.abs(ahead.drive) ** 2 * state['c_var'] + 2 * shared.noise.diffusion * ahead.span
         )
-        shown = [np.where(known, value, np.nan) for value in (
-            swims.speed, swims.speed_std, swims.phi, swims.phi_std, force, force_std
-        )]
+        def shown(value: np.ndarray) -> np.ndarray:
+            return np.where(known, value, np.nan)
+
         return Estimates(
-            self._t, self._population.ids, seen, known,
-            _vectors(state['p']), np.sqrt(state['p_var']), *shown,
-            _vectors(state['p'] + state['c'] * ahead.drive + ahead.drift), np.sqrt(spread),
-            shared.delay.value, shared.delay.std, shared.noise,
-            (*self._notes, *shared.sentences),
+            t=self._t, id=self._population.ids, seen=seen, known=known,
+            position=_vectors(state['p']), position_std=np.sqrt(state['p_var']),
+            speed=shown(swims.speed), speed_std=shown(swims.speed_std),
+            phi=shown(swims.phi), phi_std=shown(swims.phi_std),
+            force=shown(force), force_std=shown(force_std),
+            prediction=_vectors(state['p'] + state['c'] * ahead.drive + ahead.drift),
+            prediction_std=np.sqrt(spread),
+            delay=shared.delay.value, delay_std=shared.delay.std, noise=shared.noise,
+            diagnosis=(*self._notes, *shared.sentences),
         )
 
     @staticmethod
@@ -231,10 +246,10 @@ class Estimator:
 
     def _force(self, swims: Polar) -> tuple[np.ndarray, np.ndarray]:
         """F = 6πηr v [N] and its spread, that of η and r included; NaN without η or r."""
-        conditions = self.conditions
-        if not (conditions.radius and conditions.viscosity) or self.model.propulsion == 'rolling':
-            return np.full_like(swims.speed, np.nan), np.full_like(swims.speed, np.nan)
-        drag = stokes_drag(Fluid(conditions.viscosity), conditions.radius)
+        radius, viscosity = self.conditions.radius, self.conditions.viscosity
+        drag = np.nan
+        if radius and viscosity and self.model.propulsion == 'catalytic':
+            drag = stokes_drag(Fluid(viscosity), radius)
         relative = np.hypot(
             self.settings.viscosity_relative_std, self.settings.radius_relative_std
         )

@@ -14,8 +14,7 @@ from microbot_ros.model.timeline import Timeline
 
 @dataclass(frozen=True)
 class Step:
-    """A particle with c = v e^{iφ} moves by c·`drive` + `drift` (1 or N,), complex; over `span` [s].
-    """
+    """In `span` [s] a particle moves by c·`drive` + `drift` (1 or N,), complex, c = v e^{iφ}."""
 
     drive: np.ndarray
     drift: np.ndarray

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from microbot_ros.estimation.bank import PhasorBank
 from microbot_ros.estimation.commands import CommandLog
 from microbot_ros.estimation.delay import Delay
 from microbot_ros.estimation.noise import Noise
@@ -48,8 +49,8 @@ class SharedKnowledge:
             self._window.changed(int(ids[row]), t - changed_for[row])
         self._window.add(t, ids, taken.z, taken.used)
 
-    def work(self, t: float, model: Model, log: CommandLog) -> None:
-        """One slice of a review, if one is due or under way."""
+    def work(self, t: float, model: Model, log: CommandLog, bank: PhasorBank) -> None:
+        """One slice of a review, if one is due or under way; a new delay corrects the bank."""
         if self._next is None:
             self._next = t + self._pause
         if self._review is None:
@@ -64,15 +65,17 @@ class SharedKnowledge:
             self._review = None
             return
         if result is not None:
-            self._adopt(result)
+            self._adopt(result, bank)
 
-    def _adopt(self, review: Review) -> None:
+    def _adopt(self, review: Review, bank: PhasorBank) -> None:
         self.noise = _weighed(self._prior, review.noise)
         self.turn, self.sentences = review.turn, review.confounded
-        if review.delay.determined:
-            self.delay = review.delay
-        else:
+        if not review.delay.determined:
             self.delay = replace(self.delay, std=np.nan)
+            return
+        # What the filter learned under the old delay, it would have learned turned by this.
+        bank.scale_gain(np.exp(review.turn * (review.delay.value - self.delay.value)))
+        self.delay = review.delay
 
 
 def _weighed(prior: Noise, fitted: Noise) -> Noise:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from microbot_ros.estimation import excitation
-from microbot_ros.estimation.commands import CommandLog, model_paths
-from microbot_ros.estimation.delay import Delay, delay_posterior
-from microbot_ros.estimation.noise import GainLikelihood, Noise
+from microbot_ros.estimation.commands import CommandLog
+from microbot_ros.estimation.delay import LONGEST_DELAY, Delay, DelayedLikelihood
+from microbot_ros.estimation.noise import Noise
 from microbot_ros.model.model import Model
 
 PROBES = 8
@@ -18,6 +17,9 @@ FRAMES = 3000
 SECONDS = 60.0
 LEAST = 40
 """A review needs at least this many increments."""
+
+JUDGED_AFTER = 3.0
+"""Seconds of data before a review says what the command cannot tell apart."""
 
 
 @dataclass(frozen=True)
@@ -98,51 +100,16 @@ class Window:
         times, z = self.recent()
         if np.isfinite(z).sum() - PROBES < LEAST:
             return
-        commands = log.since(times[0] - 1.0)
-
-        def likelihood(late: float) -> GainLikelihood:
-            moved = model_paths(model, replace(commands, t=commands.t + late), times,
-                                np.stack([z.real, z.imag], axis=-1))
-            drive = np.broadcast_to(moved.drive, z.shape)
-            return GainLikelihood(times, z - moved.drift, drive, noise.exposure)
-
-        fit = likelihood(delay.value).maximum()
+        record = DelayedLikelihood(
+            model, log.since(times[0] - LONGEST_DELAY), times, z, noise.exposure
+        )
+        fit = record.at(delay.value).maximum()
         yield None
-        ratio = fit.noise.localisation**2 / fit.noise.diffusion
+        excited = record.excitation(delay.value, fit.noise)
         found = Delay()
-        if len(commands.t) > 1:
-            for result in delay_posterior(lambda d: likelihood(d).at(ratio).log_likelihood):
-                yield None
-                found = result or found
-        in_use = found if found.determined else delay
-        step = 0.5 * float(np.median(np.diff(times)))
-        early, late = (likelihood(in_use.value + s) for s in (-step, step))
-        before, after = early.at(ratio), late.at(ratio)
-        turn = _turn(before.gain, after.gain, before.power, 2 * step)
-        yield None
-        middle, slope = _drive(model, commands, times, in_use.value, step)
-        info = excitation.information(times, middle, slope, fit.noise)
-        told = excitation.sentences(info, float(times[-1] - times[0]))
+        for result in record.delay(fit.noise) if excited.shows_delay else ():
+            yield None
+            found = result or found
+        turn = record.turn(found.value if found.determined else delay.value, fit.noise)
+        told = excited.sentences if excited.seconds >= JUDGED_AFTER else []
         yield Review(fit.noise, found, turn, tuple(told))
-
-
-def _turn(before: np.ndarray, after: np.ndarray, power: np.ndarray, step: float) -> complex:
-    """Mean over particles of d log c / d delay, weighted by what each knows."""
-    usable = (power > 0) & (np.abs(before) > 0)
-    if not usable.any():
-        return 0j
-    weight = (power * np.abs(before) ** 2)[usable]
-    slope = (after[usable] / before[usable] - 1) / step
-    return complex((weight * slope).sum() / weight.sum())
-
-
-def _drive(
-    model: Model, commands: object, times: np.ndarray, delay: float, step: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """The drive's path of the baseline (T,) and its derivative by the delay (T,)."""
-    bare = Model(model.reference_field, model.propulsion)
-    early, middle, late = (
-        model_paths(bare, replace(commands, t=commands.t + delay + s), times).drive[:, 0]  # type: ignore
-        for s in (-step, 0.0, step)
-    )
-    return middle, (late - early) / (2 * step)
