@@ -147,7 +147,8 @@ class Allocator:
         held = np.vstack([self.matrix * free, np.eye(4)[~free]])
         spare = np.linalg.svd(held)[2][len(held):].T
         cheapest = np.eye(4) - spare @ np.linalg.pinv(self._cost @ spare) @ self._cost
-        return cheapest @ make, cheapest @ (fixed - make @ self.matrix @ fixed)
+        offset = cheapest @ (fixed - make @ self.matrix @ fixed)
+        return np.where(free[:, None], cheapest @ make, 0), np.where(free, offset, fixed)
 
 
 def _unit(direction: ArrayLike) -> np.ndarray:

@@ -122,6 +122,7 @@ NOTHING = rows()[:0]
     (rows(), swapped('coil_plus_x_A', 'bx_mT'), 'a gain between 1/3 and 3 for coil_plus_x'),
     (rows(), swapped('coil_plus_x_A', 'x_mm'), "expected readings that fit the coils' geometry"),
     (rows() * ([1e3] * 4 + [1] * 6), HEADER, 'found 0.000.* units'),
+    (rows() * ([1e-3] * 4 + [1] * 6), HEADER, 'found 8.* units'),
     (PAIRED[:, [0, 1, 2, 3, 7, 8]], [*HEADER[:4], *HEADER[7:9]], 'singular'),
     (rows()[:3], HEADER, 'singular'),
     (NOTHING, HEADER, 'readings.csv:1: expected readings below'),

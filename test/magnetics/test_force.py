@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from microbot_ros.errors import InputError
-from microbot_ros.magnetics import CoilSet, CoilSettings, Loop
+from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings, Loop
 from microbot_ros.magnetics.force import (
     Particle,
     force,
@@ -36,6 +36,28 @@ def test_force_is_the_slope_of_the_energy():
         for d in step * np.eye(3)], axis=1) / (2 * step)
     found = force(moment, coils.gradient(currents, points))
     np.testing.assert_allclose(found, energy_slope, atol=1e-5 * np.abs(found).max())
+
+
+def test_force_takes_the_slope_along_the_moment():
+    # An open wire's gradient is not symmetric, so (m·∇)B differs from ∇(m·B).
+    slope_of_bx_along_y = np.array([[0, 5.0, 0], [0, 0, 0], [0, 0, 0]])
+    np.testing.assert_array_equal(force(np.array([0, 2.0, 0]), slope_of_bx_along_y), (10, 0, 0))
+    np.testing.assert_array_equal(force(np.array([2.0, 0, 0]), slope_of_bx_along_y), 0)
+
+
+def test_moment_follows_the_whole_field_background_included():
+    content = CoilSettings().model_dump(exclude_none=True)
+    content['windings'][0]['gain'] = 0.62
+    coils = CoilSet(CoilSettings.model_validate({**content, 'background_mT': (1.5, -2)}))
+    particle, speeds = Particle(), []
+    for angle in np.radians(np.arange(0, 360, 5)):
+        # At the centre the whole field is the wanted one, so the moment points along it.
+        unit = np.array([np.cos(angle), np.sin(angle), 0])
+        currents = Allocator(coils).allocate(1e-3 * unit[:2]).currents
+        pull = force(particle.moment * unit, coils.gradient(currents, [[0, 0, 0]])[0])
+        speeds.append(np.hypot(*pull[:2]) / particle.drag)
+    found = force_speed(coils, np.zeros((1, 3)), 1e-3, particle)
+    assert found == pytest.approx(max(speeds), rel=1e-9)
 
 
 def test_torque_turns_the_moment_into_the_field():

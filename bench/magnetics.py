@@ -1,0 +1,116 @@
+"""Fields against magpylib, currents against magpylib's field and SciPy's linear programming."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+
+import magpylib
+import numpy as np
+from scipy.optimize import linprog
+
+from bench.figure import Figure, seconds
+from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings
+
+_POINTS = 10_000
+_BATCH = 500  # allocations per timed call: the clock is coarser than one
+_DIRECTIONS = np.linspace(0, 2 * np.pi, 3600, endpoint=False)
+
+
+def figures() -> list[Figure]:
+    """Every figure of the coils, measured on a rig with uneven gains, poses and limits."""
+    settings = _uneven_rig()
+    coils, peer = CoilSet(settings), _magpylib(settings)
+    return [*_field(coils, peer), *_directions(coils, peer), *_times(coils)]
+
+
+def _uneven_rig() -> CoilSettings:
+    rng = np.random.default_rng(0)
+    content = CoilSettings().model_dump(exclude_none=True)
+    for winding in content['windings']:
+        winding.update(
+            gain=rng.uniform(0.8, 1.1), max_current_A=rng.uniform(1.5, 2.5),
+            position_mm=winding['position_mm'] + rng.normal(0, 0.5, 3),
+            axis=winding['axis'] + rng.normal(0, 0.03, 3))
+    return CoilSettings.model_validate({**content, 'background_mT': (0.02, -0.045)})
+
+
+def _magpylib(settings: CoilSettings) -> list[magpylib.current.Circle]:
+    """The same coils, each under 1 A."""
+    circles = []
+    for winding in settings.windings:
+        circle = magpylib.current.Circle(
+            diameter=2e-3 * winding.radius_mm, current=winding.turns * winding.gain * winding.sign)
+        axis = np.array(winding.axis) / np.linalg.norm(winding.axis)
+        turn = np.cross((0, 0, 1), axis)  # the loop's axis is at right angles to z, or nearly
+        turn *= np.arccos(axis[2]) / np.linalg.norm(turn)
+        circles.append(circle.rotate_from_rotvec(turn, degrees=False).move(
+            1e-3 * np.array(winding.position_mm)))
+    return circles
+
+
+def _field(coils: CoilSet, peer: list[magpylib.current.Circle]) -> list[Figure]:
+    points = np.random.default_rng(1).uniform(-12e-3, 12e-3, (_POINTS, 3))
+    ours, theirs = coils.field_per_ampere(points), magpylib.getB(peer, points)
+    size = np.linalg.norm(theirs, axis=-1)
+    error = float((np.linalg.norm(ours - theirs, axis=-1) / size).max())
+    own, other = seconds(lambda: coils.field_per_ampere(points),
+                         lambda: magpylib.getB(peer, points), rounds=15)
+    return [
+        Figure(3, 'field of four coils at 10,000 points: speed', other / own, '×', '≥ 5',
+               'magpylib getB', other / own >= 5),
+        Figure(3, 'field of four coils at 10,000 points: largest relative difference', error, '1',
+               '≤ 1e-9', 'magpylib getB', error <= 1e-9),
+    ]
+
+
+def _directions(coils: CoilSet, peer: list[magpylib.current.Circle]) -> list[Figure]:
+    allocator = Allocator(coils)
+    per_ampere = magpylib.getB(peer, (0, 0, 0))[:, :2]
+    units = np.column_stack([np.cos(_DIRECTIONS), np.sin(_DIRECTIONS)])
+
+    def worst_error(magnitude: float) -> float:
+        currents = np.array([allocator.allocate(magnitude * unit).currents for unit in units])
+        field = currents @ per_ampere + coils.background
+        along = field[:, 0] + 1j * field[:, 1]
+        return float(np.degrees(np.abs(np.angle(along * np.exp(-1j * _DIRECTIONS))).max()))
+
+    inside, saturated = worst_error(2e-3), worst_error(1.0)
+    shortfall = max(
+        abs(1 - math.hypot(*allocator.allocate(unit).field)
+            / _largest(coils, allocator.matrix, unit)) for unit in units[::10])
+    return [
+        Figure(6, 'field direction error inside limits, all directions', inside, '°', '≤ 0.1',
+               'magpylib getB', inside <= 0.1),
+        Figure(6, 'field direction error saturated, all directions', saturated, '°', '≤ 0.5',
+               'magpylib getB', saturated <= 0.5),
+        Figure(6, 'saturated magnitude against the largest possible', shortfall, '1', '≤ 1e-6',
+               'scipy linprog', shortfall <= 1e-6),
+    ]
+
+
+def _largest(coils: CoilSet, matrix: np.ndarray, unit: np.ndarray) -> float:
+    limits = [(-limit, limit) for limit in coils.max_current]
+    solution = linprog([0, 0, 0, 0, -1], A_eq=np.column_stack([1e3 * matrix, -unit]),
+                       b_eq=-1e3 * coils.background, bounds=[*limits, (0, None)])
+    return 1e-3 * float(solution.x[4])
+
+
+def _times(coils: CoilSet) -> list[Figure]:
+    allocator = Allocator(coils)
+    rng = np.random.default_rng(2)
+    units = rng.normal(size=(_BATCH, 2))
+    units /= np.linalg.norm(units, axis=1, keepdims=True)
+
+    def allocate_all(fields: np.ndarray) -> None:
+        for field in fields:
+            allocator.allocate(field)
+
+    inside, saturated = (1e6 * time / _BATCH for time in seconds(
+        partial(allocate_all, 2e-3 * units), partial(allocate_all, 50e-3 * units)))
+    return [
+        Figure(3, 'currents for one wanted field', inside, 'µs', '≤ 20', '', inside <= 20),
+        Figure(6, 'allocation, one field, inside limits', inside, 'µs', '≤ 30', '', inside <= 30),
+        Figure(6, 'allocation, one field, saturated', saturated, 'µs', '≤ 300', '',
+               saturated <= 300),
+    ]
