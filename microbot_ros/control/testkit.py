@@ -70,7 +70,7 @@ def odd_situations() -> Iterator[Situation]:
     goals = Goals(np.array([[20e-6, 10e-6], [-30e-6, 0], [0, 40e-6]]))
     path = np.column_stack((np.linspace(-50e-6, 50e-6, 21), np.zeros(21)))
     nobody = situation(0)
-    unknown = {'speed': np.full(3, np.nan), 'phi': np.full(3, np.nan),
+    unknown: dict[str, Any] = {'speed': np.full(3, np.nan), 'phi': np.full(3, np.nan),
                'speed_std': np.full(3, np.inf), 'phi_std': np.full(3, np.inf)}
     yield situation()
     for t in (0.02, 0.04, 5.0):
@@ -89,18 +89,19 @@ def odd_situations() -> Iterator[Situation]:
 
 
 def _answer(controller: Controller, shown: Situation) -> None:
-    before = {name: np.copy(value) for name, value in vars(shown).items()
+    before = {name: value.tobytes() for name, value in vars(shown).items()
               if isinstance(value, np.ndarray)}
+    command, reason = None, ''
     try:
         controller.activate(shown)
         command = controller.compute(shown)
     except ControllerError as error:
-        assert str(error), 'raises an error that says nothing'
-    else:
+        reason = str(error)
+    assert command or reason, 'raises an error that says nothing'
+    if command:
         field = np.asarray(command.field, dtype=float)
         assert field.shape == (2,), f'field of shape {field.shape} at t = {shown.t:g} s'
         assert np.hypot(*field) <= shown.limits.field * (1 + 1e-9), f'{field} T is too much'
         assert 0 <= command.frequency <= shown.limits.frequency, f'{command.frequency} Hz'
-    for name, value in before.items():
-        changed = not np.array_equal(value, getattr(shown, name), equal_nan=value.dtype.kind == 'f')
-        assert not changed, f'changed {name} of the situation'
+    for name, content in before.items():
+        assert getattr(shown, name).tobytes() == content, f'changed {name} of the situation'

@@ -98,7 +98,7 @@ class Entry:
 def plugins(monkeypatch):
     entries = [Entry('zeta', Honest), Entry('broken', ImportError('no module named lab')),
                Entry('old', Old), Entry('thing', 7), Entry('alpha', Honest)]
-    monkeypatch.setattr(registry, 'entry_points', lambda group: entries)
+    monkeypatch.setattr(registry, 'entry_points', lambda **_: entries)
 
 
 @pytest.mark.usefixtures('plugins')
