@@ -18,6 +18,7 @@ _COMMANDS = {
     'set': 'Change a parameter of a running node.',
     'goal': 'Send goals to the running controller.',
     'simulate': 'Simulate particles, camera and hidden effects as a session.',
+    'fit': 'Fit v, φ and F of every particle of a session.',
     'info': 'Show what is in a session or recording.',
     'doctor': 'Is this machine, is the rig ready?',
     'calibrate': 'Find constants of the rig from measurements.',

@@ -12,6 +12,11 @@ from microbot_ros.model.timeline import Timeline
 from microbot_ros.records import Commands
 
 
+NEGLIGIBLE = 1e-5
+"""A field weaker than this [T], a fifth of the earth's, is noise of a read-back and steers nothing.
+"""
+
+
 class CommandLog:
     """Commands as they arrive, in order of time, kept for as long as they matter."""
 
@@ -26,6 +31,8 @@ class CommandLog:
         row = np.array([t, field[0], field[1], 0.0 if frequency is None else frequency], float)
         if not np.isfinite(row).all():
             return 'a command holds numbers that are not finite: ignored'
+        if np.hypot(row[1], row[2]) < NEGLIGIBLE:
+            row[1:3] = 0
         if self._count and not t >= self.last:
             return f'a command is stamped {self.last - t:.3g} s before the one before it: ignored'
         if self._count == len(self._rows):
@@ -42,10 +49,9 @@ class CommandLog:
     def since(self, t: float, delay: float = 0.0) -> Commands:
         """Commands delayed by `delay` [s], from the one that rules the heading at `t` on."""
         rows = self._rows[:self._count]
-        first = int(np.searchsorted(rows[:, 0], t - delay, side='right')) - 1
-        while first > 0 and not rows[first, 1:3].any():
-            first -= 1
-        rows = rows[max(first, 0):]
+        first = max(int(np.searchsorted(rows[:, 0], t - delay, side='right')) - 1, 0)
+        steering = np.flatnonzero(rows[:first + 1, 1:3].any(axis=1))
+        rows = rows[steering[-1] if len(steering) else first:]
         return Commands(rows[:, 0] + delay, rows[:, 1:3], rows[:, 3])
 
     def forget_before(self, t: float) -> None:

@@ -1,0 +1,60 @@
+"""`microbot fit`: v, φ and F of every particle of a recording, with their uncertainties."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+@click.command()
+@click.argument('session', metavar='SESSION', type=click.Path(path_type=Path))
+@click.option('--out', type=click.Path(path_type=Path), required=True, metavar='DIR',
+              help='Folder for fit.json and fit.png.')
+@click.option('--exposure-ms', type=click.FloatRange(0, 10_000), default=0.0, show_default=True,
+              help='Exposure time of a frame, for the blur of diffusion during it.')
+@click.option('--json', 'json_path', type=click.Path(path_type=Path),
+              help='Also write the content of fit.json here.')
+def command(session: Path, out: Path, exposure_ms: float, json_path: Path | None) -> None:
+    """Fit speed v, direction φ and force F of every particle of SESSION by maximum likelihood.
+
+    Diffusion, localisation error and the delay between command and motion are fitted with them.
+    Beside it stands the paper's recipe: terminal speed by linear regression over one straight
+    leg. Writes fit.json and fit.png; what the commands cannot tell apart is said.
+
+    \b
+    Example:
+      microbot simulate config/scenario_plain.yaml --out out/plain
+      microbot fit out/plain --out out/fit
+    """
+    import json
+
+    from rich.console import Console
+
+    from microbot_ros.estimation import report
+    from microbot_ros.estimation.batch import fit
+    from microbot_ros.files import output_folder, write_text
+    from microbot_ros.session import read_session
+
+    progress = Console(stderr=True, highlight=False)
+    with progress.status(f'reading {session}'):
+        recording = read_session(session)
+    with progress.status(f'fitting {len(recording.tracks.particles)} particles'):
+        result = fit(recording, exposure_ms * 1e-3)
+    text = json.dumps(report.as_json(result), indent=1, ensure_ascii=False, allow_nan=False) + '\n'
+    with output_folder(out) as folder:
+        write_text(folder / 'fit.json', text)
+        report.figure(result, folder / 'fit.png')
+    if json_path:
+        write_text(json_path, text)
+    console = Console(highlight=False)
+    console.print(report.table(result))
+    noise = result.noise
+    console.print(
+        f'D {noise.diffusion * 1e12:.3g} ± {1.96 * noise.diffusion_std * 1e12:.2g} µm²/s, '
+        f'localisation {noise.localisation * 1e9:.3g} nm'
+        + (f', delay {result.delay.value * 1e3:.0f} ± {1.96 * result.delay.std * 1e3:.0f} ms'
+           if result.delay.determined else ', delay undetermined')
+    )
+    for warning in result.warnings:
+        console.print(f'! {warning}')

@@ -1,0 +1,138 @@
+"""A fit for people and programs: `fit.json`, a table and a figure, in units at the edge."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from microbot_ros.estimation.batch import Fit
+from microbot_ros.estimation.recipe import Leg
+from microbot_ros.units import from_si, symbol
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+
+def speed_key(fit: Fit) -> str:
+    """The name of a particle's speed at the edge: v, or for rollers the gain per hertz."""
+    return 'gain_um_s_hz' if fit.rolling else 'v_um_s'
+
+
+def as_json(fit: Fit) -> dict[str, Any]:
+    """`fit.json`: laid out like `baseline` in `result.json`, with what a fit knows besides.
+
+    What is not known is null.
+    """
+    swims, key = fit.swims, speed_key(fit)
+    particles = {}
+    for n, name in enumerate(fit.ids):
+        particles[str(name)] = {
+            key: _number(key, swims.speed[n], swims.speed_std[n]),
+            'phi_rad': _number('phi_rad', swims.phi[n], swims.phi_std[n]),
+            'force_pN': _number('force_pN', fit.force[n], fit.force_std[n]),
+            'one_leg': _leg(fit.legs[n], key),
+        }
+    noise = fit.noise
+    result: dict[str, Any] = {
+        'particles': particles,
+        'diffusion_um2_s': _number('x_um2_s', noise.diffusion, noise.diffusion_std),
+        'localisation_um': _number('x_um', noise.localisation, noise.localisation_std),
+        'delay_s': _number('x_s', fit.delay.value, fit.delay.std),
+        'warnings': fit.warnings,
+    }
+    if fit.bands:
+        result['gain_by_frequency'] = [
+            {
+                'from_hz': band.low, 'to_hz': band.high if np.isfinite(band.high) else None,
+                key: _number(key, abs(band.gain), band.std),
+                'phi_rad': _number('x_rad', np.angle(band.gain), band.std / abs(band.gain)),
+            } for band in fit.bands
+        ]
+    return result
+
+
+def _number(name: str, value: float, std: float) -> dict[str, float | None]:
+    return {
+        part: float(from_si(name, number)) if np.isfinite(number) else None
+        for part, number in (('value', float(value)), ('std', float(std)))
+    }
+
+
+def _leg(leg: Leg, key: str) -> dict[str, Any]:
+    return {
+        key: _number(key, leg.speed, leg.speed_std),
+        'phi_rad': _number('x_rad', leg.phi, leg.phi_std),
+        'from_s': leg.start if np.isfinite(leg.start) else None,
+        'to_s': leg.end if np.isfinite(leg.end) else None,
+    }
+
+
+def table(fit: Fit) -> Table:
+    """Every particle with 95 % intervals, and the paper's one-leg recipe beside it."""
+    from rich.table import Table
+
+    unit = symbol(speed_key(fit))
+    name = 'gain' if fit.rolling else 'v'
+    shown = Table(
+        'particle', f'{name} [{unit}]', 'φ [°]', *([] if fit.rolling else ['F [pN]']),
+        f'one leg: {name}', 'φ [°]', title='± is the 95 % interval',
+    )
+    swims = fit.swims
+    for n, particle in enumerate(fit.ids):
+        leg = fit.legs[n]
+        cells = [
+            _interval(swims.speed[n] * 1e6, swims.speed_std[n] * 1e6),
+            _interval(np.degrees(swims.phi[n]), np.degrees(swims.phi_std[n])),
+            _interval(fit.force[n] * 1e12, fit.force_std[n] * 1e12),
+            _interval(leg.speed * 1e6, leg.speed_std * 1e6),
+            _interval(np.degrees(leg.phi), np.degrees(leg.phi_std)),
+        ]
+        if fit.rolling:
+            del cells[2]
+        shown.add_row(str(particle), *cells)
+    return shown
+
+
+def _interval(value: float, std: float) -> str:
+    if not np.isfinite(value):
+        return '–'
+    return f'{value:.3g}' if not np.isfinite(std) else f'{value:.3f} ± {1.96 * std:.2g}'
+
+
+def figure(fit: Fit, path: Path) -> None:
+    """Estimates with 95 % intervals beside the one-leg recipe, and tracks beside the model's."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    canvas = FigureCanvasAgg(Figure(figsize=(11, 4.2), layout='constrained'))
+    left, middle, right = canvas.figure.subplots(1, 3, width_ratios=[1, 1, 1.6])
+    swims, legs = fit.swims, fit.legs
+    label = 'gain [µm/s/Hz]' if fit.rolling else 'v [µm/s]'
+    _compare(left, fit, label, swims.speed * 1e6, swims.speed_std * 1e6,
+             [leg.speed * 1e6 for leg in legs], [leg.speed_std * 1e6 for leg in legs])
+    _compare(middle, fit, 'φ [°]', np.degrees(swims.phi), np.degrees(swims.phi_std),
+             [np.degrees(leg.phi) for leg in legs], [np.degrees(leg.phi_std) for leg in legs])
+    left.legend(frameon=False, fontsize='small', title='95 % intervals')
+    for n, name in enumerate(fit.ids):
+        measured, predicted = fit.z[:, n] * 1e6, fit.prediction[:, n] * 1e6
+        line, = right.plot(measured.real, measured.imag, lw=1.2, label=f'{name}')
+        right.plot(predicted.real, predicted.imag, '--', color=line.get_color(), lw=1)
+    right.set(xlabel='x [µm]', ylabel='y [µm]', aspect='equal',
+              title='tracks, and dashed the fitted model from the start on')
+    right.title.set_fontsize('medium')
+    if len(fit.ids) <= 12:
+        right.legend(title='particle', frameon=False, fontsize='small')
+    canvas.figure.savefig(path, dpi=130)
+
+
+def _compare(axes: Any, fit: Fit, label: str, value: np.ndarray, std: np.ndarray,
+             leg: list[float], leg_std: list[float]) -> None:
+    at = np.arange(len(fit.ids))
+    axes.errorbar(at - 0.12, value, 1.96 * std, fmt='o', capsize=3, label='likelihood')
+    axes.errorbar(at + 0.12, leg, 1.96 * np.array(leg_std), fmt='s', capsize=3, color='0.6',
+                  label='one leg')
+    axes.set(xlabel='particle', ylabel=label, xlim=(-0.5, len(at) - 0.5))
+    step = max(1, len(at) // 12)
+    axes.set_xticks(at[::step], [str(name) for name in fit.ids[::step]])
