@@ -18,19 +18,32 @@ class Places:
     position: np.ndarray
 
     @cached_property
-    def separation(self) -> np.ndarray:
-        """Vectors (..., N, N, 2) [m] from neighbour j (second axis) to particle i (first)."""
-        return self.position[..., :, None, :] - self.position[..., None, :, :]
+    def _separation(self) -> np.ndarray:
+        """From neighbour j (last axis) to particle i, x + iy (..., N, N) [m]."""
+        z = self.position[..., 0] + 1j * self.position[..., 1]
+        return z[..., :, None] - z[..., None, :]
 
     @cached_property
-    def inverse_distance(self) -> np.ndarray:
-        """1/r (..., N, N) [1/m] of every pair, at most 1/CLOSEST.
+    def _inverse_distance(self) -> np.ndarray:
+        """1/r (..., N, N) [1/m], at most 1/CLOSEST.
 
         Zero for a particle and itself and where either is missing, so that neither acts.
         """
-        distance = np.hypot(self.separation[..., 0], self.separation[..., 1])
-        inverse = 1 / np.maximum(np.where(np.isfinite(distance), distance, np.inf), CLOSEST)
-        return inverse * ~np.eye(distance.shape[-1], dtype=bool)
+        distance = np.abs(self._separation)
+        distance[~np.isfinite(distance)] = np.inf
+        return ~np.eye(distance.shape[-1], dtype=bool) / np.maximum(distance, CLOSEST)
+
+    @cached_property
+    def nearness(self) -> np.ndarray:
+        """Σⱼ 1/rᵢⱼ (..., N) [1/m] over the neighbours of each particle."""
+        return self._inverse_distance.sum(axis=-1)
+
+    @cached_property
+    def dipole_sums(self) -> tuple[np.ndarray, np.ndarray]:
+        """Σⱼ e/r⁴ and Σⱼ e³/r⁴ (..., N) [m⁻⁴], e = e^{iα} from neighbour j towards particle i."""
+        near = self._inverse_distance
+        e = np.where(near > 0, self._separation, 0.0) * near
+        return (near**4 * e).sum(axis=-1), (near**4 * (e * e * e)).sum(axis=-1)
 
 
 @dataclass(frozen=True)

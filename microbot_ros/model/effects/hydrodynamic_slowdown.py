@@ -25,5 +25,4 @@ class HydrodynamicSlowdown(Effect):
     length: float = parameter('length_um', 'ℓ', -1e-4, 1e-4, 1e-6)
 
     def speed_factor(self, scene: Scene) -> np.ndarray:
-        nearness = scene.known_places.inverse_distance.sum(axis=-1)
-        return np.maximum(1 - self.length * nearness, 0.0)
+        return np.maximum(1 - self.length * scene.known_places.nearness, 0.0)
