@@ -50,8 +50,9 @@ class Allocation(NamedTuple):
 class Allocator:
     """Currents from wanted fields at one point (3,) [m] of the workspace.
 
-    InputError where the coils can't make every direction of field at the point, or not even
-    cancel the background within their limits.
+    `cancel_gradient`: the in-plane gradient counts before the heat. InputError where the coils
+    can't make every direction of field at the point, as on a wire, or can't cancel the background
+    within their limits.
     """
 
     def __init__(
@@ -62,12 +63,13 @@ class Allocator:
         self._background, self._limits = coils.background, coils.max_current
         self._resistance = coils.resistance
         self._cost = np.diag(np.sqrt(coils.resistance))
-        if cancel_gradient:
+        finite = np.isfinite(self.matrix).all()
+        if cancel_gradient and finite:
             gradient = coils.gradient_per_ampere(np.reshape(point, (1, -1)))[:, 0, :2, :2]
             gradient = gradient.reshape(4, 4).T
             weight = _GRADIENT_WEIGHT * self._cost.max() / np.linalg.norm(gradient, 2)
             self._cost = np.vstack([weight * gradient, self._cost])
-        unlimited = self._face(np.zeros(4)) if np.isfinite(self.matrix).all() else None
+        unlimited = self._face(np.zeros(4)) if finite else None
         if unlimited is None:
             raise InputError('coils', f'expected coils for every field direction at {point!r} m')
         self._unlimited = unlimited[0]

@@ -9,6 +9,7 @@ are not finite.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -50,26 +51,18 @@ class Loop:
     ) -> None:
         if not 0 < radius < math.inf:
             raise InputError('radius', f'expected a positive, finite length, got {radius} m')
-        self._radius = float(radius)
-        self._centre = _finite('centre', centre)
-        self._axes = _frame(_finite('axis', axis))
-        self._turns = float(_finite('turns', turns))
+        self._wire = (_finite('centre', centre), _frame(_finite('axis', axis)), float(radius),
+                      float(_finite('turns', turns)))
 
     def field_per_ampere(self, points: ArrayLike) -> np.ndarray:
         """Field [T/A] at points (M, 3) [m]: (M, 3)."""
         from microbot_ros.magnetics.loop import loop_field
-        array = as_points(points)
-        out = np.empty((len(array), 3))
-        loop_field(array, self._centre, self._axes, self._radius, self._turns, out)
-        return out
+        return _fill(loop_field, points, (3,), *self._wire)
 
     def gradient_per_ampere(self, points: ArrayLike) -> np.ndarray:
         """Gradient ∂Bᵢ/∂xⱼ [T/m/A] at points (M, 3) [m]: (M, 3, 3)."""
         from microbot_ros.magnetics.loop import loop_gradient
-        array = as_points(points)
-        out = np.empty((len(array), 3, 3))
-        loop_gradient(array, self._centre, self._axes, self._radius, self._turns, out)
-        return out
+        return _fill(loop_gradient, points, (3, 3), *self._wire)
 
 
 class Polyline:
@@ -81,26 +74,29 @@ class Polyline:
     """
 
     def __init__(self, vertices: ArrayLike, turns: float = 1.0) -> None:
-        self._vertices = _finite('vertices', as_points(vertices))
-        if len(self._vertices) < 2 or not np.any(np.diff(self._vertices, axis=0), axis=1).all():
+        corners = _finite('vertices', as_points(vertices))
+        if len(corners) < 2 or not np.any(np.diff(corners, axis=0), axis=1).all():
             raise InputError('vertices', 'expected two or more, no two neighbours equal')
-        self._turns = float(_finite('turns', turns))
+        self._wire = (corners, float(_finite('turns', turns)))
 
     def field_per_ampere(self, points: ArrayLike) -> np.ndarray:
         """Field [T/A] at points (M, 3) [m]: (M, 3)."""
         from microbot_ros.magnetics.polyline import polyline_field
-        array = as_points(points)
-        out = np.empty((len(array), 3))
-        polyline_field(array, self._vertices, self._turns, out)
-        return out
+        return _fill(polyline_field, points, (3,), *self._wire)
 
     def gradient_per_ampere(self, points: ArrayLike) -> np.ndarray:
         """Gradient ∂Bᵢ/∂xⱼ [T/m/A] at points (M, 3) [m]: (M, 3, 3)."""
         from microbot_ros.magnetics.polyline import polyline_gradient
-        array = as_points(points)
-        out = np.empty((len(array), 3, 3))
-        polyline_gradient(array, self._vertices, self._turns, out)
-        return out
+        return _fill(polyline_gradient, points, (3, 3), *self._wire)
+
+
+def _fill(
+    kernel: Callable[..., None], points: ArrayLike, shape: tuple[int, ...], *wire: object,
+) -> np.ndarray:
+    array = as_points(points)
+    out = np.empty((len(array), *shape))
+    kernel(array, *wire, out)
+    return out
 
 
 def _finite(name: str, value: ArrayLike) -> np.ndarray:

@@ -184,5 +184,6 @@ def test_background_beyond_the_coils_and_coils_in_line_are_refused():
         winding.update(position_mm=(30 + k, 0, 0), axis=(1, 0, 0))
     with pytest.raises(InputError, match='every field direction'):
         Allocator(CoilSet(CoilSettings.model_validate(content)))
-    with pytest.raises(InputError, match='every field direction'):
-        Allocator(CoilSet(), (30e-3, 20e-3, 0))
+    for cancel in (False, True):
+        with pytest.raises(InputError, match='every field direction'):
+            Allocator(CoilSet(), (30e-3, 20e-3, 0), cancel_gradient=cancel)  # on a wire
