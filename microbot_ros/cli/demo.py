@@ -22,8 +22,10 @@ PHIS_RAD = [-1.09, 3.82, 2.64, 0.6]
 GOALS_UM = np.array([(16.0, 10.0), (-14.0, 14.0), (-4.0, -10.0)])
 """Where to go, relative to where the steered particle is when it knows its v and φ."""
 
-LEARN_SECONDS = 6.0
-"""How long fixed directions are commanded, so that every v and φ can be learned."""
+LEARN_DIRECTIONS_DEG = [0.0, 120.0, 240.0, 60.0, 180.0, 300.0]
+"""One second each: every v and φ can be learned, and nobody gets far."""
+
+LEARN_SECONDS = float(len(LEARN_DIRECTIONS_DEG))
 
 NODES = ('virtual_rig', 'tracker', 'model', 'controller', 'coil_driver', 'recorder')
 _FEWEST_SECONDS = 15.0
@@ -69,15 +71,17 @@ def _run(folder: Path, seconds: float, seed: int, began: float) -> tuple[np.ndar
     _say(began, f'starting the emulated amplifier and {len(NODES)} nodes')
     with Graph(lambda who, line: _say(began, f'{who}: {line}')) as graph:
         graph.start('amplifier', [
-            sys.executable, '-m', 'microbot_ros.drive.emulator', 'serial_transfer',
-            '--link', str(port), '--log', str(log)])
-        graph.wait_for(port, 10.0)
+            sys.executable, '-m', 'microbot_ros.cli', 'emulate', 'serial_transfer',
+            '--link', str(port), '--log', str(log), '--full-scale-A', '2'],
+            says_when_ready='serving')
+        graph.wait_ready(20.0)  # the log must be there before the virtual rig reads it
         for node in NODES:
             graph.start_nodes([node], rig)
         graph.wait_ready(120.0)
         with Remote() as remote:
             watch = _Watch(remote)
             remote.arm()
+            remote.set('controller', controller='open_loop')
             start = time.monotonic()
             _say(began, f'armed; {LEARN_SECONDS:g} s of fixed directions to learn v and φ')
             watch.until(start + LEARN_SECONDS, began)
@@ -92,7 +96,7 @@ def _run(folder: Path, seconds: float, seed: int, began: float) -> tuple[np.ndar
         _say(began, 'stopping; the coils are at zero')
         graph.stop(['recorder', 'controller', 'model', 'tracker', 'virtual_rig', 'coil_driver'])
         graph.stop(['amplifier'])
-    return goals[-1], ['open_loop', 'waypoint', 'hold']
+    return goals[-1], ['hold', 'open_loop', 'waypoint', 'hold']
 
 
 class _Watch:
@@ -151,7 +155,8 @@ def _rig_file(folder: Path, port: Path, log: Path, seed: int) -> str:
                         'phis_rad': PHIS_RAD},
         'tracker': {'pixel_size_um': 0.45},
         'model': {'radius_um': 2.3, 'viscosity_mPa_s': 1.245},
-        'controller': {'controller': 'open_loop'},
+        'controller': {'controller': 'hold', 'open_loop.directions_deg': LEARN_DIRECTIONS_DEG,
+                       'open_loop.durations_s': [1.0] * len(LEARN_DIRECTIONS_DEG)},
         'coil_driver': {'port': str(port)},
         'recorder': {'folder': str(folder / 'recording'), 'frame_every': 4,
                      'title': 'microbot demo'},

@@ -25,6 +25,7 @@ PARENT = 'MICROBOT_PARENT'
 class _Child:
     name: str
     process: subprocess.Popen[str]
+    says_when_ready: str
     ready: bool = False
     said: list[str] = field(default_factory=list)
 
@@ -58,22 +59,14 @@ class Graph:
         self.start('+'.join(names), [sys.executable, '-m', 'microbot_ros.nodes', *names,
                                      '--ros-args', '--params-file', str(parameters)])
 
-    def start(self, name: str, command: Sequence[str]) -> None:
+    def start(self, name: str, command: Sequence[str], says_when_ready: str = READY) -> None:
         """Start any child; it is in a session of its own, so that Ctrl-C reaches only us."""
         process = subprocess.Popen(
             command, env=self._environment, text=True, bufsize=1, stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True)
-        child = _Child(name, process)
+        child = _Child(name, process, says_when_ready)
         self._children[name] = child
         self._selector.register(process.stdout, selectors.EVENT_READ, child)  # type: ignore[arg-type]
-
-    def wait_for(self, path: Path, seconds: float) -> None:
-        """Return when a child has made that path. InputError when it is late."""
-        deadline = time.monotonic() + seconds
-        while not path.exists():
-            self.pump(0.02)
-            if time.monotonic() > deadline or self.ended():
-                raise InputError(path, f'was not there within {seconds:g} s')
 
     def wait_ready(self, seconds: float) -> None:
         """Return when every child does its work. InputError when one ends or is late."""
@@ -95,7 +88,7 @@ class Graph:
             line = key.fileobj.readline()  # type: ignore[union-attr]
             if not line:
                 self._selector.unregister(key.fileobj)
-            elif line.startswith(READY):
+            elif line.startswith(child.says_when_ready):
                 child.ready = True
             else:
                 child.said.append(line.rstrip())

@@ -17,7 +17,6 @@ from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import IMAGES_IN, IMAGES_OUT, OK, WARN, RigNode
 from microbot_ros.settings import setting
 from microbot_ros.tracking import FrameError, ImageToWorkspace, Poses, Tracker, TrackerSettings
-from microbot_ros.tracking.overlay import draw_overlay
 
 
 @dataclass(frozen=True)
@@ -109,6 +108,8 @@ class TrackerNode(RigNode):
             self._poses.publish(messages.poses(position, points['theta'], stamp))
         if self._overlay.get_subscription_count() and self._is_due(
                 'overlay', self.settings.overlay_rate_hz, poses.t):
+            from microbot_ros.tracking.overlay import draw_overlay
+
             self._overlay.publish(messages.image(draw_overlay(image, poses), stamp))
 
     def _is_due(self, what: str, rate: float, t: float) -> bool:

@@ -1,0 +1,214 @@
+"""Node `controller`: which way the field is to point, by a controller that can be swapped."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import yaml
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PoseArray, PoseStamped, Vector3Stamped
+from nav_msgs.msg import Path
+from sensor_msgs.msg import Joy, PointCloud2
+from std_msgs.msg import String
+
+from microbot_ros.control.contract import FieldCommand, Goals, Limits, Result, Situation, Workspace
+from microbot_ros.control.registry import PluginError, controller_classes
+from microbot_ros.control.switchboard import Outcome, Switchboard
+from microbot_ros.errors import InputError
+from microbot_ros.model.model import Model
+from microbot_ros.model.model_file import read_model
+from microbot_ros.nodes import messages
+from microbot_ros.nodes.lifecycle import ERROR, LATCHED, OK, WARN, RigNode
+from microbot_ros.nodes.parameters import ParameterSet
+from microbot_ros.settings import defaults, setting
+
+
+@dataclass(frozen=True)
+class ControllerParameters:
+    """Parameters of the node `controller`; each controller has its own under its name."""
+
+    controller: str = setting('hold', 'The controller that drives; see `~/controllers`.')
+    max_field_mT: float = setting(5.0, 'Strongest field a controller may ask for.', lower=0.0,
+                                  upper=100.0, read_only=True)
+    slew_mT_per_s: float = setting(1000.0, 'Fastest change of the field.', lower=1.0, upper=1e6,
+                                   read_only=True)
+    max_frequency_hz: float = setting(100.0, 'Fastest rotation of a rolling field.', lower=0.0,
+                                      upper=1000.0, read_only=True)
+    stale_ms: float = setting(200.0, 'Age of the poses beyond which nothing is commanded.',
+                              lower=10.0, upper=5000.0, read_only=True)
+    deadline_ms: float = setting(10.0, 'How long a controller may think.', lower=1.0,
+                                 upper=1000.0, read_only=True)
+    workspace_um: list[float] = setting(
+        [-140.0, -104.0, 140.0, 104.0], 'Left, bottom, right, top of where particles may go.',
+        lower=-1e5, upper=1e5, read_only=True)
+    delay_ms: float = setting(
+        25.0, 'From exposure until a command given now acts; 0 for none.', lower=0.0,
+        upper=2000.0)
+    model_file: str = setting('', 'model.yaml with the effects that controllers may use.')
+
+
+class ControllerNode(RigNode):
+    """`model/state`, goals → `field/command`. A shell around the switchboard."""
+
+    Parameters: ClassVar[type] = ControllerParameters
+
+    @classmethod
+    def known_parameters(cls) -> dict[str, tuple[type, str]]:
+        known = super().known_parameters()
+        for name, kind in controller_classes(required='hold').items():
+            known |= {f'{name}.{field}': (kind.Parameters, field)
+                      for field in defaults(kind.Parameters)}
+        return known
+
+    def declare_more(self) -> None:
+        values: ControllerParameters = self.settings
+        try:
+            classes = controller_classes(required=values.controller)
+        except PluginError as error:
+            raise InputError(self.get_name(), str(error)) from None
+        self._summaries = {name: kind.summary for name, kind in classes.items()}
+        self._switchboard = Switchboard(
+            {name: kind() for name, kind in classes.items()}, active=values.controller,
+            deadline=values.deadline_ms * 1e-3, stale_after=values.stale_ms * 1e-3)
+        for name, kind in classes.items():
+            ParameterSet(self, kind.Parameters, self._configure(name), prefix=f'{name}.')
+
+    def veto(self, proposed: ControllerParameters) -> str:
+        low_x, low_y, high_x, high_y = (*proposed.workspace_um, *4 * [math.nan])[:4]
+        if not (low_x < high_x and low_y < high_y and len(proposed.workspace_um) == 4):
+            return 'workspace_um must be left, bottom, right, top; received ' + str(
+                proposed.workspace_um)
+        if proposed.model_file:
+            try:
+                read_model(proposed.model_file)
+            except InputError as error:
+                return str(error)
+        if not hasattr(self, '_switchboard') or proposed.controller == self.settings.controller:
+            return ''
+        answer = self._switchboard.swap(proposed.controller)
+        self.get_logger().info(answer.message)
+        return '' if answer.ok else answer.message
+
+    def setup(self) -> None:
+        self._goals, self._path, self._joystick = Goals(), np.empty((0, 2)), np.zeros(2)
+        self._seen: dict[int, np.void] = {}
+        self._last_t, self._last_tick = -math.inf, math.nan
+        self._driving = False
+        self._outcome = Outcome(None, Result.STALE, 'no poses yet')
+        self._model: tuple[str, Model | None] = ('', None)
+        self._commands = self.publisher(Vector3Stamped, 'field/command')
+        self._rotations = self.publisher(Vector3Stamped, 'field/rotation')
+        self.publisher(String, '~/controllers', LATCHED).publish(
+            String(data=yaml.safe_dump(self._summaries, sort_keys=False)))
+        self.subscribe(PointCloud2, 'particles', self._on_particles)
+        self.subscribe(PointCloud2, 'model/state', self._on_state)
+        self.subscribe(PoseArray, 'goals', self._on_goals)
+        self.subscribe(PoseStamped, 'goal_pose', self._on_goal_pose)
+        self.subscribe(Path, 'path', self._on_path)
+        self.subscribe(Joy, 'joy', self._on_joy)
+        self.every(0.05, self._watch)
+
+    def stop(self) -> None:
+        self.make_safe()
+
+    def make_safe(self) -> None:
+        if getattr(self, '_driving', False):
+            self._driving = False
+            self._commands.publish(
+                messages.field_vector(np.zeros(2), self.get_clock().now().to_msg()))
+
+    def teardown(self) -> None:
+        if hasattr(self, '_switchboard'):
+            self._switchboard.reset()
+
+    def health(self) -> tuple[bytes, str, dict[str, object]]:
+        outcome, name = self._outcome, self._switchboard.active
+        values: dict[str, object] = {'controller': name, 'result': outcome.result.value}
+        if outcome.command is not None:
+            values['distance_um'] = outcome.command.progress.distance * 1e6
+            values['done'] = outcome.command.progress.done
+        level = {Result.OK: OK, Result.FAULT: ERROR}.get(outcome.result, WARN)
+        return level, f'{name}: {outcome.message or "driving"}', values
+
+    def _configure(self, name: str) -> Any:
+        def veto(parameters: Any) -> str:
+            answer = self._switchboard.configure(name, parameters)
+            return '' if answer.ok else answer.message
+        return veto
+
+    def _on_particles(self, message: PointCloud2) -> None:
+        self._seen = {int(p['id']): p for p in messages.points(message, messages.PARTICLE)}
+
+    def _on_state(self, message: PointCloud2) -> None:
+        points = messages.points(message, messages.ESTIMATE)
+        stamp = messages.to_seconds(message.header.stamp)
+        self._tick(self._situation(points, stamp), message.header.stamp)
+
+    def _on_goals(self, message: PoseArray) -> None:
+        self._goals = Goals(np.array(
+            [(p.position.x, p.position.y) for p in message.poses]).reshape(-1, 2))
+
+    def _on_goal_pose(self, message: PoseStamped) -> None:
+        place = message.pose.position
+        self._goals = Goals(np.array([(place.x, place.y)]))
+
+    def _on_path(self, message: Path) -> None:
+        self._path = np.array([
+            (p.pose.position.x, p.pose.position.y) for p in message.poses]).reshape(-1, 2)
+
+    def _on_joy(self, message: Joy) -> None:
+        if len(message.axes) >= 2:
+            self._joystick = np.array(message.axes[:2], float)
+
+    def _watch(self) -> None:
+        """Poses that stop coming: let go once, then stay silent."""
+        age = self.seconds() - self._last_t
+        if self._driving and not age <= self.settings.stale_ms * 1e-3:
+            self.make_safe()
+            self._outcome = Outcome(None, Result.STALE, f'poses are {age:.2f} s old')
+
+    def _situation(self, points: np.ndarray, stamp: float) -> Situation:
+        values: ControllerParameters = self.settings
+        now = self.seconds()
+        dt = now - self._last_tick if math.isfinite(self._last_tick) else 0.0
+        self._last_t, self._last_tick = stamp, now
+        seen = [self._seen.get(int(i)) for i in points['id']]
+        known = np.isfinite(points['speed_std'])
+        return Situation(
+            t=now, dt=dt, age=now - stamp, ids=points['id'].astype(int),
+            position=np.stack([points['x'], points['y']], axis=1).astype(float),
+            sigma=points['x_std'].astype(float),
+            theta=np.array([math.nan if p is None else p['theta'] for p in seen], float),
+            speed=points['speed'].astype(float), phi=points['phi'].astype(float),
+            speed_std=np.where(known, points['speed_std'], math.inf).astype(float),
+            phi_std=np.where(known, points['phi_std'], math.inf).astype(float),
+            limits=Limits(values.max_field_mT * 1e-3, values.slew_mT_per_s * 1e-3,
+                          values.max_frequency_hz),
+            workspace=Workspace(np.array(values.workspace_um[:2]) * 1e-6,
+                                np.array(values.workspace_um[2:]) * 1e-6),
+            delay=values.delay_ms * 1e-3, goals=self._goals, path=self._path,
+            joystick=self._joystick, model=self._present_model())
+
+    def _tick(self, situation: Situation, stamp: Time) -> None:
+        self._outcome = self._switchboard.tick(situation)
+        if self._outcome.command is None:
+            self.make_safe()
+        else:
+            self._send(self._outcome.command, stamp)
+
+    def _send(self, command: FieldCommand, stamp: Time) -> None:
+        self._driving = True
+        self._commands.publish(messages.field_vector(command.field, stamp))
+        if command.frequency > 0:
+            x, y = command.field / np.hypot(*command.field) * math.tau * command.frequency
+            # The angular velocity ω for which ω̂ × ẑ is the rolling direction.
+            self._rotations.publish(messages.field_vector(np.array([-y, x]), stamp))
+
+    def _present_model(self) -> Model | None:
+        file = self.settings.model_file
+        if file != self._model[0]:
+            self._model = (file, read_model(file)[0] if file else None)
+        return self._model[1]
