@@ -21,9 +21,12 @@ from microbot_ros.magnetics.coils import CoilSet
 from microbot_ros.magnetics.settings import CoilSettings
 from microbot_ros.units import from_si, to_si
 
-# A fit is believed when it leaves less than this part of the readings' variation unexplained:
-# a few percent is what probe placement costs, half or more is what swapped columns leave.
+# A fit is believed when it leaves less than this part of the readings' variation unexplained (a
+# few percent is what probe placement costs), and when it is clean or no swap of columns leaves so
+# many times less.
 _BELIEVED = 0.2
+_CLEAN = 0.01
+_MUCH_BETTER = 3
 _SINGULAR = 1e6
 # Coils are known better than to this factor; what is beyond is dead, or in other units.
 _PLAUSIBLE = 3
@@ -137,8 +140,11 @@ def calibrate(readings: Readings, settings: CoilSettings, source: str | Path) ->
         raise InputError(source, 'expected readings that tell the coils apart: drive each coil by'
                          ' itself, both ways; here the equations are singular')
     calibration, unexplained = fit
+    if unexplained > _CLEAN and (swap := _swap(readings, coils, unexplained)):
+        raise InputError(source, f'expected columns that are not swapped; these fit if {swap}')
     if not unexplained <= _BELIEVED:
-        raise InputError(source, _explain(readings, coils, unexplained))
+        raise InputError(source, "expected readings that fit the coils' geometry;"
+                         f' {min(unexplained, 1):.0%} of their variation is unexplained')
     for name, gain, std in zip(coils.names, calibration.gain, calibration.gain_std, strict=True):
         if not (1 / _PLAUSIBLE <= abs(gain) <= _PLAUSIBLE and std < abs(gain) / 5):
             raise InputError(
@@ -174,20 +180,19 @@ def _fit(readings: Readings, coils: CoilSet) -> tuple[Calibration, float] | None
     ), float(unexplained)
 
 
-def _explain(readings: Readings, coils: CoilSet, unexplained: float) -> str:
-    """What to say of readings that don't fit: the swap of columns that would, if there is one."""
-    fits = []
+def _swap(readings: Readings, coils: CoilSet, unexplained: float) -> str:
+    """The simplest swap of columns that explains the readings much better; '' if there is none."""
+    fits: list[tuple[float, list[str]]] = []
     for order, axes in product(permutations(range(4)), ((0, 1, 2), (1, 0, 2))):
         swapped = Readings(readings.currents[:, order], readings.points, readings.field[:, axes])
         fit = _fit(swapped, coils)
-        if fit and fit[1] <= _BELIEVED:
+        if fit and fit[1] < unexplained / _MUCH_BETTER:
             found = [f'{coils.names[k]}_A holds the current of {coils.names[j]}'
                      for j, k in enumerate(order) if j != k]
             found += ['bx_mT holds y', 'by_mT holds x'] if axes[0] else []
             fits.append((fit[1], found))
     if not fits:
-        return (f"expected readings that fit the coils' geometry; {min(unexplained, 1):.0%} of"
-                ' their variation is unexplained')
+        return ''
     best = min(residual for residual, _ in fits)
     simplest = min((found for residual, found in fits if residual <= 1.1 * best), key=len)
-    return f'expected columns that are not swapped; these readings fit if {", ".join(simplest)}'
+    return ', '.join(simplest)

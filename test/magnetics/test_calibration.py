@@ -78,6 +78,15 @@ def test_readings_at_the_centre_in_any_order_of_columns_need_no_place_and_no_z(t
     assert np.isnan(found.residuals[:, 2]).all()
 
 
+def test_readings_without_noise_leave_no_doubt(tmp_path):
+    currents = np.vstack([np.eye(4), -np.eye(4)])
+    field = 1e3 * currents @ CoilSet().actuation_matrix().T
+    path = write(tmp_path / 'readings.csv', np.column_stack([currents, field]),
+                 [*HEADER[:4], *HEADER[7:]])
+    found = calibrate(read_readings(path, CoilSettings()), CoilSettings(), path)
+    np.testing.assert_allclose(found.gain, 1, rtol=1e-12)
+
+
 def test_command_writes_a_section_that_predicts_the_readings(tmp_path):
     path, out = write(tmp_path / 'readings.csv', rows()), tmp_path / 'out'
     result = CliRunner().invoke(command, [
@@ -119,6 +128,8 @@ NOTHING = rows()[:0]
     (rows(), swapped('bx_mT', 'by_mT'), 'bx_mT holds y, by_mT holds x'),
     (rows(), swapped('coil_plus_x_A', 'coil_plus_y_A'),
      'coil_plus_x_A holds the current of coil_plus_y'),
+    (rows(), swapped('coil_plus_x_A', 'coil_minus_x_A'),
+     'coil_plus_x_A holds the current of coil_minus_x$'),
     (rows(), swapped('coil_plus_x_A', 'bx_mT'), 'a gain between 1/3 and 3 for coil_plus_x'),
     (rows(), swapped('coil_plus_x_A', 'x_mm'), "expected readings that fit the coils' geometry"),
     (rows() * ([1e3] * 4 + [1] * 6), HEADER, 'found 0.000.* units'),
