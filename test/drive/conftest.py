@@ -13,16 +13,6 @@ DEADLINE_S = 20.0
 FULL_SCALE_A = 2.0
 
 
-def eventually(condition: Callable[[], object]) -> object:
-    """The first true value of the condition; fails the test after a generous deadline."""
-    deadline = time.monotonic() + DEADLINE_S
-    while time.monotonic() < deadline:
-        if value := condition():
-            return value
-        time.sleep(0.002)
-    raise AssertionError('the awaited condition never came true')
-
-
 class Emulated:
     """One emulator: its port, its log, its faults."""
 
@@ -40,6 +30,15 @@ class Emulated:
         self.process.stdin.write(text + '\n')
         self.process.stdin.flush()
 
+    def until(self, condition: Callable[[], object]) -> object:
+        """The first true value of the condition; fails the test after a generous deadline."""
+        deadline = time.monotonic() + DEADLINE_S
+        while time.monotonic() < deadline:
+            if value := condition():
+                return value
+            time.sleep(0.002)
+        raise AssertionError('the awaited condition never came true')
+
     def entries(self) -> list[dict]:
         """What was logged so far."""
         return [json.loads(line) for line in self.log.read_text().splitlines(keepends=True)
@@ -50,7 +49,7 @@ class Emulated:
 
     def eventually_at(self, currents: object, cause: str | None = None) -> dict:
         """The last entry, once it has these currents (and this cause)."""
-        return eventually(lambda: (last := self.entries()[-1]) and (
+        return self.until(lambda: (last := self.entries()[-1]) and (
             last['currents_A'] == pytest.approx(list(currents), abs=0.011 * FULL_SCALE_A)
             and cause in (None, last['cause']) and last))
 

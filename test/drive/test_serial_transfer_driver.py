@@ -98,11 +98,14 @@ def test_a_missing_port_is_named(url):
 
 
 def test_an_unplugged_line_is_named(amplifier, board):
-    board.fault('unplug')
-    with pytest.raises(PortLostError, match='lost'):
+    def use() -> None:
         for _ in range(1000):
             amplifier.write([0.5, 0, 0, 0])
             amplifier.poll(0.1)
+
+    board.fault('unplug')
+    with pytest.raises(PortLostError, match='lost'):
+        use()
 
 
 def test_use_before_connecting_is_named(board):

@@ -16,7 +16,7 @@ KINDS: dict[str, tuple[float, str]] = {
     'truncate': (0.1, 'cut each message short with probability VALUE'),
     'delay': (100.0, 'answer VALUE ms late'),
     'silence': (0.0, 'listen and answer nothing'),
-    'reset': (0.0, 'restart the device once'),
+    'reset': (500.0, 'restart the device, which is deaf and dumb for VALUE ms'),
     'wrong_reply': (0.0, 'answer as another model does'),
     'over_temperature': (0.0, 'switch the outputs off for heat'),
     'open': (1.0, 'break the wire of coil VALUE, 1 to 4'),
@@ -56,8 +56,10 @@ def parse(text: str, now_s: float) -> Fault:
     value = KINDS[kind][0] if value is None else value
     if not _valid(kind, value):
         raise InputError('--fault', f"{kind}: to {KINDS[kind][1]}; received '{text}'")
+    if kind == 'reset':
+        duration = value * 1e-3
     begin = now_s + (start or 0.0)
-    return Fault(kind, value, begin, begin + duration if duration is not None else math.inf)
+    return Fault(kind, value, begin, math.inf if duration is None else begin + duration)
 
 
 def _valid(kind: str, value: float) -> bool:

@@ -41,7 +41,8 @@ class Server:
                 if data := line.read():
                     now = time.monotonic()
                     data = self._faults.damage(data, now)
-                    self._send(line, self._device.receive(number, data, now), now)
+                    if self._faults.value('reset', now) is None:
+                        self._send(line, self._device.receive(number, data, now), now)
             now = time.monotonic()
             self._device.coils.watch(now)
             if now >= self._device.due_s():
@@ -96,7 +97,8 @@ class Server:
                 line.plug()
 
     def _send(self, line: Line, data: bytes, now_s: float) -> None:
-        if not data or self._faults.value('silence', now_s) is not None:
+        if not data or any(self._faults.value(kind, now_s) is not None
+                           for kind in ('silence', 'reset')):
             return
         data = self._faults.damage(data, now_s)
         delay_ms = self._faults.value('delay', now_s)
