@@ -13,7 +13,7 @@ from bench.figure import Figure, seconds
 from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings
 
 _POINTS = 10_000
-_BATCH = 500  # allocations per timed call: the clock is coarser than one
+_BATCH = 50  # allocations per timed call: long for the clock, short for the scheduler
 _DIRECTIONS = np.linspace(0, 2 * np.pi, 3600, endpoint=False)
 
 
@@ -107,7 +107,7 @@ def _times(coils: CoilSet) -> list[Figure]:
             allocator.allocate(field)
 
     inside, saturated = (1e6 * time / _BATCH for time in seconds(
-        partial(allocate_all, 2e-3 * units), partial(allocate_all, 50e-3 * units)))
+        partial(allocate_all, 2e-3 * units), partial(allocate_all, 50e-3 * units), rounds=99))
     return [
         Figure(3, 'currents for one wanted field', inside, 'µs', '≤ 20', '', inside <= 20),
         Figure(6, 'allocation, one field, inside limits', inside, 'µs', '≤ 30', '', inside <= 30),
