@@ -15,7 +15,7 @@ from microbot_ros.errors import InputError
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import ERROR, IMAGES_OUT, OK, WARN, RigNode
 from microbot_ros.settings import setting
-from microbot_ros.tracking.source import DeviceSource, Frame, open_source
+from microbot_ros.tracking.source import DeviceSource, Frame, Source, open_source
 
 _RETRY_SECONDS = 1.0
 
@@ -69,7 +69,7 @@ class CameraNode(RigNode):
         self._is_file = not (source.isdigit() or source.startswith('/dev/'))
         if self._is_file:
             rate = self.settings.frame_rate_hz or None
-            self._source = open_source(source, self.get_logger().warning, rate)
+            self._source: Source = open_source(source, self.get_logger().warning, rate)
         else:
             self._source = DeviceSource(int(source) if source.isdigit() else source)
 

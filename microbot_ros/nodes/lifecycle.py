@@ -88,6 +88,11 @@ class RigNode(LifecycleNode):
         """Level, one sentence, and values with units in their names, for `/diagnostics`."""
         return OK, 'running', {}
 
+    @property
+    def finished(self) -> bool:
+        """Whether the node has nothing left to do, so that its process may end."""
+        return False
+
     # What a node uses -----------------------------------------------------------------------
 
     @property

@@ -45,6 +45,7 @@ def make(name: str) -> RigNode:
 def run(names: list[str], arguments: list[str] | None = None) -> int:
     """Configure and activate the nodes, spin until SIGINT or SIGTERM, leave them safe.
 
+    A node that has finished, as a player at the end of its recording, ends the process too.
     With the id of a parent in the environment the nodes also end when that process is gone.
     Returns the exit status: 0 after a signal, 2 where a person must mend an input, 1 otherwise.
     """
@@ -63,7 +64,8 @@ def run(names: list[str], arguments: list[str] | None = None) -> int:
             _activate(node)
         print(READY, *names, flush=True)
         parent = int(os.environ.get(PARENT, '0'))
-        while not stopping and (not parent or os.getppid() == parent):
+        while not (stopping or any(node.finished for node in nodes)) and (
+                not parent or os.getppid() == parent):
             executor.spin_once(timeout_sec=_SPIN_SECONDS)
         return 0
     except InputError as error:

@@ -190,7 +190,7 @@ class ImageSource:
 class DeviceSource:
     """A camera of this machine, named by index or device path; nothing else is ever opened."""
 
-    length = None
+    length: int | None = None
 
     def __init__(self, device: int | str) -> None:
         import cv2
