@@ -30,7 +30,7 @@ setup(
     ],
     python_requires='>=3.11',
     install_requires=[
-        'click', 'jinja2', 'matplotlib', 'mcap', 'numba', 'numpy', 'opencv-python-headless',
+        'click', 'jinja2', 'matplotlib', 'mcap', 'numba', 'numpy', 'opencv-python-headless', 'openpyxl',
         'osqp', 'pydantic>=2', 'pymodbus', 'pyserial', 'pyyaml', 'rich', 'rosbags', 'scipy',
         'setuptools', 'zstandard',
     ],
@@ -46,8 +46,14 @@ setup(
             *(f'{node}_node = microbot_ros.nodes.process:script' for node in nodes),
         ],
         'microbot_ros.controllers': [
+            'ensemble = microbot_ros.control.ensemble:Ensemble',
+            'formation = microbot_ros.control.formation:Formation',
             'hold = microbot_ros.control.hold:Hold',
             'open_loop = microbot_ros.control.open_loop:OpenLoop',
+            'path_following = microbot_ros.control.path_following:PathFollowing',
+            'predictive = microbot_ros.control.predictive:Predictive',
+            'roller = microbot_ros.control.roller:Roller',
+            'teleop = microbot_ros.control.teleop:Teleop',
             'waypoint = microbot_ros.control.waypoint:Waypoint',
         ],
         'microbot_ros.amplifiers': [
