@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import keyword
 import sys
 
 import click
@@ -22,6 +23,7 @@ _COMMANDS = {
     'simulate': 'Simulate particles, camera and hidden effects as a session.',
     'fit': 'Fit v, φ and F of every particle of a session.',
     'paper': "Repeat the paper's experiment beside its own numbers.",
+    'import': 'Turn the tables of a laboratory into a session.',
     'info': 'Show what is in a session or recording.',
     'doctor': 'Is this machine, is the rig ready?',
     'calibrate': 'Find constants of the rig from measurements.',
@@ -36,7 +38,9 @@ class _LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in _COMMANDS:
             return None
-        module = importlib.import_module(f'microbot_ros.cli.{cmd_name}')
+        # `import` is no name for a module.
+        name = f'{cmd_name}_' if keyword.iskeyword(cmd_name) else cmd_name
+        module = importlib.import_module(f'microbot_ros.cli.{name}')
         command: click.Command = module.command
         return command
 
