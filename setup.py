@@ -30,9 +30,9 @@ setup(
     ],
     python_requires='>=3.11',
     install_requires=[
-        'click', 'jinja2', 'matplotlib', 'mcap', 'numba', 'numpy', 'opencv-python-headless', 'openpyxl',
-        'osqp', 'pydantic>=2', 'pymodbus', 'pyserial', 'pyyaml', 'rich', 'rosbags', 'scipy',
-        'setuptools', 'zstandard',
+        'click', 'jinja2', 'matplotlib', 'mcap', 'numba', 'numpy', 'opencv-python-headless',
+        'openpyxl', 'osqp', 'pydantic>=2', 'pymodbus', 'pyserial', 'pyyaml', 'rich', 'rosbags',
+        'scipy', 'setuptools', 'zstandard',
     ],
     extras_require={'ros': ros_from_pypi, 'dev': development},
     zip_safe=False,
