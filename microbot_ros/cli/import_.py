@@ -1,0 +1,105 @@
+"""`microbot import`: what a laboratory has, as a session."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import click
+
+from microbot_ros.errors import InputError
+
+_ROLES = 'time, frame, particle, x, y, theta, direction, frequency, bx, by'
+
+
+def _positive(_: click.Context, option: click.Parameter, value: float | None) -> float | None:
+    if value is not None and not 0 < value < math.inf:
+        raise InputError(f'--{(option.name or "").replace("_", "-")}',
+                         f'expected a number above 0, got {value:g}')
+    return value
+
+
+@click.command(name='import')
+@click.argument('source', type=click.Path(path_type=Path))
+@click.option('--out', type=click.Path(path_type=Path), required=True,
+              help='The session to write: a folder.')
+@click.option('--column', 'columns', multiple=True, metavar='ROLE=NAME',
+              help=f'Name the column for a role: {_ROLES}.')
+@click.option('--position-unit', type=click.Choice(['um', 'mm', 'm', 'px']))
+@click.option('--pixel-size-um', type=float, callback=_positive)
+@click.option('--y', 'y_axis', type=click.Choice(['up', 'down']),
+              help='Where y points; down is assumed of pixels.')
+@click.option('--time-unit', type=click.Choice(['s', 'ms']))
+@click.option('--times', type=click.Choice(['moments', 'intervals']))
+@click.option('--frame-rate-hz', type=float, callback=_positive)
+@click.option('--angle-unit', type=click.Choice(['deg', 'rad']))
+@click.option('--angle-sense', type=click.Choice(['counterclockwise', 'clockwise']))
+@click.option('--angle-offset-deg', type=float,
+              help='How much too large the angles of the commands are.')
+@click.option('--field-unit', type=click.Choice(['mT', 'T', 'G']))
+@click.option('--json', 'json_path', type=click.Path(path_type=Path),
+              help='Also write what was found and assumed as JSON.')
+def command(
+    source: Path, out: Path, columns: tuple[str, ...], position_unit: str | None,
+    pixel_size_um: float | None, y_axis: str | None, time_unit: str | None, times: str | None,
+    frame_rate_hz: float | None, angle_unit: str | None, angle_sense: str | None,
+    angle_offset_deg: float | None, field_unit: str | None, json_path: Path | None,
+) -> None:
+    """Turn SOURCE into a session: a spreadsheet, a delimited text file, or a folder of them.
+
+    Finds robots side by side, below each other, or on a sheet each; times that are intervals;
+    decimal commas; pixels with y down; degrees; angles that turn clockwise. It says what it
+    assumed, and asks, by the name of an option, for what no file can tell.
+
+    \b
+    Examples:
+      microbot import tracks.xlsx --pixel-size-um 0.33 --out sessions/monday
+      microbot import robots.csv --column x="Centre X" --position-unit um --out sessions/tuesday
+    """
+    from rich.console import Console
+
+    from microbot_ros.files import write_text
+    from microbot_ros.session import write_session
+    from microbot_ros.session.lab.answers import Answers
+    from microbot_ros.session.lab.assemble import import_session
+    from microbot_ros.units import to_si
+
+    if angle_offset_deg is not None and not math.isfinite(angle_offset_deg):
+        raise InputError('--angle-offset-deg', f'expected a number, got {angle_offset_deg:g}')
+    answers = Answers(
+        columns=_named_columns(columns), position_unit=position_unit and f'_{position_unit}',
+        pixel_size=None if pixel_size_um is None else to_si('pixel_size_um', pixel_size_um),
+        y_axis=y_axis, time_unit=time_unit and f'_{time_unit}', times=times,  # type: ignore[arg-type]
+        frame_rate=frame_rate_hz, angle_unit=angle_unit and f'_{angle_unit}',
+        angle_sense=angle_sense,  # type: ignore[arg-type]
+        angle_offset=None if angle_offset_deg is None else math.radians(angle_offset_deg),
+        field_unit=field_unit and f'_{field_unit}',
+    )
+    with Console(stderr=True).status(f'reading {source}'):
+        session, said = import_session(source, answers)
+        write_session(out, session)
+    tracks, commands = session.tracks, session.commands
+    for sentence in said:
+        click.echo(f'assumed  {sentence}')
+    click.echo(f'{out}: {len(tracks.particles)} robots, {len(tracks.t)} positions over '
+               f'{tracks.t[-1] - tracks.t[0]:.1f} s, {len(commands.t)} commands')
+    if json_path:
+        found = {
+            'particles': tracks.particles.tolist(), 'positions': len(tracks.t),
+            'commands': len(commands.t), 'duration_s': float(tracks.t[-1] - tracks.t[0]),
+            'assumed': said,
+        }
+        write_text(json_path, json.dumps(found, indent=1, ensure_ascii=False) + '\n')
+
+
+def _named_columns(pairs: tuple[str, ...]) -> dict[str, str]:
+    from microbot_ros.session.lab.columns import ROLES
+
+    named = {}
+    for pair in pairs:
+        role, mark, name = pair.partition('=')
+        if role not in ROLES or not mark or not name:
+            raise InputError('--column', f'expected ROLE=NAME with a role of {_ROLES}, got {pair}')
+        named[role] = name
+    return named

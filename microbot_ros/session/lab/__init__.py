@@ -1,0 +1,1 @@
+"""What laboratories have, turned into sessions: spreadsheets, wide tables, pixels, intervals."""
