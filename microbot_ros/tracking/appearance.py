@@ -42,3 +42,14 @@ class Appearance:
         """f₀ at offsets (u, v) [px] from the centre."""
         radii = np.arange(self.table.shape[1]) * TABLE_STEP
         return np.interp(np.hypot(u, v), radii, self.table[0], right=0.0)
+
+    def describe(self) -> list[str]:
+        """What was found, in words."""
+        kind = 'round' if self.round else 'of any shape, followed by their outline'
+        cap = 'the cap shows' if self.capped else 'no cap shows'
+        return [
+            f'particles are {"dark" if self.dark else "bright"}, {kind}; {cap}',
+            f'diameter {self.diameter_px:.1f} px at half contrast',
+            f'contrast {self.contrast_grey:.0f} grey levels, '
+            f'at least {self.min_contrast_grey:.0f} counts',
+        ]

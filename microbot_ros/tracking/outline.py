@@ -15,11 +15,20 @@ from microbot_ros.tracking.settings import TrackerSettings
 _LOW, _HIGH = 0.35, 0.7
 """Shares of the typical contrast: the outline, and what counts as fully dark (or bright)."""
 
+_SHARP = 0.85
+"""Least sharpness of a new particle, in terms of the least quality."""
+
 _LARGEST_CLUMP = 5.0
 """Typical diameters."""
 
 _LONGEST = 4.0
 """Length over width beyond which an object is a hair."""
+
+_LENIENCE = 0.75
+"""Share of each requirement that a known particle must still meet."""
+
+_KNOWN = 0.5
+"""Diameters: how near to its expectation a known particle is recognised with lenience."""
 
 _LEAST_SIGMA = 1e-3
 """Pixels: a noiseless picture does not make a centroid exact."""
@@ -39,15 +48,23 @@ class OutlineDetector:
         self.appearance = appearance
         self._shrink = max(1, int(appearance.diameter_px / 10))
         self._spacing = max(4, int(np.ceil(appearance.diameter_px / self._shrink)))
-        self._least_sharpness = settings.min_quality * 0.75
+        self._least_sharpness = _SHARP * settings.min_quality
         self._least_diameter = appearance.diameter_px / settings.size_tolerance**2
         self._least_peak = max(0.75 * appearance.contrast_grey, appearance.min_contrast_grey)
 
     def detect(self, image: np.ndarray, expected: np.ndarray) -> Detections:
-        """All particles of `image` (H, W); outlines need no expectations."""
-        contrast = self._contrast(image)
-        sums, elongation = self._regions(contrast)
-        good = self._good(sums, elongation)
+        """All particles of `image` (H, W).
+
+        `expected` (M, 2) [px] is where known particles should be: they need not be as sharp and
+        as large as one that is new, so that a particle at the limit doesn't come and go.
+        """
+        sums, elongation = self._regions(self._contrast(image))
+        good = self._good(sums, elongation, 1.0)
+        if len(expected):
+            places = np.column_stack([sums[:, _WX], sums[:, _WY]]) / sums[:, _WEIGHT, None]
+            offset = np.abs((places[:, None] + 0.5) * self._shrink - 0.5 - expected)
+            known = np.any(np.all(offset < _KNOWN * self.appearance.diameter_px, axis=2), axis=1)
+            good |= known & self._good(sums, elongation, _LENIENCE)
         return self._detections(sums[good], pixel_noise(image) / self._shrink)
 
     def _contrast(self, image: np.ndarray) -> np.ndarray:
@@ -80,13 +97,13 @@ class OutlineDetector:
         middle = (xx + yy) / 2
         return sums, np.sqrt((middle + root) / np.maximum(middle - root, 1 / 12))
 
-    def _good(self, sums: np.ndarray, elongation: np.ndarray) -> np.ndarray:
-        """Whether each region is a particle: size, length, sharpness, contrast."""
+    def _good(self, sums: np.ndarray, elongation: np.ndarray, share: float) -> np.ndarray:
+        """Whether each region has a `share` of what makes a particle: size, sharpness, contrast."""
         diameter = _diameter(sums) * self._shrink
-        good = (diameter >= self._least_diameter) & (elongation <= _LONGEST)
+        good = (diameter >= share * self._least_diameter) & (elongation <= _LONGEST)
         good &= diameter <= _LARGEST_CLUMP * self.appearance.diameter_px
-        good &= _sharpness(sums) >= self._least_sharpness
-        return good & (sums[:, _PEAK] >= self._least_peak)
+        good &= _sharpness(sums) >= share * self._least_sharpness
+        return good & (sums[:, _PEAK] >= share * self._least_peak)
 
     def _detections(self, sums: np.ndarray, noise: float) -> Detections:
         weight = sums[:, _WEIGHT]
@@ -108,7 +125,7 @@ class OutlineDetector:
         The spread of ln(diameter) or the typical ln(length/width), whichever is larger.
         """
         sums, elongation = self._regions(self._contrast(image))
-        good = self._good(sums, elongation)
+        good = self._good(sums, elongation, 1.0)
         if not np.any(good):
             return 0.0
         size = np.log(_diameter(sums[good]))

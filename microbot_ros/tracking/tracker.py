@@ -106,8 +106,7 @@ class Tracker:
             self._learn(image)
             return _poses(t, None, _NO_SHIFT)
         if self._linker is None or self._detector is None:
-            kind = RoundDetector if self.appearance.round else OutlineDetector
-            self._detector = kind(self.appearance, self.settings)
+            self._detector = make_detector(self.appearance, self.settings)
             self._linker = Linker(self.settings, self.appearance.diameter_px, image.shape)
         shift = _NO_SHIFT if predicted_shift_px is None else np.asarray(predicted_shift_px, float)
         if dt is not None:
@@ -148,6 +147,14 @@ class Tracker:
         if len(self._first_frames) >= self.settings.learning_frames:
             self.appearance = learn(self._first_frames, self.settings)
             self._first_frames.clear()
+
+
+def make_detector(
+    appearance: Appearance, settings: TrackerSettings
+) -> RoundDetector | OutlineDetector:
+    """The detector that suits the appearance."""
+    kind = RoundDetector if appearance.round else OutlineDetector
+    return kind(appearance, settings)
 
 
 def _poses(t: float, states: TrackStates | None, drift: np.ndarray) -> Poses:

@@ -1,0 +1,176 @@
+"""`microbot track`: particles and their identities from a recording."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections import Counter
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import numpy as np
+
+from microbot_ros.units import from_si, to_si
+
+if TYPE_CHECKING:
+    from microbot_ros.tracking import Appearance, Poses, Source, TrackerSettings
+
+_WHOLE = 0.95
+"""Share of the frames in which a particle is seen that lives from start to end."""
+
+
+@click.command()
+@click.argument('source')
+@click.option('--out', type=click.Path(path_type=Path), required=True, metavar='DIR',
+              help='Folder for tracks.csv, overlay.mp4 and settings.png.')
+@click.option('--pixel-size-um', type=float,
+              help='Width of a pixel in the sample; adds t_s, x_um, y_um (y up, origin at the '
+              'centre of the image).')
+@click.option('--frame-rate-hz', type=float,
+              help='Frames per second: for images, or instead of what a video says.')
+@click.option('--settings', 'settings_path', type=click.Path(path_type=Path), metavar='YAML',
+              help='Settings of detection and linking; what is left out is chosen.')
+@click.option('--overlay/--no-overlay', default=True, help='Write overlay.mp4.')
+@click.option('--json', 'json_path', type=click.Path(path_type=Path),
+              help='Also write the result as JSON.')
+def command(
+    source: str, out: Path, pixel_size_um: float | None, frame_rate_hz: float | None,
+    settings_path: Path | None, overlay: bool, json_path: Path | None,
+) -> None:
+    """Track the particles of SOURCE: a video, a folder of images, or a glob (quoted).
+
+    What the particles look like is learned from the first frames; settings.png shows what was
+    chosen. tracks.csv has a row for every particle in every frame in which it was seen.
+
+    \b
+    Examples:
+      microbot track recording.mp4 --out out/tracks --pixel-size-um 0.33
+      microbot track frames/ --out out/tracks --frame-rate-hz 24
+      microbot track 'frames/img_*.png' --out out/tracks --settings tracker.yaml
+    """
+    from rich.console import Console
+
+    from microbot_ros.errors import InputError
+    from microbot_ros.files import output_folder, read_yaml, write_text
+    from microbot_ros.tracking import TrackerSettings, open_source
+
+    if pixel_size_um is not None and not 0 < pixel_size_um < float('inf'):
+        raise InputError('--pixel-size-um', f'expected a positive number, got {pixel_size_um}')
+    settings = read_yaml(settings_path, TrackerSettings) if settings_path else TrackerSettings()
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    problems: list[str] = []
+    recording = open_source(source, problems.append, frame_rate_hz)
+    if recording.frame_rate is None and pixel_size_um is not None:
+        problems.append(f'{source}: no frame rate is known (--frame-rate-hz); t_s counts frames')
+    with output_folder(out) as folder:
+        result = _track(recording, settings, folder, pixel_size_um, overlay, console)
+    if not result['appearance']:
+        problems.append(f'{source}: nothing in it stands out of the noise; no tracks')
+    for problem in dict.fromkeys(problems):
+        console.print(f'microbot track: {problem}', markup=False)
+    result['warnings'] = list(dict.fromkeys(problems))
+    if json_path:
+        write_text(json_path, json.dumps(result, indent=1, ensure_ascii=False) + '\n')
+    console.print(
+        f'{out}: {result["frames"]} frames, {result["tracks"]} particles, '
+        f'{result["whole_clip"]} of them from start to end')
+
+
+def _track(
+    recording: Source, settings: TrackerSettings, folder: Path, pixel_size_um: float | None,
+    overlay: bool, console: Any,
+) -> dict[str, Any]:
+    """Fill the folder; returns what the JSON says."""
+    from rich.progress import track as progress
+
+    from microbot_ros.files import write_text
+    from microbot_ros.tracking import Tracker
+    from microbot_ros.tracking.overlay import OverlayVideo
+
+    with console.status('learning what the particles look like'):
+        appearance = _learn(recording, settings)
+    rows = _Rows(recording, pixel_size_um)
+    result: dict[str, Any] = {'appearance': [], 'overlay_codec': None}
+    if appearance is not None:
+        _draw_settings(folder / 'settings.png', recording, appearance, settings)
+        result['appearance'] = appearance.describe()
+        tracker = Tracker(settings, appearance)
+        video = OverlayVideo(
+            folder / 'overlay.mp4', recording.size, recording.frame_rate or 10.0,
+            appearance.diameter_px / 2) if overlay else None
+        with video or nullcontext():
+            for frame in progress(recording.frames(), 'tracking', recording.length,
+                                  console=console, transient=True):
+                poses = tracker.update(frame.image, frame.t)
+                rows.add(frame.index, poses)
+                if video:
+                    video.write(frame.image, poses)
+                    result['overlay_codec'] = video.codec
+    write_text(folder / 'tracks.csv', rows.text())
+    return rows.summary() | result
+
+
+def _learn(recording: Source, settings: TrackerSettings) -> Appearance | None:
+    """The appearance from the first frames in which anything stands out."""
+    from microbot_ros.tracking import learn
+
+    frames = recording.frames()
+    while batch := [frame.image for frame in itertools.islice(frames, settings.learning_frames)]:
+        appearance = learn(batch, settings)
+        if appearance is not None:
+            return appearance
+    return None
+
+
+def _draw_settings(
+    path: Path, recording: Source, appearance: Appearance, settings: TrackerSettings
+) -> None:
+    from microbot_ros.tracking.settings_figure import write_settings_figure
+    from microbot_ros.tracking.tracker import make_detector
+
+    image = next(recording.frames()).image
+    found = make_detector(appearance, settings).detect(image, np.empty((0, 2)))
+    write_settings_figure(path, image, found, appearance, settings)
+
+
+class _Rows:
+    """The rows of tracks.csv: what was seen, frame by frame."""
+
+    def __init__(self, recording: Source, pixel_size_um: float | None) -> None:
+        from microbot_ros.tracking import ImageToWorkspace
+
+        height, width = recording.size
+        self._frames = 0
+        self._lines: list[str] = []
+        self._seen: Counter[int] = Counter()
+        self._camera = None if pixel_size_um is None else ImageToWorkspace(
+            to_si('_um', pixel_size_um), width, height)
+
+    def add(self, frame: int, poses: Poses) -> None:
+        self._frames += 1
+        rows = np.flatnonzero(poses.seen)
+        places = None if self._camera is None else \
+            from_si('_um', self._camera.position(poses.xy))
+        for k in rows:
+            line = f'{frame},{poses.id[k]},{poses.x_px[k]:.4f},{poses.y_px[k]:.4f}'
+            if places is not None:
+                line += f',{poses.t:.6f},{places[k, 0]:.5f},{places[k, 1]:.5f}'
+            self._lines.append(line)
+            self._seen[int(poses.id[k])] += 1
+
+    def text(self) -> str:
+        header = 'frame,particle,x_px,y_px'
+        header += '' if self._camera is None else ',t_s,x_um,y_um'
+        return '\n'.join([header, *self._lines]) + '\n'
+
+    def summary(self) -> dict[str, Any]:
+        counts = sorted(self._seen.values())
+        return {
+            'frames': self._frames,
+            'tracks': len(counts),
+            'whole_clip': sum(count >= _WHOLE * self._frames for count in counts),
+            'median_frames_seen': counts[len(counts) // 2] if counts else 0,
+            'positions': sum(counts),
+        }

@@ -1,0 +1,104 @@
+"""What the tracker sees, drawn for people: a frame with its particles, a film of frames."""
+
+from __future__ import annotations
+
+from collections import deque
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from microbot_ros.errors import InputError
+from microbot_ros.tracking.tracker import Poses
+
+_COLOURS = np.array([
+    [230, 159, 0], [86, 180, 233], [0, 158, 115], [240, 228, 66], [0, 114, 178], [213, 94, 0],
+    [204, 121, 167],
+])[:, ::-1].tolist()
+"""Colours that the colour-blind tell apart (M. Okabe, K. Ito, 2008), as BGR."""
+
+_CODECS = ('avc1', 'vp09', 'mp4v')
+"""In order of preference; browsers play the first two."""
+
+_WIDEST = 960
+_TRAIL = 40
+
+
+def draw_overlay(
+    image: np.ndarray, poses: Poses, radius_px: float = 8.0,
+    trails: dict[int, deque[np.ndarray]] | None = None,
+) -> np.ndarray:
+    """A frame (H, W) uint8 or uint16 with its particles, as (H, W, 3) BGR.
+
+    A ring of `radius_px` and the identity mark each particle, a thin ring one that is only
+    predicted; a line points along θ where it is known; `trails` holds earlier positions.
+    """
+    import cv2
+
+    if image.dtype != np.uint8:
+        image = cv2.convertScaleAbs(image, alpha=255.0 / max(int(image.max()), 1))
+    picture: np.ndarray = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+    thickness = max(1, round(image.shape[1] / 700))
+    ring = round(1.5 * radius_px)
+    for k in range(len(poses)):
+        colour = _COLOURS[int(poses.id[k]) % len(_COLOURS)]
+        x, y = round(float(poses.x_px[k])), round(float(poses.y_px[k]))
+        if trails and poses.id[k] in trails:
+            points = np.rint(np.array(trails[int(poses.id[k])])).astype(np.int32)
+            cv2.polylines(picture, [points], False, colour, 1, cv2.LINE_AA)
+        cv2.circle(picture, (x, y), ring, colour, thickness if poses.seen[k] else 1, cv2.LINE_AA)
+        if np.isfinite(poses.theta_rad[k]):
+            tip = (round(x + ring * float(np.cos(poses.theta_rad[k]))),
+                   round(y + ring * float(np.sin(poses.theta_rad[k]))))
+            cv2.line(picture, (x, y), tip, colour, thickness, cv2.LINE_AA)
+        cv2.putText(picture, str(poses.id[k]), (x + ring, y - ring // 2),
+                    cv2.FONT_HERSHEY_SIMPLEX, 0.45 * thickness, colour, thickness, cv2.LINE_AA)
+    return picture
+
+
+class OverlayVideo:
+    """A film of overlays, as MP4 in the best codec that this OpenCV can write (`codec`)."""
+
+    def __init__(
+        self, path: Path, size: tuple[int, int], frame_rate: float, radius_px: float
+    ) -> None:
+        import cv2
+
+        self._radius = radius_px
+        self._trails: dict[int, deque[np.ndarray]] = {}
+        scale = min(1.0, _WIDEST / size[1])
+        # Codecs want even sides.
+        self._size = tuple(int(side * scale) // 2 * 2 for side in reversed(size))
+        before = cv2.utils.logging.getLogLevel()
+        cv2.utils.logging.setLogLevel(0)
+        for self.codec in _CODECS:
+            self._writer = cv2.VideoWriter(
+                str(path), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*self.codec), frame_rate,
+                self._size)
+            if self._writer.isOpened():
+                break
+        cv2.utils.logging.setLogLevel(before)
+        if not self._writer.isOpened():
+            raise InputError(path, 'this OpenCV can write no MP4 video; use --no-overlay')
+
+    def __enter__(self) -> OverlayVideo:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._writer.release()
+
+    def write(self, image: np.ndarray, poses: Poses) -> None:
+        """Add one frame."""
+        import cv2
+
+        self._trails = {
+            int(i): self._trails.get(int(i), deque(maxlen=_TRAIL)) for i in poses.id}
+        for i, place in zip(poses.id, poses.xy, strict=True):
+            self._trails[int(i)].append(place)
+        picture = draw_overlay(image, poses, self._radius, self._trails)
+        if picture.shape[1::-1] != self._size:
+            picture = cv2.resize(picture, self._size, interpolation=cv2.INTER_AREA)
+        self._writer.write(picture)
