@@ -1,6 +1,7 @@
-"""Forces and velocities on a magnetic sphere: field, fuel, heat, rolling, neighbours.
+"""Forces and velocities on a sphere: fuel, heat, rolling, neighbours.
 
-Plain formulas on arrays, vectors in the plane along the last axis (..., 2), broadcasting.
+Plain formulas on arrays, vectors in the plane along the last axis (..., 2), broadcasting. The
+magnetic force and torque of coils are in `microbot_ros.magnetics.force`.
 """
 
 from __future__ import annotations
@@ -16,20 +17,6 @@ from microbot_ros.units import MU_0
 def unit(angle: np.ndarray | float) -> np.ndarray:
     """Unit vectors (..., 2) at angles (...) [rad]."""
     return np.stack((np.cos(angle), np.sin(angle)), axis=-1)
-
-
-def magnetic_force(moment: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-    """(m·∇)B [N] for moments (..., 2) [A·m²] and gradients (..., 2, 2), ∂B_a/∂x_b [T/m].
-
-    With a magnetisation M in a volume V the moment is V M.
-    """
-    return np.einsum('...ab,...b->...a', gradient, moment)
-
-
-def magnetic_torque(moment: np.ndarray, field: np.ndarray) -> np.ndarray:
-    """(m × B)·ẑ [N·m], positive anticlockwise, for moments and fields (..., 2)."""
-    turning: np.ndarray = moment[..., 0] * field[..., 1] - moment[..., 1] * field[..., 0]
-    return turning
 
 
 def propulsion_force(

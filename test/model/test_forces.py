@@ -8,8 +8,6 @@ import pytest
 from microbot_ros.model.forces import (
     dipole_force,
     dipole_mobility,
-    magnetic_force,
-    magnetic_torque,
     propulsion_force,
     rolled_frequency,
     rolling_speed,
@@ -21,41 +19,10 @@ from microbot_ros.model.particle import Fluid, stokes_drag
 from microbot_ros.units import MU_0
 
 
-def divergence(vector_field, point, step):
-    steps = np.eye(2) * step
-    return sum(
-        (vector_field(point + s) - vector_field(point - s))[axis] / (2 * step)
-        for axis, s in enumerate(steps))
-
-
 def dipole_field(moment, displacement):
     r = np.linalg.norm(displacement)
     towards = displacement / r
     return MU_0 / (4 * math.pi * r**3) * (3 * (moment @ towards) * towards - moment)
-
-
-def test_magnetic_force_is_minus_the_gradient_of_the_energy():
-    moment, gradient = np.array([2e-14, -1e-14]), np.array([[0.3, 0.1], [0.1, -0.2]])
-    field = np.array([1e-3, 2e-3])
-
-    def energy(p):
-        return -moment @ (field + gradient @ p)
-
-    step = 1e-6 * np.eye(2)
-    expected = [-(energy(s) - energy(-s)) / 2e-6 for s in step]
-    assert magnetic_force(moment, gradient) == pytest.approx(expected, rel=1e-9)
-
-
-def test_magnetic_force_and_torque_broadcast_over_particles():
-    moments = 1e-14 * unit(np.linspace(0, 3, 5))
-    assert magnetic_force(moments, np.eye(2) * 0.1) == pytest.approx(0.1 * moments)
-    torque = magnetic_torque(moments, np.array([2e-3, 0.0]))
-    assert torque == pytest.approx(-2e-17 * np.sin(np.linspace(0, 3, 5)))
-
-
-def test_torque_turns_the_moment_into_the_field():
-    assert magnetic_torque(np.array([1.0, 0.0]), np.array([0.0, 1.0])) == 1.0
-    assert magnetic_torque(np.array([1.0, 1.0]), np.array([1.0, 1.0])) == 0.0
 
 
 def test_propulsion_is_proportional_to_the_fuel():

@@ -1,0 +1,76 @@
+"""`microbot paper`: the paper's experiment, tables and figures beside the paper's own numbers."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+@click.command()
+@click.option('--out', type=click.Path(path_type=Path), required=True, metavar='DIR',
+              help='Folder for report.html, summary.json and the figures.')
+@click.option('--repetitions', type=click.IntRange(min=1), default=20, show_default=True,
+              help='How often to repeat the experiment, each with its own legs and chance.')
+@click.option('--seed', type=click.IntRange(min=0), default=1, show_default=True,
+              help='Seed of the first repetition; the others follow on.')
+@click.option('--json', 'json_path', type=click.Path(path_type=Path),
+              help='Also write the summary here.')
+def command(out: Path, repetitions: int, seed: int, json_path: Path | None) -> None:
+    """Repeat the paper's three-particle experiment in simulation and compare.
+
+    The paper's recording is not available, so the rig is this project's Langevin simulation of
+    it. Both approaches (each particle's own force, the mean of the three) and both solvers
+    (first-order, Newton-Stokes) are held against it, beside the numbers that the paper prints.
+
+    \b
+    Example:
+      microbot paper --out out/paper --repetitions 50
+    """
+    from rich.console import Console
+    from rich.progress import track
+
+    from microbot_ros.files import output_folder, write_text
+    from microbot_ros.virtual_rig.paper_experiment import attempt, run_times
+    from microbot_ros.virtual_rig.paper_figures import draw_errors, draw_trajectories, png
+    from microbot_ros.virtual_rig.paper_page import page
+    from microbot_ros.virtual_rig.paper_summary import summarise
+
+    progress = Console(stderr=True)
+    seeds = range(seed, seed + repetitions)
+    with output_folder(out) as folder:
+        trials = [attempt(s) for s in track(seeds, 'repeating the experiment', console=progress)]
+        summary = summarise(trials, run_times(trials[0]))
+        text = json.dumps(summary, indent=1, ensure_ascii=False) + '\n'
+        trajectories, errors = png(draw_trajectories(trials[0])), png(draw_errors(trials))
+        write_text(folder / 'summary.json', text)
+        write_text(folder / 'report.html', page(summary, trajectories, errors))
+        (folder / 'trajectories.png').write_bytes(trajectories)
+        (folder / 'errors.png').write_bytes(errors)
+    if json_path:
+        write_text(json_path, text)
+    _show(Console(highlight=False), summary)
+    progress.print(f'report: {out / "report.html"}')
+
+
+def _show(console: Console, summary: dict[str, Any]) -> None:
+    """The two tables, on the terminal."""
+    from rich.table import Table
+
+    console.print('A simulation of the experiment; the paper measured real particles.')
+    table = Table('RMSE (µm)', 'particle 1', 'particle 2', 'particle 3', box=None)
+    for approach, printed in summary['rmse_printed_um'].items():
+        here = summary['rmse_um']['first_order'][approach]['particles']
+        table.add_row(f'{approach} F, here', *(f'{value:.2f}' for value in here))
+        table.add_row(f'{approach} F, paper', *(f'{value:.2f}' for value in printed))
+    console.print(table)
+    table = Table('run time', 'here (ms)', 'paper (ms)', box=None)
+    for solver, seconds in summary['run_time_s'].items():
+        printed = summary['run_time_printed_s'].get(solver)
+        table.add_row(solver, f'{seconds * 1e3:.2f}', f'{printed * 1e3:.0f}' if printed else '–')
+    console.print(table)
