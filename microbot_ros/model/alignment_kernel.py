@@ -64,15 +64,13 @@ def _span(relative, rate, h):  # type: ignore[no-untyped-def]
     scale = near + far * q * q
     kept = q / scale
     cos1, sin1 = (near - far * q * q) / scale, kept * sin0
-    if rate * h < 1e-6:
-        half = rate * h * h / 2
-        C, Sn = h * cos0 + half * sin0 * sin0, h * sin0 - half * sin0 * cos0
-        dC, dS = -h * sin0 + 2 * half * sin0 * cos0, h * cos0 - half * (cos0**2 - sin0**2)
+    if rate * h < 1e-100:
+        C, Sn, dC, dS = h * cos0, h * sin0, -h * sin0, h * cos0
     else:
-        lost = math.expm1(-2 * rate * h)
+        turned, lost = -math.expm1(-rate * h), math.expm1(-2 * rate * h)
         C = h + math.log1p(far * lost) / rate
-        Sn = 2 * math.atan2(sin0 * (1 - q) / 2, near + far * q) / rate
-        dC, dS = sin0 * lost / (2 * rate * scale), (1 - kept) / rate
+        Sn = 2 * math.atan2(sin0 * turned / 2, near + far * q) / rate
+        dC, dS = sin0 * lost / (2 * rate * scale), turned * (near - far * q) / (rate * scale)
     return C, Sn, dC, dS, cos1, sin1, kept
 
 

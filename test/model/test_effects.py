@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from microbot_ros import units
 from microbot_ros.model.effects import EFFECTS
+from microbot_ros.model.effects.incomplete_alignment import langevin
 from microbot_ros.model.increments import respond
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.scene import Places, Scene
@@ -207,6 +208,13 @@ def test_a_missing_particle_is_absent_for_the_others(effect):
         particles(4).ids, particles(4).speed, particles(4).phi))))
     np.testing.assert_allclose(seen[10:20, :3], alone[10:20], rtol=1e-12, atol=1e-21)
     np.testing.assert_array_equal(seen[:10], moved(PLAIN[effect.id], line)[:10])
+
+
+def test_langevin_between_its_limits():
+    x = np.array([0.0, 1e-6, 9.999e-3, 1.0001e-2, 1.0, 50.0, 1e9])
+    exact = [0.0, 1e-6 / 3, 9.999e-3 / 3 - 9.999e-3**3 / 45, 1.0001e-2 / 3 - 1.0001e-2**3 / 45,
+             0.31303528549933130, 1 - 1 / 50, 1 - 1e-9]
+    np.testing.assert_allclose(langevin(x), exact, rtol=1e-9)
 
 
 @every_effect

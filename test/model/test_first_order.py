@@ -1,15 +1,20 @@
 """The first-order integrator against the paper's equation, closed forms and its own refinement."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.integrate import solve_ivp
+from scipy.integrate import fixed_quad, solve_ivp
 
+from microbot_ros.model.alignment_kernel import turn
 from microbot_ros.model.effects.alignment_lag import AlignmentLag
 from microbot_ros.model.effects.dipole_interaction import DipoleInteraction
 from microbot_ros.model.effects.heading_slip import HeadingSlip
+from microbot_ros.model.effects.hydrodynamic_slowdown import HydrodynamicSlowdown
 from microbot_ros.model.effects.linear_flow import LinearFlow
+from microbot_ros.model.effects.speed_decay import SpeedDecay
 from microbot_ros.model.effects.uniform_drift import UniformDrift
 from microbot_ros.model.first_order import simulate
 from microbot_ros.model.model import Model, ParticleParameters
@@ -162,6 +167,43 @@ def test_side_by_side_dipoles_repel_as_the_fifth_root():
                    np.array([[0.0, 0.0], [r0, 0.0]]))[-1]
     assert end[1, 0] - end[0, 0] == pytest.approx((r0**5 + 10 * strength * 20.0) ** 0.2, rel=1e-6)
     np.testing.assert_allclose(end.sum(axis=0), [r0, 0.0], atol=1e-18)
+
+
+def test_fuel_runs_out_as_the_integral_of_the_exponential():
+    one = ParticleParameters(np.array([0]), np.array([3e-6]), np.array([0.0]))
+    model = Model(B, effects=(SpeedDecay(2.0),))
+    x = simulate(model, one, steer((0.0, 0.0)), np.array([1.0, 10.0]), np.zeros((1, 2)))[-1, 0, 0]
+    assert x == pytest.approx(3e-6 * 2.0 * (np.exp(-0.5) - np.exp(-5.0)), rel=1e-12)
+
+
+def test_neighbours_stop_a_particle_but_do_not_push_it_back():
+    model = Model(B, effects=(HydrodynamicSlowdown(9e-6),))
+    pair = ParticleParameters(np.arange(2), np.full(2, 3e-6), np.zeros(2))
+    start = np.array([[0.0, 0.0], [6e-6, 0.0]])
+    end = simulate(model, pair, steer((0.0, 0.0)), np.array([0.0, 2.0]), start)[-1]
+    np.testing.assert_array_equal(end, start)
+
+
+@pytest.mark.parametrize('rate', [0.0, 1e-9, 9.9e-7, 1.1e-6, 1e-3, 2.0, 300.0])
+@pytest.mark.parametrize('delta', [0.0, 1e-8, -0.3, 1.6, -3.1])
+def test_one_span_of_turning_against_quadrature(rate, delta):
+    """tan(δ/2) = tan(δ₀/2) e^{−κs}, integrated by Gauss's rule instead of in closed form."""
+    def way(delta):
+        tangent = np.tan(delta / 2)
+        parts = [fixed_quad(lambda s: np.exp(2j * np.arctan(tangent * np.exp(-rate * s))), a, b,
+                            n=40)[0] for a, b in pairwise([0.0, 0.01, 0.03, 0.1, 0.3, 1.0])]
+        return sum(parts)
+
+    heading, path, bend, kept = turn(
+        np.array([np.exp(1j * delta)]), np.ones((1, 1), complex), np.full((1, 1), rate),
+        np.array([1.0]))
+    h = 1e-5
+    after = 2 * np.arctan(np.tan(delta / 2) * np.exp(-rate))
+    assert heading[1, 0] == pytest.approx(np.exp(1j * after), abs=1e-14)
+    assert path[0, 0] == pytest.approx(way(delta), abs=1e-12)
+    assert bend[0, 0] == pytest.approx((way(delta + h) - way(delta - h)) / (2 * h), abs=2e-8)
+    slope = np.exp(-rate) / (np.cos(delta / 2) ** 2 + np.sin(delta / 2) ** 2 * np.exp(-2 * rate))
+    assert kept[0, 0] == pytest.approx(slope, rel=1e-12)
 
 
 def test_slip_under_lag_is_of_second_order_in_the_frames():

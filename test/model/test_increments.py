@@ -7,6 +7,7 @@ from microbot_ros.model.effects.alignment_lag import AlignmentLag
 from microbot_ros.model.effects.background_field import BackgroundField
 from microbot_ros.model.effects.command_delay import CommandDelay
 from microbot_ros.model.effects.hot_spot import HotSpot
+from microbot_ros.model.effects.linear_flow import LinearFlow
 from microbot_ros.model.effects.pixel_anisotropy import PixelAnisotropy
 from microbot_ros.model.effects.speed_decay import SpeedDecay
 from microbot_ros.model.first_order import simulate
@@ -30,6 +31,7 @@ MODELS = {
     'rolling': Model(B, 'rolling', (SpeedDecay(20.0),)),
     'lag': Model(B, effects=(AlignmentLag(0.3), BackgroundField(1e-4, 2e-4))),
     'camera': Model(B, effects=(CommandDelay(0.11), PixelAnisotropy(1.1))),
+    'vortex': Model(B, effects=(LinearFlow(0.0, -0.02, 0.02, 0.0), PixelAnisotropy(1.2))),
     'place': Model(B, effects=(HotSpot(1e-5, 0.0, 3e-6, 8e-6), PixelAnisotropy(0.9))),
 }
 every_model = pytest.mark.parametrize('model', MODELS.values(), ids=MODELS)
@@ -90,7 +92,7 @@ def test_coarse_frames_sum_fine_ones():
 def test_a_turned_heading_is_felt_as_the_sensitivity_says():
     model = Model(B, effects=(AlignmentLag(0.3), PixelAnisotropy(1.1), SpeedDecay(30.0)))
     felt = heading_response(model, PARTICLES, Timeline(COMMANDS, TIMES))
-    for k in (5, 28, 29, 77):  # a switch falls into the second
+    for k in (5, 23, 51, 77):  # switches fall into the middle two
         theta = felt.theta[k]
         later = Timeline(COMMANDS, TIMES[k:k + 2])
         ends = [respond(model, later, np.exp(1j * (theta + turn - PARTICLES.phi)))

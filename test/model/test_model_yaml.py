@@ -1,5 +1,6 @@
 """`model.yaml`: exact both ways, and errors that name what is wrong and what is known."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -101,6 +102,22 @@ def test_a_bad_effect_is_named_with_its_line(tmp_path, more, line, message):
     with pytest.raises(InputError, match=message) as caught:
         read_model(path)
     assert caught.value.line == line
+
+
+@pytest.mark.parametrize('name', EFFECTS)
+def test_every_limit_holds_and_nothing_beyond_it_is_read(tmp_path, name):
+    path = tmp_path / 'model.yaml'
+    nobody = ParticleParameters(np.zeros(0, dtype=int), np.zeros(0), np.zeros(0))
+    neutral = EFFECTS[name].neutral()
+    for p in neutral.parameters():
+        for limit, beyond in ((p.low, -1e-9 * p.scale), (p.high, 1e-9 * p.scale)):
+            inside = Model(1e-3, effects=(dataclasses.replace(neutral, **{p.field: limit}),))
+            write_model(path, inside, nobody)
+            assert read_model(path)[0] == inside
+            for value in (limit + beyond, np.nan) if np.isfinite(limit) else (np.nan,):
+                effect = dataclasses.replace(neutral, **{p.field: value})
+                with pytest.raises(ValueError, match=p.name):
+                    write_model(path, Model(1e-3, effects=(effect,)), nobody)
 
 
 @pytest.mark.parametrize(('text', 'message'), [
