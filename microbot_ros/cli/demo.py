@@ -103,16 +103,9 @@ class _Watch:
     """Listens to the estimates while the demo runs, and tells of progress once a second."""
 
     def __init__(self, remote: Any) -> None:
-        from sensor_msgs.msg import PointCloud2
-
         self._remote = remote
         self._estimates: Any = np.empty(0)
-        remote.node.create_subscription(PointCloud2, 'model/state', self._on_state, 10)
-
-    def _on_state(self, message: Any) -> None:
-        from microbot_ros.nodes import messages
-
-        self._estimates = messages.points(message, messages.ESTIMATE)
+        remote.watch_estimates(lambda points: setattr(self, '_estimates', points))
 
     def until(self, deadline: float, began: float) -> None:
         """Let the loop run; one line a second."""

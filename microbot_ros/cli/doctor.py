@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 import sys
-import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -73,23 +72,12 @@ def _python() -> Finding:
 
 def _ros() -> Finding:
     """A message through the middleware and back, as the nodes send theirs."""
-    import rclpy
-    from std_msgs.msg import String
-
     from microbot_ros.nodes.remote import Remote
 
     with Remote('doctor') as remote:
-        heard = threading.Event()
-        remote.node.create_subscription(String, '~/echo', lambda _: heard.set(), 1)
-        publisher = remote.node.create_publisher(String, '~/echo', 1)
-        for _ in range(50):
-            publisher.publish(String(data='echo'))
-            remote.spin(0.05)
-            if heard.is_set():
-                kind = rclpy.get_rmw_implementation_identifier()
-                reach = os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE']
-                return Finding('ros', 'ok', f'{kind} echoes; discovery range {reach}')
-    return Finding('ros', 'fail', 'no echo within 2.5 s; is a firewall closing loopback?')
+        name = remote.echo()
+    reach = os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE']
+    return Finding('ros', 'ok', f'{name} echoes; discovery range {reach}')
 
 
 def _shared_memory() -> Finding:

@@ -18,7 +18,8 @@ from microbot_ros.nodes.messages import MessageError, to_seconds
 from microbot_ros.nodes.parameters import ParameterSet, refuse_unknown
 from microbot_ros.settings import defaults
 
-RELIABLE = QoSProfile(depth=10)
+# Small messages: deep enough for a replay at many times real time.
+RELIABLE = QoSProfile(depth=200)
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 # A best-effort subscriber matches every publisher of images, a reliable one only some.
 IMAGES_IN = QoSProfile(depth=5, reliability=QoSReliabilityPolicy.BEST_EFFORT)

@@ -50,11 +50,8 @@ class ModelNode(RigNode):
 
     def setup(self) -> None:
         values: ModelParameters = self.settings
-        self._estimator = Estimator(
-            Conditions(
-                propulsion=values.propulsion, radius=values.radius_um * 1e-6,
-                viscosity=values.viscosity_mPa_s * 1e-3, temperature=values.temperature_K),
-            Settings(horizon=values.horizon_s, exposure=values.exposure_ms * 1e-3))
+        _warm_up(self._make_estimator())
+        self._estimator = self._make_estimator()
         self._model_file = ''
         self._estimates: Estimates | None = None
         self._state = self.publisher(PointCloud2, 'model/state')
@@ -63,6 +60,14 @@ class ModelNode(RigNode):
             self.subscribe(MagneticField, 'field/applied', self._on_applied)
         else:
             self.subscribe(Vector3Stamped, 'field/command', self._on_command)
+
+    def _make_estimator(self) -> Estimator:
+        values: ModelParameters = self.settings
+        return Estimator(
+            Conditions(
+                propulsion=values.propulsion, radius=values.radius_um * 1e-6,
+                viscosity=values.viscosity_mPa_s * 1e-3, temperature=values.temperature_K),
+            Settings(horizon=values.horizon_s, exposure=values.exposure_ms * 1e-3))
 
     def veto(self, proposed: ModelParameters) -> str:
         if proposed.model_file:
@@ -92,8 +97,10 @@ class ModelNode(RigNode):
             messages.to_seconds(message.header.stamp), np.array([field.x, field.y]))
 
     def _on_command(self, message: Vector3Stamped) -> None:
-        # Its stamp is the exposure it answers; the field turns when the command arrives.
-        self._estimator.command(self.seconds(), np.array([message.vector.x, message.vector.y]))
+        # Its stamp is the exposure it answers; what passes until the field turns is a delay, and
+        # that is estimated.
+        field = np.array([message.vector.x, message.vector.y])
+        self._estimator.command(messages.to_seconds(message.header.stamp), field)
 
     def _on_particles(self, message: PointCloud2) -> None:
         self._follow_model_file()
@@ -110,6 +117,15 @@ class ModelNode(RigNode):
             self._model_file = file
             if file:
                 self._estimator.use(read_model(file)[0])
+
+
+def _warm_up(estimator: Estimator) -> None:
+    """Compile what the first frames would otherwise wait for."""
+    for frame in range(200):
+        t = frame / 50
+        if frame % 25 == 0:
+            estimator.command(t, 1e-3 * np.array([np.cos(frame), np.sin(frame)]), 1.0)
+        estimator.update(t, np.arange(2), np.full((2, 2), 1e-6 * t), np.full(2, 1e-7))
 
 
 def _points(estimates: Estimates) -> np.ndarray:

@@ -15,6 +15,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
 from microbot_ros.errors import InputError
@@ -54,6 +56,27 @@ class Remote:
                 values = {pair.key: pair.value for pair in status.values}
                 tell(status.name.split(':')[0], status.level, status.message, values)
         self.node.create_subscription(DiagnosticArray, '/diagnostics', heard, QoSProfile(depth=50))
+
+    def watch_estimates(self, tell: Callable[[np.ndarray], None]) -> None:
+        """Call `tell(points)`, of type messages.ESTIMATE, for every `model/state`."""
+        self.node.create_subscription(
+            PointCloud2, 'model/state',
+            lambda message: tell(messages.points(message, messages.ESTIMATE)), 10)
+
+    def echo(self, seconds: float = 2.5) -> str:
+        """Send a message through the middleware and back; its name. InputError if none came."""
+        heard: list[String] = []
+        self.node.create_subscription(String, '~/echo', heard.append, 1)
+        publisher = self.node.create_publisher(String, '~/echo', 1)
+        deadline = time.monotonic() + seconds
+        while not heard:
+            if time.monotonic() > deadline:
+                raise InputError('ros', f'no echo within {seconds:g} s; is a firewall closing '
+                                        'loopback?')
+            publisher.publish(String(data='echo'))
+            self.spin(0.05)
+        name: str = rclpy.get_rmw_implementation_identifier()
+        return name
 
     def arm(self, armed: bool = True) -> None:
         """Arm or disarm the gate of the coil driver. InputError with its reason if it refuses."""

@@ -1,0 +1,122 @@
+"""A session played through topics: the model node learns from it what was put in."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import PointCloud2
+from std_srvs.srv import SetBool, Trigger
+
+from microbot_ros.nodes import messages
+from microbot_ros.records import Commands, Conditions, Session, Tracks
+from microbot_ros.session import write_session
+
+SPEED, PHI = np.array([3.7e-6, 4.9e-6]), np.array([-1.1, 2.6])
+DIFFUSION, LOCALISATION = 0.05e-12, 0.05e-6
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Path:
+    """Two particles for 12 s at 30 Hz under a field that turns by steps; Brownian, seeded."""
+    rng = np.random.default_rng(7)
+    t = np.arange(360) / 30
+    angle = np.array([0.0, 2.0, 4.0, 1.0, 5.0, 3.0])[np.minimum(t // 2, 5).astype(int)]
+    steps = SPEED[:, None] * np.exp(1j * (PHI[:, None] + angle)) / 30
+    walk = rng.normal(0, math.sqrt(2 * DIFFUSION / 30), (2, 2, 360))
+    path = np.cumsum(steps + walk[0] + 1j * walk[1], axis=1)
+    seen = path + LOCALISATION * (rng.normal(size=path.shape) + 1j * rng.normal(size=path.shape))
+    # A displacement reaches the frame after the command: commands are stamped a frame earlier.
+    tracks = Tracks(np.repeat(t, 2), np.tile([0, 1], 360),
+                    np.stack([seen.real, seen.imag], -1).transpose(1, 0, 2).reshape(-1, 2),
+                    np.full(720, np.nan), np.full(720, LOCALISATION))
+    commands = Commands(t - 1 / 30, 5e-3 * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+    folder = tmp_path / 'session'
+    write_session(folder, Session(tracks, commands, Conditions(radius=2.3e-6)))
+    return folder
+
+
+def test_what_is_played_is_what_the_model_learns(ros: Any, session: Path) -> None:
+    graph = ros({'model': {'command_source': 'command', 'radius_um': 2.3, 'use_sim_time': True,
+                           'viscosity_mPa_s': 1.245},
+                 'player': {'session': str(session), 'rate': 5.0}})
+    states = graph.hear(PointCloud2, 'model/state')
+    assert graph.add('model').active, graph.nodes['model'].fault
+    assert graph.add('player').active, graph.nodes['player'].fault
+    graph.until(lambda: graph.nodes['player'].finished, 30)
+    graph.until(lambda: len(states) == 360)
+    last = messages.points(states[-1], messages.ESTIMATE)
+    assert last['id'].tolist() == [0, 1]
+    assert np.abs(last['speed'] - SPEED).max() < 4 * last['speed_std'].max()
+    assert np.abs(np.angle(np.exp(1j * (last['phi'] - PHI)))).max() < 4 * last['phi_std'].max()
+    assert last['speed_std'].max() < 0.2e-6
+    drag = 6 * math.pi * 1.245e-3 * 2.3e-6
+    assert last['force'] == pytest.approx(drag * last['speed'], rel=1e-4)
+
+
+def test_a_player_pauses_and_steps(ros: Any, session: Path) -> None:
+    graph = ros({'player': {'session': str(session), 'rate': 1.0, 'topics': ['particles']}})
+    particles = graph.hear(PointCloud2, 'particles')
+    assert graph.add('player').active
+    graph.until(lambda: particles)
+    assert graph.call(SetBool, 'player/pause', SetBool.Request(data=True)).success
+    sent = graph.nodes['player']._sent
+    assert graph.call(Trigger, 'player/step', Trigger.Request()).success
+    assert graph.nodes['player']._sent == sent + 1
+
+
+@pytest.mark.parametrize(('parameters', 'expected'), [
+    ({}, 'expected a parameter session'),
+    ({'session': '/nowhere'}, '/nowhere'),
+    ({'session': 'SESSION', 'topics': ['steam']}, 'no topic /steam'),
+])
+def test_what_cannot_be_played_is_one_clear_line(
+        ros: Any, session: Path, parameters: dict[str, Any], expected: str) -> None:
+    parameters = {k: str(session) if v == 'SESSION' else v for k, v in parameters.items()}
+    node = ros({'player': parameters}).add('player')
+    assert not node.active
+    assert expected in node.fault
+
+
+def test_a_bad_model_file_is_refused_and_the_model_kept(ros: Any, tmp_path: Path) -> None:
+    graph = ros({'model': {}})
+    node = graph.add('model')
+    before = node._estimator.model
+    bad = tmp_path / 'model.yaml'
+    bad.write_text('effects:\n  warp_drive: {}\n')
+
+    def answer(value: str) -> Any:
+        parameter: ParameterMessage = Parameter('model_file', value=value).to_parameter_msg()
+        return graph.call(SetParameters, 'model/set_parameters',
+                          SetParameters.Request(parameters=[parameter])).results[0]
+    refused = answer(str(bad))
+    assert not refused.successful
+    assert str(bad) in refused.reason
+    assert answer('/nowhere.yaml').successful is False
+    assert node.settings.model_file == ''
+    assert node._estimator.model is before
+
+
+def test_points_that_are_no_numbers_leave_the_rest_alone(ros: Any) -> None:
+    graph = ros({'model': {}})
+    node = graph.add('model')
+    states = graph.hear(PointCloud2, 'model/state')
+    particles = graph.probe.create_publisher(PointCloud2, 'particles', 10)
+    graph.until(lambda: particles.get_subscription_count() == 1)
+    points = np.zeros(3, messages.PARTICLE)
+    points['id'] = [1, 2, 3]
+    points['x'] = [1e-6, np.nan, np.inf]
+    points['sigma'] = [1e-7, 1e-7, np.nan]
+    for frame in range(5):
+        particles.publish(messages.cloud(points, messages.to_stamp(1.0 + frame / 30)))
+    graph.until(lambda: len(states) == 5)
+    known = messages.points(states[-1], messages.ESTIMATE)
+    assert 1 in known['id']
+    assert np.isfinite(known['x']).all()
+    assert node.active
