@@ -9,6 +9,8 @@ import numpy as np
 from microbot_ros.errors import InputError
 from microbot_ros.records import Commands, Tracks
 from microbot_ros.session.lab.answers import Answers, Said
+from microbot_ros.session.lab.columns import Column
+from microbot_ros.session.lab.sheets import Sheet
 
 _CHORD_SECONDS = 0.25
 """Motion is judged over chords this long, to rise above the noise of single frames."""
@@ -19,22 +21,21 @@ _CLEARLY = 2.0
 _NEAR_90 = math.radians(12)
 
 
-def to_radians(
-    values: np.ndarray, unit: str, where: str, answers: Answers, said: Said,
-) -> np.ndarray:
-    """Angles in radians by their unit, or by their size where none is stated."""
-    unit = answers.angle_unit or unit
+def angles(sheet: Sheet, column: Column, answers: Answers, said: Said) -> np.ndarray:
+    """A column of angles (n,) in radians, by their unit, or by their size where none is told."""
+    values, name = sheet.numbers(column.index), sheet.names[column.index]
+    unit = answers.angle_unit or column.unit
     if not unit:
         largest, span = np.nanmax(np.abs(values)), np.nanmax(values) - np.nanmin(values)
         if largest > 2 * math.pi + 0.01:
             unit = '_deg'
-            said.add(f'{where}: in degrees, since it reaches {largest:.4g}')
+            said.add(f"{sheet.name}, '{name}': in degrees, since it reaches {largest:.4g}")
         elif span > 3:
             unit = '_rad'
-            said.add(f'{where}: in radians, since it spans {span:.3g}')
+            said.add(f"{sheet.name}, '{name}': in radians, since it spans {span:.3g}")
         else:
-            raise InputError(where, f'expected --angle-unit deg or rad: a span of {span:.3g} '
-                                    'could be either')
+            raise InputError(sheet.place, 'expected --angle-unit deg or rad: a span of '
+                                          f"{span:.3g} in '{name}' could be either")
     return np.radians(values) if unit == '_deg' else values
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from microbot_ros.errors import InputError
 from microbot_ros.records import Commands, Conditions, Session, Tracks
 from microbot_ros.session.folder import NOMINAL_FIELD
-from microbot_ros.session.lab.angles import settle_angles, to_radians
+from microbot_ros.session.lab.angles import angles, settle_angles
 from microbot_ros.session.lab.answers import Answers, Said
 from microbot_ros.session.lab.columns import Column, find_columns
 from microbot_ros.session.lab.sheets import Sheet, read_sheets
@@ -85,8 +85,7 @@ def _pieces(
             ids = np.full(len(t), alone if x.particle is None else x.particle)
         heading = np.full(len(t), np.nan)
         if theta is not None:
-            where = f"{sheet.place}, '{sheet.names[theta.index]}'"
-            heading = to_radians(sheet.numbers(theta.index), theta.unit, where, answers, said)
+            heading = angles(sheet, theta, answers, said)
         position = _positions(sheet, x, y, answers, said)
         if _points_down(x, answers):
             heading = -heading
@@ -187,15 +186,10 @@ def _field(
     sheet: Sheet, columns: list[Column], answers: Answers, said: Said,
 ) -> tuple[np.ndarray, np.ndarray | None]:
     by_role = {column.role: column for column in columns}
-    values = {
-        role: sheet.numbers(by_role[role].index)
-        for role in ('direction', 'frequency', 'bx', 'by') if role in by_role
-    }
-    turning = values.get('frequency')
-    if 'direction' in values and (
-            'bx' not in values or (turning is not None and np.nansum(np.abs(turning)) > 0)):
-        where = f"{sheet.place}, '{sheet.names[by_role['direction'].index]}'"
-        angle = to_radians(values['direction'], by_role['direction'].unit, where, answers, said)
+    turning = sheet.numbers(by_role['frequency'].index) if 'frequency' in by_role else None
+    rolls = turning is not None and np.nansum(np.abs(turning)) > 0
+    if 'direction' in by_role and (rolls or 'bx' not in by_role):
+        angle = angles(sheet, by_role['direction'], answers, said)
         if turning is None:
             said.add(f'the field has {NOMINAL_FIELD * 1e3:g} mT, since only its direction is told')
         return NOMINAL_FIELD * np.column_stack([np.cos(angle), np.sin(angle)]), turning
@@ -204,7 +198,8 @@ def _field(
         raise InputError(sheet.place, f"expected --field-unit mT, T or G: "
                                       f"'{sheet.names[by_role['bx'].index]}' names none")
     scale = _GAUSS if unit == '_G' else to_si(unit, 1.0)
-    return scale * np.column_stack([values['bx'], values['by']]), None
+    components = [sheet.numbers(by_role[role].index) for role in ('bx', 'by')]
+    return scale * np.column_stack(components), None
 
 
 def _frame_rate(tracks: Tracks, answers: Answers) -> float | None:

@@ -1,0 +1,61 @@
+"""`microbot import` from the outside."""
+
+import json
+
+import pytest
+from click.testing import CliRunner
+
+from microbot_ros import cli
+from microbot_ros.errors import InputError
+from microbot_ros.session import read_session
+
+TABLE = 't;x;y\n' + ''.join(f'{i * 0.05:.2f};{i}00,5;{i}\n'.replace('.', ',') for i in range(9))
+
+
+def run(*words: object) -> str:
+    result = CliRunner().invoke(
+        cli.microbot, ['import', *map(str, words)], catch_exceptions=False, standalone_mode=False)
+    if isinstance(result.exception, Exception):
+        raise result.exception
+    return result.output
+
+
+@pytest.fixture
+def table(tmp_path):
+    (tmp_path / 'lab.csv').write_text(TABLE)
+    return tmp_path / 'lab.csv'
+
+
+def test_a_table_becomes_a_session_and_says_what_it_assumed(table, tmp_path):
+    text = run(table, '--pixel-size-um', 0.5, '--out', tmp_path / 's', '--json',
+               tmp_path / 'a.json')
+    assert 'assumed  lab.csv: decimal commas' in text
+    assert 'assumed  y points down' in text
+    assert '1 robots, 9 positions over 0.4 s, 0 commands' in text
+    session = read_session(tmp_path / 's')
+    assert session.tracks.position[2].tolist() == pytest.approx([100.25e-6, -1e-6])
+    assert session.conditions.pixel_size == 0.5e-6
+    found = json.loads((tmp_path / 'a.json').read_text())
+    assert found['particles'] == [0]
+    assert len(found['assumed']) == len([row for row in text.splitlines() if 'assumed' in row])
+
+
+def test_options_overrule_detection(table, tmp_path):
+    run(table, '--position-unit', 'mm', '--y', 'down', '--time-unit', 'ms', '--column', 'x=y',
+        '--column', 'y=x', '--out', tmp_path / 's')
+    tracks = read_session(tmp_path / 's').tracks
+    assert tracks.position[1].tolist() == pytest.approx([1e-3, -100.5e-3])
+    assert tracks.t[1] == pytest.approx(0.05e-3)
+
+
+@pytest.mark.parametrize(('words', 'said'), [
+    ([], '--position-unit'), (['--position-unit', 'px'], '--pixel-size-um'),
+    (['--pixel-size-um', 'nan'], 'above 0'), (['--pixel-size-um', '-1'], 'above 0'),
+    (['--pixel-size-um', 'inf'], 'above 0'), (['--frame-rate-hz', '0'], 'above 0'),
+    (['--angle-offset-deg', 'nan'], 'expected a number'),
+    (['--column', 'z=x'], 'ROLE=NAME'), (['--column', 'x'], 'ROLE=NAME'),
+])
+def test_bad_options_are_named_and_nothing_is_written(table, tmp_path, words, said):
+    with pytest.raises(InputError, match=said):
+        run(table, *words, '--out', tmp_path / 's')
+    assert sorted(path.name for path in tmp_path.iterdir()) == ['lab.csv']
