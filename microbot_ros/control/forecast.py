@@ -1,4 +1,4 @@
-"""Where the particles will be when a command given now takes effect."""
+"""What the field did and will do: the commands on their way, and how far they carry particles."""
 
 from __future__ import annotations
 
@@ -13,12 +13,8 @@ KNOWN_WELL_ENOUGH = 0.5
 """Standard deviation of φ [rad] up to which a forecast beats the measured position."""
 
 
-class Forecast:
-    """Remembers the commands and carries positions from their exposure over the delay.
-
-    By the first-order model: a particle moves v e^{iφ} ∫u dt, u the field's direction as a
-    complex number, which it keeps when the field goes to zero; a roller as far as it is rotated.
-    """
+class FieldRecord:
+    """The commands of the last seconds, by the time at which each begins to act."""
 
     def __init__(self) -> None:
         self._steps: deque[tuple[float, complex, float]] = deque(maxlen=256)
@@ -28,26 +24,41 @@ class Forecast:
         self._steps.clear()
 
     def note(self, t: float, field: np.ndarray, frequency: float) -> None:
-        """From `t` [s] on the field (2,) [T] acts, rotating at `frequency` [Hz] for rollers."""
+        """From `t` [s] on the field (2,) [T] acts, rotating at `frequency` [Hz] for rollers.
+
+        Particles keep their direction when the field goes to zero.
+        """
         strength = complex(*field.tolist())
         before = self._steps[-1][1] if self._steps else 0j
         direction = strength / abs(strength) if strength else before
         self._steps.append((t, direction, frequency))
 
-    def look_ahead(self, situation: Situation) -> Situation:
-        """The situation with `expected` (N, 2) filled in, the measured position where φ is not
-        known well enough to do better."""
-        rolling = situation.model is not None and situation.model.propulsion == 'rolling'
-        begin, end = situation.t - situation.age, situation.t + situation.delay
-        displacement = 0j
+    def shared(self, begin: float, end: float, rolling: bool = False) -> complex:
+        """∫u dt [s] from `begin` to `end`, u the field's direction as a complex number.
+
+        For `rolling` particles ∫f u dt, in turns. Nothing before the first command known.
+        """
+        total = 0j
         for t, direction, frequency in reversed(self._steps):
-            if t < end:
-                displacement += direction * (frequency if rolling else 1) * (end - max(t, begin))
-                end = max(t, begin)
+            start = max(t, begin)
+            if start < end:
+                total += direction * (frequency if rolling else 1.0) * (end - start)
+                end = start
             if t <= begin:
                 break
-        known = situation.learned(KNOWN_WELL_ENOUGH) & np.isfinite(situation.speed)
-        moved = np.zeros((len(known), 2))
-        velocity = situation.speed[known] * np.exp(1j * situation.phi[known])
-        moved[known] = (velocity * displacement).view(float).reshape(-1, 2)
-        return dataclasses.replace(situation, expected=situation.position + moved)
+        return total
+
+
+def look_ahead(situation: Situation, record: FieldRecord) -> Situation:
+    """The situation with `expected` (N, 2) filled in by the first-order model.
+
+    A particle moves v e^{iφ} ∫u dt from its exposure until a command of now takes effect. Where
+    φ is not known well enough to do better, the measured position stands.
+    """
+    rolling = situation.model is not None and situation.model.propulsion == 'rolling'
+    begin, end = situation.t - situation.age, situation.t + situation.delay
+    known = situation.learned(KNOWN_WELL_ENOUGH) & np.isfinite(situation.speed)
+    velocity = situation.speed[known] * np.exp(1j * situation.phi[known])
+    moved = np.zeros((len(known), 2))
+    moved[known] = (velocity * record.shared(begin, end, rolling)).view(float).reshape(-1, 2)
+    return dataclasses.replace(situation, expected=situation.position + moved)

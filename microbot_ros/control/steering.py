@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from microbot_ros.control.contract import GoalError, Situation
+from microbot_ros.control.contract import FieldCommand, GoalError, Progress, Situation
 
 
 def approach(offset: complex, hold_radius: float) -> float:
@@ -55,6 +55,39 @@ def goals_in_reach(situation: Situation) -> np.ndarray:
     return position
 
 
-def excitation(elapsed: float, leg: float) -> float:
-    """The angle of the field [rad] while nothing is known: a triangle, one `leg` [s] a side."""
-    return 2 * math.pi / 3 * (elapsed // leg)
+def turned_inwards(situation: Situation, row: int, course: float, margin: float) -> float:
+    """The course [rad] of the particle in a row, without its part that leads out of the view.
+
+    Applies within `margin` [m] of a border; there at least a little inwards.
+    """
+    way = [math.cos(course), math.sin(course)]
+    place = situation.expected[row]
+    for axis in (0, 1):
+        if place[axis] > situation.workspace.high[axis] - margin:
+            way[axis] = min(way[axis], -0.2)
+        elif place[axis] < situation.workspace.low[axis] + margin:
+            way[axis] = max(way[axis], 0.2)
+    return math.atan2(way[1], way[0])
+
+
+class Excitation:
+    """The course of the field while it is not known how particles answer: a triangle.
+
+    It comes back to where it began, and shows an estimator three directions.
+    """
+
+    def __init__(self) -> None:
+        self._begun: float | None = None
+
+    def stop(self) -> None:
+        """The next one begins anew."""
+        self._begun = None
+
+    def command(self, situation: Situation, leg: float, strength: float,
+                frequency: float = 0.0) -> FieldCommand:
+        """A field of `strength` [T]; each side of the triangle takes `leg` [s]."""
+        if self._begun is None:
+            self._begun = situation.t
+        angle = 2 * math.pi / 3 * ((situation.t - self._begun) // leg)
+        return FieldCommand(field_along(situation, angle, strength), frequency,
+                            Progress('learns how particles answer to the field'))

@@ -20,7 +20,7 @@ from microbot_ros.control.contract import (
     Situation,
     no_field,
 )
-from microbot_ros.control.forecast import Forecast
+from microbot_ros.control.forecast import FieldRecord, look_ahead
 from microbot_ros.control.worker import HungError, LateError, Worker
 
 _log = logging.getLogger(__name__)
@@ -64,7 +64,7 @@ class Switchboard:
         self._deadline = deadline
         self._stale_after = stale_after
         self._worker = Worker(patience)
-        self._forecast = Forecast()
+        self._record = FieldRecord()
         self._field = np.zeros(2)
         self._activated = False
         self._fault = ''
@@ -129,14 +129,14 @@ class Switchboard:
         """
         if not abs(situation.age) <= self._stale_after:
             self._field = np.zeros(2)
-            self._forecast.clear()
+            self._record.clear()
             return Outcome(None, Result.STALE, f'poses are {situation.age:.2f} s old')
         situation = dataclasses.replace(_usable(situation), field=self._field.copy())
-        self._last = situation = self._forecast.look_ahead(situation)
+        self._last = situation = look_ahead(situation, self._record)
         command, result, message = self._ask(situation)
         field = _approach(self._field, command.field, situation)
         self._field = field
-        self._forecast.note(situation.t + situation.delay, field, command.frequency)
+        self._record.note(situation.t + situation.delay, field, command.frequency)
         return Outcome(dataclasses.replace(command, field=field), result, message)
 
     def close(self) -> None:

@@ -1,0 +1,102 @@
+"""A controller in a loop with the fine simulated world: camera noise, delay, frames."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from microbot_ros.control.contract import Controller, Limits, Situation, Workspace
+from microbot_ros.control.switchboard import Outcome, Switchboard
+from microbot_ros.model.model import Model
+from microbot_ros.model.particle import Fluid, rotational_drag
+from microbot_ros.virtual_rig.body import bodies
+from microbot_ros.virtual_rig.hidden import hide
+from microbot_ros.virtual_rig.world import FieldHistory, World
+
+FLUID = Fluid(viscosity=1.245e-3)
+FIELD = 5e-3
+VIEW = Workspace(np.array([-144e-6, -108e-6]), np.array([144e-6, 108e-6]))
+QUICK = 5e-4
+"""Alignment time [s] at FIELD where lag plays no part."""
+
+
+@dataclass
+class Loop:
+    """`count` particles of radius 2.3 µm in a world with hidden effects, and a camera.
+
+    The controller sees positions `age` [s] old with `sigma` [m] of noise and headings with
+    `theta_std` [rad]; what it commands acts `delay` [s] later. φ and speed it is told exactly,
+    if `told`.
+    """
+
+    position: np.ndarray
+    speed: np.ndarray
+    phi: np.ndarray
+    effects: dict[str, dict[str, Any]] = field(default_factory=dict)
+    seed: int = 0
+    period: float = 1 / 60
+    delay: float = 0.03
+    age: float = 0.015
+    sigma: float = 5e-8
+    theta_std: float = 0.05
+    told: bool = True
+    model: Model | None = None
+    heading: np.ndarray | float = 0.0
+
+    def __post_init__(self) -> None:
+        self.rng = np.random.default_rng(self.seed)
+        count = len(self.speed)
+        radius = np.full(count, 2.3e-6)
+        moment = rotational_drag(FLUID, radius) / (QUICK * FIELD)
+        body = bodies(FLUID, radius, moment, self.phi, self.position, speed=self.speed,
+                      heading=self.heading)
+        for name, parameters in self.effects.items():
+            hide(body, name, parameters, reference_field=FIELD)
+        self.world = World(body, np.random.default_rng(self.seed + 1000))
+        self._fields: deque[tuple[float, np.ndarray]] = deque([(-1.0, np.zeros(2))], maxlen=64)
+        self._ticks = 0
+        self.spent: list[float] = []
+
+    def situation(self, t: float, **what: Any) -> Situation:
+        """What the controller is told at a tick; the world is moved on to it."""
+        self._advance(t - self.age)
+        count, rng = len(self.speed), self.rng
+        known = np.full(count, 1e-8 if self.told else math.inf)
+        seen = Situation(
+            t, self.period, self.age, np.arange(count),
+            self.world.position + rng.normal(0, self.sigma, (count, 2)),
+            np.full(count, self.sigma), self.world.heading + rng.normal(0, self.theta_std, count),
+            self.speed if self.told else np.full(count, math.nan),
+            self.phi if self.told else np.full(count, math.nan),
+            known, known * 1e6, Limits(FIELD, 1.0, 50.0), VIEW, self.delay, model=self.model)
+        return dataclasses.replace(seen, **what)
+
+    def run(self, controller: Controller | Switchboard, seconds: float,
+            note: Callable[[float, World, Outcome], None], **what: Any) -> None:
+        """Close the loop for `seconds`; `note(t, world, outcome)` after each tick."""
+        board = controller if isinstance(controller, Switchboard) else Switchboard(
+            {'it': controller}, 'it', deadline=1.0)
+        for _ in range(round(seconds / self.period)):
+            t = self._ticks * self.period
+            situation = self.situation(t, **what)
+            begun = time.perf_counter()
+            outcome = board.tick(situation)
+            self.spent.append(time.perf_counter() - begun)
+            if outcome.command is not None:
+                self._fields.append((t + self.delay, outcome.command.field))
+            note(t, self.world, outcome)
+            self._ticks += 1
+
+    def _advance(self, t: float) -> None:
+        rows = [row for row in self._fields if row[0] <= t]
+        first = len(rows) - 1
+        rows = list(self._fields)[max(0, first - 8):]
+        self.world.advance(t, FieldHistory(
+            np.array([row[0] for row in rows]), np.array([row[1] for row in rows])[:, None]))

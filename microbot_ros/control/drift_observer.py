@@ -1,0 +1,54 @@
+"""Learns, while driving, how one particle answers to the field and what carries it away."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+class DriftObserver:
+    """A Kalman filter for dp/dt = c u + w, all complex: speed, angle and drift at once.
+
+    State: position p [m], answer c = v e^{iφ} [m/s], drift w [m/s]; each but the first wanders
+    slowly. As nothing prefers a direction, one Hermitian 3 × 3 covariance serves x and y; its
+    entries are variances per coordinate. The drift is what integral action is to a path follower,
+    in the frame in which it is constant: that of the workspace, not of the path.
+    """
+
+    WANDER = np.array([0.3e-6**2, 0.05e-6**2, 0.1e-6**2])
+    """Growth of the variance per second: Brownian motion [m²/s], of c and w [m²/s³]."""
+
+    def __init__(self, position: complex, answer: complex, answer_std: float,
+                 drift_std: float) -> None:
+        self._state = np.array([position, answer, 0], complex)
+        self._covariance = np.diag([1e-12, answer_std**2, drift_std**2]).astype(complex)
+
+    def update(self, shared: complex, dt: float, measured: complex, sigma: float) -> None:
+        """`dt` [s] after the measurement before: `measured` position ± `sigma` [m].
+
+        `shared` is ∫u dt [s] in between.
+        """
+        move = np.array([[1, shared, dt], [0, 1, 0], [0, 0, 1]], complex)
+        P = move @ self._covariance @ move.conj().T + np.diag(self.WANDER * dt)
+        state = move @ self._state
+        gain = P[:, 0] / (P[0, 0].real + sigma**2)
+        self._state = state + gain * (measured - state[0])
+        self._covariance = P - np.outer(gain, P[0])
+
+    @property
+    def answer(self) -> complex:
+        """c = v e^{iφ} [m/s]."""
+        return complex(self._state[1])
+
+    @property
+    def answer_std(self) -> float:
+        """Standard deviation of each coordinate of c [m/s]."""
+        return float(np.sqrt(self._covariance[1, 1].real))
+
+    @property
+    def drift(self) -> complex:
+        """w [m/s]."""
+        return complex(self._state[2])
+
+    def ahead(self, shared: complex, dt: float) -> complex:
+        """Where the particle is `dt` [s] after the last measurement, ∫u dt = `shared` later."""
+        return complex(self._state[0] + self._state[1] * shared + self._state[2] * dt)

@@ -1,0 +1,71 @@
+"""One particle's list of goals, and how far it has come."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from microbot_ros.control.contract import NO_PLACES, Goals, ParticleLostError, Situation
+from microbot_ros.control.steering import goals_in_reach
+
+
+class Itinerary:
+    """Goals in order for one particle, named or chosen.
+
+    The particle is the one asked for, else the one that the goals name first, else the one seen
+    nearest to the first goal; a chosen one that is lost is replaced by the nearest. Goals that
+    name particles are taken for that one only. A new list starts from its first.
+    """
+
+    def __init__(self) -> None:
+        self.particle = -1
+        self.done = False
+        self._next = 0
+        self._named = False
+        self._position = NO_PLACES
+
+    def __len__(self) -> int:
+        return len(self._position)
+
+    def __str__(self) -> str:
+        return f'particle {self.particle}: goal {self._next + 1} of {len(self)}'
+
+    def update(self, situation: Situation, asked: int) -> None:
+        """Look at the goals; `asked` is the particle to drive, −1 for any.
+
+        GoalError for a goal outside the workspace.
+        """
+        goals_in_reach(situation)
+        named = _first_named(situation.goals) if asked < 0 else asked
+        position = situation.goals.position
+        if situation.goals.ids is not None:
+            position = position[situation.goals.ids == named]
+        if not np.array_equal(position, self._position) or (named >= 0 and named != self.particle):
+            self._position, self._next, self.done = position, 0, False
+            self.particle = named
+        self._named = named >= 0
+
+    def row(self, situation: Situation) -> int:
+        """The row of the particle; ParticleLostError where it, or any, is not seen."""
+        if not self._named and self.particle not in situation.ids:
+            if not len(situation.ids):
+                raise ParticleLostError('no particle is seen')
+            away = np.hypot(*(situation.position - self._position[self._next]).T)
+            self.particle = int(situation.ids[np.argmin(away)])
+        return situation.index(self.particle)
+
+    def offset(self, position: np.ndarray, arrival: float) -> complex:
+        """The way [m] from `position` (2,) to the present goal; those within `arrival` are done.
+
+        After the last one, the way to that.
+        """
+        while True:
+            offset = complex(*(self._position[self._next] - position).tolist())
+            last = self._next == len(self) - 1
+            if abs(offset) > arrival or last:
+                self.done |= last and abs(offset) <= arrival
+                return offset
+            self._next += 1
+
+
+def _first_named(goals: Goals) -> int:
+    return -1 if goals.ids is None or not len(goals) else int(goals.ids[0])

@@ -1,0 +1,81 @@
+"""Many particles, one field: the best displacement they can share.
+
+Positions as complex numbers z [m]; a particle answers to U = ∫u dt [s], the same for all, with
+the displacement cU, c = v e^{iφ} [m/s] its own. Source: PAPER, "What the first-order model
+implies for control".
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from microbot_ros.control.contract import Workspace
+
+
+def as_complex(position: np.ndarray) -> np.ndarray:
+    """Vectors (..., 2) as complex numbers (...)."""
+    return position[..., 0] + 1j * position[..., 1]
+
+
+def best_displacement(velocity: np.ndarray, wanted: np.ndarray) -> complex:
+    """U* = Σ c̄ᵢ dᵢ / Σ |cᵢ|² [s], which brings all particles closest to their goals together.
+
+    `velocity` c (N,) [m/s]; `wanted` d = g − z (N,) [m]. Zero where no particle moves.
+    """
+    power = np.vdot(velocity, velocity).real
+    return complex(np.vdot(velocity, wanted) / power) if power > 0 else 0j
+
+
+def floor(velocity: np.ndarray, wanted: np.ndarray) -> float:
+    """RMS distance [m] from the goals that no controller can beat under the first-order model."""
+    left = wanted - velocity * best_displacement(velocity, wanted)
+    return float(np.sqrt(np.mean(np.abs(left) ** 2))) if len(left) else 0.0
+
+
+def borders(workspace: Workspace, position: np.ndarray, velocity: np.ndarray,
+            margin: float) -> tuple[np.ndarray, np.ndarray]:
+    """What keeps all particles in view: Re(n̄ U) ≤ h for every n (4N,) [m/s] and h (4N,) [m].
+
+    `position` (N, 2) [m]. One that is within the `margin` [m] of the border, or beyond it, may
+    stay as far out as it is, so that U = 0 is always allowed. As the workspace is convex, no
+    particle leaves it on the straight way to a displacement that is allowed.
+    """
+    room = np.concatenate([workspace.high - margin - position, position - workspace.low - margin])
+    normal = np.concatenate([velocity.conj(), 1j * velocity.conj(),
+                             -velocity.conj(), -1j * velocity.conj()])
+    count = len(position)
+    by_side = np.concatenate([room[:count].T, room[count:].T]).ravel()
+    return normal, np.maximum(by_side, 0.0)
+
+
+def nearest_allowed(wanted: complex, normal: np.ndarray, room: np.ndarray) -> complex:
+    """The displacement nearest to the wanted one with Re(n̄ U) ≤ h for all n (K,), h (K,) ≥ 0.
+
+    As the squared error of `best_displacement` grows by Σ|cᵢ|² |U − U*|², the nearest is the best.
+    """
+    def allowed(points: np.ndarray) -> np.ndarray:
+        slack = room - (normal.conj() * points[:, None]).real
+        return (slack >= -1e-12 - 1e-9 * room).all(1)
+
+    if allowed(np.array([wanted]))[0]:
+        return wanted
+    candidates = np.concatenate([[0j], _feet(wanted, normal, room), corners(normal, room)])
+    candidates = candidates[allowed(candidates)]
+    return complex(candidates[np.argmin(np.abs(candidates - wanted))])
+
+
+def _feet(wanted: complex, normal: np.ndarray, room: np.ndarray) -> np.ndarray:
+    """The foot of the perpendicular from the wanted point on each border."""
+    power = np.abs(normal) ** 2
+    some = power > 0
+    excess = (normal.conj() * wanted).real[some] - room[some]
+    return np.asarray(wanted - normal[some] * excess / power[some])
+
+
+def corners(normal: np.ndarray, room: np.ndarray) -> np.ndarray:
+    """Where each two borders meet, allowed or not."""
+    a, b = np.triu_indices(len(normal), 1)
+    cross = (normal[a].conj() * normal[b]).imag
+    some = np.abs(cross) > 1e-9 * np.abs(normal[a]) * np.abs(normal[b])
+    a, b, cross = a[some], b[some], cross[some]
+    return np.asarray(1j * (room[b] * normal[a] - room[a] * normal[b]) / cross)
