@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from microbot_ros.tracking.appearance import Appearance
 from microbot_ros.tracking.assign import assign
 from microbot_ros.tracking.detect import Detections
 from microbot_ros.tracking.motion import Motion
@@ -38,7 +39,8 @@ class TrackStates:
 
     `xy` and `velocity` (N, 2); `covariance` (N, 3): variances of position, of both together, of
     velocity, per coordinate; `step` the last measured displacement, NaN after a gap; `hits` the
-    frames seen, `missed` the frames since.
+    frames seen, `missed` the frames since; `host` the identity of the particle that it has merged
+    with, −1 where it is on its own.
     """
 
     id: np.ndarray
@@ -53,6 +55,7 @@ class TrackStates:
     radius: np.ndarray
     hits: np.ndarray
     missed: np.ndarray
+    host: np.ndarray
 
     def __len__(self) -> int:
         return len(self.id)
@@ -73,9 +76,12 @@ class Linker:
     """Follows particles from frame to frame. Identities count up from 0 and are never reused."""
 
     def __init__(
-        self, settings: TrackerSettings, diameter_px: float, size: tuple[int, int]
+        self, settings: TrackerSettings, appearance: Appearance, size: tuple[int, int]
     ) -> None:
+        diameter_px = appearance.diameter_px
         self._settings = settings
+        # Round particles that touch are told apart by the fit; outlines run into one.
+        self._merging = not appearance.round
         self._size = size
         self._motion = Motion(diameter_px)
         self._max_step = settings.max_step_px or diameter_px
@@ -111,6 +117,8 @@ class Linker:
         """Give each detection to a particle, or to a new one; drop who was unseen too long."""
         states = self.states
         track, detection = self._associate(found)
+        if self._merging:
+            track = self._merge(track, found, detection)
         self._learn(track, found, detection)
         self._correct(track, found, detection)
         states.missed = states.missed + 1
@@ -119,6 +127,7 @@ class Linker:
         unseen = np.setdiff1d(np.arange(len(states)), track)
         states.step[unseen] = np.nan
         states.theta[unseen] = np.nan
+        self._follow_hosts()
         self._bury()
         self._christen()
         fresh = np.setdiff1d(np.arange(len(found)), detection)
@@ -129,11 +138,53 @@ class Linker:
 
     def _associate(self, found: Detections) -> tuple[np.ndarray, np.ndarray]:
         states = self.states
-        reach = self._max_step * np.sqrt(1.0 + states.missed)
+        alone = states.host < 0
+        wider = np.where(alone, np.sqrt(1.0 + states.missed), 1.0)
+        reach = self._max_step * wider + np.where(alone, 0.0, np.sqrt(states.covariance[:, 0]))
         rate = _MISS_RATE * self._birth_rate / (self._size[0] * self._size[1])
         return assign(
             states.xy, states.covariance[:, 0], reach, _looks(states),
             found.xy, found.sigma**2 + _LEAST_SIGMA**2, _looks(found), _LOOKS_SPREAD, rate)
+
+    def _merge(
+        self, track: np.ndarray, found: Detections, detection: np.ndarray
+    ) -> np.ndarray:
+        """Let named particles that vanish into the outline of another go on with it.
+
+        The older of the two keeps the outline. Returns the tracks of the detections.
+        """
+        states, track = self.states, track.copy()
+        lost = np.setdiff1d(np.flatnonzero((states.id != _UNNAMED) & (states.host < 0)), track)
+        for i in lost[np.argsort(-states.hits[lost])]:
+            offset = np.linalg.norm(found.xy[detection] - states.xy[i], axis=1)
+            inside = offset - found.radius[detection] - states.radius[i] / 2
+            if states.missed[i] > 0 or len(inside) == 0 or not inside.min() < 0:
+                continue
+            k = int(np.argmin(inside))
+            other = track[k]
+            if states.id[other] == _UNNAMED:
+                continue
+            if states.hits[i] > states.hits[other]:
+                track[k], other, i = i, i, other
+            states.host[i] = states.id[other]
+        return track
+
+    def _follow_hosts(self) -> None:
+        """Merged particles are where their host is, give or take its radius."""
+        states = self.states
+        states.host[states.missed == 0] = -1
+        row = {int(name): k for k, name in enumerate(states.id) if name != _UNNAMED}
+        for i in np.flatnonzero(states.host >= 0):
+            host = row.get(int(states.host[i]))
+            while host is not None and states.host[host] >= 0 and host != i:
+                host = row.get(int(states.host[host]))
+            if host is None or host == i or states.missed[host] > 0:
+                states.host[i] = -1
+                states.missed[i] = 1
+                continue
+            states.host[i] = states.id[host]
+            states.xy[i], states.velocity[i] = states.xy[host], states.velocity[host]
+            states.covariance[i, :2] = states.radius[host] ** 2, 0.0
 
     def _learn(self, track: np.ndarray, found: Detections, detection: np.ndarray) -> None:
         states = self.states
@@ -161,9 +212,11 @@ class Linker:
         states.measured[track] = found.xy[detection]
         states.sigma[track] = sigma
         states.theta[track] = found.theta[detection]
+        # What a clump looks like says nothing about its parts, once they part.
+        alone = ~np.isin(states.id[track], states.host[states.host >= 0])
         for name in ('contrast', 'radius'):
-            value = getattr(states, name)
-            value[track] *= (getattr(found, name)[detection] / value[track]) ** 0.2
+            value, now = getattr(states, name), getattr(found, name)[detection]
+            value[track[alone]] *= (now[alone] / value[track[alone]]) ** 0.2
 
     def _bury(self) -> None:
         states = self.states
@@ -171,7 +224,8 @@ class Linker:
         height, width = self._size
         x, y = states.xy.T
         inside = (x > -0.5) & (y > -0.5) & (x < width - 0.5) & (y < height - 0.5)
-        self.states = states.take((states.missed <= patience) & (inside | (states.missed == 0)))
+        living = (states.missed <= patience) | (states.host >= 0)
+        self.states = states.take(living & (inside | (states.missed == 0)))
 
     def _christen(self) -> None:
         states = self.states
@@ -189,7 +243,7 @@ class Linker:
                 found.sigma**2 + _LEAST_SIGMA**2, np.zeros(count), np.full(count, speed)]),
             measured=found.xy.copy(), step=np.full((count, 2), np.nan), sigma=found.sigma.copy(),
             theta=found.theta.copy(), contrast=found.contrast.copy(), radius=found.radius.copy(),
-            hits=np.ones(count, int), missed=np.zeros(count, int),
+            hits=np.ones(count, int), missed=np.zeros(count, int), host=np.full(count, -1),
         )
 
 
@@ -204,5 +258,5 @@ def _none() -> TrackStates:
         id=np.empty(0, int), xy=np.empty((0, 2)), velocity=np.empty((0, 2)),
         covariance=np.empty((0, 3)), measured=np.empty((0, 2)), step=np.empty((0, 2)),
         sigma=empty, theta=empty, contrast=empty, radius=empty, hits=np.empty(0, int),
-        missed=np.empty(0, int),
+        missed=np.empty(0, int), host=np.empty(0, int),
     )

@@ -107,7 +107,7 @@ class Tracker:
             return _poses(t, None, _NO_SHIFT)
         if self._linker is None or self._detector is None:
             self._detector = make_detector(self.appearance, self.settings)
-            self._linker = Linker(self.settings, self.appearance.diameter_px, image.shape)
+            self._linker = Linker(self.settings, self.appearance, image.shape)
         shift = _NO_SHIFT if predicted_shift_px is None else np.asarray(predicted_shift_px, float)
         if dt is not None:
             self._linker.predict(dt, shift)
