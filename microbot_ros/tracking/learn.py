@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,6 +32,10 @@ _MOST_FRAMES = 6
 _MOST_PIXELS = 150_000
 _LEAST_SIGMA = 8.0
 
+_MOST_RESCALINGS = 4
+_NEAR = 0.3
+"""A guess within this of the found size, as a difference of logarithms, is good enough."""
+
 _LEAST_OUTLINE = 8.0
 """Pixels: a smaller particle has no outline to speak of."""
 
@@ -53,9 +58,17 @@ def learn(frames: list[np.ndarray], settings: TrackerSettings) -> Appearance | N
     step = max(1, len(frames) // _MOST_FRAMES)
     frames = frames[::step][:_MOST_FRAMES]
     guess = _best_guess(frames, settings)
-    if guess is None:
-        return None
-    return _Learner(frames, guess, settings).appearance()
+    for _ in range(_MOST_RESCALINGS):
+        if guess is None:
+            return None
+        learner = _Learner(frames, guess, settings)
+        scale = learner.scale()
+        if settings.diameter_px is not None or abs(math.log(scale)) < _NEAR:
+            break
+        # A wide window collects the energy of debris and halos too: look again at the size of
+        # what was found, or the fits would run into the limits of their size.
+        guess = _guess_at(frames, guess.diameter * scale, guess.sign)
+    return learner.appearance()
 
 
 def _best_guess(frames: list[np.ndarray], settings: TrackerSettings) -> _Guess | None:
@@ -70,10 +83,17 @@ def _best_guess(frames: list[np.ndarray], settings: TrackerSettings) -> _Guess |
     best = max(guesses, key=lambda guess: guess.energy, default=None)
     if best is None:
         return None
+    return _guess_at(frames, best.diameter, best.sign)
+
+
+def _guess_at(frames: list[np.ndarray], diameter: float, sign: float) -> _Guess | None:
+    """The strongest spots of one width and sign in every frame; None where there are none."""
     # Enough pixels for a smooth picture; the strongest spots are the likeliest particles.
-    most = max(4, int(_MOST_PIXELS / len(frames) / (1.5 * best.diameter + 3) ** 2 / 4))
-    everywhere = [_spots(frame, best.diameter, best.sign)[:most] for frame in frames]
-    return _Guess(best.diameter, best.sign, everywhere, best.energy)
+    most = max(4, int(_MOST_PIXELS / len(frames) / (1.5 * diameter + 3) ** 2 / 4))
+    everywhere = [_spots(frame, diameter, sign)[:most] for frame in frames]
+    if not any(map(len, everywhere)):
+        return None
+    return _Guess(diameter, sign, everywhere, 0.0)
 
 
 def _spots(frame: np.ndarray, diameter: float, sign: float) -> np.ndarray:
@@ -137,6 +157,16 @@ class _Learner:
         self._table = sign * np.exp(-0.5 * (radii / (0.42 * guess.diameter)) ** 2)[None]
         for rows in self._parameters:
             rows[:, CONTRAST] *= 4.0
+
+    def scale(self) -> float:
+        """How large the spots are, in the median, as a part of the guessed diameter."""
+        sizes = []
+        for frame, grid, rows in zip(self._frames, self._grids, self._parameters, strict=True):
+            fitted = rows.copy()
+            fit(frame, grid, self._spacing, fitted, np.ones(len(rows), bool), self._table,
+                self._reach, 4, 2)
+            sizes += fitted[np.isfinite(fitted[:, SIZE]), SIZE].tolist()
+        return float(np.median(sizes)) if sizes else 1.0
 
     def appearance(self) -> Appearance | None:
         for turn in range(5):
