@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from microbot_ros.model.heading import course
+from microbot_ros.model.heading import follow
 from microbot_ros.model.increments import Response, as_vectors, respond
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.scene import Places, Scene
@@ -54,14 +54,8 @@ def _spread(response: Response, velocity: np.ndarray, start: np.ndarray) -> np.n
 
 def _step(model: Model, particles: ParticleParameters, timeline: Timeline, start: np.ndarray,
           begin: np.ndarray | None) -> np.ndarray:
-    segments = timeline.segments(model)
-    scene = segments.scene(model)
-    lead = segments.lead
-    if begin is not None:
-        scene, lead = scene.after(lead), 0
-    way = course(model, scene, begin)
-    scene = scene.after(lead)
-    mean = particles.velocity * (way.path[lead:] / scene.span)
+    segments, way, scene = follow(model, timeline, begin)
+    mean = particles.velocity * (way.path / scene.span)
     position = np.empty((len(timeline.times), *start.shape))
     position[0] = p = start
     last = np.append(segments.first[1:], len(mean)) - 1

@@ -8,6 +8,7 @@ import numpy as np
 
 from microbot_ros.model.model import Model
 from microbot_ros.model.scene import Scene
+from microbot_ros.model.timeline import Segments, Timeline
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,25 @@ class Course:
     path: np.ndarray
     bend: np.ndarray
     kept: np.ndarray
+
+
+    def after(self, lead: int) -> Course:
+        """The course without its first `lead` spans."""
+        return Course(*(a[lead:] for a in (self.heading, self.path, self.bend, self.kept)))
+
+
+def follow(model: Model, timeline: Timeline, start: np.ndarray | None = None,
+           ) -> tuple[Segments, Course, Scene]:
+    """The spans of a timeline, the course from the first frame on, and its scene.
+
+    `start` (N,) is e^{iχ} at the first frame; without it the history of commands decides.
+    """
+    segments = timeline.segments(model)
+    scene = segments.scene(model)
+    inside = scene.after(segments.lead, timeline.places(model))
+    if start is not None:
+        return segments, course(model, inside, start), inside
+    return segments, course(model, scene).after(segments.lead), inside
 
 
 def course(model: Model, scene: Scene, start: np.ndarray | None = None) -> Course:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from microbot_ros.model.heading import Course, course
+from microbot_ros.model.heading import follow
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.timeline import Timeline
 
@@ -57,21 +57,14 @@ def respond(model: Model, timeline: Timeline, start: np.ndarray | None = None) -
     in closed form; terms that depend on position are taken at the timeline's positions. `start`
     (N,) is e^{i(θ−φ)} at the first frame; without it the heading follows from the commands.
     """
-    segments = timeline.segments(model)
-    lead = segments.lead
-    scene = segments.scene(model)
-    if start is not None:
-        scene, lead = scene.after(lead), 0
-    way = course(model, scene, start)
-    scene = scene.after(lead, timeline.places(model))
-    propulsion = segments.sum(way.path[lead:] * model.speed_factor(scene))
+    segments, way, scene = follow(model, timeline, start)
+    propulsion = segments.sum(way.path * model.speed_factor(scene))
     drift = model.drift(scene)
     if drift is None:
-        moved = np.zeros((len(timeline.times) - 1, 1, 2))
+        moved = np.zeros((len(propulsion), 1, 2))
     else:
         moved = segments.sum(drift * scene.span[..., None])
-    edges = np.append(lead + segments.first, -1)
-    return Response(model, propulsion, moved, way.heading[edges])
+    return Response(model, propulsion, moved, way.heading[segments.frames])
 
 
 def increments(model: Model, particles: ParticleParameters, timeline: Timeline) -> np.ndarray:
@@ -98,15 +91,11 @@ def heading_response(model: Model, particles: ParticleParameters,
     """The heading's path and what noise in it does, for a filter on top of the increments."""
     from microbot_ros.model.alignment_kernel import chain
 
-    segments = timeline.segments(model)
-    scene = segments.scene(model)
-    way: Course = course(model, scene)
-    lead = segments.lead
-    scene = scene.after(lead, timeline.places(model))
-    bend = way.bend[lead:] * model.speed_factor(scene)
-    kept = np.broadcast_to(way.kept[lead:], bend.shape)
+    segments, way, scene = follow(model, timeline)
+    bend = way.bend * model.speed_factor(scene)
+    kept = np.broadcast_to(way.kept, bend.shape)
     bends, keeps = chain(segments.first, bend, kept)
-    at_frames = way.heading[np.append(lead + segments.first, -1)]
+    at_frames = way.heading[segments.frames]
     theta = np.where(at_frames == 0, np.nan, np.angle(at_frames)) + particles.phi
     sensitivity = model.observe(as_vectors(particles.velocity * bends))
     return HeadingResponse(theta, sensitivity, np.broadcast_to(keeps, sensitivity.shape[:2]))

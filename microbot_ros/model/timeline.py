@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from microbot_ros.model.model import Model
 from microbot_ros.model.scene import Places, Scene
 from microbot_ros.records import Commands
+
+Key = TypeVar('Key')
+Value = TypeVar('Value')
 
 LONGEST = 0.1
 """Spans of models that change in time, or with position, are at most this long [s]."""
@@ -41,6 +46,11 @@ class Segments:
             return spans
         return np.add.reduceat(spans, self.first, axis=0)
 
+    @property
+    def frames(self) -> np.ndarray:
+        """Where the T frames lie among the edges of the spans after the lead."""
+        return np.append(self.first, -1)
+
     def scene(self, model: Model, places: Places | None = None) -> Scene:
         """The scene in every span, the lead included, with the field after stage 1."""
         field = model.field(self.field)
@@ -62,33 +72,33 @@ class Timeline:
         self.commands = commands
         self.times = np.asarray(times, dtype=float)
         self.positions = positions
-        self._segments: tuple[tuple[float, bool], Segments] | None = None
-        self._places: tuple[object, Places] | None = None
+        self._segments: dict[tuple[float, bool], Segments] = {}
+        self._places: dict[object, Places] = {}
 
     def segments(self, model: Model) -> Segments:
-        """The spans under a model's delay; kept until another delay is asked for."""
-        key = (model.delay, model.steady and not model.needs_position)
-        if self._segments is None or self._segments[0] != key:
-            self._segments = key, self._cut(*key)
-        return self._segments[1]
+        """The spans under a model's delay, cut short where it changes within them."""
+        key = self._key(model)
+        return _remembered(self._segments, key, lambda: self._cut(*key))
 
     def places(self, model: Model) -> Places | None:
-        """True positions in every span after the lead; None where none were given."""
-        if self.positions is None or not model.needs_position:
+        """True positions in every span after the lead; None where none were given or needed."""
+        positions = self.positions
+        if positions is None or not model.needs_position:
             return None
-        segments = self.segments(model)
-        key = id(segments), tuple(e for e in model.effects if e.stage == 'observation')
-        if self._places is None or self._places[0] != key:
-            position = model.true_position(self.positions[:-1])
-            self._places = key, Places(position[segments.interval])
-        return self._places[1]
+        interval = self.segments(model).interval
+        key = self._key(model), tuple(e for e in model.effects if e.stage == 'observation')
+        return _remembered(
+            self._places, key, lambda: Places(model.true_position(positions[:-1])[interval]))
+
+    def _key(self, model: Model) -> tuple[float, bool]:
+        return model.delay, model.steady and not model.needs_position
 
     def _cut(self, delay: float, whole: bool) -> Segments:
         commands, times = self.commands, self.times
         switches = commands.t + delay
         inside = switches[(switches > times[0]) & (switches < times[-1])]
         edges = np.concatenate([switches[switches < times[0]], times])
-        new = inside[times[np.searchsorted(times, inside)] != inside]
+        new = np.unique(inside[times[np.searchsorted(times, inside)] != inside])
         if new.size:
             edges = np.sort(np.concatenate([edges, new]), kind='stable')
         start, span = edges[:-1], np.diff(edges)
@@ -107,6 +117,15 @@ class Timeline:
             first=np.searchsorted(start[lead:], times[:-1]),
             interval=np.searchsorted(times, start[lead:], side='right') - 1,
         )
+
+
+def _remembered(cache: dict[Key, Value], key: Key, make: Callable[[], Value]) -> Value:
+    """The value under a key, made if need be; the oldest of more than a few is forgotten."""
+    if key not in cache:
+        if len(cache) >= 4:
+            del cache[next(iter(cache))]
+        cache[key] = make()
+    return cache[key]
 
 
 def _subdivide(start: np.ndarray, span: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

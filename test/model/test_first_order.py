@@ -217,6 +217,15 @@ def test_slip_under_lag_is_of_second_order_in_the_frames():
     assert ratio == pytest.approx(4.0, rel=0.05)
 
 
+def test_of_two_commands_at_one_time_the_later_holds():
+    one = ParticleParameters(np.array([0]), np.array([1.0]), np.array([0.0]))
+    twice = steer((0.0, 0.0), (1.0, 2.0), (1.0, np.pi / 2))
+    for effects in ((), (LinearFlow(0.0, 0.0, 0.0, 0.0),)):
+        end = simulate(Model(B, effects=effects), one, twice, np.array([0.0, 3.0]),
+                       np.zeros((1, 2)))[-1, 0]
+        np.testing.assert_allclose(end, [1.0, 2.0], rtol=1e-12)
+
+
 @pytest.mark.parametrize('times', [[0.0], [0.0, 0.0], [1.0, 0.0], [0.0, np.nan], []])
 def test_times_must_ascend(times):
     with pytest.raises(ValueError, match='ascending'):
