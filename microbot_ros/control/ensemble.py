@@ -1,8 +1,13 @@
-"""All particles towards their goals at once, as near as one field can bring them."""
+"""All particles towards their goals at once, as near as one field can bring them.
+
+What the controllers of many particles have in common is `SharedField`; `Ensemble` adds goals.
+"""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +25,6 @@ from microbot_ros.control.shared import (
     as_complex,
     best_displacement,
     borders,
-    floor,
     nearest_allowed,
 )
 from microbot_ros.control.steering import Excitation, approach, field_along
@@ -28,7 +32,7 @@ from microbot_ros.settings import setting
 
 
 @dataclass(frozen=True)
-class EnsembleParameters:
+class SharedFieldParameters:
     """Strength, patience and margins."""
 
     field_mT: float = setting(5.0, 'Strength of the field.', lower=0.01, upper=100.0)
@@ -43,64 +47,108 @@ class EnsembleParameters:
         lower=0.1, upper=60.0)
 
 
-class Ensemble(Controller):
-    """Least squares over all particles and goals, in closed form, anew at each tick.
+@dataclass(frozen=True)
+class Aim:
+    """What to make of particles: `displacement` U [s] is best for the `wanted` (K,) [m] of each,
+    their `answer` c (K,) [m/s] being counted in the same way."""
 
-    The displacement U* that all share is kept within what holds every particle in view. What is
-    left then is the floor: no controller gets below it under the first-order model.
+    displacement: complex
+    wanted: np.ndarray
+    answer: np.ndarray
+
+    @classmethod
+    def least_squares(cls, answer: np.ndarray, wanted: np.ndarray) -> Aim:
+        """The displacement that leaves the smallest sum of squares."""
+        return cls(best_displacement(answer, wanted), wanted, answer)
+
+    @property
+    def distance(self) -> float:
+        """RMS of what is wanted [m]."""
+        return float(np.sqrt(np.mean(np.abs(self.wanted) ** 2)))
+
+    @property
+    def floor(self) -> float:
+        """RMS of what is left after the displacement [m]."""
+        left = self.wanted - self.answer * self.displacement
+        return float(np.sqrt(np.mean(np.abs(left) ** 2)))
+
+
+class SharedField(Controller):
+    """Drives all particles along one shared displacement U, worked out anew at each tick.
+
+    U is kept within what holds every particle in view; round the end of it all circle. Until φ
+    of any is known, the field goes round a triangle.
     """
 
-    interface_version = 1
-    summary = 'All particles as near to their goals as one field allows.'
-    Parameters = EnsembleParameters
+    Parameters = SharedFieldParameters
 
     def __init__(self) -> None:
         super().__init__()
         self.reset()
 
     def reset(self) -> None:
-        """Forget the goals."""
-        self._assignment = Assignment()
+        """Forget what was asked for."""
         self._excitation = Excitation()
 
     def activate(self, situation: Situation) -> None:
-        """ModelError for rollers: they stop, so the `roller` controller serves them better."""
+        """ModelError for rollers: one of those can be stopped, which serves it better."""
         self._excitation.stop()
         if situation.model is not None and situation.model.propulsion == 'rolling':
             raise ModelError('drives particles that propel themselves; the model is of rollers')
 
+    @abstractmethod
+    def involved(self, situation: Situation) -> np.ndarray:
+        """Rows (K,) of the particles that something is asked of; none: the field is off."""
+
+    @abstractmethod
+    def aim(self, situation: Situation, rows: np.ndarray, velocity: np.ndarray) -> Aim:
+        """What to do with the particles in `rows`, whose `velocity` v e^{iφ} (K,) is known."""
+
     def compute(self, situation: Situation) -> FieldCommand:
-        """Along U*, and round it once it is reached."""
-        self._assignment.update(situation)
-        rows, goals = self._assignment.pairs(situation)
+        """Along U, and round it once it is reached."""
+        p: Any = self.parameters
+        rows = self.involved(situation)
         if not len(rows):
             return no_field('waits for goals')
-        strength = units.to_si('field_mT', self.parameters.field_mT)
-        known = situation.learned(self.parameters.learn_phi_std_rad)[rows]
-        known &= situation.speed[rows] > 0
+        strength = units.to_si('field_mT', p.field_mT)
+        known = situation.learned(p.learn_phi_std_rad)[rows] & (situation.speed[rows] > 0)
         if not known.any():
-            leg = self.parameters.learn_leg_s
-            return self._excitation.command(situation, leg, strength)
-        rows, goals = rows[known], goals[known]
+            return self._excitation.command(situation, p.learn_leg_s, strength)
+        rows = rows[known]
         velocity = situation.speed[rows] * np.exp(1j * situation.phi[rows])
-        wanted = as_complex(goals - situation.expected[rows])
-        shared = self._shared(situation, rows, velocity, wanted)
-        radius = units.to_si('hold_radius_um', self.parameters.hold_radius_um)
-        hold = radius / float(np.abs(velocity).max())
-        field = field_along(situation, approach(shared, hold), strength)
-        return FieldCommand(field, progress=_progress(velocity, wanted, shared, hold))
-
-    def _shared(self, situation: Situation, rows: np.ndarray, velocity: np.ndarray,
-                wanted: np.ndarray) -> complex:
-        margin = units.to_si('margin_um', self.parameters.margin_um)
+        aim = self.aim(situation, rows, velocity)
+        margin = units.to_si('margin_um', p.margin_um)
         normal, room = borders(situation.workspace, situation.expected[rows], velocity, margin)
-        return nearest_allowed(best_displacement(velocity, wanted), normal, room)
+        shared = nearest_allowed(aim.displacement, normal, room)
+        hold = units.to_si('hold_radius_um', p.hold_radius_um) / float(np.abs(velocity).max())
+        message = (f'{len(rows)} particles {aim.distance * 1e6:.1f} µm from their goals, '
+                   f'{aim.floor * 1e6:.1f} µm at best')
+        progress = Progress(message, abs(shared) <= 2 * hold, aim.distance)
+        return FieldCommand(field_along(situation, approach(shared, hold), strength),
+                            progress=progress)
 
 
-def _progress(velocity: np.ndarray, wanted: np.ndarray, shared: complex,
-              hold: float) -> Progress:
-    distance = float(np.sqrt(np.mean(np.abs(wanted) ** 2)))
-    reachable = floor(velocity, wanted)
-    message = (f'{len(wanted)} particles {distance * 1e6:.1f} µm from their goals, '
-               f'{reachable * 1e6:.1f} µm at best')
-    return Progress(message, abs(shared) <= 2 * hold, distance)
+class Ensemble(SharedField):
+    """Least squares over all particles and goals, in closed form.
+
+    What is left in the end is the floor: no controller gets below it under the first-order model.
+    """
+
+    interface_version = 1
+    summary = 'All particles as near to their goals as one field allows.'
+
+    def reset(self) -> None:
+        """Forget the goals."""
+        super().reset()
+        self._assignment = Assignment()
+
+    def involved(self, situation: Situation) -> np.ndarray:
+        """The particles that have goals."""
+        self._assignment.update(situation)
+        return self._assignment.pairs(situation)[0]
+
+    def aim(self, situation: Situation, rows: np.ndarray, velocity: np.ndarray) -> Aim:
+        """Each to its goal."""
+        all_rows, goals = self._assignment.pairs(situation)
+        mine = goals[np.isin(all_rows, rows)]
+        return Aim.least_squares(velocity, as_complex(mine - situation.expected[rows]))

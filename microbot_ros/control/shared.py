@@ -53,14 +53,10 @@ def nearest_allowed(wanted: complex, normal: np.ndarray, room: np.ndarray) -> co
 
     As the squared error of `best_displacement` grows by Σ|cᵢ|² |U − U*|², the nearest is the best.
     """
-    def allowed(points: np.ndarray) -> np.ndarray:
-        slack = room - (normal.conj() * points[:, None]).real
-        return (slack >= -1e-12 - 1e-9 * room).all(1)
-
-    if allowed(np.array([wanted]))[0]:
-        return wanted
-    candidates = np.concatenate([[0j], _feet(wanted, normal, room), corners(normal, room)])
-    candidates = candidates[allowed(candidates)]
+    if _allowed(np.array([wanted]), normal, room)[0]:
+        return complex(wanted)
+    candidates = np.concatenate([_feet(wanted, normal, room), allowed_corners(normal, room)])
+    candidates = candidates[_allowed(candidates, normal, room)]
     return complex(candidates[np.argmin(np.abs(candidates - wanted))])
 
 
@@ -72,10 +68,16 @@ def _feet(wanted: complex, normal: np.ndarray, room: np.ndarray) -> np.ndarray:
     return np.asarray(wanted - normal[some] * excess / power[some])
 
 
-def corners(normal: np.ndarray, room: np.ndarray) -> np.ndarray:
-    """Where each two borders meet, allowed or not."""
+def allowed_corners(normal: np.ndarray, room: np.ndarray) -> np.ndarray:
+    """The corners of what is allowed, where two borders meet, and U = 0."""
     a, b = np.triu_indices(len(normal), 1)
     cross = (normal[a].conj() * normal[b]).imag
     some = np.abs(cross) > 1e-9 * np.abs(normal[a]) * np.abs(normal[b])
     a, b, cross = a[some], b[some], cross[some]
-    return np.asarray(1j * (room[b] * normal[a] - room[a] * normal[b]) / cross)
+    points = np.append(1j * (room[b] * normal[a] - room[a] * normal[b]) / cross, 0j)
+    return np.asarray(points[_allowed(points, normal, room)])
+
+
+def _allowed(points: np.ndarray, normal: np.ndarray, room: np.ndarray) -> np.ndarray:
+    slack = room - (normal.conj() * points[:, None]).real
+    return np.asarray((slack >= -1e-12 - 1e-9 * room).all(1))
