@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from microbot_ros.tracking.appearance import Appearance
+from microbot_ros.tracking.cap import centre_shift, first_harmonic
 from microbot_ros.tracking.fit import (
     CONTRAST,
     OFFSET,
@@ -38,6 +39,9 @@ _NEAR = 0.3
 
 _LEAST_OUTLINE = 8.0
 """Pixels: a smaller particle has no outline to speak of."""
+
+_CAP_SHOWS = 0.7
+"""Share of the residual variance that a cap must leave at most, to be believed."""
 
 _IRREGULAR = 0.2
 """Spread of ln(diameter), or ln(length/width), from which particles count as irregular."""
@@ -177,10 +181,51 @@ class _Learner:
             if turn == 1:
                 self._trim()
         self._fit(settled=True)
+        self._find_cap()
         return self._conclude()
+
+    def _find_cap(self) -> None:
+        """Add the cap to the picture if that explains much more of it."""
+        plain, parameters = self._table, [rows.copy() for rows in self._parameters]
+        before = self._misfit
+        r, angle, grey, weight, owner = self._samples()
+        radii = np.arange(plain.shape[1]) * TABLE_STEP
+        rest = grey - np.interp(r, radii, plain[0])
+        knots = self._knots()
+        shape = first_harmonic(r, angle, rest, weight, owner, _even_splines(r, knots))
+        profile = _even_splines(radii, knots) @ shape
+        sense = -1.0 if self._settings.cap == 'dark' else 1.0
+        profile *= 0.3 * sense * np.sign(np.sum(profile * radii)) / np.max(np.abs(profile))
+        self._table = np.vstack([plain, profile, np.zeros_like(profile)])
+        for _ in range(3):
+            self._fit(settled=False)
+            if sum(map(len, self._parameters)) == 0:
+                break
+            self._table = self._profiles(harmonics=[0, 1, 2])
+        if not self._misfit < _CAP_SHOWS * before:
+            self._table, self._parameters = plain, parameters
+            return
+        self._centre()
+
+    def _centre(self) -> None:
+        """Move the centre of the picture from where f₁ is least to the centre of the outline."""
+        for _ in range(2):
+            shift = centre_shift(self._table, self._diameter(), self._reach)
+            for rows in self._parameters:
+                rows[:, X] += shift * np.cos(rows[:, THETA])
+                rows[:, Y] += shift * np.sin(rows[:, THETA])
+            self._table = self._profiles(harmonics=[0, 1, 2])
+
+    def _diameter(self) -> float:
+        radii = np.arange(self._table.shape[1]) * TABLE_STEP
+        return float(2 * radii[np.flatnonzero(np.abs(self._table[0]) > 0.5)[-1]])
+
+    def _knots(self) -> np.ndarray:
+        return np.arange(0, self._reach + 1, max(0.9, self._reach / 14))
 
     def _fit(self, settled: bool) -> None:
         """Refit all, keep what looks like most others do."""
+        misfits: list[np.ndarray] = []
         for k, frame in enumerate(self._frames):
             rows = self._parameters[k]
             errors = fit(
@@ -190,6 +235,9 @@ class _Learner:
             keep = np.isfinite(noise) & (rows[:, CONTRAST] > 0)
             keep &= (rows[:, SIZE] > 0.5) & (rows[:, SIZE] < 2.0)
             self._parameters[k] = rows[keep]
+            misfits.append(noise[keep])
+        every = np.concatenate(misfits)
+        self._misfit = float(np.median(every)) if len(every) else math.inf
         sizes = np.concatenate([rows[:, SIZE] for rows in self._parameters])
         for rows in self._parameters:
             rows[:, SIZE] /= np.median(sizes)
@@ -201,8 +249,8 @@ class _Learner:
             self._parameters = [rows[rows[:, CONTRAST] >= least] for rows in self._parameters]
 
     def _samples(self) -> tuple[np.ndarray, ...]:
-        """Scaled distance r/s, angle φ−θ, grey/contrast, contrast of every pixel in reach."""
-        r, angle, grey, weight = [], [], [], []
+        """Of all pixels in reach: distance r/s, angle φ−θ, grey/contrast, contrast, particle."""
+        r, angle, grey, weight, owner = [], [], [], [], []
         span = int(self._reach)
         v, u = np.mgrid[-span:span + 1, -span:span + 1]
         for frame, grid, rows in zip(self._frames, self._grids, self._parameters, strict=True):
@@ -215,23 +263,23 @@ class _Learner:
                 angle.append(np.arctan2(y - row[Y], x - row[X]) - np.nan_to_num(row[THETA]))
                 grey.append((frame[y, x] - light - row[OFFSET]) / row[CONTRAST])
                 weight.append(np.full(len(x), row[CONTRAST]))
-        return tuple(np.concatenate(part) for part in (r, angle, grey, weight))
+                owner.append(np.full(len(x), len(owner)))
+        return tuple(np.concatenate(part) for part in (r, angle, grey, weight, owner))
 
     def _profiles(self, harmonics: list[int]) -> np.ndarray:
         """Least squares of smooth radial profiles, one per angular harmonic, to all pixels."""
-        r, angle, grey, weight = self._samples()
-        knots = np.arange(0, self._reach + 1, max(0.9, self._reach / 14))
-        spacing = knots[1]
+        r, angle, grey, weight, _ = self._samples()
+        knots = self._knots()
         near = r < knots[-1]
         r, angle, grey, weight = r[near], angle[near], grey[near], weight[near]
-        basis = _even_splines(r, knots, spacing)
+        basis = _even_splines(r, knots)
         design = np.hstack([basis * np.cos(m * angle)[:, None] for m in harmonics])
         scaled = design * weight[:, None]
         normal = scaled.T @ scaled
         normal += 1e-6 * np.trace(normal) / len(normal) * np.eye(len(normal))
         solution = np.linalg.solve(normal, scaled.T @ (grey * weight))
         radii = np.arange(self._table.shape[1]) * TABLE_STEP
-        even = _even_splines(radii, knots, spacing)
+        even = _even_splines(radii, knots)
         table = np.array([even @ part for part in np.split(solution, len(harmonics))])
         return self._bounded(table, radii)
 
@@ -251,15 +299,13 @@ class _Learner:
         self._reach = min(self._reach, float(end) + 2.0)
 
     def _conclude(self) -> Appearance:
-        radii = np.arange(self._table.shape[1]) * TABLE_STEP
-        half = radii[np.flatnonzero(np.abs(self._table[0]) > 0.5)[-1]]
         contrast = np.concatenate([rows[:, CONTRAST] for rows in self._parameters])
         typical = float(np.median(contrast))
         least = self._settings.min_contrast_grey
         appearance = Appearance(
             table=self._table,
             reach_px=self._reach,
-            diameter_px=float(2 * half),
+            diameter_px=self._diameter(),
             contrast_grey=typical,
             min_contrast_grey=0.35 * typical if least is None else least,
             round=self._settings.shape != 'any',
@@ -286,8 +332,10 @@ def _start(spots: np.ndarray) -> np.ndarray:
     return rows
 
 
-def _even_splines(r: np.ndarray, knots: np.ndarray, spacing: float) -> np.ndarray:
+def _even_splines(r: np.ndarray, knots: np.ndarray) -> np.ndarray:
     """Cubic B-splines about `knots` at r (N,): (N, K); flat at r = 0, as a smooth picture is."""
+    spacing = knots[1]
+
     def bump(z: np.ndarray) -> np.ndarray:
         z = np.abs(z)
         return np.where(z < 1, 2 / 3 - z**2 + z**3 / 2, np.maximum(2 - z, 0) ** 3 / 6)

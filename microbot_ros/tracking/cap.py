@@ -1,0 +1,45 @@
+"""The cap in the learned picture: first and second angular harmonics, and where the centre is."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from microbot_ros.tracking.fit import TABLE_STEP
+
+
+def first_harmonic(r: np.ndarray, angle: np.ndarray, rest: np.ndarray, weight: np.ndarray,
+                   owner: np.ndarray, basis: np.ndarray) -> np.ndarray:
+    """The radial profile that the one-sided residuals of many particles share, up to sign.
+
+    Pixels (P,) at distance `r` and image `angle` from the centre of particle `owner`, with the
+    relative residual `rest` of the round picture and its `weight`; `basis` (P, K) are the radial
+    functions at r. Returns the K coefficients: the leading direction of all particles' residuals,
+    whichever way each one points.
+    """
+    total = np.zeros((basis.shape[1],) * 2)
+    for k in range(owner.max() + 1):
+        mine = owner == k
+        radial, w = basis[mine], weight[mine, None]
+        design = np.hstack([radial * np.cos(angle[mine])[:, None],
+                            radial * np.sin(angle[mine])[:, None]]) * w
+        normal = design.T @ design
+        normal += 1e-3 * np.trace(normal) / len(normal) * np.eye(len(normal))
+        both = np.linalg.solve(normal, design.T @ (rest[mine] * weight[mine]))
+        along, across = np.split(both, 2)
+        total += weight[mine][0] ** 2 * (np.outer(along, along) + np.outer(across, across))
+    return np.linalg.eigh(total)[1][:, -1]
+
+
+def centre_shift(table: np.ndarray, diameter_px: float, reach_px: float) -> float:
+    """How far [px] along θ the outline's centre lies from the fitted one.
+
+    A shift of the centre adds a multiple of f₀′ to f₁. About the true centre of a sphere both
+    fade alike at the edge, f₁ ∝ f₀, whatever the cap does inside: so the part of f₁ that looks
+    like f₀′ out there is the shift.
+    """
+    radii = np.arange(table.shape[1]) * TABLE_STEP
+    slope = np.gradient(table[0], TABLE_STEP)
+    edge = (radii > 0.45 * diameter_px) & (radii < reach_px - 1)
+    design = np.column_stack([table[0], -slope])[edge] * np.sqrt(radii[edge])[:, None]
+    share = np.linalg.lstsq(design, table[1][edge] * np.sqrt(radii[edge]), rcond=None)[0]
+    return float(share[1])
