@@ -25,7 +25,6 @@ class Course:
     bend: np.ndarray
     kept: np.ndarray
 
-
     def after(self, lead: int) -> Course:
         """The course without its first `lead` spans."""
         return Course(*(a[lead:] for a in (self.heading, self.path, self.bend, self.kept)))

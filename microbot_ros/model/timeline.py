@@ -37,8 +37,6 @@ class Segments:
     """Commanded rotation (S, 1) [Hz]."""
     lead: int
     first: np.ndarray
-    interval: np.ndarray
-    """The frame interval (S − lead,) that each span after the lead belongs to."""
 
     def sum(self, spans: np.ndarray) -> np.ndarray:
         """Sum (S − lead, ...) over the spans of every frame interval: (T−1, ...)."""
@@ -47,14 +45,20 @@ class Segments:
         return np.add.reduceat(spans, self.first, axis=0)
 
     @property
+    def interval(self) -> np.ndarray:
+        """The frame interval (S − lead,) that each span after the lead belongs to."""
+        spans = np.arange(len(self.t) - self.lead)
+        return np.searchsorted(self.first, spans, side='right') - 1
+
+    @property
     def frames(self) -> np.ndarray:
         """Where the T frames lie among the edges of the spans after the lead."""
         return np.append(self.first, -1)
 
-    def scene(self, model: Model, places: Places | None = None) -> Scene:
+    def scene(self, model: Model) -> Scene:
         """The scene in every span, the lead included, with the field after stage 1."""
         field = model.field(self.field)
-        return Scene(self.t, self.span, field, self.frequency, model.reference_field, places)
+        return Scene(self.t, self.span, field, self.frequency, model.reference_field)
 
 
 class Timeline:
@@ -115,7 +119,6 @@ class Timeline:
             frequency=np.append(frequency, 0.0)[row, None],
             lead=lead,
             first=np.searchsorted(start[lead:], times[:-1]),
-            interval=np.searchsorted(times, start[lead:], side='right') - 1,
         )
 
 

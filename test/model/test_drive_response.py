@@ -35,6 +35,7 @@ def best_fit(residuals) -> tuple[DriveResponse, float]:
 
 
 SHAPES = {
+    'static friction': lambda f: np.sqrt(np.maximum(1 - (1.1 / f) ** 2, 0.0)),
     'dead zone': lambda f: np.maximum(f - 1.0, 0.0) / f,
     'threshold': lambda f: (f > 1.1) * 1.0,
     'slip beyond a corner': lambda f: np.where(f < 10, 1.0, 0.65),
