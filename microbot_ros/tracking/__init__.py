@@ -6,8 +6,10 @@ from microbot_ros.tracking.learn import learn
 from microbot_ros.tracking.settings import TrackerSettings
 from microbot_ros.tracking.source import DeviceSource, Frame, Source, grey, open_source
 from microbot_ros.tracking.tracker import FrameError, Poses, Tracker
+from microbot_ros.tracking.warm import warm_up
 
 __all__ = [
     'Appearance', 'DeviceSource', 'Frame', 'FrameError', 'ImageToWorkspace', 'Poses', 'Source',
     'Tracker', 'TrackerSettings', 'grey', 'learn', 'open_source',
+    'warm_up',
 ]

@@ -91,14 +91,17 @@ class OverlayVideo:
         self._writer.release()
 
     def write(self, image: np.ndarray, poses: Poses) -> None:
-        """Add one frame."""
-        import cv2
-
+        """Add one frame with its particles and their trails."""
         self._trails = {
             int(i): self._trails.get(int(i), deque(maxlen=_TRAIL)) for i in poses.id}
         for i, place in zip(poses.id, poses.xy, strict=True):
             self._trails[int(i)].append(place)
-        picture = draw_overlay(image, poses, self._radius, self._trails)
+        self.write_picture(draw_overlay(image, poses, self._radius, self._trails))
+
+    def write_picture(self, picture: np.ndarray) -> None:
+        """Add a picture (H, W, 3) BGR that is drawn already."""
+        import cv2
+
         if picture.shape[1::-1] != self._size:
             picture = cv2.resize(picture, self._size, interpolation=cv2.INTER_AREA)
         self._writer.write(picture)

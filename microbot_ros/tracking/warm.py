@@ -1,0 +1,34 @@
+"""Compiling everything before the first frame, which would otherwise wait for it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from microbot_ros.tracking.settings import TrackerSettings
+from microbot_ros.tracking.tracker import Tracker
+
+
+def warm_up(dtype: type[np.uint8] | type[np.uint16] = np.uint8) -> None:
+    """Run every path of the tracker once on small pictures.
+
+    Compiled code is kept on disk, so this takes some ten seconds once and a fraction of a second
+    afterwards. Call it before frames come.
+    """
+    rng = np.random.default_rng(0)
+    for shape, cap in (('round', 0.0), ('round', 40.0), ('any', 0.0)):
+        tracker = Tracker(TrackerSettings(shape=shape, diameter_px=10, learning_frames=2))
+        for k in range(6):
+            picture = _discs(rng, cap) * (1 if dtype is np.uint8 else 64)
+            tracker.update(picture.astype(dtype), float(k))
+
+
+def _discs(rng: np.random.Generator, cap: float) -> np.ndarray:
+    """Two discs on noise, one side of each darker by `cap`."""
+    y, x = np.mgrid[0:72, 0:112]
+    picture = 150 + rng.normal(0, 1, x.shape)
+    for centre, angle in ((32, 0.4), (80, 2.1)):
+        u, v = x - centre, y - 36
+        inside = 1 / (1 + np.exp(2 * (np.hypot(u, v) - 5)))
+        side = 1 / (1 + np.exp(-2 * (u * np.cos(angle) + v * np.sin(angle))))
+        picture -= inside * (60 + cap * side)
+    return picture
