@@ -10,6 +10,7 @@ import time
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from threading import Lock
@@ -121,7 +122,7 @@ class Amplifier(ABC):
         return [self._reading(t, currents) for t, currents in self._receive(timeout_s)]
 
     def close(self) -> bool:
-        """Zero, read back, release the port; True where a reading confirmed the zero.
+        """Zero, read back, disable, release the port; True where a reading confirmed the zero.
 
         Never raises an AmplifierError: a lost port is released and the answer is False.
         """
@@ -132,6 +133,8 @@ class Amplifier(ABC):
         except AmplifierError:
             return False
         finally:
+            with suppress(AmplifierError):
+                self._disable()
             self._release()
 
     def _await_zero(self) -> None:
@@ -162,6 +165,9 @@ class Amplifier(ABC):
     @abstractmethod
     def _receive(self, timeout_s: float) -> list[tuple[float, np.ndarray]]:
         """Arrival times and measured currents, all finite."""
+
+    def _disable(self) -> None:  # noqa: B027 — most devices know zero and nothing beyond
+        """Switch the outputs off, where the device can."""
 
     @abstractmethod
     def _release(self) -> None:

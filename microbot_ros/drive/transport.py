@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import termios
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -29,7 +30,7 @@ class Port:
             self._serial = serial.serial_for_url(
                 url, baudrate=baud, timeout=_SLICE_S, write_timeout=_WRITE_TIMEOUT_S,
                 xonxoff=xon_xoff, exclusive=True)
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, termios.error) as error:
             if getattr(error, 'errno', None) in (errno.EBUSY, errno.EAGAIN):
                 raise PortBusyError(url) from None
             raise PortMissingError(url, str(error)) from None
@@ -57,13 +58,14 @@ class Port:
 
     def close(self) -> None:
         """Give the port back; harmless when it is gone already."""
-        with suppress(OSError):
+        with suppress(OSError, termios.error):
             self._serial.close()
 
     @contextmanager
     def _named(self) -> Iterator[None]:
-        # pyserial's errors are OSErrors; a port closed meanwhile shows as TypeError inside it.
+        # pyserial's own errors are OSErrors, but it lets those of termios through, and a port
+        # that another thread closed meanwhile shows as a TypeError inside it.
         try:
             yield
-        except (OSError, TypeError) as error:
+        except (OSError, TypeError, termios.error) as error:
             raise PortLostError(self.url, str(error)) from None

@@ -74,3 +74,46 @@ def emulate(tmp_path):
     yield start
     for emulated in started:
         emulated.end()
+
+
+class Script:
+    """Lines that expect exact bytes, answer as written, and let nothing be left over."""
+
+    def __init__(self, exchanges: list[tuple[str, bytes, bytes]]) -> None:
+        self.exchanges = exchanges
+        self._answers: dict[str, bytes] = {}
+
+    def port(self, url: str, baud: int, *, xon_xoff: bool = False) -> 'Script.Port':
+        return Script.Port(self, url)
+
+    class Port:
+        def __init__(self, script: 'Script', url: str) -> None:
+            self.script, self.url = script, url
+
+        def send(self, data: bytes) -> None:
+            assert self.script.exchanges, f'unexpected bytes to {self.url}: {data!r}'
+            url, expected, answer = self.script.exchanges.pop(0)
+            assert (self.url, data) == (url, expected)
+            self.script._answers[self.url] = answer
+
+        def receive(self, timeout_s: float = 0.0) -> bytes:
+            return self.script._answers.pop(self.url, b'')
+
+        def discard_input(self) -> None:
+            assert not self.script._answers.get(self.url)
+
+        def close(self) -> None:
+            pass
+
+
+@pytest.fixture
+def scripted(monkeypatch):
+    """A function that lets polled drivers talk to a script; leftovers fail the test."""
+    scripts = []
+
+    def install(exchanges: list[tuple[str, bytes, bytes]]) -> None:
+        scripts.append(Script(list(exchanges)))
+        monkeypatch.setattr('microbot_ros.drive.polled.Port', scripts[-1].port)
+
+    yield install
+    assert all(not script.exchanges and not any(script._answers.values()) for script in scripts)

@@ -19,7 +19,11 @@ from microbot_ros.drive.emulator.server import Server
 from microbot_ros.errors import InputError
 
 DEVICES = {
-    'serial_transfer': 'microbot_ros.drive.serial_transfer.board:Board',
+    'serial_transfer': 'microbot_ros.drive.serial_transfer.emulated:Board',
+    'scpi': 'microbot_ros.drive.scpi.emulated:Supplies',
+    'roboclaw': 'microbot_ros.drive.roboclaw.emulated:Controllers',
+    'modbus': 'microbot_ros.drive.modbus.emulated:Bridges',
+    'roboteq': 'microbot_ros.drive.roboteq.emulated:Controllers',
 }
 """Protocol → emulated device, imported only where it is emulated."""
 

@@ -1,0 +1,1 @@
+"""Modbus RTU: four H-bridges on one line."""

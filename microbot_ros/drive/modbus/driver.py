@@ -1,0 +1,46 @@
+"""Driver for four Modbus RTU H-bridges, slaves 1 to 4 on one line.
+
+The bridges have no watchdog: when the host dies they keep their last duty.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from microbot_ros.drive.modbus import codec
+from microbot_ros.drive.polled import PolledAmplifier
+
+SLAVES = (1, 2, 3, 4)
+
+
+class ModbusAmplifier(PolledAmplifier):
+    """Duty −1 … 1, in steps of 1 %, is ± `full_scale_A` of each coil."""
+
+    baud = 1_000_000
+    resolution_A = 0.001
+
+    def _identify(self) -> None:
+        for slave in SLAVES:
+            self._set(slave, codec.DUTY_PERCENT, 0)
+            self._set(slave, codec.ENABLE, 1)
+
+    def _drive(self, currents_A: np.ndarray) -> None:
+        duties = (currents_A / self.full_scale_A).tolist()
+        for slave, duty in zip(SLAVES, duties, strict=True):
+            self._set(slave, codec.DUTY_PERCENT, codec.duty_percent(duty))
+
+    def _measure(self) -> np.ndarray:
+        currents_mA = [self._ask([codec.read(slave, codec.CURRENT_MA)],
+                                 partial(codec.value, slave), f'the current of slave {slave}')[0]
+                       for slave in SLAVES]
+        return np.array(currents_mA) * 1e-3
+
+    def _disable(self) -> None:
+        for slave in SLAVES if self._lines else ():
+            self._set(slave, codec.ENABLE, 0)
+
+    def _set(self, slave: int, register: int, value: int) -> None:
+        request = codec.write(slave, register, value)
+        self._ask([request], partial(codec.written, slave, request), f'an echo of slave {slave}')

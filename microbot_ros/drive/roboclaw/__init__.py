@@ -1,0 +1,1 @@
+"""RoboClaw packet serial: two two-channel controllers on one line."""

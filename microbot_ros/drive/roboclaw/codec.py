@@ -1,0 +1,86 @@
+"""RoboClaw's packets: address, command, data, and a CRC-16 (0x1021, initial value 0) over all."""
+
+from __future__ import annotations
+
+import struct
+from binascii import crc_hqx
+
+ACKNOWLEDGED = b'\xff'
+FULL_DUTY = 32767
+
+SET_TIMEOUT, GET_TIMEOUT, GET_VERSION = 14, 15, 21
+DRIVE, GET_CURRENTS = 34, 49
+TIMEOUT_STEP_S = 0.1
+CURRENT_STEP_A = 0.01
+_LONGEST_VERSION = 48
+
+
+def packet(address: int, command: int, data: bytes = b'') -> bytes:
+    """A packet that sets something; it is answered with FF."""
+    body = bytes((address, command)) + data
+    return body + crc_hqx(body, 0).to_bytes(2, 'big')
+
+
+def drive(address: int, first: float, second: float) -> bytes:
+    """Duties −1 … 1 of motors 1 and 2, taken at once."""
+    return packet(address, DRIVE, struct.pack('>hh', _steps(first), _steps(second)))
+
+
+def _steps(duty: float) -> int:
+    if not -1.0 <= duty <= 1.0:
+        raise ValueError(f'duty must be −1 … 1; received {duty}')
+    return round(duty * FULL_DUTY)
+
+
+def set_timeout(address: int, seconds: float) -> bytes:
+    """Stop both motors when no packet has come for this long, in steps of 0.1 s."""
+    return packet(address, SET_TIMEOUT, bytes((round(seconds / TIMEOUT_STEP_S),)))
+
+
+def ask_timeout(address: int) -> bytes:
+    """Asks for the timeout. Questions carry no CRC; their answers do."""
+    return bytes((address, GET_TIMEOUT))
+
+
+def ask_version(address: int) -> bytes:
+    """Asks for the name and version of the firmware."""
+    return bytes((address, GET_VERSION))
+
+
+def ask_currents(address: int) -> bytes:
+    """Asks for the currents of both motors."""
+    return bytes((address, GET_CURRENTS))
+
+
+def answer(question: bytes, data: bytes) -> bytes:
+    """What a controller answers: data and the CRC of question and data together."""
+    return data + crc_hqx(question + data, 0).to_bytes(2, 'big')
+
+
+def timeout(question: bytes, received: bytes) -> float | None:
+    """The timeout [s] in an answer; None where it is incomplete or damaged."""
+    data = _data(question, received, 1)
+    return None if data is None else data[0] * TIMEOUT_STEP_S
+
+
+def currents(question: bytes, received: bytes) -> tuple[float, float] | None:
+    """The currents [A] in an answer; None where it is incomplete or damaged."""
+    data = _data(question, received, 4)
+    if data is None:
+        return None
+    first, second = struct.unpack('>hh', data)
+    return first * CURRENT_STEP_A, second * CURRENT_STEP_A
+
+
+def version(question: bytes, received: bytes) -> str | None:
+    """The text in an answer, which ends with a line feed and a zero byte; None where damaged."""
+    end = received.find(b'\n\0')
+    if not 0 <= end < _LONGEST_VERSION:
+        return None
+    data = _data(question, received, end + 2)
+    return None if data is None else data[:-2].decode('ascii', 'replace')
+
+
+def _data(question: bytes, received: bytes, length: int) -> bytes | None:
+    data = received[:length]
+    return data if received == answer(question, data) and len(data) == length else None

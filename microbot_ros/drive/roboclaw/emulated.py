@@ -1,0 +1,81 @@
+"""Two emulated RoboClaw controllers on one line."""
+
+from __future__ import annotations
+
+import struct
+
+from microbot_ros.drive.emulator.device import Device
+from microbot_ros.drive.roboclaw import codec
+from microbot_ros.drive.roboclaw.driver import ADDRESSES
+
+_GAP_S = 0.01
+_LENGTHS = {codec.SET_TIMEOUT: 5, codec.GET_TIMEOUT: 2, codec.GET_VERSION: 2, codec.DRIVE: 8,
+            codec.GET_CURRENTS: 2}
+"""Command → bytes of a whole packet; questions are address and command only."""
+
+
+class Controllers(Device):
+    """Takes packets that come without a gap of 10 ms; a timeout of 0, as at power-up, is none.
+
+    Any good packet feeds the timeout, which is one for both here: the driver sets them alike.
+    """
+
+    def reset(self) -> None:
+        super().reset()
+        self.coils.watchdog_s = None
+        self._pending = b''
+        self._last_byte_s = 0.0
+        self._timeouts = dict.fromkeys(ADDRESSES, 0)
+
+    def receive(self, port: int, data: bytes, now_s: float) -> bytes:
+        if now_s - self._last_byte_s > _GAP_S:
+            self._pending = b''
+        self._last_byte_s = now_s
+        self._pending += data
+        answers = b''
+        while len(self._pending) >= 2:
+            address, command = self._pending[:2]
+            if address not in ADDRESSES or command not in _LENGTHS:
+                self._pending = self._pending[1:]
+                continue
+            if len(self._pending) < (length := _LENGTHS[command]):
+                break
+            packet, self._pending = self._pending[:length], self._pending[length:]
+            answers += self._execute(packet)
+        return answers
+
+    def _execute(self, packet: bytes) -> bytes:
+        address, command = packet[:2]
+        if _LENGTHS[command] == 2:
+            answer = codec.answer(packet, self._report(address, command))
+        elif packet == codec.packet(address, command, packet[2:-2]):
+            self._obey(address, command, packet[2:-2])
+            answer = codec.ACKNOWLEDGED
+        else:
+            return b''
+        self.coils.feed()
+        return answer
+
+    def _report(self, address: int, command: int) -> bytes:
+        if command == codec.GET_VERSION:
+            return b'Sabertooth 2x32\n\0' if self.impostor else b'USB Roboclaw 2x15a v4.1.34\n\0'
+        if command == codec.GET_TIMEOUT:
+            return bytes((self._timeouts[address],))
+        return struct.pack('>hh', *(round(self.coils.currents_A[coil] / codec.CURRENT_STEP_A)
+                                    for coil in _coils(address)))
+
+    def _obey(self, address: int, command: int, data: bytes) -> None:
+        if command == codec.SET_TIMEOUT:
+            self._timeouts[address] = data[0]
+            longest = max(self._timeouts.values())
+            self.coils.watchdog_s = longest * codec.TIMEOUT_STEP_S if longest else None
+        else:
+            scale = self.coils.full_scale_A / codec.FULL_DUTY
+            duties = struct.unpack('>hh', data)
+            self.coils.command({coil: duty * scale for coil, duty
+                                in zip(_coils(address), duties, strict=True)})
+
+
+def _coils(address: int) -> range:
+    first = 2 * ADDRESSES.index(address)
+    return range(first, first + 2)

@@ -1,0 +1,1 @@
+"""Roboteq: two two-channel controllers, one line each."""

@@ -1,0 +1,47 @@
+"""Roboteq's text protocol: lines that end at CR; commands are answered with + or −."""
+
+from __future__ import annotations
+
+import re
+
+FULL_COMMAND = 1000
+CURRENT_STEP_A = 0.1
+END = b'\r'
+
+_VALUES = re.compile(rb'(-?\d+):(-?\d+)')
+
+
+def drive(first: float, second: float) -> bytes:
+    """Commands −1 … 1 for channels 1 and 2; ValueError outside."""
+    if not all(-1.0 <= share <= 1.0 for share in (first, second)):
+        raise ValueError(f'commands must be −1 … 1; received {first}, {second}')
+    return b''.join(line(f'!G {channel} {round(share * FULL_COMMAND)}')
+                    for channel, share in ((1, first), (2, second)))
+
+
+def line(text: str) -> bytes:
+    """One command or query."""
+    return text.encode('ascii') + END
+
+
+def accepted(count: int, received: bytes) -> bool | None:
+    """True where that many commands were accepted; None where incomplete or refused."""
+    return True if received == (b'+' + END) * count else None
+
+
+def text(name: str, received: bytes) -> str | None:
+    """What follows `name=` in an answer; None where the answer is incomplete or another's."""
+    prefix = name.encode('ascii') + b'='
+    content, end, rest = received.partition(END)
+    if not end or rest or not content.startswith(prefix):
+        return None
+    return content.removeprefix(prefix).decode('ascii', 'replace')
+
+
+def currents(received: bytes) -> tuple[float, float] | None:
+    """The currents [A] of both channels; None where incomplete or damaged."""
+    content = text('A', received)
+    match = _VALUES.fullmatch(content.encode()) if content is not None else None
+    if match is None:
+        return None
+    return int(match[1]) * CURRENT_STEP_A, int(match[2]) * CURRENT_STEP_A

@@ -1,0 +1,1 @@
+"""SCPI: Kepco BOP bipolar supplies, one line per coil."""

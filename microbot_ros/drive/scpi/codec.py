@@ -1,0 +1,41 @@
+"""The lines of SCPI that a bipolar supply needs, and the numbers it sends back."""
+
+from __future__ import annotations
+
+import re
+
+CLEAR_INPUT = b'\x1b'
+"""ESC empties the supply's input buffer."""
+LONGEST_LINE = 253
+"""More characters than this in a line overflow the supply's buffer."""
+
+_NUMBER = re.compile(rb'[+-]?\d+(\.\d*)?(E[+-]?\d{1,2})?')
+
+
+def line(*commands: str) -> bytes:
+    """Commands as one line; ValueError where the supply could not take it."""
+    text = ';'.join(commands).encode('ascii') + b'\n'
+    if len(text) > LONGEST_LINE:
+        raise ValueError(f'a line must be at most {LONGEST_LINE} bytes; received {len(text)}')
+    return text
+
+
+def current(amperes: float) -> str:
+    """The command that sets a current: five digits, far finer than the supply's."""
+    return f'CURR {amperes:.4E}'
+
+
+def text(answer: bytes) -> str | None:
+    """The answer's line; None where its end has not come or it is not printable ASCII."""
+    content, end, _ = answer.replace(b'\r', b'\n').lstrip(b'\n').partition(b'\n')
+    if not end or not all(0x20 <= byte < 0x7F for byte in content):
+        return None
+    return content.decode('ascii')
+
+
+def number(answer: bytes) -> float | None:
+    """The number in an answer such as 2.71E1; None where there is none or its end is missing."""
+    content = text(answer)
+    if content is None or not _NUMBER.fullmatch(content.strip().encode()):
+        return None
+    return float(content)

@@ -1,0 +1,85 @@
+"""SCPI lines: golden text and the transcript of a session."""
+
+import pytest
+
+from microbot_ros.drive.errors import WrongDeviceError
+from microbot_ros.drive.scpi import codec
+from microbot_ros.drive.scpi.driver import ScpiAmplifier
+from microbot_ros.errors import InputError
+
+LINES = ('a', 'b', 'c', 'd')
+
+
+@pytest.mark.parametrize(('answer', 'value'), [
+    (b'2.71E1\n', 27.1), (b'-1.0000E-1\r\n', -0.1), (b'\r\n 0\n', 0.0), (b'+3.\r', 3.0),
+    (b'2.71E1', None), (b'', None), (b'nan\n', None), (b'inf\n', None), (b'1E400\n', None),
+    (b'1_0\n', None), (b'2.71E1\x80\n', None), (b'1 2\n', None), (b'\n', None),
+])
+def test_numbers_pass_whole_and_finite_only(answer, value):
+    assert codec.number(answer) == value
+
+
+def test_lines_end_at_a_line_feed_and_fit_the_buffer():
+    assert codec.line('CURR 1', 'OUTP ON') == b'CURR 1;OUTP ON\n'
+    assert len(codec.line('x' * 252)) == 253
+    with pytest.raises(ValueError, match='253'):
+        codec.line('x' * 253)
+
+
+@pytest.mark.parametrize(('amperes', 'text'), [
+    (0.0, 'CURR 0.0000E+00'), (-1.25, 'CURR -1.2500E+00'), (0.033333, 'CURR 3.3333E-02'),
+])
+def test_currents_are_written_with_five_digits(amperes, text):
+    assert codec.current(amperes) == text
+
+
+def on_each(request: bytes, *answers: bytes) -> list[tuple[str, bytes, bytes]]:
+    answers = answers * 4 if len(answers) == 1 else answers
+    return [(line, request, answer) for line, answer in zip(LINES, answers, strict=True)]
+
+
+def identifying(identity: bytes = b'KEPCO,BOP 20-5,E1,3.05\n') -> list[tuple[str, bytes, bytes]]:
+    return [*on_each(b'\x1b', b''), *on_each(b'*IDN?\n', identity)]
+
+
+CONNECTING = [
+    *identifying(),
+    *on_each(b'FUNC:MODE CURR;CURR 0.0000E+00;CURR:PROT:LIM 2.0000E+00\n', b''),
+    *on_each(b'CURR:PROT:LIM?\n', b'2.00E0\n'),
+    *on_each(b'OUTP ON\n', b''),
+]
+ZEROING = [*on_each(b'CURR 0.0000E+00\n', b''), *on_each(b'MEAS:CURR?\n', b'0.00E0\r\n')]
+
+
+def test_the_transcript_of_a_session(scripted):
+    scripted([
+        *CONNECTING, *ZEROING,
+        ('a', b'CURR 1.0000E+00\n', b''), ('b', b'CURR -5.0000E-01\n', b''),
+        ('c', b'CURR 0.0000E+00\n', b''), ('d', b'CURR 2.0000E+00\n', b''),
+        *on_each(b'MEAS:CURR?\n', b'1.00E0\n', b'-5.01E-1\n', b'0.00E0\n', b'1.99E0\n'),
+        *ZEROING, *on_each(b'OUTP OFF\n', b'')])
+    amplifier = ScpiAmplifier('a,b,c,d', 2.0)
+    amplifier.connect()
+    command = amplifier.write([1.0, -0.5, 0.0, 2.0])
+    reading, = amplifier.poll(1.0)
+    assert reading.currents_A == pytest.approx([1.0, -0.501, 0.0, 1.99])
+    assert reading.acknowledges is command
+    assert amplifier.close()
+
+
+def test_another_maker_is_refused(scripted):
+    scripted(identifying(b'HEWLETT-PACKARD,34401A,0,1\n'))
+    with pytest.raises(WrongDeviceError, match='HEWLETT'):
+        ScpiAmplifier('a,b,c,d', 2.0).connect()
+
+
+def test_a_protection_limit_that_is_not_taken_is_refused(scripted):
+    scripted([*CONNECTING[:12], *on_each(b'CURR:PROT:LIM?\n', b'5.00E0\n')])
+    with pytest.raises(WrongDeviceError, match='limit of 2 A'):
+        ScpiAmplifier('a,b,c,d', 2.0).connect()
+
+
+@pytest.mark.parametrize('url', ['a', 'a,b,c', 'a,b,c,d,e', ''])
+def test_one_port_for_each_coil_is_needed(url):
+    with pytest.raises(InputError, match='4 serial ports'):
+        ScpiAmplifier(url, 2.0)
