@@ -1,0 +1,120 @@
+"""A course of the field over the next seconds, and what it makes of every particle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from microbot_ros.model.effects.alignment_lag import AlignmentLag
+from microbot_ros.model.heading import course
+from microbot_ros.model.model import Model
+from microbot_ros.model.scene import Places, Scene
+
+QUICKEST = 0.02
+"""Alignment time [s] that stands in where the model has none, so that plans are smooth in B."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """`field` (K, 2) [T], each held for its part of `duration` (K,) [s]."""
+
+    duration: np.ndarray
+    field: np.ndarray
+
+    @property
+    def length(self) -> float:
+        """The time [s] it takes."""
+        return float(self.duration.sum())
+
+    def after(self, dt: float) -> Plan:
+        """What is left of it `dt` [s] later."""
+        ends = np.cumsum(self.duration) - dt
+        left = ends > 1e-6
+        return Plan(np.minimum(self.duration, ends)[left], self.field[left])
+
+
+@dataclass(frozen=True)
+class Swarm:
+    """The particles a plan is for, when it begins.
+
+    `position` (N,) complex [m]; `velocity` c = v e^{iφ} (N,) [m/s]; `heading` (N,): e^{i(θ − φ)};
+    `models` (N,): the model as each particle obeys it, differing in the alignment lag; `t` [s].
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    heading: np.ndarray
+    models: tuple[Model, ...]
+    t: float
+
+    def paths(self, duration: np.ndarray, field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Through K spans of `duration` (K,) [s] under V variants of `field` (K, V, 2) [T]:
+
+        ∫e^{i(θ − φ)} dt of each (K, N, V) [s] and the heading at the edges (K + 1, N, V).
+        """
+        paths, headings = [], []
+        for model, start in zip(self.models, self.heading, strict=True):
+            scene = self._scene(model, duration, model.field(field))
+            way = course(model, scene, np.full(field.shape[1], start))
+            paths.append(way.path)
+            headings.append(way.heading)
+        return np.stack(paths, 1), np.stack(headings, 1)
+
+    def surroundings(self, duration: np.ndarray, field: np.ndarray,
+                     position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Factors on the speed (K, N) and drift (K, N) complex [m/s] at `position` (K, N)."""
+        model = self.models[0]
+        shape = (len(duration), len(self.position))
+        places = Places(np.stack([position.real, position.imag], -1))
+        scene = self._scene(model, duration, model.field(field)[:, None], places)
+        factor = np.broadcast_to(model.speed_factor(scene), shape)
+        drift = model.drift(scene)
+        if drift is None:
+            return factor, np.zeros(shape, complex)
+        return factor, np.broadcast_to(drift[..., 0] + 1j * drift[..., 1], shape)
+
+    def _scene(self, model: Model, duration: np.ndarray, field: np.ndarray,
+               places: Places | None = None) -> Scene:
+        span = duration[:, None]
+        middle = self.t + np.cumsum(duration)[:, None] - span / 2
+        return Scene(middle, span, field, np.ones_like(span), model.reference_field, places)
+
+
+def with_lags(model: Model, lags: list[float | None]) -> tuple[Model, ...]:
+    """The model as particles with these alignment times [s] obey it; None: what the model says."""
+    own = model.effect('alignment_lag')
+    common = max(own.tau if isinstance(own, AlignmentLag) else 0.0, QUICKEST)
+    return tuple(model.with_effect(AlignmentLag(tau=lag or common)) for lag in lags)
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """What a plan comes to: `position` (K, N) complex [m] at the end of each span, and how it
+    answers to the field: `response` (K, N, 2K) complex, ∂position/∂field [m] per unit of the
+    field's limit, x and y of the first span first."""
+
+    position: np.ndarray
+    response: np.ndarray
+
+
+def roll_out(swarm: Swarm, plan: Plan, limit: float) -> Rollout:
+    """Follow a plan, and every plan that differs from it in one component of one span.
+
+    The derivative is a difference over a tenth of `limit` [T]: the turning is nearly linear in
+    the field. Speed factors and drift are taken at the places of the plan itself.
+    """
+    count = len(plan.duration)
+    step = 0.1 * limit
+    field = np.repeat(plan.field[:, None, :], 2 * count + 1, axis=1)
+    for k in range(count):
+        for axis in (0, 1):
+            field[k, 1 + 2 * k + axis, axis] += step if plan.field[k, axis] <= 0 else -step
+    paths, _ = swarm.paths(plan.duration, field)
+    nominal = swarm.position + np.cumsum(swarm.velocity * paths[..., 0], axis=0)
+    factor, drift = swarm.surroundings(plan.duration, plan.field, nominal)
+    moved = (swarm.velocity * factor)[..., None] * paths
+    carried = (drift * plan.duration[:, None])[..., None]
+    position = swarm.position[:, None] + np.cumsum(moved + carried, axis=0)
+    signed = np.where(plan.field.ravel() <= 0, 10.0, -10.0)
+    return Rollout(position[..., 0], (position[..., 1:] - position[..., :1]) * signed)
