@@ -2,7 +2,8 @@
 
 Each function is one cause. They read a particle's record (`body.BODY`) and know nothing of the
 equations that the rest of the project fits. `advance` puts them together. All are in one file
-because numba's cache notices changes in the caller's own file only.
+because numba's cache notices changes in the caller's own file only: after a change to
+`langevin.turn` touch this one.
 """
 
 from __future__ import annotations
@@ -153,11 +154,17 @@ def neighbours(bodies: np.ndarray, i: int) -> tuple[float, float, float]:
         x, y = body.x - other.x, body.y - other.y
         r = max(math.sqrt(x**2 + y**2), 1e-9)
         x, y = x / r, y / r
-        du, dv = dipole_velocity(body, other, x, y, r)
-        away = body.repulsion_speed * math.exp(-r / body.repulsion_range)
-        along = x * math.cos(other.heading) + y * math.sin(other.heading)
-        away += other.pusher * (3 * along**2 - 1) / r**2
-        u, v = u + du + away * x, v + dv + away * y
+        away = 0.0
+        # What is not there costs nothing: pairs are many.
+        if body.dipole != 0:
+            du, dv = dipole_velocity(body, other, x, y, r)
+            u, v = u + du, v + dv
+        if body.repulsion_speed != 0:
+            away += body.repulsion_speed * math.exp(-r / body.repulsion_range)
+        if other.pusher != 0:
+            along = x * math.cos(other.heading) + y * math.sin(other.heading)
+            away += other.pusher * (3 * along**2 - 1) / r**2
+        u, v = u + away * x, v + away * y
         slowing += body.crowding / r
     return u, v, max(1 - slowing, 0.0)
 

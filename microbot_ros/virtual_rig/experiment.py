@@ -27,7 +27,8 @@ class Camera:
     `frame_rate` [1/s]; `exposure`, the part of the frame interval during which the shutter is
     open, 0 a strobe and 1 always; `noise`, standard deviation of each coordinate [m]; `missed`,
     the fraction of detections that fail, in runs of `run` frames on average; `dropped`, the
-    fraction of whole frames that never arrive.
+    fraction of whole frames that never arrive. ValueError where runs are too short for so many
+    misses: `run` is at least missed/(1 − missed), and 1.
     """
 
     frame_rate: float
@@ -36,6 +37,11 @@ class Camera:
     missed: float = 0.0
     run: float = 1.0
     dropped: float = 0.0
+
+    def __post_init__(self) -> None:
+        least = max(self.missed / (1 - self.missed), 1.0)
+        if not self.run >= least:
+            raise ValueError(f'run must be at least {least:.3g}; received {self.run}')
 
 
 def perform(

@@ -59,9 +59,15 @@ UNLISTED: dict[str, dict[str, str]] = {
 
 HIDDEN = LISTED | UNLISTED
 
+# Columns that divide, or that mean nothing at zero.
+_POSITIVE = {
+    'moment', 'fuel_time', 'spot_width', 'step_out', 'channel_half_width', 'uphill_length',
+    'settling_time', 'trap_length', 'repulsion_range',
+}
+
 
 def check(effect: str, parameters: Mapping[str, float | Sequence[float]]) -> None:
-    """ValueError naming an effect or parameter that is unknown, or a value that is not finite."""
+    """ValueError naming an effect or parameter that is unknown, or a value that cannot be."""
     if effect not in HIDDEN:
         raise ValueError(f"unknown effect '{effect}'; expected one of: {', '.join(HIDDEN)}")
     known = HIDDEN[effect]
@@ -71,7 +77,7 @@ def check(effect: str, parameters: Mapping[str, float | Sequence[float]]) -> Non
                 f"unknown parameter '{name}' of {effect}; expected one of: {', '.join(known)}")
         if not np.isfinite(value).all():
             raise ValueError(f'{effect} {name} must be finite; received {value}')
-        if effect in ('alignment_lag', 'speed_decay') and not np.greater(value, 0).all():
+        if known[name] in _POSITIVE and not np.greater(value, 0).all():
             raise ValueError(f'{effect} {name} must be positive; received {value}')
     missing = [name for name in known if name not in parameters]
     if effect == 'drive_response' and 'slip' in parameters and missing:

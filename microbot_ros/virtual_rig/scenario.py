@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -40,8 +41,13 @@ class CameraSettings(Settings):
     exposure: Annotated[float, pydantic.Field(ge=0, le=1)] = 0.0
     localisation_um: Annotated[float, pydantic.Field(ge=0)] = 0.0
     missed: Fraction = 0.0
-    run: Annotated[float, pydantic.Field(ge=1)] = 1.0
+    run: Positive = 1.0
     dropped: Fraction = 0.0
+
+    @pydantic.model_validator(mode='after')
+    def possible(self) -> CameraSettings:
+        self.camera()
+        return self
 
     def camera(self) -> Camera:
         """The camera in SI."""
@@ -68,6 +74,13 @@ class StepSettings(Settings):
     centre_deg: float = 0.0
     spread_deg: Annotated[float, pydantic.Field(gt=0, le=180)] = 180.0
     frequency_hz: Levels | None = None
+
+    @pydantic.field_validator('dwell_s')
+    @classmethod
+    def ordered(cls, dwell: tuple[float, float]) -> tuple[float, float]:
+        if dwell[0] > dwell[1]:
+            raise ValueError('expected the shortest, then the longest')
+        return dwell
 
 
 class RotatingSettings(Settings):
@@ -99,7 +112,14 @@ class CommandSettings(Settings):
     steps: StepSettings | None = None
     rotating: RotatingSettings | None = None
     herding: HerdingSettings | None = None
-    rows: tuple[RowSettings, ...] | None = None
+    rows: Annotated[tuple[RowSettings, ...], pydantic.Field(min_length=1)] | None = None
+
+    @pydantic.field_validator('rows')
+    @classmethod
+    def ascending(cls, rows: tuple[RowSettings, ...]) -> tuple[RowSettings, ...]:
+        if any(after.t_s <= before.t_s for before, after in pairwise(rows)):
+            raise ValueError("expected 't_s' to ascend")
+        return rows
 
     @pydantic.model_validator(mode='after')
     def one_way(self) -> CommandSettings:
@@ -122,14 +142,19 @@ class CommandSettings(Settings):
             return Herding(phi, self.herding.field_mT * 1e-3, self.herding.patience_s)
         return self._listed()
 
+    @property
+    def rolls(self) -> bool:
+        """Whether the field rotates to roll particles."""
+        ways = self.rows or (self.steps,)
+        return any(getattr(way, 'frequency_hz', None) is not None for way in ways)
+
     def _listed(self) -> Commands:
-        rows = sorted(self.rows or (), key=lambda row: row.t_s)
+        rows = self.rows or ()
         angle = np.radians([row.direction_deg for row in rows])
         strength = np.array([row.field_mT for row in rows]) * 1e-3
         field = np.column_stack((strength * np.cos(angle), strength * np.sin(angle)))
         rolled = np.array([row.frequency_hz or 0.0 for row in rows])
-        rolls = any(row.frequency_hz is not None for row in rows)
-        return Commands(np.array([row.t_s for row in rows]), field, rolled if rolls else None)
+        return Commands(np.array([row.t_s for row in rows]), field, rolled if self.rolls else None)
 
 
 class Scenario(Settings):
@@ -162,6 +187,14 @@ class Scenario(Settings):
         for i, particle in enumerate(self.particles):
             if particle.model_fields_set & {'v_um_s', 'gain_um_s_hz'} != {self.speed_key}:
                 raise ValueError(f"expected '{self.speed_key}' of {self.propulsion} particle {i}")
+        return self
+
+    @pydantic.model_validator(mode='after')
+    def commands_fit(self) -> Scenario:
+        if self.commands.rolls != (self.propulsion == 'rolling'):
+            raise ValueError("expected 'frequency_hz' in the commands of rolling particles only")
+        if self.duration_s * self.camera.frame_rate_hz < 2:
+            raise ValueError("expected 'duration_s' to hold at least two frames")
         return self
 
     @property

@@ -16,7 +16,13 @@ from microbot_ros.model.newton_stokes import newton_stokes
 from microbot_ros.model.particle import Particle, rotational_drag, sphere_mass, stokes_drag
 from microbot_ros.records import Commands, Session
 from microbot_ros.virtual_rig.body import bodies
-from microbot_ros.virtual_rig.experiment import as_tracks, detection_errors, perform, scatter
+from microbot_ros.virtual_rig.experiment import (
+    Feedback,
+    as_tracks,
+    detection_errors,
+    perform,
+    scatter,
+)
 from microbot_ros.virtual_rig.hidden import hide
 from microbot_ros.virtual_rig.scenario import Scenario
 from microbot_ros.virtual_rig.world import World
@@ -69,8 +75,8 @@ def _moment(scenario: Scenario) -> float:
 
 
 def _without_noise(
-    scenario: Scenario, particles: ParticleParameters, control: object, start: np.ndarray,
-    heading: np.ndarray, rng: np.random.Generator, source: str,
+    scenario: Scenario, particles: ParticleParameters, control: Commands | Feedback,
+    start: np.ndarray, heading: np.ndarray, rng: np.random.Generator, source: str,
 ) -> Session:
     """By equations without chance: only the camera's errors are random."""
     camera = scenario.camera.camera()

@@ -176,6 +176,12 @@ def test_bad_scenarios_name_line_and_key(tmp_path, scenario, culprit, complaint)
     (changed(particles=[]), "either 'particles' or 'model'"),
     (changed(particles=[{'x_um': 0, 'y_um': 0, 'gain_um_s_hz': 1, 'phi_rad': 0}]),
      "expected 'v_um_s' of catalytic particle 0"),
+    (changed(propulsion='rolling', particles=[
+        {'x_um': 0, 'y_um': 0, 'gain_um_s_hz': 1, 'phi_rad': 0}]), "'frequency_hz'"),
+    (changed(duration_s=0.09), 'at least two frames'),
+    (changed(commands={'steps': {'field_mT': 5, 'dwell_s': [3, 2]}}), 'shortest, then'),
+    (changed(commands={'rows': [{'t_s': 0, 'field_mT': 5, 'direction_deg': 0}] * 2}), 'ascend'),
+    (changed(camera={'frame_rate_hz': 20, 'missed': 0.8, 'run': 2}), 'at least 4'),
     (quiet(physics='first_order', effects={'trap': {'speed_um_s': 1}}), 'effects.trap'),
     (quiet(physics='first_order', effects={'uniform_drift': {'wx_um_s': 1}}),
      'effects.uniform_drift.wy_um_s'),

@@ -268,6 +268,8 @@ def test_unlisted_strengths_cover_all_but_the_camera():
     ('command_delay', {'delay_s': [0.1, math.inf, 0.1]}, 'must be finite'),
     ('alignment_lag', {'tau_s': 0.0}, 'must be positive'),
     ('speed_decay', {'tau_s': -3.0}, 'must be positive'),
+    ('hot_spot', {'width_um': 0.0}, 'must be positive'),
+    ('repulsion', {'range_um': -1.0}, 'must be positive'),
     ('drive_response', {'slip': 0.5, 'cut_in_hz': 1.0}, 'expects also: step_out_hz'),
 ])
 def test_impossible_effects_are_refused(effect, parameters, complaint):
