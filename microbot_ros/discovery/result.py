@@ -1,0 +1,211 @@
+"""What a search for the missing effect found: numbers in SI, and `result.json` of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from microbot_ros.model.effects import EFFECTS
+from microbot_ros.model.model import Model, ParticleParameters
+from microbot_ros.model.parameter import Parameter
+from microbot_ros.units import from_si
+
+Verdict = Literal['consistent', 'named', 'unnamed']
+Status = Literal['established', 'suggested', 'proxy']
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A value with its standard deviation, SI; NaN where unknown."""
+
+    value: float
+    std: float
+
+    def as_json(self, name: str) -> dict[str, float | None]:
+        """Both in the unit that `name` carries; null where not finite."""
+        return {'value': _edge(name, self.value), 'std': _edge(name, self.std)}
+
+
+@dataclass(frozen=True)
+class NamedEffect:
+    """An effect that the data ask for.
+
+    `delta_bic` and `p_value` compare the final model with and without it; `p_value` is local for
+    effects with no shape to search over and corrected for the search where there is one.
+    `e_value` is the gain in likelihood on data that the effect was not fitted to.
+    `indistinguishable_from` names the effects that explain the same data as well.
+    """
+
+    id: str
+    status: Status
+    parameters: dict[str, Estimate]
+    delta_bic: float
+    p_value: float
+    e_value: float
+    indistinguishable_from: tuple[str, ...] = ()
+
+    def as_json(self) -> dict[str, Any]:
+        """The entry of `effects`, in the units of the names."""
+        return {
+            'id': self.id, 'status': self.status,
+            'parameters': {name: e.as_json(name) for name, e in self.parameters.items()},
+            'delta_bic': self.delta_bic, 'p_value': self.p_value,
+            'indistinguishable_from': list(self.indistinguishable_from),
+        }
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Held-out open-loop prediction over `horizon` [s]: excess over the noise floor [m].
+
+    `before`, `after` and (where the truth is known) `truth` are √(RMS² − floor²) of one axis,
+    0 where there is no excess; `floor` = √(2D·horizon + 2σ²).
+    """
+
+    horizon: float
+    before: float
+    after: float
+    floor: float
+    truth: float = np.nan
+
+
+@dataclass(frozen=True)
+class ResidualMap:
+    """What is left of the data against one covariate.
+
+    `statistic` is χ² with `dof` degrees of freedom where nothing is left, `p_value` corrected for
+    the number of maps. For drawing: `curves` {component: (mean, standard error)} of the residual
+    velocity [m/s] in bins whose middles are `middles` (B,) in the unit of `label`.
+    """
+
+    against: str
+    label: str
+    statistic: float
+    dof: int
+    p_value: float
+    middles: np.ndarray
+    curves: dict[str, tuple[np.ndarray, np.ndarray]]
+
+    @property
+    def fires(self) -> bool:
+        """Whether there is something left."""
+        return self.p_value < 0.01
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A candidate on one rung of the ladder: what adding it would bring."""
+
+    id: str
+    likelihood_ratio: float
+    dof: int
+    delta_bic: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One step: `candidates` best first; `added` and `removed` say what was done."""
+
+    model: tuple[str, ...]
+    candidates: tuple[Candidate, ...]
+    added: str | None
+    removed: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Limit:
+    """An effect that is not supported, and how large it may still be (95 %), SI."""
+
+    id: str
+    parameter: Parameter
+    upper_limit: float
+
+
+@dataclass(frozen=True)
+class Particle:
+    """Speed [m/s] or gain [m/s/Hz], φ [rad] and force [N] of one particle."""
+
+    name: str
+    speed: Estimate
+    phi: Estimate
+    force: Estimate
+
+
+@dataclass(frozen=True)
+class NextExperiment:
+    """What to record to tell apart what this recording can't, and for how long."""
+
+    sentence: str
+    minutes: float
+
+
+@dataclass(frozen=True)
+class Discovery:
+    """The whole result. `model` and `particles` (those of the last session) make `model.yaml`."""
+
+    verdict: Verdict
+    effects: tuple[NamedEffect, ...]
+    gap: Gap
+    maps_before: tuple[ResidualMap, ...]
+    maps_after: tuple[ResidualMap, ...]
+    ladder: tuple[Rung, ...]
+    limits: tuple[Limit, ...]
+    baseline: tuple[Particle, ...]
+    diffusion: Estimate
+    localisation: Estimate
+    next_experiment: NextExperiment | None
+    model: Model
+    particles: ParticleParameters
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def unexplained(self) -> tuple[ResidualMap, ...]:
+        """The maps that still fire, worst first."""
+        return tuple(sorted((m for m in self.maps_after if m.fires), key=lambda m: m.p_value))
+
+    def as_json(self) -> dict[str, Any]:
+        """`result.json`, in units at the edge."""
+        speed = 'gain_um_s_hz' if self.model.propulsion == 'rolling' else 'v_um_s'
+        result = {
+            'verdict': self.verdict,
+            'effects': [effect.as_json() for effect in self.effects],
+            'gap': {
+                'horizon_s': self.gap.horizon,
+                'before_um': _edge('_um', self.gap.before),
+                'after_um': _edge('_um', self.gap.after),
+                'floor_um': _edge('_um', self.gap.floor),
+            },
+            'unexplained': [
+                {'against': m.against, 'p_value': m.p_value} for m in self.unexplained
+            ],
+            'not_supported': [
+                {'id': limit.id, 'parameter': limit.parameter.name,
+                 'upper_limit_95': _edge(limit.parameter.name, limit.upper_limit)}
+                for limit in self.limits
+            ],
+            'baseline': {
+                'particles': {
+                    p.name: {
+                        speed: p.speed.as_json(speed), 'phi_rad': p.phi.as_json('phi_rad'),
+                        'force_pN': p.force.as_json('force_pN'),
+                    } for p in self.baseline
+                },
+                'diffusion_um2_s': self.diffusion.as_json('_um2_s'),
+                'localisation_um': self.localisation.as_json('_um'),
+            },
+            'next_experiment': self.next_experiment.sentence if self.next_experiment else '',
+            'remarks': list(self.remarks),
+        }
+        return result
+
+
+def parameters_of(effect_id: str) -> dict[str, Parameter]:
+    """The parameters of an effect of the library by their names at the edge."""
+    return {p.name: p for p in EFFECTS[effect_id].parameters()}
+
+
+def _edge(name: str, value: float) -> float | None:
+    return float(from_si(name, float(value))) if np.isfinite(value) else None
