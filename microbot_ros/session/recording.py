@@ -6,29 +6,21 @@ import heapq
 import re
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import yaml
-import zstandard
-from mcap.exceptions import McapError
 
 from microbot_ros.errors import InputError
 from microbot_ros.files import write_text
 from microbot_ros.session.bag import METADATA_FILE, metadata_text, typestore
-from microbot_ros.session.scan import IndexedReader
+from microbot_ros.session.mcap_file import McapFile, Message
 from microbot_ros.session.topics import is_topic
 
-
-class Message(NamedTuple):
-    """One recorded message: time of receipt [ns], content as CDR bytes."""
-
-    topic: str
-    type: str
-    t_ns: int
-    data: bytes
+_FOREVER = 2**63
 
 
 @dataclass(frozen=True)
@@ -49,21 +41,21 @@ class Recording:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self._readers: list[IndexedReader] = []
+        self._files: list[McapFile] = []
         try:
-            for file in _files(self.path):
-                self._readers.append(IndexedReader(file))
+            for path_ in _files(self.path):
+                self._files.append(McapFile(path_))
             self.topics = self._find_topics()
         except BaseException:
             self.close()
             raise
         statistics = [
-            found for reader in self._readers
-            if (found := reader.get_summary().statistics) and found.message_count
+            found for file in self._files
+            if (found := file.summary.statistics) and found.message_count
         ]
         self.start_ns = min((found.message_start_time for found in statistics), default=0)
         self.end_ns = max((found.message_end_time for found in statistics), default=0)
-        self.complete = all(reader.complete for reader in self._readers) and (
+        self.complete = all(file.complete for file in self._files) and (
             self.path.is_file() or (self.path / METADATA_FILE).exists()
         )
 
@@ -88,14 +80,14 @@ class Recording:
 
         Lazy: only chunks that hold such messages are read. InputError where the data are broken.
         """
+        low, high = start_ns or 0, _FOREVER if end_ns is None else end_ns
         yield from heapq.merge(
-            *(self._read(reader, topics, start_ns, end_ns) for reader in self._readers),
-            key=lambda message: message.t_ns,
+            *(file.messages(topics, low, high) for file in self._files), key=attrgetter('t_ns'),
         )
 
     def times(self, topic: str) -> np.ndarray:
         """Times of receipt (n,) [ns] of a topic's messages, ascending; cheap."""
-        return np.sort(np.concatenate([reader.times(topic) for reader in self._readers]))
+        return np.sort(np.concatenate([file.times(topic) for file in self._files]))
 
     def decode(self, message: Message) -> Any:
         """The message with its fields; arrays are numpy's. InputError where it does not fit."""
@@ -111,30 +103,30 @@ class Recording:
     def attachments(self) -> dict[str, bytes]:
         """The files kept inside the recording."""
         return {
-            record.name: record.data for reader in self._readers
-            for record in reader.iter_attachments()
+            record.name: record.data for file in self._files
+            for record in file.attachments()
         }
 
     def metadata(self) -> dict[str, dict[str, str]]:
         """The named keys and values kept inside the recording."""
         return {
-            record.name: record.metadata for reader in self._readers
-            for record in reader.iter_metadata()
+            record.name: record.metadata for file in self._files
+            for record in file.metadata()
         }
 
     def repair(self) -> None:
         """Write what a crash left unwritten: the index of the last file, `metadata.yaml`."""
-        for reader in self._readers:
-            reader.repair()
+        for file in self._files:
+            file.repair()
         if self.path.is_dir():
-            summaries = {reader.path: reader.get_summary() for reader in self._readers}
+            summaries = {file.path: file.summary for file in self._files}
             write_text(self.path / METADATA_FILE, metadata_text(summaries))
         self.complete = True
 
     def close(self) -> None:
         """Close the files."""
-        for reader in self._readers:
-            reader.close()
+        for file in self._files:
+            file.close()
 
     def __enter__(self) -> Recording:
         return self
@@ -145,34 +137,19 @@ class Recording:
     ) -> None:
         self.close()
 
-    def _read(
-        self, reader: IndexedReader, topics: Collection[str] | None, start_ns: int | None,
-        end_ns: int | None,
-    ) -> Iterator[Message]:
-        chosen = None if topics is None else list(topics)
-        if not reader.complete and not reader.get_summary().chunk_indexes:
-            return
-        try:
-            for schema, channel, message in reader.iter_messages(
-                    chosen, starting_at=start_ns, ending_before=end_ns):
-                assert schema is not None
-                yield Message(channel.topic, schema.name, message.log_time, message.data)
-        except (McapError, zstandard.ZstdError) as error:
-            raise InputError(reader.path, f'expected sound chunks ({error})') from None
-
     def _find_topics(self) -> dict[str, Topic]:
         topics: dict[str, Topic] = {}
-        for reader in self._readers:
-            summary = reader.get_summary()
+        for file in self._files:
+            summary = file.summary
             assert summary.statistics is not None
             for channel in summary.channels.values():
                 if channel.message_encoding != 'cdr' or channel.schema_id not in summary.schemas:
-                    raise InputError(reader.path, 'expected a ROS 2 recording (CDR messages), '
+                    raise InputError(file.path, 'expected a ROS 2 recording (CDR messages), '
                                      f'found {channel.message_encoding!r} on {channel.topic}')
                 kind = summary.schemas[channel.schema_id].name
                 earlier = topics.get(channel.topic, Topic(kind, 0))
                 if earlier.type != kind:
-                    raise InputError(reader.path, f'expected {earlier.type} on {channel.topic} '
+                    raise InputError(file.path, f'expected {earlier.type} on {channel.topic} '
                                                   f'as in the file before, found {kind}')
                 count = summary.statistics.channel_message_counts.get(channel.id, 0)
                 topics[channel.topic] = Topic(kind, earlier.count + count)

@@ -71,7 +71,8 @@ class Segment:
             message_index_length=len(block) - length, uncompressed_size=chunk.uncompressed_size,
         ))
         counts = {index.channel_id: len(index.records) for index in closed.indexes}
-        count_chunk(self.summary, self.summary.chunk_indexes[-1], counts)
+        count_messages(
+            self.summary, chunk.message_start_time, chunk.message_end_time, counts)
 
     def add_attachment(self, record: Attachment) -> None:
         """Append a file within the file."""
@@ -128,12 +129,11 @@ def attachment_index(record: Attachment, start: int, length: int) -> AttachmentI
     )
 
 
-def count_chunk(summary: Summary, index: ChunkIndex, counts: dict[int, int]) -> None:
-    """Add a chunk's messages, counted by channel, to the statistics."""
+def count_messages(summary: Summary, start: int, end: int, counts: dict[int, int]) -> None:
+    """Add messages, counted by channel, received from `start` to `end` [ns]."""
     statistics = summary.statistics
     assert statistics is not None
     first = not statistics.message_count
-    start, end = index.message_start_time, index.message_end_time
     statistics.message_start_time = start if first else min(statistics.message_start_time, start)
     statistics.message_end_time = max(statistics.message_end_time, end)
     statistics.message_count += sum(counts.values())

@@ -161,6 +161,30 @@ def test_a_recording_by_rosbags_reads_alike_and_survives_a_crash(tmp_path):
         (tmp_path / 'bag' / 'metadata.yaml').unlink(missing_ok=True)
 
 
+def test_a_recording_without_chunks_reads_alike_finished_or_cut_off(tmp_path):
+    expected = list(SessionMessages(small_session()).messages())
+    with (tmp_path / 'bare.mcap').open('wb') as stream:
+        writer = Writer(stream, use_chunking=False)
+        writer.start('ros2')
+        schemas = {kind: writer.register_schema(kind, 'ros2msg', b'')
+                   for kind in {message.type for message in expected}}
+        channels = {topic: writer.register_channel(topic, 'cdr', schemas[kind])
+                    for topic, kind in {(m.topic, m.type) for m in expected}}
+        for m in expected:
+            writer.add_message(channels[m.topic], m.t_ns, m.data, m.t_ns)
+        writer.finish()
+    whole = (tmp_path / 'bare.mcap').read_bytes()
+    for size in (len(whole), len(whole) // 2):
+        (tmp_path / 'bare.mcap').write_bytes(whole[:size])
+        with open_recording(tmp_path / 'bare.mcap') as recording:
+            kept = list(recording.messages())
+            assert kept == expected[:len(kept)]
+            assert recording.complete == (len(kept) == len(expected))
+            assert sum(topic.count for topic in recording.topics.values()) == len(kept) > 50
+            assert recording.times('/particles').tolist() == [
+                m.t_ns for m in kept if m.topic == '/particles']
+
+
 def foreign(path: Path, encoding: str = 'json') -> Path:
     with path.open('wb') as stream:
         writer = Writer(stream)
