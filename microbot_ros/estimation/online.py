@@ -11,13 +11,17 @@ from microbot_ros.errors import InputError
 from microbot_ros.estimation.commands import CommandLog
 from microbot_ros.estimation.noise import Noise
 from microbot_ros.estimation.phasor import Polar, polar
-from microbot_ros.estimation.population import Population
+from microbot_ros.estimation.population import Population, Taken
 from microbot_ros.estimation.propagation import Propagator
 from microbot_ros.estimation.shared import SharedKnowledge
 from microbot_ros.model.model import Model
 from microbot_ros.model.model_file import read_model
 from microbot_ros.model.particle import Fluid, stokes_drag, translational_diffusion
 from microbot_ros.records import Conditions
+
+
+LONGEST_OPENING = 200
+"""Frames after which the first ones are no longer kept to be filtered again."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +36,7 @@ class Settings:
     """Exposure time of a frame [s]."""
     fastest: float = 20e-6
     """Largest plausible speed [m/s], or gain [m/s/Hz]: two standard deviations of the prior."""
-    change_interval: float = 300.0
+    change_interval: float = 3600.0
     """Mean seconds between abrupt changes of one particle's speed or direction."""
     wander: float = 1e-3
     """Relative random walk of speed and direction in one second."""
@@ -76,6 +80,16 @@ class Estimates:
         return not self.diagnosis
 
 
+@dataclass(frozen=True)
+class _Frame:
+    """The usable readings of one frame: time, identities (n,), complex places, σ or NaN."""
+
+    t: float
+    ids: np.ndarray
+    z: np.ndarray
+    sigma: np.ndarray
+
+
 class Estimator:
     """Exact filter for every particle, with what they share learned from the recent past.
 
@@ -97,6 +111,7 @@ class Estimator:
         self._propagator = Propagator(model or bare, self.settings.horizon)
         self._population = Population(self.settings.fastest / 2)
         self._shared: SharedKnowledge | None = None
+        self._opening: list[_Frame] | None = []
         self._t = -np.inf
         self._notes: dict[str, float] = {}
 
@@ -141,19 +156,41 @@ class Estimator:
         ids = np.asarray(ids, int)
         sigma = np.full(len(ids), np.nan) if sigma is None else np.asarray(sigma, float)
         usable = self._usable(ids, position)
-        ids, true = ids[usable], self.model.true_position(position[usable])
-        shared = self._knowledge(sigma[usable])
-        self._predict(t, shared)
-        taken = self._population.take(
-            t, ids, true[:, 0] + 1j * true[:, 1], _reading(shared.noise, sigma[usable])
-        )
-        self._t = t
+        true = self.model.true_position(position[usable])
+        frame = _Frame(t, ids[usable], true[:, 0] + 1j * true[:, 1], sigma[usable])
+        shared = self._knowledge(frame.sigma)
+        taken, changed = self._filter(frame, shared)
         self._report(taken.jump)
-        changed = self._population.consider_changes(t, self.settings.change_interval)
         shared.add(t, self._population.ids, taken, changed)
         shared.work(t, self.model, self._log, self._population.bank)
+        self._settle(frame, shared)
         self._forget(t)
-        return self._estimates(np.isin(self._population.ids, ids))
+        return self._estimates(np.isin(self._population.ids, frame.ids))
+
+    def _filter(self, frame: _Frame, shared: SharedKnowledge) -> tuple[Taken, np.ndarray]:
+        """Predict and take one frame; its readings, and seconds since each c changed."""
+        self._predict(frame.t, shared)
+        taken = self._population.take(
+            frame.t, frame.ids, frame.z, _reading(shared.noise, frame.sigma)
+        )
+        self._t = frame.t
+        return taken, self._population.consider_changes(frame.t, self.settings.change_interval)
+
+    def _settle(self, frame: _Frame, shared: SharedKnowledge) -> None:
+        """Filter the first frames again as soon as the noise has been learned from them.
+
+        Until then noise levels are assumed; frames weighed by wrong ones would never be forgotten.
+        """
+        if self._opening is None:
+            return
+        self._opening.append(frame)
+        if shared.reviewed or len(self._opening) >= LONGEST_OPENING:
+            self._population = Population(self.settings.fastest / 2)
+            self._propagator = Propagator(self.model, self.settings.horizon)
+            self._t = -np.inf
+            for again in self._opening:
+                self._filter(again, shared)
+            self._opening = None
 
     def _usable(self, ids: np.ndarray, position: np.ndarray) -> np.ndarray:
         """Rows that are finite and the first of their identity."""

@@ -90,6 +90,8 @@ class Population:
             self._select(kept)
 
     def _admit(self, t: float, ids: np.ndarray, z: np.ndarray, reading: np.ndarray) -> np.ndarray:
+        if np.array_equal(ids, self.ids):
+            return np.zeros(len(ids), bool)
         new = ~np.isin(ids, self.ids)
         if new.any():
             self.bank.add(z[new], reading[new], self._gain_var)

@@ -31,6 +31,7 @@ class SharedKnowledge:
         self.delay = Delay()
         self.turn = 0j
         self.sentences: tuple[str, ...] = ()
+        self.reviewed = False
         self._window = Window()
         self._review: Iterator[Review | None] | None = None
         self._next: float | None = None
@@ -70,6 +71,7 @@ class SharedKnowledge:
     def _adopt(self, review: Review, bank: PhasorBank) -> None:
         self.noise = _weighed(self._prior, review.noise)
         self.turn, self.sentences = review.turn, review.confounded
+        self.reviewed = True
         if not review.delay.determined:
             self.delay = replace(self.delay, std=np.nan)
             return

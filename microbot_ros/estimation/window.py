@@ -63,9 +63,7 @@ class Window:
     def _adopt(self, ids: np.ndarray) -> None:
         """Give probes of particles that are gone to particles that are there."""
         alive = np.isin(self.ids, ids)
-        if alive.all():
-            return
-        waiting = iter(np.setdiff1d(ids, self.ids))
+        waiting = iter(np.setdiff1d(ids, self.ids) if not alive.all() else ())
         for probe in np.flatnonzero(~alive):
             name = next(waiting, None)
             if name is not None:
