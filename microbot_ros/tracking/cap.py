@@ -5,29 +5,28 @@ from __future__ import annotations
 import numpy as np
 
 from microbot_ros.tracking.fit import TABLE_STEP
+from microbot_ros.tracking.profiles import Samples
 
 
-def first_harmonic(r: np.ndarray, angle: np.ndarray, rest: np.ndarray, weight: np.ndarray,
-                   owner: np.ndarray, basis: np.ndarray) -> np.ndarray:
+def first_harmonic(pixels: Samples, rest: np.ndarray, basis: np.ndarray) -> np.ndarray:
     """The radial profile that the one-sided residuals of many particles share, up to sign.
 
-    Pixels (P,) at distance `r` and image `angle` from the centre of particle `owner`, with the
-    relative residual `rest` of the round picture and its `weight`; `basis` (P, K) are the radial
-    functions at r. Returns the K coefficients: the leading direction of all particles' residuals,
+    `rest` (P,) is what the round picture leaves of the pixels; `basis` (P, K) holds the radial
+    functions. Returns the K coefficients: the leading direction of all particles' residuals,
     whichever way each one points.
     """
     total = np.zeros((basis.shape[1],) * 2)
-    for k in range(owner.max() + 1):
-        mine = owner == k
-        radial, w = basis[mine], weight[mine, None]
-        design = np.hstack([radial * np.cos(angle[mine])[:, None],
-                            radial * np.sin(angle[mine])[:, None]]) * w
+    for k in range(pixels.owner.max() + 1):
+        mine = pixels.owner == k
+        contrast, radial = pixels.weight[mine][0], basis[mine]
+        angle = pixels.angle[mine, None]
+        design = np.hstack([radial * np.cos(angle), radial * np.sin(angle)])
         normal = design.T @ design
         normal += 1e-3 * np.trace(normal) / len(normal) * np.eye(len(normal))
-        both = np.linalg.solve(normal, design.T @ (rest[mine] * weight[mine]))
-        along, across = np.split(both, 2)
-        total += weight[mine][0] ** 2 * (np.outer(along, along) + np.outer(across, across))
-    return np.linalg.eigh(total)[1][:, -1]
+        along, across = np.split(np.linalg.solve(normal, design.T @ rest[mine]), 2)
+        total += contrast**2 * (np.outer(along, along) + np.outer(across, across))
+    leading: np.ndarray = np.linalg.eigh(total)[1][:, -1]
+    return leading
 
 
 def centre_shift(table: np.ndarray, diameter_px: float, reach_px: float) -> float:

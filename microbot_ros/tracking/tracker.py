@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Generator
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from microbot_ros.errors import InputError
 from microbot_ros.tracking.appearance import Appearance
 from microbot_ros.tracking.detect import RoundDetector
-from microbot_ros.tracking.learn import learn
+from microbot_ros.tracking.learn import learning
 from microbot_ros.tracking.link import Linker, TrackStates
 from microbot_ros.tracking.outline import OutlineDetector
 from microbot_ros.tracking.settings import TrackerSettings
@@ -64,8 +65,9 @@ class Poses:
 class Tracker:
     """Finds and follows particles in a stream of frames.
 
-    Without an `appearance` the first frames in which something stands out are used to learn one
-    (`ready` turns True then), and give no poses. OpenCV is set to one thread: the tracker shares
+    Without an `appearance` the first frames in which something stands out are used to learn one,
+    a portion with each frame that follows; `ready` turns True then, and till then there are no
+    poses. OpenCV is set to one thread: the tracker shares
     its machine with the rest of the loop.
     """
 
@@ -80,6 +82,7 @@ class Tracker:
         self._detector: RoundDetector | OutlineDetector | None = None
         self._linker: Linker | None = None
         self._first_frames: list[np.ndarray] = []
+        self._learning: Generator[None, None, Appearance | None] | None = None
         self._last = -math.inf
         self._refused = -math.inf
         self._shift_rate = _NO_SHIFT
@@ -143,10 +146,18 @@ class Tracker:
         return dt
 
     def _learn(self, image: np.ndarray) -> None:
-        self._first_frames.append(image.copy())
-        if len(self._first_frames) >= self.settings.learning_frames:
-            self.appearance = learn(self._first_frames, self.settings)
-            self._first_frames.clear()
+        """Collect the first frames, then learn a portion with each further one."""
+        if self._learning is None:
+            self._first_frames.append(image.copy())
+            if len(self._first_frames) == self.settings.learning_frames:
+                self._learning = learning(self._first_frames, self.settings)
+                self._first_frames = []
+            return
+        try:
+            next(self._learning)
+        except StopIteration as done:
+            self.appearance = done.value
+            self._learning = None
 
 
 def make_detector(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from microbot_ros.tracking.learn import learn
 from microbot_ros.tracking.settings import TrackerSettings
 from microbot_ros.tracking.tracker import Tracker
 
@@ -16,10 +17,12 @@ def warm_up(dtype: type[np.uint8] | type[np.uint16] = np.uint8) -> None:
     """
     rng = np.random.default_rng(0)
     for shape, cap in (('round', 0.0), ('round', 40.0), ('any', 0.0)):
-        tracker = Tracker(TrackerSettings(shape=shape, diameter_px=10, learning_frames=2))
-        for k in range(6):
-            picture = _discs(rng, cap) * (1 if dtype is np.uint8 else 64)
-            tracker.update(picture.astype(dtype), float(k))
+        settings = TrackerSettings(shape=shape, diameter_px=10)
+        scale = 1 if dtype is np.uint8 else 64
+        frames = [(_discs(rng, cap) * scale).astype(dtype) for _ in range(3)]
+        tracker = Tracker(settings, learn(frames, settings))
+        for k, frame in enumerate(frames):
+            tracker.update(frame, float(k))
 
 
 def _discs(rng: np.random.Generator, cap: float) -> np.ndarray:

@@ -1,0 +1,108 @@
+"""A first idea of how large the particles are and where: blobs that explain the picture best."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass
+
+import numpy as np
+
+from microbot_ros.tracking.search import block_mean, peaks, spread
+from microbot_ros.tracking.settings import TrackerSettings
+
+_LADDER = 2.0 ** np.arange(2, 6.6, 0.5)
+"""Diameters [px] tried: 4 to 76."""
+
+_MOST_CANDIDATES = 80
+_MOST_PIXELS = 150_000
+_LEAST_SIGMA = 8.0
+
+
+@dataclass(frozen=True)
+class Guess:
+    """Spots of one width [px] and sign (−1 dark, 1 bright): rows x, y, response per frame.
+
+    `energy` is what their mean picture explains of the frames.
+    """
+
+    diameter: float
+    sign: float
+    spots: list[np.ndarray]
+    energy: float = 0.0
+
+
+def best_guess(
+    frames: list[np.ndarray], settings: TrackerSettings
+) -> Generator[None, None, Guess | None]:
+    """The width and sign whose spots explain most; None where nothing stands out.
+
+    A generator that pauses between portions of the work and returns the guess.
+    """
+    signs = {'dark': [-1.0], 'bright': [1.0], None: [-1.0, 1.0]}[settings.contrast]
+    ladder = _LADDER if settings.diameter_px is None else [settings.diameter_px]
+    best: Guess | None = None
+    for diameter in ladder:
+        if 2 * diameter >= min(frames[0].shape):
+            break
+        for sign in signs:
+            guess = _guess(frames[:2], float(diameter), sign)
+            yield
+            if guess is not None and (best is None or guess.energy > best.energy):
+                best = guess
+    return None if best is None else guess_at(frames, best.diameter, best.sign)
+
+
+def guess_at(frames: list[np.ndarray], diameter: float, sign: float) -> Guess | None:
+    """The strongest spots of one width and sign in every frame; None where there are none."""
+    # Enough pixels for a smooth picture; the strongest spots are the likeliest particles.
+    most = max(4, int(_MOST_PIXELS / len(frames) / (1.5 * diameter + 3) ** 2 / 4))
+    everywhere = [_spots(frame, diameter, sign)[:most] for frame in frames]
+    if not any(map(len, everywhere)):
+        return None
+    return Guess(diameter, sign, everywhere)
+
+
+def _spots(frame: np.ndarray, diameter: float, sign: float) -> np.ndarray:
+    """Rows (N, 3) x, y, response of the strongest blobs of one width and sign."""
+    import cv2
+
+    shrink = max(1, int(diameter / 8))
+    image = block_mean(frame, shrink) * np.float32(sign)
+    inner = 0.3 * diameter / shrink
+    response = cv2.GaussianBlur(image, (0, 0), inner) - cv2.GaussianBlur(image, (0, 0), 1.6 * inner)
+    noise = max(spread(response), 0.3 * 0.2 / inner)
+    found = peaks(response, _LEAST_SIGMA * noise, max(1, int(0.5 * diameter / shrink)))
+    found[:, :2] = (found[:, :2] + 0.5) * shrink - 0.5
+    return found[np.argsort(-found[:, 2])][:_MOST_CANDIDATES]
+
+
+def _guess(frames: list[np.ndarray], diameter: float, sign: float) -> Guess | None:
+    reach = 1.25 * diameter + 2
+    spots = [_spots(frame, diameter, sign) for frame in frames]
+    patches = [_patches(f, s, reach) for f, s in zip(frames, spots, strict=True)]
+    radius, grey = (np.concatenate(part) for part in zip(*patches, strict=True))
+    if len(radius) == 0:
+        return None
+    grey = grey - np.mean(grey, axis=1, keepdims=True)
+    ring = np.minimum(radius.astype(int), int(reach))
+    count = np.maximum(np.bincount(ring.ravel()), 1)
+    profile = np.bincount(ring.ravel(), grey.ravel()) / count
+    picture = profile[ring] - np.mean(profile[ring], axis=1, keepdims=True)
+    overlap = np.sum(picture * grey, axis=1)
+    explained = np.maximum(overlap, 0) ** 2 / np.sum(picture**2, axis=1)
+    return Guess(diameter, sign, spots, float(np.sum(explained)))
+
+
+def _patches(
+    frame: np.ndarray, spots: np.ndarray, reach: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Distance from the centre and grey value, (N, P) each, of discs inside the picture."""
+    span = int(reach)
+    v, u = np.mgrid[-span:span + 1, -span:span + 1]
+    disc = u**2 + v**2 <= reach**2
+    u, v = u[disc], v[disc]
+    centre = np.rint(spots[:, :2]).astype(int)
+    limit = np.array(frame.shape[::-1]) - span
+    centre = centre[np.all((centre >= span) & (centre < limit), axis=1)]
+    x, y = centre[:, :1] + u, centre[:, 1:] + v
+    return np.broadcast_to(np.hypot(u, v), x.shape), frame[y, x].astype(float)
