@@ -9,7 +9,7 @@ ros_from_pypi = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
 
 development = [
     'catkin_pkg', 'colcon-common-extensions', 'hypothesis', 'import-linter', 'magpylib', 'mypy',
-    'pysindy', 'pytest', 'pytest-timeout', 'pytest-xdist', 'ruff', 'trackpy', 'types-PyYAML',
+    'psutil',    'pysindy', 'pytest', 'pytest-timeout', 'pytest-xdist', 'ruff', 'trackpy', 'types-PyYAML',
     'types-pyserial',
 ]
 

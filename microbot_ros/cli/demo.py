@@ -27,6 +27,9 @@ LEARN_DIRECTIONS_DEG = [0.0, 120.0, 240.0, 60.0, 180.0, 300.0]
 
 LEARN_SECONDS = float(len(LEARN_DIRECTIONS_DEG))
 
+PIXEL_SIZE_UM = 0.45
+"""Of the virtual microscope."""
+
 NODES = ('virtual_rig', 'tracker', 'model', 'controller', 'coil_driver', 'recorder')
 _FEWEST_SECONDS = 15.0
 
@@ -53,15 +56,19 @@ def command(seconds: float, seed: int, out: Path, json_path: Path | None) -> Non
         raise InputError('--seconds', f'expected at least {_FEWEST_SECONDS:g}; got {seconds:g}')
     began = time.monotonic()
     with output_folder(out) as folder:
-        goal, controllers = _run(folder, seconds, seed, began)
-        summary = _look_back(folder, out, goal, controllers, began)
+        goal, armed_at, controllers = _run(folder, seconds, seed, began)
+        summary = _look_back(folder, out, goal, armed_at, controllers, began)
     _print(summary, out)
     if json_path:
         write_text(json_path, json.dumps(summary, indent=1) + '\n')
 
 
-def _run(folder: Path, seconds: float, seed: int, began: float) -> tuple[np.ndarray, list[str]]:
-    """The whole graph for that long; the last goal [m] and the controllers used, in order."""
+def _run(folder: Path, seconds: float, seed: int, began: float,
+         ) -> tuple[np.ndarray, float, list[str]]:
+    """The whole graph for that long.
+
+    The last goal [m], the ROS time [s] of arming, and the controllers used, in order.
+    """
     from microbot_ros.nodes.graph import Graph
     from microbot_ros.nodes.remote import Remote
 
@@ -81,6 +88,7 @@ def _run(folder: Path, seconds: float, seed: int, began: float) -> tuple[np.ndar
         with Remote() as remote:
             watch = _Watch(remote)
             remote.arm()
+            armed_at = time.time()
             remote.set('controller', controller='open_loop')
             start = time.monotonic()
             _say(began, f'armed; {LEARN_SECONDS:g} s of fixed directions to learn v and φ')
@@ -96,7 +104,7 @@ def _run(folder: Path, seconds: float, seed: int, began: float) -> tuple[np.ndar
         _say(began, 'stopping; the coils are at zero')
         graph.stop(['recorder', 'controller', 'model', 'tracker', 'virtual_rig', 'coil_driver'])
         graph.stop(['amplifier'])
-    return goals[-1], ['hold', 'open_loop', 'waypoint', 'hold']
+    return goals[-1], armed_at, ['hold', 'open_loop', 'waypoint', 'hold']
 
 
 class _Watch:
@@ -123,8 +131,8 @@ class _Watch:
         return np.array([first['x'], first['y']], float)
 
 
-def _look_back(folder: Path, out: Path, goal: np.ndarray, controllers: list[str],
-               began: float) -> dict[str, Any]:
+def _look_back(folder: Path, out: Path, goal: np.ndarray, armed_at: float,
+               controllers: list[str], began: float) -> dict[str, Any]:
     """Summary, figure and video of the recording, written beside it."""
     from microbot_ros.cli.demo_figure import draw
     from microbot_ros.cli.demo_results import DemoRun, summarise
@@ -132,12 +140,12 @@ def _look_back(folder: Path, out: Path, goal: np.ndarray, controllers: list[str]
 
     recording = folder / 'recording'
     run = DemoRun.read(recording)
-    summary = {**summarise(run, goal), 'nodes': list(NODES), 'controllers': controllers,
+    summary = {**summarise(run, goal, armed_at), 'nodes': list(NODES), 'controllers': controllers,
                'recording': str(out / 'recording')}
     write_text(folder / 'summary.json', json.dumps(summary, indent=1) + '\n')
     draw(run, goal, folder / 'demo.png')
     _say(began, 'drawing the video')
-    write_video(run, recording, folder / 'demo.mp4')
+    write_video(run, recording, PIXEL_SIZE_UM * 1e-6, folder / 'demo.mp4')
     return summary
 
 
@@ -146,12 +154,12 @@ def _rig_file(folder: Path, port: Path, log: Path, seed: int) -> str:
     own: dict[str, dict[str, Any]] = {
         'virtual_rig': {'amplifier_log': str(log), 'seed': seed, 'speeds_um_s': SPEEDS_UM_S,
                         'phis_rad': PHIS_RAD},
-        'tracker': {'pixel_size_um': 0.45},
+        'tracker': {'pixel_size_um': PIXEL_SIZE_UM},
         'model': {'radius_um': 2.3, 'viscosity_mPa_s': 1.245},
         'controller': {'controller': 'hold', 'open_loop.directions_deg': LEARN_DIRECTIONS_DEG,
                        'open_loop.durations_s': [1.0] * len(LEARN_DIRECTIONS_DEG)},
         'coil_driver': {'port': str(port)},
-        'recorder': {'folder': str(folder / 'recording'), 'frame_every': 4,
+        'recorder': {'folder': str(folder / 'recording'), 'frame_every': 6,
                      'title': 'microbot demo'},
     }
     return yaml.safe_dump({node: {'ros__parameters': values} for node, values in own.items()},

@@ -1,0 +1,136 @@
+"""`microbot run` with real processes: whatever dies, the coils end at zero and the rest lives."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import psutil
+import pytest
+import yaml
+
+from microbot_ros.nodes.remote import Remote
+from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
+
+pytestmark = [pytest.mark.graph, pytest.mark.timeout(240)]
+DEAD_MAN_S = 0.4
+"""Driver 0.1 s or device watchdog 0.1 s, and what a loaded machine adds to a process's death."""
+
+
+@pytest.fixture(scope='module')
+def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short film of three particles that rest: what the camera node plays in a loop."""
+    folder = tmp_path_factory.mktemp('film')
+    scope = Microscope(MicroscopeSettings(), seed=3)
+    place = np.array([[-60.0, 20.0], [10.0, -40.0], [70.0, 30.0]]) * 1e-6
+    for frame in range(60):
+        picture = scope.render(place, np.array([0.3, 1.0, 2.0]), frame / 30)
+        cv2.imwrite(str(folder / f'{frame:03d}.png'), picture)
+    return folder
+
+
+class Running:
+    """`microbot run` in a process of its own, and a remote control."""
+
+    def __init__(self, folder: Path, film: Path, emulator: Any) -> None:
+        nodes: dict[str, dict[str, Any]] = {
+            'camera': {'source': str(film), 'frame_rate_hz': 30.0, 'loop': True},
+            'tracker': {'pixel_size_um': 0.45},
+            'model': {},
+            'controller': {'controller': 'open_loop', 'open_loop.durations_s': [3600.0],
+                           'open_loop.directions_deg': [45.0]},
+            'coil_driver': {'port': str(emulator.port), 'full_scale_A': 2.0},
+        }
+        config = folder / 'rig.yaml'
+        config.write_text(yaml.safe_dump(
+            {node: {'ros__parameters': values} for node, values in nodes.items()}))
+        self.emulator = emulator
+        self.said = (folder / 'said.txt')
+        with self.said.open('w') as said:
+            self.process = subprocess.Popen(
+                [sys.executable, '-m', 'microbot_ros.cli', 'run', '--config', str(config)],
+                stderr=said, stdout=subprocess.DEVNULL, start_new_session=True)
+        self.until(lambda: 'running: ' in self.said.read_text(), 120)
+        with Remote('test') as remote:
+            deadline = time.monotonic() + 30
+            while True:
+                try:
+                    remote.arm()
+                    break
+                except ValueError:
+                    assert time.monotonic() < deadline
+            self.until(lambda: not emulator.zero, 30)
+
+    def until(self, true: Any, seconds: float) -> None:
+        """Wait for something to become true."""
+        deadline = time.monotonic() + seconds
+        while not true():
+            assert self.process.poll() is None, self.said.read_text()
+            assert time.monotonic() < deadline, self.said.read_text()
+            time.sleep(0.01)
+
+    def node(self, name: str) -> psutil.Process:
+        """The process of a node."""
+        return next(child for child in psutil.Process(self.process.pid).children()
+                    if child.cmdline()[3:4] == [name])
+
+    def zero_after(self, moment: float) -> float:
+        """Wait for zero currents; how long after a moment they came [s]."""
+        deadline = time.monotonic() + 10
+        while not self.emulator.zero:
+            assert time.monotonic() < deadline
+            time.sleep(0.005)
+        return float(self.emulator.entries()[-1]['t_monotonic_s'] - moment)
+
+    def end(self) -> None:
+        """Leave nothing behind."""
+        children = psutil.Process(self.process.pid).children() if self.process.poll() is None else []
+        for process in [*children, self.process]:
+            process.kill()
+        self.process.wait(10)
+
+
+@pytest.fixture
+def running(tmp_path: Path, film: Path, emulator: Any) -> Iterator[Running]:
+    """A rig whose coils are driven."""
+    made = Running(tmp_path, film, emulator)
+    yield made
+    made.end()
+
+
+@pytest.mark.parametrize('victim', ['tracker', 'coil_driver'])
+def test_a_killed_node_means_zero_and_the_others_live(running: Running, victim: str) -> None:
+    others = [running.node(name) for name in ('camera', 'model', 'controller')]
+    moment = time.monotonic()
+    running.node(victim).kill()
+    assert running.zero_after(moment) < DEAD_MAN_S
+    running.until(lambda: f'{victim}: ended with status -9' in running.said.read_text(), 10)
+    assert all(other.is_running() for other in others)
+    running.process.send_signal(signal.SIGINT)
+    assert running.process.wait(20) == 0
+    assert not any(other.is_running() for other in others)
+
+
+def test_a_stopped_controller_means_zero(running: Running) -> None:
+    moment = time.monotonic()
+    running.node('controller').send_signal(signal.SIGSTOP)
+    assert running.zero_after(moment) < DEAD_MAN_S
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_the_end_of_it_all_is_zero(running: Running, number: int) -> None:
+    children = psutil.Process(running.process.pid).children()
+    os.kill(running.process.pid, number)
+    moment = time.monotonic()
+    running.process.wait(20)
+    assert running.zero_after(moment) < 2.0
+    psutil.wait_procs(children, timeout=10)
+    assert not any(child.is_running() for child in children)
