@@ -69,7 +69,7 @@ def background_at(grid, spacing, x, y):  # type: ignore[no-untyped-def]
 def _window(image, grid, spacing, parameters, i, neighbours, table, reach, pixels):  # type: ignore[no-untyped-def]
     """Fill `pixels` (·, 3) with x, y and the grey that background and neighbours leave."""
     row = parameters[i]
-    x0, y0 = int(round(row[X])), int(round(row[Y]))
+    x0, y0 = math.floor(row[X] + 0.5), math.floor(row[Y] + 0.5)
     span = int(reach) + 1
     count = 0
     for y in range(max(y0 - span, 0), min(y0 + span + 1, image.shape[0])):
@@ -249,8 +249,8 @@ def fit(image, grid, spacing, parameters, active, table, reach, iterations, swee
                     near += 1
             if sweep > 0 and near == 0:
                 continue
-            inside = -0.5 <= row[X] < image.shape[1] - 0.5 and -0.5 <= row[Y] < image.shape[0] - 0.5
-            if not inside:
+            if not (-0.5 <= row[X] < image.shape[1] - 0.5
+                    and -0.5 <= row[Y] < image.shape[0] - 0.5):
                 errors[i] = np.nan
                 continue
             filled = _window(

@@ -69,7 +69,8 @@ def _spots(frame: np.ndarray, diameter: float, sign: float) -> np.ndarray:
     shrink = max(1, int(diameter / 8))
     image = block_mean(frame, shrink) * np.float32(sign)
     inner = 0.3 * diameter / shrink
-    response = cv2.GaussianBlur(image, (0, 0), inner) - cv2.GaussianBlur(image, (0, 0), 1.6 * inner)
+    outer = 1.6 * inner
+    response = cv2.GaussianBlur(image, (0, 0), inner) - cv2.GaussianBlur(image, (0, 0), outer)
     noise = max(spread(response), 0.3 * 0.2 / inner)
     found = peaks(response, _LEAST_SIGMA * noise, max(1, int(0.5 * diameter / shrink)))
     found[:, :2] = (found[:, :2] + 0.5) * shrink - 0.5

@@ -229,7 +229,8 @@ class Linker:
 
     def _christen(self) -> None:
         states = self.states
-        due = np.flatnonzero((states.id == _UNNAMED) & (states.hits >= self._settings.confirm_frames))
+        often = states.hits >= self._settings.confirm_frames
+        due = np.flatnonzero((states.id == _UNNAMED) & often)
         states.id[due] = self._next_id + np.arange(len(due))
         self._next_id += len(due)
 

@@ -85,7 +85,7 @@ class OutlineDetector:
         import cv2
 
         typical = self.appearance.contrast_grey
-        mask = cv2.compare(contrast, _LOW * typical, cv2.CMP_GT)
+        mask = (contrast > _LOW * typical).view(np.uint8)
         count, labels = cv2.connectedComponents(mask, connectivity=8, ltype=cv2.CV_32S)
         sums = _sums(contrast, labels, count, typical)[1:]
         weight = sums[:, _WEIGHT]
@@ -98,7 +98,7 @@ class OutlineDetector:
         return sums, np.sqrt((middle + root) / np.maximum(middle - root, 1 / 12))
 
     def _good(self, sums: np.ndarray, elongation: np.ndarray, share: float) -> np.ndarray:
-        """Whether each region has a `share` of what makes a particle: size, sharpness, contrast."""
+        """Whether each region has a `share` of what makes a particle."""
         diameter = _diameter(sums) * self._shrink
         good = (diameter >= share * self._least_diameter) & (elongation <= _LONGEST)
         good &= diameter <= _LARGEST_CLUMP * self.appearance.diameter_px

@@ -6,11 +6,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from microbot_ros.tracking.fit import CONTRAST, OFFSET, SIZE, TABLE_STEP, THETA, X, Y, background_of
+from microbot_ros.tracking.fit import (
+    CONTRAST,
+    OFFSET,
+    SIZE,
+    TABLE_STEP,
+    THETA,
+    X,
+    Y,
+    background_of,
+)
 
 
 class Samples(NamedTuple):
-    """Pixels (P,) about particles: r/s [px], φ−θ [rad], grey/contrast, contrast, which particle."""
+    """Pixels (P,) of particles: r/s [px], φ−θ [rad], grey/contrast, contrast, whose they are."""
 
     r: np.ndarray
     angle: np.ndarray
@@ -29,7 +38,7 @@ def samples(
     v, u = np.mgrid[-span:span + 1, -span:span + 1]
     for frame, grid, rows in zip(frames, grids, parameters, strict=True):
         for row in rows:
-            x, y = int(round(row[X])) + u, int(round(row[Y])) + v
+            x, y = np.rint(row[[X, Y]]).astype(int)[:, None, None] + [u, v]
             inside = (x >= 0) & (y >= 0) & (x < frame.shape[1]) & (y < frame.shape[0])
             x, y = x[inside], y[inside]
             light = background_of(grid, spacing, x, y)

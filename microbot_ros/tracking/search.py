@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numba
 import numpy as np
 
@@ -13,7 +15,7 @@ _LEAST_NOISE = 0.3
 
 @numba.njit(cache=True)
 def block_mean(image, size):  # type: ignore[no-untyped-def]
-    """Means (H // size, W // size) float32 over square blocks; the rest at the edge is left out."""
+    """Means (H // size, W // size) float32 over square blocks; a rest at the edge is left out."""
     rows, columns = image.shape[0] // size, image.shape[1] // size
     mean = np.zeros((rows, columns), np.float32)
     scale = np.float32(1.0 / (size * size))
@@ -75,7 +77,7 @@ def peaks(response, least, separation):  # type: ignore[no-untyped-def]
 
 
 def spread(response: np.ndarray) -> float:
-    """Standard deviation of a response's noise, from the median deviation: particles don't count."""
+    """Standard deviation of a response's noise, from the median: particles don't count."""
     sample = response[1::4, 1::4]
     middle = np.median(sample)
     return 1.4826 * float(np.median(np.abs(sample - middle)))
@@ -131,11 +133,8 @@ class MatchedFilter:
 
         if self.shrink > 1:
             image = block_mean(image, self.shrink)
-        total = None
-        for column, row in self._parts:
-            part = cv2.sepFilter2D(image, cv2.CV_32F, row, column, borderType=cv2.BORDER_REFLECT_101)
-            total = part if total is None else cv2.add(total, part, dst=total)
-        return total
+        parts = [cv2.sepFilter2D(image, cv2.CV_32F, row, column) for column, row in self._parts]
+        return np.asarray(functools.reduce(cv2.add, parts))
 
     def candidates(
         self, image: np.ndarray, least_sigma: float, least_contrast: float

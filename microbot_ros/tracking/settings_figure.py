@@ -22,8 +22,10 @@ def write_settings_figure(
     figure = Figure(figsize=(12, 8), layout='constrained')
     frame, profile, words = figure.subplot_mosaic(
         [['frame', 'profile'], ['frame', 'words']], width_ratios=[2.4, 1]).values()
-    frame.imshow(image, cmap='gray', vmin=np.quantile(image, 0.001), vmax=np.quantile(image, 0.999))
-    frame.scatter(*found.xy.T, s=60, facecolors='none', edgecolors='tab:orange', linewidths=0.8)
+    darkest, brightest = np.quantile(image, [0.001, 0.999])
+    frame.imshow(image, cmap='gray', vmin=darkest, vmax=brightest)
+    frame.scatter(found.xy[:, 0], found.xy[:, 1], s=60, facecolors='none',
+                  edgecolors='tab:orange', linewidths=0.8)
     frame.set(title=f'{len(found)} particles in this frame', xlabel='x [px]', ylabel='y [px]')
     radii = np.arange(appearance.table.shape[1]) * TABLE_STEP
     near = radii <= appearance.reach_px + 1

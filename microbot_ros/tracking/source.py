@@ -7,8 +7,9 @@ import os
 import re
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -23,7 +24,8 @@ _MISCOUNT = 2
 """Containers state their length from duration × rate, which is off by a frame or two."""
 
 
-class Frame(NamedTuple):
+@dataclass(frozen=True)
+class Frame:
     """One picture: its number in the source, its time [s], and (H, W) grey uint8 or uint16."""
 
     index: int
@@ -77,8 +79,8 @@ def open_source(
     return ImageSource(str(source), sorted(found, key=_natural), report, frame_rate)
 
 
-def grey(image: np.ndarray) -> np.ndarray | None:
-    """A decoded picture as (H, W) grey of its own depth; None if it is not 8 or 16 bit."""
+def grey(image: Any) -> np.ndarray | None:
+    """A decoded picture, an array, as (H, W) grey of its own depth; None if not 8 or 16 bit."""
     import cv2
 
     if image.dtype not in (np.uint8, np.uint16):
@@ -131,7 +133,8 @@ class VideoSource:
             stamp = self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
             t = self._time(index, t, stamp)
             if image is None or image.shape != self.size:
-                self._report(f'{self.name}: frame {index} is not {_size(self.size)} grey; left out')
+                size = _size(self.size)
+                self._report(f'{self.name}: frame {index} is not {size}; left out')
             else:
                 yield Frame(index, t, image)
             image = None
@@ -141,7 +144,7 @@ class VideoSource:
             self._report(f'{self.name}: ends after {index} of {self.length} frames')
 
     def _time(self, index: int, previous: float, stamp: float) -> float:
-        """The container's stamp where it moves on (frames may be unevenly spaced), else a count."""
+        """The container's stamp where it moves on, frames may be uneven in time; else a count."""
         if self._forced_rate:
             return index / self._forced_rate
         if index == 0:

@@ -170,8 +170,9 @@ def make_detector(
 
 def _poses(t: float, states: TrackStates | None, drift: np.ndarray) -> Poses:
     if states is None:
-        empty = np.empty(0)
-        return Poses(t, np.empty(0, int), *([empty] * 6), np.empty(0, bool))
+        none = np.empty(0)
+        return Poses(
+            t, np.empty(0, int), none, none, none, none, none, none, np.empty(0, bool))
     states = states.take(states.id >= 0)
     seen = states.missed == 0
     xy = np.where(seen[:, None], states.measured, states.xy)
