@@ -11,10 +11,8 @@ from microbot_ros.model.model import Model
 from microbot_ros.model.timeline import Timeline
 from microbot_ros.records import Commands
 
-
 NEGLIGIBLE = 1e-5
-"""A field weaker than this [T], a fifth of the earth's, is noise of a read-back and steers nothing.
-"""
+"""A field weaker than this [T], a fifth of the earth's, is noise of a read-back."""
 
 
 class CommandLog:

@@ -27,15 +27,17 @@ class Taken:
     """What became of a frame's readings: all (N,) over the population.
 
     `used` the readings that the filter took; `innovation` complex, whitened to unit variance per
-    axis, NaN where none was taken; `jump` complex [m], by how far a particle was moved, else 0;
-    `born` particles seen for the first time.
+    axis, NaN where none was taken; `jump` complex [m], by how far a particle was moved, else 0.
+    Known before the frame: the `predicted` place [m] and `gain`, the unit phasor of c, 0 where
+    that is not known to within a third.
     """
 
     z: np.ndarray
     used: np.ndarray
+    predicted: np.ndarray
+    gain: np.ndarray
     innovation: np.ndarray
     jump: np.ndarray
-    born: np.ndarray
 
 
 class Population:
@@ -56,6 +58,7 @@ class Population:
         place, noise = np.zeros(len(self.ids), complex), np.ones(len(self.ids))
         seen = np.zeros(len(self.ids), bool)
         place[rows], noise[rows], seen[rows] = z, reading, True
+        predicted, gain = self.bank.p[0].copy(), self._gain_phasor()
         innovation, variance = self.bank.innovation(place, noise)
         weight = self.bank.weights()
         distance = np.where(weight > 0, np.abs(innovation) ** 2 / variance, np.inf).min(axis=0)
@@ -70,7 +73,12 @@ class Population:
         whitened = np.where(used & ~born, innovation[lead] / np.sqrt(variance[lead]), np.nan)
         self.bank.update(place, noise, used & ~born)
         self.last_seen[seen] = t
-        return Taken(place, used, whitened, jump, born)
+        return Taken(place, used, predicted, gain, whitened, jump)
+
+    def _gain_phasor(self) -> np.ndarray:
+        c, size = self.bank.c[0], np.abs(self.bank.c[0])
+        certain = size > 3 * np.sqrt(self.bank.c_var[0])
+        return np.where(certain, c, 0) / np.where(certain, size, 1)
 
     def consider_changes(self, t: float, interval: float) -> np.ndarray:
         """Reopen hypotheses when it is time; seconds since c changed (N,), 0 where it did not.

@@ -19,8 +19,6 @@ class Step:
     drive: np.ndarray
     drift: np.ndarray
     span: float
-    heading: np.ndarray
-    """e^{i(θ−φ)} (1 or N,) at the end; zero where no field has been yet."""
 
 
 class Propagator:
@@ -29,8 +27,9 @@ class Propagator:
     def __init__(self, model: Model, horizon: float) -> None:
         self.model = model
         self._horizon = horizon
-        self._heading = np.zeros(1, complex)
-        self.ahead = Step(np.zeros(1, complex), np.zeros(1, complex), horizon, self._heading)
+        self.heading = np.zeros(1, complex)
+        """e^{i(θ−φ)} (1 or N,) at the last frame; zero where no field has been yet."""
+        self.ahead = Step(np.zeros(1, complex), np.zeros(1, complex), horizon)
 
     def step(
         self, log: CommandLog, delay: float, start: float, end: float, positions: np.ndarray,
@@ -46,14 +45,12 @@ class Propagator:
         response = respond(self.model, timeline, self._remembered(len(positions)))
         moved = response.drift[..., 0] + 1j * response.drift[..., 1]
         now, self.ahead = (
-            Step(response.propulsion[k], moved[k], times[k + 1] - times[k],
-                 response.heading[k + 1])
-            for k in (0, 1)
+            Step(response.propulsion[k], moved[k], times[k + 1] - times[k]) for k in (0, 1)
         )
-        self._heading = now.heading
+        self.heading = response.heading[1]
         return now
 
     def _remembered(self, particles: int) -> np.ndarray | None:
         """The heading so far, while it is one for all; else let the model reconstruct it."""
-        known = self._heading.size == 1 and self._heading[0] != 0
-        return self._heading if known else None
+        known = self.heading.size == 1 and self.heading[0] != 0
+        return self.heading if known else None

@@ -50,13 +50,13 @@ class SharedKnowledge:
             self._window.changed(int(ids[row]), t - changed_for[row])
         self._window.add(t, ids, taken.z, taken.used)
 
-    def work(self, t: float, model: Model, log: CommandLog, bank: PhasorBank) -> None:
-        """One slice of a review, if one is due or under way; a new delay corrects the bank."""
+    def work(self, t: float, model: Model, log: CommandLog, bank: PhasorBank) -> bool:
+        """One slice of a review, if one is due or under way; True where c was corrected by it."""
         if self._next is None:
             self._next = t + self._pause
         if self._review is None:
             if t < self._next:
-                return
+                return False
             self._pause = min(2 * self._pause, REVIEW_EVERY)
             self._next = t + self._pause
             self._review = self._window.review(model, log, self.delay, self.noise)
@@ -64,20 +64,21 @@ class SharedKnowledge:
             result = next(self._review)
         except StopIteration:
             self._review = None
-            return
-        if result is not None:
-            self._adopt(result, bank)
+            return False
+        return result is not None and self._adopt(result, bank)
 
-    def _adopt(self, review: Review, bank: PhasorBank) -> None:
+    def _adopt(self, review: Review, bank: PhasorBank) -> bool:
         self.noise = _weighed(self._prior, review.noise)
         self.turn, self.sentences = review.turn, review.confounded
         self.reviewed = True
         if not review.delay.determined:
             self.delay = replace(self.delay, std=np.nan)
-            return
+            return False
         # What the filter learned under the old delay, it would have learned turned by this.
-        bank.scale_gain(np.exp(review.turn * (review.delay.value - self.delay.value)))
+        factor = np.exp(review.turn * (review.delay.value - self.delay.value))
+        bank.scale_gain(factor)
         self.delay = review.delay
+        return bool(abs(factor - 1) > 0.01)
 
 
 def _weighed(prior: Noise, fitted: Noise) -> Noise:

@@ -42,7 +42,7 @@ class Window:
         self._t = np.empty(2 * FRAMES)
         self._z = np.full((2 * FRAMES, PROBES), np.nan, complex)
         self._count = 0
-        self.ids = np.full(PROBES, -1)
+        self.ids = np.full(PROBES, np.iinfo(int).min)
         self._shift = np.zeros(PROBES, complex)
 
     def add(self, t: float, ids: np.ndarray, z: np.ndarray, used: np.ndarray) -> None:

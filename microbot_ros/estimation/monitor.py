@@ -1,0 +1,169 @@
+"""Does the model still explain the data? Tested at every moment, with few false alarms in total.
+
+Under the model the filter's innovations are white, of unit variance, and independent of all that
+was known before them. Against each way in which they might not be stands a *detector*: a bet at
+fair odds that the innovations lean on some known quantity x. With S = Σ Re(x* z) and V = Σ |x|²
+the stake grows by exp(λS − |λ|εV − λ²V/2), on average not at all while the lean stays within the
+tolerance ε. New stakes are laid all the time (Shiryaev–Roberts), so a change at any moment is
+met; the sum of all stakes after n ticks exceeds a bound b with a probability of at most n/b,
+whatever the data and however long one watches (Ville's inequality; e-detectors of Shin, Ramdas
+and Rinaldo 2022).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+TICK = 0.5
+"""Seconds between looks at the stakes."""
+
+BOUND = 10.0 * 3600 / TICK * 20
+"""Alarm where the stakes have grown to this: at most 1 false alarm in 20 times ten hours."""
+
+HOLD = 30.0
+"""An alarm stays for this long [s] after it was last confirmed."""
+
+LEANS = np.array([0.03, 0.1, 0.3, 0.8])
+"""Sizes of lean that are bet on, in standard deviations of an innovation."""
+
+SPREADS = np.array([0.3, 0.5, 2.0, 4.0])
+"""Variances of the innovations that are bet on, where 1 is right."""
+
+TOLERATED_SPREAD = 1.3
+"""Noise levels are learned, not known: variances up to this, or its inverse, are no alarm."""
+
+PLACE_SCALE = 100e-6
+AFTER_TURN = 0.3
+
+
+@dataclass(frozen=True)
+class Suspicion:
+    """A quantity that innovations may depend on: the tolerated lean, and words for people."""
+
+    name: str
+    tolerance: float
+    sentence: str
+
+
+_RUN = 'record a minute and run: microbot discover SESSION'
+SUSPICIONS = {s.name: s for s in (
+    Suspicion('drift', 0.01, f'everything is carried along in one direction (a flow?): {_RUN}'),
+    Suspicion('place', 0.01, 'residuals depend on place (a flow, a gradient, a hot spot?): '
+              f'let the particles visit the whole field of view and {_RUN}'),
+    Suspicion('command', 0.01, 'residuals depend on the direction of the field (a background '
+              f'field, unequal coils?): turn it through all directions, {_RUN}'),
+    Suspicion('turn', 0.02, 'particles are late or early after turns (alignment lag, delay?): '
+              f'make turns of 30° and of 180°, {_RUN}'),
+    Suspicion('swimming', 0.02, 'speed or direction changes faster than can be followed (fuel, '
+              f'slip?): {_RUN}'),
+    Suspicion('memory', 0.06, 'residuals remember the one before (noise levels, heading noise, '
+              f'vibration?): {_RUN}'),
+    Suspicion('size', 0.0, 'residuals are larger or smaller than the noise explains (focus, '
+              'tracking, something new?): look at the picture, then run: microbot fit SESSION'),
+)}
+
+FEATURES = (
+    'drift', 'drift', 'place', 'place', 'place', 'place', 'swimming', 'swimming',
+    'command', 'command', 'command', 'command', 'command', 'command', 'command', 'command',
+    'turn', 'turn', 'memory',
+)
+"""The suspicion that each row of `features` belongs to."""
+
+
+class Monitor:
+    """Watches the innovations of all particles together; `sentences` says what is wrong."""
+
+    def __init__(self) -> None:
+        tolerance = np.array([SUSPICIONS[name].tolerance for name in FEATURES])[:, None]
+        self._lean = np.concatenate([LEANS, -LEANS])
+        self._cost = np.abs(self._lean) * tolerance + self._lean**2 / 2
+        self._leans = np.zeros((len(FEATURES), len(self._lean)))
+        self._spreads = np.zeros(len(SPREADS))
+        self._alarms: dict[str, float] = {}
+        self._next = -np.inf
+        self._turned_at, self._sense = -np.inf, 0.0
+        self._heading = np.zeros(1, complex)
+        self._before: tuple[np.ndarray, np.ndarray] = (np.empty(0, int), np.empty(0, complex))
+        self._clear()
+
+    def _clear(self) -> None:
+        self._score = np.zeros(len(FEATURES))
+        self._power = np.zeros(len(FEATURES))
+        self._squares, self._count = 0.0, 0
+
+    def add(
+        self, t: float, ids: np.ndarray, innovation: np.ndarray, place: np.ndarray,
+        heading: np.ndarray, swimming: np.ndarray,
+    ) -> None:
+        """A frame: whitened innovations (N,), NaN where none; all else was known before it.
+
+        `place` (N,) complex [m]; `heading` (1 or N,) e^{i(θ−φ)}; `swimming` (N,) unit phasors of
+        the direction in which each particle moves, 0 where it is not known.
+        """
+        used = np.isfinite(innovation)
+        x = self._features(t, ids, place, heading, swimming)[:, used]
+        z = innovation[used]
+        self._score += np.real(np.conj(x) * z).sum(axis=1)
+        self._power += (np.abs(x) ** 2).sum(axis=1)
+        self._squares += float((np.abs(z) ** 2).sum())
+        self._count += len(z)
+        self._before = ids[used], z
+        if t >= self._next:
+            self._next = t + TICK
+            self._look(t)
+
+    def _features(
+        self, t: float, ids: np.ndarray, place: np.ndarray, heading: np.ndarray,
+        swimming: np.ndarray,
+    ) -> np.ndarray:
+        """What innovations might lean on (F, N), complex: direction times strength."""
+        same = heading.shape == self._heading.shape
+        turn = float(np.angle((heading * np.conj(self._heading)).sum())) if same else 0.0
+        if abs(turn) > 0.05:
+            self._turned_at, self._sense = t, float(np.sign(turn))
+        self._heading = heading
+        fresh = np.exp(-(t - self._turned_at) / AFTER_TURN)
+        one = np.ones(len(ids), complex)
+        x, y = (np.clip(p / PLACE_SCALE, -3, 3) for p in (place.real, place.imag))
+        angle = [heading.real, heading.imag, (heading**2).real, (heading**2).imag]
+        return np.stack([
+            one, 1j * one, one * x, 1j * x, one * y, 1j * y, swimming, 1j * swimming,
+            *(swimming * a for a in angle), *(1j * swimming * a for a in angle),
+            1j * swimming * self._sense * fresh, swimming * fresh, self._memory(ids),
+        ])
+
+    def _memory(self, ids: np.ndarray) -> np.ndarray:
+        """The innovation of every particle in the frame before, 0 where there was none."""
+        known, value = self._before
+        row = np.searchsorted(known, ids)
+        row[row == len(known)] = 0
+        if not len(known):
+            return np.zeros(len(ids), complex)
+        return np.where(known[row] == ids, value[row], 0)
+
+    def _look(self, t: float) -> None:
+        growth = self._lean * self._score[:, None] - self._cost * self._power[:, None]
+        share = 1 / (self._leans.size + self._spreads.size)
+        self._leans = (self._leans + share) * np.exp(np.clip(growth, -700, 40))
+        tolerated = np.where(SPREADS > 1, TOLERATED_SPREAD, 1 / TOLERATED_SPREAD)
+        spread = SPREADS * tolerated
+        growth = -self._count * np.log(SPREADS) - self._squares / 2 * (1 / spread - 1 / tolerated)
+        self._spreads = (self._spreads + share) * np.exp(np.clip(growth, -700, 40))
+        self._clear()
+        if self._leans.sum() + self._spreads.sum() >= BOUND:
+            feature = int(self._leans.max(axis=1).argmax())
+            leaning = self._leans.max() >= self._spreads.max()
+            self._alarms[FEATURES[feature] if leaning else 'size'] = t
+            self._leans[:] = 0
+            self._spreads[:] = 0
+        self._alarms = {name: at for name, at in self._alarms.items() if t - at < HOLD}
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What is wrong at present, with the command to run next."""
+        return tuple(
+            f'the model does not explain the data: {SUSPICIONS[name].sentence}'
+            for name in self._alarms
+        )
