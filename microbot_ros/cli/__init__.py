@@ -27,6 +27,7 @@ _COMMANDS = {
     'info': 'Show what is in a session or recording.',
     'doctor': 'Is this machine, is the rig ready?',
     'calibrate': 'Find constants of the rig from measurements.',
+    'reach': 'What particles under one field can and cannot reach.',
     'emulate': 'Emulate an amplifier on a pseudo-terminal.',
 }
 

@@ -1,8 +1,9 @@
 """Plans to begin with, from what lag makes possible: turn, coast apart, go on together.
 
 Particles that lag differently point differently, relative to φ, while they turn. Without a field
-they keep that, and swim apart along directions one field could never give them together. Turn
-and coast are tried on a grid; the leg together that follows is least squares in closed form.
+they keep that, and swim apart along directions one field could never give them together. How
+to turn and how long to coast are tried on a grid; the leg together that follows is least
+squares in closed form.
 """
 
 from __future__ import annotations
@@ -14,11 +15,10 @@ import numpy as np
 
 from microbot_ros.control.contract import Workspace
 from microbot_ros.control.plan import Plan, Swarm
-from microbot_ros.control.shared import best_displacement
 
-_DIRECTIONS = np.exp(2j * np.pi * np.arange(32) / 32)
-_TURNS = 10
-_COASTS = np.linspace(0, 1, 16) ** 1.5
+_DIRECTIONS = np.exp(2j * np.pi * np.arange(16) / 16)
+_ASIDE = np.exp(1j * np.radians([-160, -130, 130, 160]))
+_COASTS = np.linspace(0, 1, 10) ** 1.5
 
 
 @dataclass(frozen=True)
@@ -39,34 +39,66 @@ class Task:
     wander: float
 
 
-def straight(swarm: Swarm, task: Task) -> Plan:
-    """All together along the best shared displacement, from now on."""
-    U = best_displacement(swarm.velocity, task.goal - swarm.position)
-    return Plan(*_leg(U, task.limit))
+@dataclass(frozen=True)
+class _Opening:
+    """Ways to begin: V `field` (K, V, 2) [T] in spans of `duration` (K,) [s], each of which may
+    be broken off after any number of spans from `least` on."""
+
+    duration: np.ndarray
+    field: np.ndarray
+    least: int
 
 
-def search(swarm: Swarm, task: Task, longest_turn: float, longest_coast: float) -> Plan:
-    """The best of turning by so much towards any direction, coasting, and a leg together."""
-    turn = longest_turn / _TURNS
-    field = np.stack([_DIRECTIONS.real, _DIRECTIONS.imag], -1) * task.limit
-    paths, headings = swarm.paths(np.full(_TURNS, turn), np.repeat(field[None], _TURNS, axis=0))
-    turned = np.concatenate([np.zeros_like(paths[:1]), np.cumsum(paths, 0)])
-    coast = _COASTS * longest_coast
-    # (turns, coasts, directions, N)
-    apart = (turned[:, None] + headings[:, None] * coast[:, None, None]).swapaxes(2, 3)
-    middle = swarm.position + swarm.velocity * apart
+def search(swarm: Swarm, task: Task) -> Plan:
+    """The cheapest of turning somehow, coasting for a while, and a leg together."""
+    slowest = swarm.slowest * swarm.models[0].reference_field / task.limit
+    far = float(np.abs(task.goal - swarm.position).max())
+    coasts = _COASTS * 2 * far / float(np.abs(swarm.velocity).min())
+    plans = [_best(swarm, task, opening, coasts) for opening in _openings(task.limit, slowest)]
+    return min(plans, key=lambda found: found[0])[1]
+
+
+def _openings(limit: float, slowest: float) -> list[_Opening]:
+    """Turn from the headings as they are; or first align all, then turn far."""
+    from_here = _Opening(
+        slowest * np.array([0.2, 0.3, 0.3, 0.4, 0.6, 1.0]),
+        np.repeat(_vectors(_DIRECTIONS)[None], 6, axis=0) * limit, 0)
+    aligned = np.repeat(_DIRECTIONS, len(_ASIDE))
+    aside = (_DIRECTIONS[:, None] * _ASIDE).ravel()
+    from_aligned = _Opening(
+        slowest * np.array([3.0, 0.5, 0.3, 0.3, 0.4, 0.6]),
+        _vectors(np.stack([aligned] + [aside] * 5)) * limit, 2)
+    return [from_here, from_aligned]
+
+
+def _vectors(z: np.ndarray) -> np.ndarray:
+    return np.stack([z.real, z.imag], -1)
+
+
+def _best(swarm: Swarm, task: Task, opening: _Opening,
+          coasts: np.ndarray) -> tuple[float, Plan]:
+    """The cheapest plan that begins with an opening, and its cost [m²].
+
+    Arrays are (spans of the opening, coasts, ways to begin, N).
+    """
+    paths, headings = swarm.paths(opening.duration, opening.field)
+    turned = np.concatenate([np.zeros_like(paths[:1]), np.cumsum(paths, 0)])[opening.least:]
+    apart = turned[:, None] + headings[opening.least:, None] * coasts[:, None, None]
+    middle = swarm.position + swarm.velocity * apart.swapaxes(2, 3)
     left = task.goal - middle
     power = np.vdot(swarm.velocity, swarm.velocity).real
     together = (left @ swarm.velocity.conj()) / power
     error = left - swarm.velocity * together[..., None]
-    length = (turn * np.arange(_TURNS + 1)[:, None, None] + coast[:, None] + np.abs(together))
-    blur = power * 2 * task.wander * coast[:, None] ** 3 / 3
+    blur = power * 2 * task.wander * coasts[:, None] ** 3 / 3
     cost = ((np.abs(error) ** 2).sum(-1) + blur) / len(swarm.position)
-    cost = cost + (task.impatience * length) ** 2 + _trespass(
-        swarm.position, middle, task.goal - error, task)
-    a, b, k = np.unravel_index(np.argmin(cost), cost.shape)
-    return _compose(a * turn, complex(_DIRECTIONS[k]), float(coast[b]),
-                    complex(together[a, b, k]), task.limit)
+    spent = np.concatenate([[0.0], np.cumsum(opening.duration)])[opening.least:, None, None]
+    cost += (task.impatience * (spent + coasts[:, None] + np.abs(together))) ** 2
+    cost += _trespass(swarm.position, middle, task.goal - error, task)
+    a, b, v = np.unravel_index(np.argmin(cost), cost.shape)
+    spans = opening.least + a
+    start = Plan(opening.duration[:spans], opening.field[:spans, v])
+    plan = _compose(start, float(coasts[b]), complex(together[a, b, v]), task.limit)
+    return float(cost[a, b, v]), plan
 
 
 def _trespass(start: np.ndarray, middle: np.ndarray, end: np.ndarray, task: Task) -> np.ndarray:
@@ -92,14 +124,12 @@ def _distance(place: complex, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.asarray(np.abs(a + np.clip(part, 0, 1) * way - place))
 
 
-def _compose(turn: float, direction: complex, coast: float, together: complex,
-             limit: float) -> Plan:
-    strong = np.array([direction.real, direction.imag]) * limit
-    parts = [(turn, strong, 4), (coast, np.zeros(2), 6)]
-    durations = [np.full(n, length / n) for length, _, n in parts if length > 0]
-    fields = [np.tile(field, (n, 1)) for length, field, n in parts if length > 0]
+def _compose(start: Plan, coast: float, together: complex, limit: float) -> Plan:
+    spans = 6 if coast > 0 else 0
     duration, field = _leg(together, limit)
-    return Plan(np.concatenate([*durations, duration]), np.concatenate([*fields, field]))
+    return Plan(
+        np.concatenate([start.duration, np.full(spans, coast / 6), duration]),
+        np.concatenate([start.field, np.zeros((spans, 2)), field]))
 
 
 def _leg(U: complex, limit: float) -> tuple[np.ndarray, np.ndarray]:

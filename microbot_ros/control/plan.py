@@ -48,6 +48,11 @@ class Swarm:
     models: tuple[Model, ...]
     t: float
 
+    @property
+    def slowest(self) -> float:
+        """The longest alignment time [s] at the reference field."""
+        return max(_lag(model) for model in self.models)
+
     def paths(self, duration: np.ndarray, field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Through K spans of `duration` (K,) [s] under V variants of `field` (K, V, 2) [T]:
 
@@ -63,29 +68,36 @@ class Swarm:
 
     def surroundings(self, duration: np.ndarray, field: np.ndarray,
                      position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Factors on the speed (K, N) and drift (K, N) complex [m/s] at `position` (K, N)."""
+        """Factors on the speed and drift, complex [m/s], both (K, ..., N).
+
+        `field` (K, ..., 2) [T] in spans of `duration` (K,) [s]; `position` (K, ..., N) [m].
+        """
         model = self.models[0]
-        shape = (len(duration), len(self.position))
         places = Places(np.stack([position.real, position.imag], -1))
-        scene = self._scene(model, duration, model.field(field)[:, None], places)
-        factor = np.broadcast_to(model.speed_factor(scene), shape)
+        scene = self._scene(model, duration, model.field(field)[..., None, :], places)
+        factor = np.broadcast_to(model.speed_factor(scene), position.shape)
         drift = model.drift(scene)
         if drift is None:
-            return factor, np.zeros(shape, complex)
-        return factor, np.broadcast_to(drift[..., 0] + 1j * drift[..., 1], shape)
+            return factor, np.zeros(position.shape, complex)
+        return factor, np.broadcast_to(drift[..., 0] + 1j * drift[..., 1], position.shape)
 
     def _scene(self, model: Model, duration: np.ndarray, field: np.ndarray,
                places: Places | None = None) -> Scene:
-        span = duration[:, None]
-        middle = self.t + np.cumsum(duration)[:, None] - span / 2
-        return Scene(middle, span, field, np.ones_like(span), model.reference_field, places)
+        shape = (len(duration), *(1,) * (field.ndim - 2))
+        span = duration.reshape(shape)
+        middle = self.t + np.cumsum(duration).reshape(shape) - span / 2
+        return Scene(middle, span, field, np.ones(shape), model.reference_field, places)
 
 
 def with_lags(model: Model, lags: list[float | None]) -> tuple[Model, ...]:
     """The model as particles with these alignment times [s] obey it; None: what the model says."""
-    own = model.effect('alignment_lag')
-    common = max(own.tau if isinstance(own, AlignmentLag) else 0.0, QUICKEST)
+    common = max(_lag(model), QUICKEST)
     return tuple(model.with_effect(AlignmentLag(tau=lag or common)) for lag in lags)
+
+
+def _lag(model: Model) -> float:
+    effect = model.effect('alignment_lag')
+    return effect.tau if isinstance(effect, AlignmentLag) else 0.0
 
 
 @dataclass(frozen=True)
@@ -101,20 +113,19 @@ class Rollout:
 def roll_out(swarm: Swarm, plan: Plan, limit: float) -> Rollout:
     """Follow a plan, and every plan that differs from it in one component of one span.
 
-    The derivative is a difference over a tenth of `limit` [T]: the turning is nearly linear in
-    the field. Speed factors and drift are taken at the places of the plan itself.
+    The derivative is a difference over a thousandth of `limit` [T]; the turning being solved
+    exactly, it has no noise. Speed factors and drift are taken at the places of the plan itself.
     """
     count = len(plan.duration)
-    step = 0.1 * limit
+    step = 1e-3
     field = np.repeat(plan.field[:, None, :], 2 * count + 1, axis=1)
     for k in range(count):
         for axis in (0, 1):
-            field[k, 1 + 2 * k + axis, axis] += step if plan.field[k, axis] <= 0 else -step
+            field[k, 1 + 2 * k + axis, axis] += step * limit
     paths, _ = swarm.paths(plan.duration, field)
     nominal = swarm.position + np.cumsum(swarm.velocity * paths[..., 0], axis=0)
     factor, drift = swarm.surroundings(plan.duration, plan.field, nominal)
     moved = (swarm.velocity * factor)[..., None] * paths
     carried = (drift * plan.duration[:, None])[..., None]
     position = swarm.position[:, None] + np.cumsum(moved + carried, axis=0)
-    signed = np.where(plan.field.ravel() <= 0, 10.0, -10.0)
-    return Rollout(position[..., 0], (position[..., 1:] - position[..., :1]) * signed)
+    return Rollout(position[..., 0], (position[..., 1:] - position[..., :1]) / step)

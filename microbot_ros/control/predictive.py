@@ -21,7 +21,7 @@ from microbot_ros.control.contract import (
 )
 from microbot_ros.control.ensemble import Ensemble, SharedFieldParameters
 from microbot_ros.control.manoeuvre import Task, search
-from microbot_ros.control.plan import Plan, Swarm, roll_out, with_lags
+from microbot_ros.control.plan import Plan, Rollout, Swarm, roll_out, with_lags
 from microbot_ros.control.refine import cost, improve
 from microbot_ros.control.shared import as_complex
 from microbot_ros.model.model import Model
@@ -78,6 +78,7 @@ class Predictive(Ensemble):
         self._heading = np.empty(0, complex)
         self._history: deque[tuple[float, np.ndarray]] = deque(maxlen=64)
         self._ticks = 0
+        self._step_time = 1e-3
 
     def configure(self, parameters: Any) -> None:
         """Load what solves and integrates: that takes longer than a tick."""
@@ -125,19 +126,28 @@ class Predictive(Ensemble):
 
     def _carry_out(self, swarm: Swarm, task: Task, plan: Plan, begun: float) -> FieldCommand:
         """Improve the plan while there is time, and do what it says first."""
-        budget = units.to_si('budget_ms', self.parameters.budget_ms)
+        end = begun + units.to_si('budget_ms', self.parameters.budget_ms)
+        plan, rollout = self._refine(swarm, task, plan, end)
+        self._plan = plan
+        error = float(np.sqrt(np.mean(np.abs(rollout.position[-1] - task.goal) ** 2)))
+        distance = float(np.sqrt(np.mean(np.abs(swarm.position - task.goal) ** 2)))
+        message = (f'{len(task.goal)} particles {distance * 1e6:.1f} µm from their goals, '
+                   f'{error * 1e6:.1f} µm in {plan.length:.1f} s')
+        return FieldCommand(plan.field[0], progress=Progress(message, False, distance))
+
+    def _refine(self, swarm: Swarm, task: Task, plan: Plan, end: float) -> tuple[Plan, Rollout]:
+        """Step by step, while a step like those before would be through by `end` [s]."""
         rollout = roll_out(swarm, plan, task.limit)
-        while (left := begun + budget - time.perf_counter()) > budget / 3:
-            better, rollout = improve(swarm, plan, task, rollout, left / 2)
+        self._step_time *= 0.95  # after one hold-up it is tried again
+        now = time.perf_counter()
+        while now + self._step_time < end:
+            better, rollout = improve(swarm, plan, task, rollout, (end - now) / 2)
+            before, now = now, time.perf_counter()
+            self._step_time += 0.3 * (now - before - self._step_time)
             if better is plan:
                 break
             plan = better
-        self._plan = plan
-        error = float(np.sqrt(np.mean(np.abs(rollout.position[-1] - task.goal) ** 2)))
-        now = float(np.sqrt(np.mean(np.abs(swarm.position - task.goal) ** 2)))
-        message = (f'{len(task.goal)} particles {now * 1e6:.1f} µm from their goals, '
-                   f'{error * 1e6:.1f} µm in {plan.length:.1f} s')
-        return FieldCommand(plan.field[0], progress=Progress(message, False, now))
+        return plan, rollout
 
     def _choose(self, situation: Situation, swarm: Swarm, task: Task) -> Plan | None:
         """What is left of the plan, or one that is clearly better; None: rest."""
@@ -147,11 +157,7 @@ class Predictive(Ensemble):
         self._ticks += 1
         if plan is not None and self._ticks % SEARCH_EVERY:
             return plan
-        slowest = max(model.effect('alignment_lag').tau for model in swarm.models)  # type: ignore[union-attr]
-        strength = task.limit / swarm.models[0].reference_field
-        other = search(swarm, task, 4 * slowest / strength,
-                       2 * float(np.abs(task.goal - swarm.position).max())
-                       / float(np.abs(swarm.velocity).min()))
+        other = search(swarm, task)
         price = cost(swarm, other, task, roll_out(swarm, other, task.limit))
         if plan is None:
             waiting = float(np.mean(np.abs(task.goal - swarm.position) ** 2)) * 1e12
@@ -205,5 +211,5 @@ def _warm_up() -> None:
                   with_lags(Model(1e-3), [0.1, 0.3]), 0.0)
     view = Workspace(np.array([-1e-4, -1e-4]), np.array([1e-4, 1e-4]))
     task = Task(np.array([1e-5, 1e-5j]), 1e-3, view, np.empty(0), np.empty(0), 1e-7, 0.01)
-    plan = search(swarm, task, 1.0, 10.0)
+    plan = search(swarm, task)
     improve(swarm, plan, task, roll_out(swarm, plan, task.limit), 1.0)

@@ -70,7 +70,7 @@ def _solve(rollout: Rollout, task: Task, seconds: float) -> np.ndarray | None:
     A[count + 1:, :count], A[count + 1:, count] = rows, 1
     low = np.concatenate([np.full(count, -_FARTHEST), [0], -room])
     high = np.concatenate([np.full(count, _FARTHEST), [np.inf], np.full(len(room), np.inf)])
-    solver = osqp.OSQP()
+    solver = osqp.OSQP(algebra='builtin')
     solver.setup(sparse.csc_matrix(np.triu(P)), q, sparse.csc_matrix(A), low, high, verbose=False,
                  eps_abs=1e-3, eps_rel=1e-3, max_iter=400, time_limit=max(seconds, 1e-4),
                  polishing=False)
