@@ -70,7 +70,10 @@ def read_folder(path: Path) -> Session:
     that begin only after the tracks have ended.
     """
     if not (path / 'tracks.csv').is_file():
-        raise InputError(path, 'expected a session: a folder with tracks.csv, or a recording')
+        inside = [item.name for item in sorted(path.iterdir()) if any(item.glob('*.mcap'))]
+        hint = f'; {inside[0]} in it is one' if inside else ''
+        raise InputError(
+            path, f'expected a session: a folder with tracks.csv, or a recording{hint}')
     tracks = _read_tracks(path / 'tracks.csv')
     table = None
     if (path / 'commands.csv').exists():

@@ -68,10 +68,13 @@ class RecordingWriter:
 
     def write(self, topic: str, msgtype: str, t_ns: int, data: bytes) -> None:
         """Queue one message: its topic with the leading slash, its type, the time of receipt
-        [ns] and its CDR bytes. ValueError for a type that ROS 2 Jazzy does not define."""
+        [ns] and its CDR bytes. ValueError for a type that ROS 2 Jazzy does not define,
+        RuntimeError after `close`."""
+        if self._closing.is_set():
+            raise RuntimeError('the recording is closed')
         with self._lock:
             entry = self._topics.get(topic) or self._declare(topic, msgtype)
-            if self._unaffordable(entry.worth):
+            if self._failure or self._unaffordable(entry.worth):
                 self._dropped[topic] += 1
                 return
             self._queue.append((entry, t_ns, data))
@@ -160,6 +163,7 @@ class RecordingWriter:
             self._store.close(self._dropped)
         except Exception as error:
             self._failure = f'{type(error).__name__}: {error}'
+            self._store.abandon()
             raise
 
     def _drain(self) -> None:

@@ -43,7 +43,13 @@ class Segment:
         self.summary = empty_summary()
         self.size = 0
         self._file = path.open('xb', buffering=0)
-        self._append(MAGIC + bytes_of(Header('ros2', f'microbot_ros {version("microbot_ros")}')))
+        header = Header('ros2', f'microbot_ros {version("microbot_ros")}')
+        try:
+            self._append(MAGIC + bytes_of(header))
+        except OSError:
+            self.abandon()
+            path.unlink()
+            raise
 
     def add_channel(self, schema: Schema, channel: Channel) -> None:
         """Declare a topic before the first chunk that holds it."""
@@ -96,7 +102,11 @@ class Segment:
             self._append(closing_bytes(self.summary, self.size))
             self.sync()
         finally:
-            self._file.close()
+            self.abandon()
+
+    def abandon(self) -> None:
+        """Close the file as it is: readable, without an index."""
+        self._file.close()
 
     def _append(self, block: bytes) -> None:
         rest = memoryview(block)

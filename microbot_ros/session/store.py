@@ -91,8 +91,7 @@ class Store:
         self._write()
         old = now - self._segment_began >= SEGMENT_SECONDS
         if (old or self._segment.size >= SEGMENT_BYTES) and not self._waiting:
-            self._finish_segment()
-            self._next_segment()
+            self._roll()
 
     def close(self, lost: Counter[str]) -> None:
         """Write all that is left, what was dropped here and before (`lost`), the indexes and
@@ -101,12 +100,16 @@ class Store:
             self._flush(worth)
         if dropped := self.dropped + lost:
             self.add_record(Metadata('dropped', {name: str(n) for name, n in dropped.items()}))
-        self._finish_segment()
         try:
+            self._segment.finish()
             text = metadata_text({s.path: s.summary for s in self._segments})
             write_text(self._folder / METADATA_FILE, text)
         except OSError as error:
             self.refused = error.strerror or str(error)
+
+    def abandon(self) -> None:
+        """Leave the files as they are."""
+        self._segment.abandon()
 
     def _flush(self, worth: Worth) -> None:
         if self._builders[worth].size:
@@ -156,8 +159,10 @@ class Store:
         self._segments.append(self._segment)
         self._segment_began = time.monotonic()
 
-    def _finish_segment(self) -> None:
+    def _roll(self) -> None:
+        full = self._segment
         try:
-            self._segment.finish()
+            self._next_segment()
+            full.finish()
         except OSError as error:
             self.refused = error.strerror or str(error)

@@ -140,6 +140,8 @@ def _column(
 
 def _number(cell: str, shift: int) -> float:
     mantissa, _, power = cell.lower().partition('e')
+    if '_' in cell:  # Python's, nobody else's
+        return math.nan
     try:
         return float(f'{mantissa}e{int(power or 0) + shift}')
     except ValueError:

@@ -94,6 +94,7 @@ def test_an_unknown_heading_is_an_empty_cell(tmp_path):
     ('t_s,particle,x_um,y_um\n0,0,1,2\n1e999,0,1,2\n', 3, "'t_s', found '1e999'"),
     ('t_s,particle,x_um,y_um\n0,0,1,2\n0.1,0,,2\n', 3, 'an empty cell'),
     ('t_s,particle,x_um,y_um\n0,0,1,2\n0.1,0,1 um,2\n', 3, "'1 um'"),
+    ('t_s,particle,x_um,y_um\n0,0,1,2\n0.1,0,1_0,2\n', 3, "'1_0'"),
     ('t_s,particle,x_um,y_um\n0,0,1,2\n0.1,0.5,1,2\n', 3, 'whole number'),
     ('t_s,particle,x_um,y_um\n0,0,1,2\n0,1,1,2\n0.2,0,1,2\n0.1,0,1,2\n', 5, 'ascend'),
     ('t_s,particle,x_um,y_um\n0,0,1,2\n0,1,1,2\n0,0,1,2\n', 4, 'one row per particle'),
@@ -144,6 +145,10 @@ def test_a_folder_without_tracks_and_a_missing_one_are_refused(tmp_path):
         read_session(tmp_path)
     with pytest.raises(InputError, match='found nothing'):
         read_session(tmp_path / 'nowhere')
+    (tmp_path / 'recording').mkdir()
+    (tmp_path / 'recording' / 'recording_0.mcap').touch()
+    with pytest.raises(InputError, match='recording in it is one'):
+        read_session(tmp_path)
 
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False, width=64)

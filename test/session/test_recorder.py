@@ -184,6 +184,52 @@ def test_a_disk_that_stays_full_leaves_a_readable_recording_and_says_so(tmp_path
         assert recording.topics == {}
 
 
+@pytest.mark.filterwarnings('ignore::pytest.PytestUnhandledThreadExceptionWarning')
+def test_a_recorder_that_failed_counts_all_it_loses_and_says_why(tmp_path, monkeypatch):
+    failed = threading.Event()
+
+    def fail(*_):
+        failed.set()
+        raise FileNotFoundError('the disk is gone')
+
+    monkeypatch.setattr(store.Store, 'tick', fail)
+    with RecordingWriter(tmp_path / 'run') as writer:
+        assert failed.wait(60)
+        writer._thread.join(60)
+        writer.write('/field/command', VECTOR, 1, vector(1, 0, 0))
+        assert writer.status().dropped == {'/field/command': 1}
+        assert 'the disk is gone' in writer.status().problem
+
+
+def test_a_new_segment_that_the_disk_refuses_leaves_the_old_one_in_use(tmp_path, monkeypatch):
+    monkeypatch.setattr(store, 'SEGMENT_BYTES', 1000)
+    monkeypatch.setattr(store, 'FLUSH_SECONDS', 0.0)
+    begin, refused = Segment.__init__, threading.Event()
+
+    def refuse(self, path):
+        if not path.name.endswith('_0.mcap'):
+            refused.set()
+            raise OSError(28, 'No space left on device')
+        begin(self, path)
+
+    monkeypatch.setattr(Segment, '__init__', refuse)
+    with RecordingWriter(tmp_path / 'run') as writer:
+        expected = fill(writer)
+        assert refused.wait(60)
+        writer.write('/field/command', VECTOR, 10**10, vector(1, 0, 0))
+    assert writer.status().counts['/field/command'] == expected['/field/command'] + 1
+    with open_recording(tmp_path / 'run') as recording:
+        assert recording.complete
+        assert recording.end_ns == 10**10
+
+
+def test_nothing_is_taken_after_the_end(tmp_path):
+    with RecordingWriter(tmp_path / 'run') as writer:
+        pass
+    with pytest.raises(RuntimeError, match='closed'):
+        writer.write('/field/command', VECTOR, 1, vector(1, 0, 0))
+
+
 def test_an_unknown_type_is_refused_at_once(tmp_path):
     with (RecordingWriter(tmp_path / 'run') as writer,
           pytest.raises(ValueError, match='no message type')):
