@@ -73,7 +73,7 @@ def _commands(recording: Recording) -> Commands:
         applied = _series(recording, 'field/applied', 'sensor_msgs/msg/MagneticField', _magnetic)
         if applied is None:
             return Commands(np.empty(0), np.empty((0, 2)))
-        return _changes(*applied, None)
+        return changes(*applied, None)
     times, field = wanted
     gate = _series(recording, 'coils/applied', 'sensor_msgs/msg/JointState', _any_current)
     turning = _series(recording, 'field/rotation', 'geometry_msgs/msg/Vector3Stamped', _frequency)
@@ -81,7 +81,7 @@ def _commands(recording: Recording) -> Commands:
     field = _held(t, times, field)
     if gate is not None:
         field = field * _held(t, *gate)
-    return _changes(t, field, None if turning is None else _held(t, *turning)[:, 0])
+    return changes(t, field, None if turning is None else _held(t, *turning)[:, 0])
 
 
 def _series(
@@ -107,8 +107,8 @@ def _held(t: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
         np.searchsorted(times, t, side='right')]
 
 
-def _changes(t: np.ndarray, field: np.ndarray, frequency: np.ndarray | None) -> Commands:
-    """Commands without the rows that repeat the one before."""
+def changes(t: np.ndarray, field: np.ndarray, frequency: np.ndarray | None) -> Commands:
+    """Commands (K', …) without the rows of (K, …) that repeat the one before."""
     state = field if frequency is None else np.column_stack([field, frequency])
     new = np.append(True, (np.diff(state, axis=0) != 0).any(axis=1))
     return Commands(t[new], field[new], None if frequency is None else frequency[new])

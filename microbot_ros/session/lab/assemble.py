@@ -11,6 +11,7 @@ import numpy as np
 from microbot_ros.errors import InputError
 from microbot_ros.records import Commands, Conditions, Session, Tracks
 from microbot_ros.session.folder import NOMINAL_FIELD
+from microbot_ros.session.from_recording import changes
 from microbot_ros.session.lab.angles import angles, settle_angles
 from microbot_ros.session.lab.answers import Answers, Said
 from microbot_ros.session.lab.columns import Column, find_columns
@@ -173,12 +174,10 @@ def _find_commands(
     state = field if frequency is None else np.column_stack([field, frequency])
     known = np.isfinite(state).all(axis=1) & np.isfinite(own.t)
     t, first = np.unique(own.t[known], return_index=True)
-    state = state[known][first]
     if not len(t):
         raise InputError(sheet.place, 'expected commands, found none')
-    new = np.append(True, (np.diff(state, axis=0) != 0).any(axis=1))
-    commands = Commands(
-        t[new], state[new, :2], None if frequency is None else state[new, 2])
+    commands = changes(
+        t, field[known][first], None if frequency is None else frequency[known][first])
     return settle_angles(commands, tracks, answers, said, sheet.place)
 
 
