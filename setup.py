@@ -9,8 +9,8 @@ ros_from_pypi = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
 
 development = [
     'catkin_pkg', 'colcon-common-extensions', 'hypothesis', 'import-linter', 'magpylib', 'mypy',
-    'psutil',    'pysindy', 'pytest', 'pytest-timeout', 'pytest-xdist', 'ruff', 'trackpy', 'types-PyYAML',
-    'types-pyserial',
+    'psutil', 'pysindy', 'pytest', 'pytest-timeout', 'pytest-xdist', 'ruff', 'trackpy',
+    'types-PyYAML', 'types-pyserial',
 ]
 
 nodes = [
@@ -30,7 +30,7 @@ setup(
     ],
     python_requires='>=3.11',
     install_requires=[
-        'click', 'jinja2', 'matplotlib', 'mcap', 'numba', 'numpy', 'opencv-python-headless',
+        'av', 'click', 'jinja2', 'matplotlib', 'mcap', 'numba', 'numpy', 'opencv-python-headless',
         'openpyxl', 'osqp', 'pydantic>=2', 'pymodbus', 'pyserial', 'pyyaml', 'rich', 'rosbags',
         'scipy', 'setuptools', 'zstandard',
     ],

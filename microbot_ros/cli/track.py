@@ -92,7 +92,7 @@ def _track(
     with console.status('learning what the particles look like'):
         appearance = _learn(recording, settings)
     rows = _Rows(recording, pixel_size_um)
-    result: dict[str, Any] = {'appearance': [], 'overlay_codec': None}
+    result: dict[str, Any] = {'appearance': []}
     if appearance is not None:
         _draw_settings(folder / 'settings.png', recording, appearance, settings)
         result['appearance'] = appearance.describe()
@@ -107,7 +107,6 @@ def _track(
                 rows.add(frame.index, poses)
                 if video:
                     video.write(frame.image, poses)
-                    result['overlay_codec'] = video.codec
     write_text(folder / 'tracks.csv', rows.text())
     return rows.summary() | result
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections import deque
+from fractions import Fraction
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
-from microbot_ros.errors import InputError
 from microbot_ros.tracking.tracker import Poses
 
 _COLOURS = np.array([
@@ -16,9 +15,6 @@ _COLOURS = np.array([
     [204, 121, 167],
 ])[:, ::-1].tolist()
 """Colours that the colour-blind tell apart (M. Okabe, K. Ito, 2008), as BGR."""
-
-_CODECS = ('avc1', 'vp09', 'mp4v')
-"""In order of preference; browsers play the first two."""
 
 _WIDEST = 960
 _TRAIL = 40
@@ -57,38 +53,31 @@ def draw_overlay(
 
 
 class OverlayVideo:
-    """A film of overlays, as MP4 in the best codec that this OpenCV can write (`codec`)."""
+    """A film of overlays: H.264 in MP4, which browsers and players show."""
 
     def __init__(
         self, path: Path, size: tuple[int, int], frame_rate: float, radius_px: float
     ) -> None:
-        import cv2
+        import av
 
         self._radius = radius_px
         self._trails: dict[int, deque[np.ndarray]] = {}
         scale = min(1.0, _WIDEST / size[1])
-        # Codecs want even sides.
+        # The colours of H.264 want even sides.
         self._size = tuple(int(side * scale) // 2 * 2 for side in reversed(size))
-        before = cv2.utils.logging.getLogLevel()
-        cv2.utils.logging.setLogLevel(0)
-        for self.codec in _CODECS:
-            self._writer = cv2.VideoWriter(
-                str(path), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*self.codec), frame_rate,
-                self._size)
-            if self._writer.isOpened():
-                break
-        cv2.utils.logging.setLogLevel(before)
-        if not self._writer.isOpened():
-            raise InputError(path, 'this OpenCV can write no MP4 video; use --no-overlay')
+        self._file = av.open(str(path), 'w', format='mp4')
+        self._stream = self._file.add_stream(
+            'libx264', Fraction(frame_rate).limit_denominator(1000),
+            options={'preset': 'veryfast', 'crf': '24'})
+        self._stream.width, self._stream.height = self._size
+        self._stream.pix_fmt = 'yuv420p'
 
     def __enter__(self) -> OverlayVideo:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._writer.release()
+    def __exit__(self, *_: object) -> None:
+        self._file.mux(self._stream.encode())
+        self._file.close()
 
     def write(self, image: np.ndarray, poses: Poses) -> None:
         """Add one frame with its particles and their trails."""
@@ -100,8 +89,9 @@ class OverlayVideo:
 
     def write_picture(self, picture: np.ndarray) -> None:
         """Add a picture (H, W, 3) BGR that is drawn already."""
+        import av
         import cv2
 
         if picture.shape[1::-1] != self._size:
             picture = cv2.resize(picture, self._size, interpolation=cv2.INTER_AREA)
-        self._writer.write(picture)
+        self._file.mux(self._stream.encode(av.VideoFrame.from_ndarray(picture, format='bgr24')))

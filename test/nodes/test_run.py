@@ -92,9 +92,10 @@ class Running:
 
     def end(self) -> None:
         """Leave nothing behind."""
-        children = psutil.Process(self.process.pid).children() if self.process.poll() is None else []
-        for process in [*children, self.process]:
-            process.kill()
+        if self.process.poll() is None:
+            for child in psutil.Process(self.process.pid).children():
+                child.kill()
+            self.process.kill()
         self.process.wait(10)
 
 
