@@ -81,7 +81,10 @@ def _commands(recording: Recording) -> Commands:
     field = _held(t, times, field)
     if gate is not None:
         field = field * _held(t, *gate)
-    return changes(t, field, None if turning is None else _held(t, *turning)[:, 0])
+    if turning is None:
+        return changes(t, field, None)
+    # No field turns nothing, whatever rate was last told.
+    return changes(t, field, _held(t, *turning)[:, 0] * field.any(axis=1))
 
 
 def _series(

@@ -92,6 +92,16 @@ def test_where_the_gate_lets_nothing_through_the_command_is_zero(tmp_path):
     assert commands.field.tolist() == [[0, 0], [1e-3, 0], [0, 1e-3], [0, 0]]
 
 
+def test_a_rotation_holds_until_the_next_and_ends_with_the_field(tmp_path):
+    rate = 2 * np.pi * 5
+    commands = read_session(write(
+        tmp_path / 'run', command(0, 1e-3, 0), (2, '/field/rotation', VECTOR, vector(0, 0, rate)),
+        command(5, 0, 0), command(9, 0, 1e-3), *FRAMES)).commands
+    np.testing.assert_allclose(commands.t, [0, 0.002, 0.005, 0.009])
+    np.testing.assert_allclose(commands.frequency, [0, 5, 0, 5])
+    assert commands.field.tolist() == [[1e-3, 0], [1e-3, 0], [0, 0], [0, 1e-3]]
+
+
 def test_without_commands_the_applied_field_stands_in(tmp_path):
     make = typestore().types['geometry_msgs/msg/Vector3']
     field = encode(MAGNETIC, header(0), make(3e-3, 1e-3, 0.0), np.zeros(9))
