@@ -72,19 +72,19 @@ def own_speed(body: Any, frequency: float, t: float) -> float:
 
 
 @numba.njit(cache=True)
-def tilt(body: Any, strength: float, uniform: float, azimuth: float) -> Pair:
+def tilt(body: Any, strength: float, rng: np.random.Generator) -> Pair:
     """Parts of the axis along and across the mean heading, from the Boltzmann distribution.
 
     The axis' angle from the field has the density exp(κ cos ϑ) on the sphere, κ = |B|/b₀.
     """
     if body.field_scale == 0:
         return 1.0, 0.0
-    kappa = strength / body.field_scale
+    kappa, uniform = strength / body.field_scale, rng.random()
     if kappa < 1e-6:
         along = 2 * uniform - 1
     else:
         along = 1 + math.log(uniform + (1 - uniform) * math.exp(-2 * kappa)) / kappa
-    across = math.sqrt(max(1 - along**2, 0.0)) * math.cos(azimuth)
+    across = math.sqrt(max(1 - along**2, 0.0)) * math.cos(2 * math.pi * rng.random())
     return along, across
 
 
@@ -226,7 +226,7 @@ def _move(
     rotate(body, bx, by, vorticity, t, length, rng.standard_normal())
     during = (before + body.heading) / 2
     speed = own_speed(body, turns, t) * slowing
-    along, across = tilt(body, strength, rng.random(), 2 * math.pi * rng.random())
+    along, across = tilt(body, strength, rng)
     c, s = math.cos(during), math.sin(during)
     velocity[i, 0] = u + du + gu + pu + speed * (along * c - across * s)
     velocity[i, 1] = v + dv + gv + pv + speed * (along * s + across * c)

@@ -287,3 +287,14 @@ def test_time_does_not_run_backwards():
     here = world.position
     assert np.array_equal(world.advance(0.5, history), here)
     assert world.t == 1.0
+
+
+@pytest.mark.parametrize('kappa', [0.0, 0.3, 4.0, 800.0])
+def test_incomplete_alignment_is_langevins_function_on_average(kappa):
+    made = swarm(field_scale=1e-3)
+    rng = np.random.default_rng(2)
+    draws = np.array([dynamics.tilt(made[0], kappa * 1e-3, rng) for _ in range(4000)])
+    expected = 1 / math.tanh(kappa) - 1 / kappa if kappa else 0.0
+    for mean, sample in zip((expected, 0.0), draws.T, strict=True):
+        assert abs(sample.mean() - mean) <= 4 * sample.std() / math.sqrt(len(sample))
+    assert (np.hypot(*draws.T) <= 1 + 1e-12).all()
