@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from bisect import bisect_left
 from collections.abc import Collection, Iterator
 from operator import attrgetter
@@ -36,8 +37,9 @@ class Message(NamedTuple):
 class McapFile:
     """An MCAP file that needs no index: one is made where a crash left none.
 
-    `complete` says whether the file had one. A record that a crash left unfinished, and what
-    follows it, is not there for this reader. `summary` holds schemas, channels, chunks, counts.
+    `complete` says whether the file had a sound one. A record that a crash left unfinished, and
+    what follows it, is not there for this reader. `summary` holds schemas, channels, chunks and
+    counts.
     """
 
     def __init__(self, path: Path) -> None:
@@ -131,10 +133,11 @@ class McapFile:
             self._file.seek(0)
             try:
                 summary = make_reader(self._file).get_summary()
-            except (McapError, ValueError, KeyError) as error:
-                raise InputError(self.path, f'expected a sound MCAP index ({error})') from None
+            except (McapError, ValueError, KeyError, struct.error):
+                summary = None
             if summary is not None and summary.statistics is not None and summary.channels:
                 return summary, 0
+            self.complete = summary is not None
         return scan(self._file)
 
     def _inside(

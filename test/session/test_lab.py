@@ -1,6 +1,7 @@
 """Importing: one truth written down in every way that laboratories do, and read back."""
 
 import math
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -226,6 +227,61 @@ def test_headings_turn_with_the_picture(tmp_path):
         TRUTH.t, x, -y, -theta])
     session, _ = import_session(path, Answers(pixel_size=PIXEL))
     np.testing.assert_allclose(session.tracks.theta, TRUTH.direction)
+
+
+def test_frames_become_times_by_the_frame_rate(tmp_path):
+    path = small(tmp_path, 'Frame,x_um,y_um\n10,1,2\n11,1,2\n13,1,2\n')
+    session, _ = import_session(path, Answers(frame_rate=20.0))
+    np.testing.assert_allclose(session.tracks.t, [0.5, 0.55, 0.65])
+    assert session.conditions.frame_rate == 20
+
+
+def test_what_people_say_of_times_overrules_what_they_look_like(tmp_path):
+    path = small(tmp_path, 'time,x_um,y_um\n1,1,2\n2,1,2\n4,1,2\n')
+    session, _ = import_session(path, Answers(times='intervals', time_unit='_ms'))
+    np.testing.assert_allclose(session.tracks.t, [1e-3, 3e-3, 7e-3])
+
+
+def test_dates_of_a_spreadsheet_are_times(tmp_path):
+    start = datetime(2024, 3, 31, 1, 59, 59)
+    stamps = [start + timedelta(milliseconds=500 * i) for i in range(4)]
+    book = openpyxl.Workbook()
+    for row in (['Time', 'x_um', 'y_um'], *([stamp, 1, 2] for stamp in stamps)):
+        book.active.append(row)
+    book.save(tmp_path / 'a.xlsx')
+    session, _ = import_session(tmp_path / 'a.xlsx', Answers())
+    np.testing.assert_allclose(np.diff(session.tracks.t), 0.5)
+
+
+def test_a_direction_without_frequency_or_size_is_a_field_of_1_mT(tmp_path):
+    rows = 't_s,x_um,y_um,direction_deg\n0,0,0,\n1,1,1,90\n2,0,0,90\n3,1,0,180\n'
+    session, said = import_session(small(tmp_path, rows), Answers())
+    assert session.commands.t.tolist() == [1, 3]
+    np.testing.assert_allclose(session.commands.field, [[0, 1e-3], [-1e-3, 0]], atol=1e-18)
+    assert session.commands.frequency is None
+    assert any('1 mT' in sentence for sentence in said)
+
+
+@pytest.mark.parametrize(('field', 'said'), [
+    ('direction_deg,freq\n90,1\n', r'the 3 rows of a; found 1 rows'),
+    ('frame,direction_deg,freq\n90,4,1\n', r'frames 1 to 3'),
+    ('t_s,direction_deg,freq\n0,,1\n', r'expected commands, found none'),
+])
+def test_commands_that_nothing_ties_to_the_tracks_are_refused(tmp_path, field, said):
+    (tmp_path / 'a.csv').write_text('frame,t_s,x_um,y_um\n1,0,1,2\n2,1,1,2\n3,2,1,2\n')
+    (tmp_path / 'field.csv').write_text(field)
+    with pytest.raises(InputError, match=said) as refusal:
+        import_session(tmp_path, Answers())
+    assert refusal.value.source.endswith('field.csv')
+
+
+def test_robots_on_one_clock_cannot_have_more_rows_than_it(tmp_path):
+    for name, first, rows in (('robot1', 0, 6), ('robot2', 3, 5)):
+        lines = [f'{first + i},{0.1 if i % 2 else 0.12},1,2' for i in range(rows)]
+        (tmp_path / f'{name}.csv').write_text('\n'.join(['frame,times,x_um,y_um', *lines]))
+    with pytest.raises(InputError, match='no more rows than robot1') as refusal:
+        import_session(tmp_path, Answers())
+    assert refusal.value.source.endswith('robot2.csv')
 
 
 def small(tmp_path: Path, text: str) -> Path:

@@ -215,6 +215,22 @@ def test_what_is_no_recording_is_refused(tmp_path):
         open_recording(tmp_path / 'bag')
 
 
+def test_a_broken_index_is_made_anew(tmp_path):
+    file = record(tmp_path / 'run', small_session()) / 'run_0.mcap'
+    whole = bytearray(file.read_bytes())
+    summary = chunk_ends(file)[-1] + 40
+    whole[summary:summary + 30] = b'\xfe' * 30
+    file.write_bytes(whole)
+    expected = list(SessionMessages(small_session()).messages())
+    with open_recording(tmp_path / 'run') as recording:
+        assert not recording.complete
+        assert list(recording.messages()) == expected
+        recording.repair()
+    with open_recording(tmp_path / 'run') as recording:
+        assert recording.complete
+        assert list(recording.messages()) == expected
+
+
 def test_broken_chunks_are_refused_where_they_are_read(tmp_path):
     file = record(tmp_path / 'run', small_session()) / 'run_0.mcap'
     whole = bytearray(file.read_bytes())

@@ -7,7 +7,7 @@ import re
 import zipfile
 from collections import Counter
 from dataclasses import dataclass
-from datetime import datetime, time, timedelta
+from datetime import UTC, datetime, time, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -156,7 +156,7 @@ def _number(cell: Any) -> float | None:
     if _blank(cell):
         return math.nan
     if isinstance(cell, datetime):
-        return cell.timestamp()
+        return cell.replace(tzinfo=UTC).timestamp()  # no hour is missing in UTC
     if isinstance(cell, time):
         return cell.hour * 3600 + cell.minute * 60 + cell.second + cell.microsecond / 1e6
     if isinstance(cell, timedelta):
