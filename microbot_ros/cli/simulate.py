@@ -12,7 +12,7 @@ import click
 @click.command()
 @click.argument('scenario_yaml', metavar='SCENARIO.yaml', type=click.Path(path_type=Path))
 @click.option('--out', type=click.Path(path_type=Path), required=True, metavar='SESSION',
-              help='Folder for the session; truth.yaml beside it says what was put in.')
+              help='Folder for the session; its truth.yaml says what was put in.')
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
               help='Also write the truth and the number of rows as JSON.')
 def command(scenario_yaml: Path, out: Path, json_path: Path | None) -> None:
