@@ -12,8 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from microbot_ros.control.contract import Controller, Limits, Situation, Workspace
-from microbot_ros.control.switchboard import Outcome, Switchboard
+from microbot_ros.control.contract import (
+    Controller,
+    FieldCommand,
+    Limits,
+    Situation,
+    Workspace,
+)
+from microbot_ros.control.switchboard import Switchboard
 from microbot_ros.model.model import Model
 from microbot_ros.model.particle import Fluid, rotational_drag
 from microbot_ros.virtual_rig.body import bodies
@@ -29,7 +35,7 @@ QUICK = 5e-4
 
 @dataclass
 class Loop:
-    """`count` particles of radius 2.3 µm in a world with hidden effects, and a camera.
+    """Particles of radius 2.3 µm in a world with hidden effects, and a camera on them.
 
     The controller sees positions `age` [s] old with `sigma` [m] of noise and headings with
     `theta_std` [rad]; what it commands acts `delay` [s] later. φ and speed it is told exactly,
@@ -78,21 +84,28 @@ class Loop:
             known, known * 1e6, Limits(FIELD, 1.0, 50.0), VIEW, self.delay, model=self.model)
         return dataclasses.replace(seen, **what)
 
-    def run(self, controller: Controller | Switchboard, seconds: float,
-            note: Callable[[float, World, Outcome], None], **what: Any) -> None:
-        """Close the loop for `seconds`; `note(t, world, outcome)` after each tick."""
-        board = controller if isinstance(controller, Switchboard) else Switchboard(
-            {'it': controller}, 'it', deadline=1.0)
+    def run(self, controller: Controller, seconds: float,
+            note: Callable[[float], None], **what: Any) -> None:
+        """Close the loop for `seconds`; `note(t)` after each tick."""
+        compute = controller.compute
+
+        def timed(situation: Situation) -> FieldCommand:
+            begun = time.thread_time()
+            try:
+                return compute(situation)
+            finally:
+                self.spent.append(time.thread_time() - begun)
+
+        controller.compute = timed  # type: ignore[method-assign]
+        board = Switchboard({'it': controller}, 'it', deadline=10.0)
         for _ in range(round(seconds / self.period)):
             t = self._ticks * self.period
-            situation = self.situation(t, **what)
-            begun = time.perf_counter()
-            outcome = board.tick(situation)
-            self.spent.append(time.perf_counter() - begun)
+            outcome = board.tick(self.situation(t, **what))
             if outcome.command is not None:
                 self._fields.append((t + self.delay, outcome.command.field))
-            note(t, self.world, outcome)
+            note(t)
             self._ticks += 1
+        board.close()
 
     def _advance(self, t: float) -> None:
         rows = [row for row in self._fields if row[0] <= t]

@@ -55,5 +55,6 @@ def _handles(axes: Axes, found: Reach, beyond: dict[str, np.ndarray], planned: f
     axes.set(xlabel='direction closed to the first-order model', xticks=np.arange(count),
              xticklabels=[str(k + 1) for k in range(count)],
              ylabel=f'RMS opened in {seconds:g} s [µm]', title='What the model opens beyond')
-    axes.legend(fontsize=8)
+    axes.set_ylim(0, 1.45 * axes.get_ylim()[1])
+    axes.legend(fontsize=8, loc='upper right')
     axes.grid(alpha=0.25, axis='y')

@@ -1,0 +1,251 @@
+"""Controllers in the fine simulated world: how near, how fast, how safely swapped."""
+
+from __future__ import annotations
+
+import cmath
+import logging
+import math
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from bench._closed_loop import FIELD, VIEW, Loop
+from bench.figure import Figure
+from microbot_ros.control.contract import Controller, FieldCommand, Goals, Limits, Situation
+from microbot_ros.control.drift_observer import DriftObserver
+from microbot_ros.control.ensemble import Ensemble
+from microbot_ros.control.path_following import PathFollowing
+from microbot_ros.control.predictive import Predictive, PredictiveParameters
+from microbot_ros.control.registry import controller_classes
+from microbot_ros.control.route import Route
+from microbot_ros.control.shared import as_complex, best_displacement, floor
+from microbot_ros.control.switchboard import Switchboard
+from microbot_ros.control.testkit import situation
+from microbot_ros.control.waypoint import Waypoint
+from microbot_ros.model.model import Model
+
+ISSUE = 7
+
+
+def figures() -> list[Figure]:
+    """Every figure of the controllers."""
+    spent: list[float] = []
+    results = [*_path(spent), _goals(spent), _ensemble(spent), *_predictive()]
+    results.append(Figure(
+        ISSUE, 'time per tick, all but predictive, p99', _p99(spent), 'ms', '≤ 1',
+        'processor time', _p99(spent) <= 1))
+    return [*results, *_swaps()]
+
+
+def _p99(spent: list[float]) -> float:
+    return float(np.percentile(spent, 99)) * 1e3
+
+
+# Figure of eight -----------------------------------------------------------------------------
+
+EIGHT = np.linspace(0, 2 * np.pi, 401)
+EIGHT_PATH = np.column_stack((40e-6 * np.sin(EIGHT), 20e-6 * np.sin(2 * EIGHT)))
+EIGHT_PATH[-1] = EIGHT_PATH[0]
+DRIFT = cmath.rect(0.5e-6, 0.7)
+
+
+class _Knowing(PathFollowing):
+    """The same law, told the true position now, the true answer to the field and the drift."""
+
+    loop: Loop
+
+    def _observe(self, situation: Situation, row: int) -> tuple[complex, DriftObserver]:
+        return complex(*self.loop.world.position[row]), _Truth(0j, 0j, 0, 0)
+
+
+class _Truth(DriftObserver):
+    answer = cmath.rect(4e-6, -1.09)  # type: ignore[assignment]
+    answer_std = 0.0  # type: ignore[assignment]
+    drift = DRIFT  # type: ignore[assignment]
+
+
+def _cross_track(controller: PathFollowing, seed: int, *, knowing: bool,
+                 spent: list[float]) -> float:
+    late = {'age': 0.0, 'delay': 0.0} if knowing else {}
+    loop = Loop(EIGHT_PATH[:1].copy(), np.array([4e-6]), np.array([-1.09]), {
+        'uniform_drift': {'wx_um_s': DRIFT.real * 1e6, 'wy_um_s': DRIFT.imag * 1e6}},
+        seed=seed, told=False, **late)
+    if isinstance(controller, _Knowing):
+        controller.loop = loop
+    route, off, along = Route(EIGHT_PATH), [], [0.0]
+
+    def note(t: float) -> None:
+        place = complex(*loop.world.position[0])
+        along[0] = route.nearest(place, along[0], 1e-5)
+        point, way = route.at(along[0])
+        if t > 20:
+            off.append(((place - point) * way.conjugate()).imag)
+
+    loop.run(controller, 120, note, path=EIGHT_PATH)
+    spent += loop.spent
+    return float(np.mean(np.square(off)))
+
+
+def _path(spent: list[float]) -> list[Figure]:
+    seeds = range(3)
+    ours = math.sqrt(np.mean([
+        _cross_track(PathFollowing(), k, knowing=False, spent=spent) for k in seeds]))
+    best = math.sqrt(np.mean([
+        _cross_track(_Knowing(), k, knowing=True, spent=[]) for k in seeds]))
+    return [Figure(
+        ISSUE, 'figure of eight, RMS cross-track', ours / best, '×', '≤ 1.3',
+        f'the same law knowing the truth without delay: {best * 1e6:.3f} µm', ours <= 1.3 * best)]
+
+
+# Goals ---------------------------------------------------------------------------------------
+
+def _goals(spent: list[float]) -> Figure:
+    """The slowest of several goals, from rest to within the arrival distance."""
+    worst = 0.0
+    for seed, (x, y) in enumerate(((30, 0), (-25, 40), (10, -12), (-60, -20))):
+        goal, arrived = np.array([[x * 1e-6, y * 1e-6]]), []
+        loop = Loop(np.zeros((1, 2)), np.array([4e-6]), np.array([2.2]), seed=seed)
+        distance = float(np.hypot(*goal[0])) - 2e-6
+
+        def note(t: float, goal: np.ndarray = goal, loop: Loop = loop,
+                 arrived: list[float] = arrived) -> None:
+            if np.hypot(*(loop.world.position - goal)[0]) <= 2e-6:
+                arrived.append(t)
+
+        loop.run(Waypoint(), 1.5 * distance / 4e-6, note, goals=Goals(goal))
+        spent += loop.spent
+        worst = max(worst, (arrived[0] if arrived else math.inf) * 4e-6 / distance)
+    return Figure(ISSUE, 'one particle to goals, slowest', worst, '×', '≤ 1.15', 'distance / v',
+                  worst <= 1.15)
+
+
+# Many particles ------------------------------------------------------------------------------
+
+def _ensemble(spent: list[float]) -> Figure:
+    """The worst of 2 to 10 particles: RMS error on arrival over the floor at the start.
+
+    Each with four draws of noise, for what Brownian motion does in the meantime is chance.
+    """
+    ratios = []
+    for count in range(2, 11):
+        rng = np.random.default_rng(count)
+        position = rng.uniform(-60e-6, 60e-6, (count, 2))
+        goal = position + rng.uniform(-30e-6, 30e-6, (count, 2))
+        speed, phi = rng.uniform(3e-6, 5e-6, count), rng.uniform(-np.pi, np.pi, count)
+        velocity, wanted = speed * np.exp(1j * phi), as_complex(goal - position)
+        ends = []
+        for seed in range(4):
+            loop = Loop(position, speed, phi, seed=seed)
+            seconds = abs(best_displacement(velocity, wanted)) + 1
+            ends.append(np.mean(np.square(_errors(loop, Ensemble(), goal, seconds)[-30:])))
+            spent += loop.spent
+        ratios.append(math.sqrt(np.mean(ends)) / floor(velocity, wanted))
+    return Figure(ISSUE, 'ensemble of 2 to 10, worst final error', max(ratios), '×', '≤ 1.1',
+                  'the floor of the first-order model', max(ratios) <= 1.1)
+
+
+def _errors(loop: Loop, controller: Controller, goal: np.ndarray, seconds: float) -> list[float]:
+    errors: list[float] = []
+
+    def note(_: float) -> None:
+        off = loop.world.position - goal
+        errors.append(float(np.sqrt(np.mean(np.sum(off**2, axis=1)))))
+
+    loop.run(controller, seconds, note, goals=Goals(goal))
+    return errors
+
+
+def _predictive() -> list[Figure]:
+    """Two particles whose alignment times are 0.1 and 0.3 s, to goals one field can't serve."""
+    ratios, spent = [], []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        position = np.array([[-20e-6, 0], [20e-6, 0]])
+        angle = rng.uniform(-np.pi, np.pi, 2)
+        goal = position + 20e-6 * np.column_stack((np.cos(angle), np.sin(angle)))
+        speed, phi = np.full(2, 4e-6), rng.uniform(-np.pi, np.pi, 2)
+        loop = Loop(position, speed, phi, {'alignment_lag': {'tau_s': [0.1, 0.3]}}, seed=seed,
+                    model=Model(FIELD))
+        controller = Predictive()
+        controller.configure(PredictiveParameters(alignment_times_s=[0.1, 0.3]))
+        errors = _errors(loop, controller, goal, 35.0)
+        lowest = floor(speed * np.exp(1j * phi), as_complex(goal - position))
+        ratios.append(float(np.mean(errors[-300:])) / lowest)
+        spent += loop.spent
+    worst = max(ratios)
+    return [
+        Figure(ISSUE, 'two particles, lags 3:1, predictive, worst final error', worst, '×',
+               '≤ 0.5', 'the first-order floor', worst <= 0.5),
+        Figure(ISSUE, 'time per tick, predictive, p99', _p99(spent), 'ms', '≤ 8',
+               'processor time', _p99(spent) <= 8),
+    ]
+
+
+# Swaps ---------------------------------------------------------------------------------------
+
+class _Faulty(Controller):
+    interface_version = 1
+    summary = 'Faulty on purpose.'
+
+    def __init__(self, act: Callable[[], FieldCommand]) -> None:
+        super().__init__()
+        self._act = act
+
+    def compute(self, situation: Situation) -> FieldCommand:
+        return self._act()
+
+
+def _raise() -> FieldCommand:
+    raise RuntimeError('on purpose')
+
+
+def _faults() -> dict[str, Callable[[], Controller]]:
+    acts: dict[str, Callable[[], FieldCommand]] = {
+        'raises': _raise,
+        'nan': lambda: FieldCommand(np.full(2, np.nan)),
+        'too_strong': lambda: FieldCommand(np.array([1.0, 0.0])),
+        'sleeps': lambda: time.sleep(0.05) or FieldCommand(np.zeros(2)),
+    }
+
+    def make(name: str, act: Callable[[], FieldCommand]) -> Callable[[], Controller]:
+        return type(name, (_Faulty,), {'__init__': lambda self: _Faulty.__init__(self, act)})
+
+    return {name: make(name, act) for name, act in acts.items()}
+
+
+def _swaps() -> list[Figure]:
+    """1,000 swaps in a loop at 100 Hz, two ticks each, among all controllers and faulty ones."""
+    kinds = controller_classes() | _faults()
+    controllers = {name: kind() for name, kind in kinds.items()}
+    for controller in controllers.values():
+        controller.configure(controller.parameters)
+    limits = Limits(FIELD, 0.3, 50.0)
+    board = Switchboard(controllers, 'hold', deadline=0.004, patience=0.1)
+    rng, names, period = np.random.default_rng(0), list(kinds), 0.01
+    goals = Goals(np.array([[30e-6, 0], [0, 30e-6], [-30e-6, 0]]))
+    logging.getLogger('microbot_ros.control').setLevel(logging.CRITICAL)
+    missed, steepest, strongest, before = 0, 0.0, 0.0, np.zeros(2)
+    begun = time.monotonic()
+    for tick in range(2000):
+        due = begun + tick * period
+        time.sleep(max(0.0, due - time.monotonic()))
+        if tick % 2 == 0:
+            board.swap(names[rng.integers(len(names))])
+        outcome = board.tick(situation(
+            t=tick * period, dt=period, limits=limits, workspace=VIEW, goals=goals,
+            path=EIGHT_PATH, joystick=rng.uniform(-1, 1, 2), model=Model(FIELD)))
+        missed += time.monotonic() > due + period
+        field = np.full(2, np.nan) if outcome.command is None else outcome.command.field
+        steepest = max(steepest, float(np.hypot(*(field - before))) / (limits.slew * period))
+        strongest = max(strongest, float(np.hypot(*field)) / limits.field)
+        before = field
+    board.close()
+    tolerance = 1 + 1e-9
+    return [
+        Figure(ISSUE, '1,000 swaps at 100 Hz: ticks missed', missed, '', '0', '', missed == 0),
+        Figure(ISSUE, '1,000 swaps: steepest step', steepest, '×', '≤ 1', 'the declared slew',
+               steepest <= tolerance),
+        Figure(ISSUE, '1,000 swaps: strongest command', strongest, '×', '≤ 1', 'the limit',
+               strongest <= tolerance),
+    ]
