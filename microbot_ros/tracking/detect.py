@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
+import numba
 import numpy as np
 
 from microbot_ros.tracking.appearance import Appearance
@@ -188,14 +189,18 @@ def _starts(peaks: np.ndarray) -> np.ndarray:
     return rows
 
 
-def _doubled(rows: np.ndarray, good: np.ndarray, closest: float) -> np.ndarray:
-    """Whether a particle of higher contrast, itself good, lies closer than `closest`."""
-    from scipy.spatial import cKDTree
-
-    doubled = np.zeros(len(rows), bool)
-    places = np.flatnonzero(good)
-    if len(places) > 1:
-        pairs = places[cKDTree(rows[places, :2]).query_pairs(closest, output_type='ndarray')]
-        weaker = np.argmin(rows[pairs, CONTRAST], axis=1)
-        doubled[pairs[np.arange(len(pairs)), weaker]] = True
+@numba.njit(cache=True)
+def _doubled(rows, good, closest):  # type: ignore[no-untyped-def]
+    """Whether a particle of higher contrast, itself good, lies closer than `closest`: (N,)."""
+    doubled = np.zeros(len(rows), np.bool_)
+    order = np.argsort(rows[:, Y])
+    for m in range(len(order)):
+        i = order[m]
+        for n in range(m + 1, len(order)):
+            j = order[n]
+            dx, dy = rows[j, X] - rows[i, X], rows[j, Y] - rows[i, Y]
+            if not dy < closest:
+                break
+            if good[i] and good[j] and dx * dx + dy * dy < closest * closest:
+                doubled[i if rows[i, CONTRAST] < rows[j, CONTRAST] else j] = True
     return doubled

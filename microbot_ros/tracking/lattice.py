@@ -37,8 +37,11 @@ class Lattice:
     """Filters of every sub-pixel cell for one appearance."""
 
     def __init__(self, appearance: Appearance) -> None:
-        self.half = int(np.ceil(appearance.reach_px)) + 1
-        v, u = np.mgrid[-self.half:self.half + 1, -self.half:self.half + 1].astype(float)
+        half = int(np.ceil(appearance.reach_px)) + 1
+        # Rows of whole vectors of eight are several times faster; what is too much weighs nothing.
+        across = -(-(2 * half + 1) // 8) * 8
+        v, u = np.mgrid[-half:half + 1, -half:across - half].astype(float)
+        self._near = appearance.reach_px + 0.6 * appearance.diameter_px
         shape = (_CELLS, _CELLS)
         self._filters = np.zeros((*shape, 5, *u.shape), np.float32)
         self._picture = np.zeros((*shape, *u.shape), np.float32)
@@ -65,7 +68,7 @@ class Lattice:
         covariance = np.linalg.inv(normal)
         self._normal[j, i], self._covariance[j, i] = normal, covariance
         self._filters[j, i] = (covariance @ design).reshape(5, *r.shape)
-        self._picture[j, i] = picture
+        self._picture[j, i] = picture * (r <= appearance.reach_px + 1)
         self._disc[j, i] = disc
 
     def fit(
@@ -78,7 +81,7 @@ class Lattice:
         the picture its last pixels are repeated.
         """
         return _fit(
-            image, grid, spacing, parameters, active, model, turns, self._filters,
+            image, grid, spacing, parameters, active, model, turns, self._near, self._filters,
             self._picture, self._disc, self._normal, self._covariance)
 
 
@@ -98,19 +101,20 @@ def _draw(model, row, scale, pictures):  # type: ignore[no-untyped-def]
     picture = pictures[j, i]
     half = picture.shape[0] // 2
     contrast = np.float32(scale * row[CONTRAST])
-    left, right = max(x - half, 0), min(x + half + 1, model.shape[1])
+    left, right = max(x - half, 0), min(x - half + picture.shape[1], model.shape[1])
+    columns = numba.uintp(right - left)
+    from_x, to_x = numba.uintp(left - x + half), numba.uintp(left)
     for py in range(max(y - half, 0), min(y + half + 1, model.shape[0])):
-        line = model[py, left:right]
-        drawn = picture[py - y + half, left - x + half:right - x + half]
-        for k in range(line.size):
-            line[k] += contrast * drawn[k]
+        from_y, to_y = numba.uintp(py - y + half), numba.uintp(py)
+        for k in range(columns):
+            model[to_y, to_x + k] += contrast * picture[from_y, from_x + k]
 
 
 @numba.njit(cache=True, fastmath=_FAST)
-def _gather(image, grid, spacing, model, x, y, disc, window):  # type: ignore[no-untyped-def]
-    """What light and neighbours leave in a window; returns its sum of squares in the disc."""
-    side = window.shape[0]
-    half = side // 2
+def _gather(image, grid, spacing, model, x, y, window):  # type: ignore[no-untyped-def]
+    """Fill a window with what light and neighbours leave."""
+    rows, columns = window.shape
+    half = rows // 2
     height, width = image.shape
     light = background_at(grid, spacing, float(x), float(y))
     slope_x = (background_at(grid, spacing, float(x + half), float(y))
@@ -118,36 +122,41 @@ def _gather(image, grid, spacing, model, x, y, disc, window):  # type: ignore[no
     slope_y = (background_at(grid, spacing, float(x), float(y + half))
                - background_at(grid, spacing, float(x), float(y - half))) / (2 * half)
     step = np.float32(slope_x)
-    whole = half <= x < width - half and half <= y < height - half
-    for dy in range(side):
-        start = np.float32(light + slope_y * (dy - half) - slope_x * half)
+    if half <= x < width - columns + half and half <= y < height - half:
+        # Unsigned indices can't wrap around, which lets the compiler use vectors.
+        left = numba.uintp(x - half)
+        for dy in range(rows):
+            start = np.float32(light + slope_y * (dy - half) - slope_x * half)
+            py, wy = numba.uintp(y - half + dy), numba.uintp(dy)
+            for k in range(numba.uintp(columns)):
+                rest = np.float32(image[py, left + k]) - model[py, left + k]
+                window[wy, k] = rest - start - step * np.float32(k)
+        return
+    for dy in range(rows):
         py = min(max(y - half + dy, 0), height - 1)
-        if whole:
-            line = image[py, x - half:x - half + side]
-            drawn = model[py, x - half:x - half + side]
-            for k in range(side):
-                window[dy, k] = np.float32(line[k]) - drawn[k] - start - step * np.float32(k)
-        else:
-            for k in range(side):
-                px = min(max(x - half + k, 0), width - 1)
-                rest = np.float32(image[py, px]) - model[py, px]
-                window[dy, k] = rest - start - step * np.float32(k)
-    squares = np.float32(0.0)
-    flat, weight = window.ravel(), disc.ravel()
-    for k in range(flat.size):
-        squares += flat[k] * flat[k] * weight[k]
-    return squares
+        for k in range(columns):
+            px = min(max(x - half + k, 0), width - 1)
+            light_here = light + slope_y * (dy - half) + slope_x * (k - half)
+            window[dy, k] = image[py, px] - model[py, px] - light_here
 
 
 @numba.njit(cache=True, fastmath=_FAST)
-def _project(window, filters, solution):  # type: ignore[no-untyped-def]
-    flat = window.ravel()
-    for k in range(5):
-        row = filters[k].ravel()
-        total = np.float32(0.0)
-        for m in range(flat.size):
-            total += row[m] * flat[m]
-        solution[k] = total
+def _project(window, filters, disc, solution):  # type: ignore[no-untyped-def]
+    """The linear solution; returns the window's sum of squares in the disc."""
+    rest, weight = window.ravel(), disc.ravel()
+    f0, f1, f2 = filters[0].ravel(), filters[1].ravel(), filters[2].ravel()
+    f3, f4 = filters[3].ravel(), filters[4].ravel()
+    a = b = c = d = e = squares = np.float32(0.0)
+    for m in range(rest.size):
+        value = rest[m]
+        a += f0[m] * value
+        b += f1[m] * value
+        c += f2[m] * value
+        d += f3[m] * value
+        e += f4[m] * value
+        squares += weight[m] * value * value
+    solution[0], solution[1], solution[2], solution[3], solution[4] = a, b, c, d, e
+    return squares
 
 
 @numba.njit(cache=True, fastmath=_FAST)
@@ -185,36 +194,60 @@ def _conclude(row, errors, squares, solution, normal, covariance, pixels):  # ty
 
 
 @numba.njit(cache=True)
-def _fit(image, grid, spacing, parameters, active, model, turns, filters, pictures, discs, normals, covariances):  # type: ignore[no-untyped-def]  # noqa: E501
+def _neighbours(parameters, near):  # type: ignore[no-untyped-def]
+    """Whether each particle has another within `near` px in x and y."""
+    close = np.zeros(len(parameters), np.bool_)
+    order = np.argsort(parameters[:, Y])
+    for m in range(len(order)):
+        i = order[m]
+        for n in range(m + 1, len(order)):
+            j = order[n]
+            if parameters[j, Y] - parameters[i, Y] >= near:
+                break
+            if abs(parameters[j, X] - parameters[i, X]) < near:
+                close[i] = close[j] = True
+    return close
+
+
+@numba.njit(cache=True)
+def _turn(image, grid, spacing, row, error, model, shared, window, solution, filters, pictures, discs, normals, covariances):  # type: ignore[no-untyped-def]  # noqa: E501
+    """Refit one particle about its present cell; returns how far it moved, −1 if out of view."""
+    if shared:
+        _draw(model, row, -1.0, pictures)
+    x, y, i, j = _place(row)
+    before_x, before_y = row[X], row[Y]
+    _gather(image, grid, spacing, model, x, y, window)
+    squares = _project(window, filters[j, i], discs[j, i], solution)
+    _update(row, solution, i, j, x, y)
+    if not (-0.5 <= row[X] < image.shape[1] - 0.5 and -0.5 <= row[Y] < image.shape[0] - 0.5):
+        row[X], row[Y], row[CONTRAST] = x, y, 0.0
+        error[:] = np.nan
+        return -1.0
+    if shared:
+        _draw(model, row, 1.0, pictures)
+    normal = normals[j, i]
+    _conclude(row, error, squares, solution, normal, covariances[j, i], normal[4, 4])
+    return max(abs(row[X] - before_x), abs(row[Y] - before_y))
+
+
+@numba.njit(cache=True)
+def _fit(image, grid, spacing, parameters, active, model, turns, near, filters, pictures, discs, normals, covariances):  # type: ignore[no-untyped-def]  # noqa: E501
     count = parameters.shape[0]
     errors = np.full((count, PARAMETERS + 2), np.nan)
     window = np.empty(pictures.shape[2:], np.float32)
-    half = window.shape[0] // 2
     solution = np.empty(5)
-    inside = active.copy()
+    waiting = active.copy()
+    shared = _neighbours(parameters, near)
     for n in range(count):
-        _draw(model, parameters[n], 1.0, pictures)
-    for turn in range(turns):
+        if shared[n]:
+            _draw(model, parameters[n], 1.0, pictures)
+    for _ in range(turns):
         for n in range(count):
-            if not inside[n]:
-                continue
-            row = parameters[n]
-            _draw(model, row, -1.0, pictures)
-            x, y, i, j = _place(row)
-            squares = _gather(image, grid, spacing, model, x, y, discs[j, i], window)
-            _project(window, filters[j, i], solution)
-            _update(row, solution, i, j, x, y)
-            if not (-0.5 <= row[X] < image.shape[1] - 0.5
-                    and -0.5 <= row[Y] < image.shape[0] - 0.5):
-                row[X], row[Y], row[CONTRAST] = x, y, 0.0
-                inside[n] = False
-                continue
-            _draw(model, row, 1.0, pictures)
-            if turn == turns - 1:
-                pixels = normals[j, i, 4, 4]
-                _conclude(
-                    row, errors[n], squares, solution, normals[j, i], covariances[j, i], pixels)
-    for n in range(count):
-        x, y, _, _ = _place(parameters[n])
-        model[max(y - half, 0):y + half + 1, max(x - half, 0):x + half + 1] = 0
+            if waiting[n]:
+                moved = _turn(
+                    image, grid, spacing, parameters[n], errors[n], model, shared[n], window,
+                    solution, filters, pictures, discs, normals, covariances)
+                # Alone and within its cell: another turn would give the same.
+                waiting[n] = moved >= 0 and (shared[n] or moved > 0.5 / _CELLS)
+    model[:] = 0
     return errors

@@ -17,18 +17,20 @@ _LEAST_NOISE = 0.3
 def block_mean(image, size):  # type: ignore[no-untyped-def]
     """Means (H // size, W // size) float32 over square blocks; a rest at the edge is left out."""
     rows, columns = image.shape[0] // size, image.shape[1] // size
-    mean = np.zeros((rows, columns), np.float32)
+    mean = np.empty((rows, columns), np.float32)
+    line = np.empty(columns * size, np.float32)
     scale = np.float32(1.0 / (size * size))
     for j in range(rows):
+        line[:] = 0
         for dy in range(size):
-            line = image[j * size + dy]
-            for i in range(columns):
-                total = np.float32(0.0)
-                for dx in range(size):
-                    total += line[i * size + dx]
-                mean[j, i] += total
+            source = image[j * size + dy, :columns * size]
+            for i in range(source.size):
+                line[i] += source[i]
         for i in range(columns):
-            mean[j, i] *= scale
+            total = np.float32(0.0)
+            for dx in range(size):
+                total += line[i * size + dx]
+            mean[j, i] = total * scale
     return mean
 
 
