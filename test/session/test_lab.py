@@ -114,6 +114,23 @@ def test_a_long_table_with_identities_below_each_other(tmp_path):
     assert 'no commands' in said
 
 
+def test_a_table_of_trackmate_with_its_four_lines_of_header(tmp_path):
+    names = ['LABEL', 'ID', 'TRACK_ID', 'POSITION_X', 'POSITION_Y', 'POSITION_T', 'FRAME']
+    words = [['Label', 'Spot ID', 'Track ID', 'X', 'Y', 'T', 'Frame'],
+             ['Label', 'Spot ID', 'Track ID', 'X', 'Y', 'T', 'Frame'],
+             ['', '', '', '(micron)', '(micron)', '(sec)', '']]
+    t = np.concatenate([TRUTH.t, TRUTH.t[50:]])
+    ids = np.repeat([0, 1], [FRAMES, FRAMES - 50])
+    x, y = np.vstack([TRUTH.first, TRUTH.second]).T * 1e6
+    labels = [f'ID{i}' for i in range(len(t))]
+    path = write_csv(tmp_path / 'spots.csv', names, [
+        labels, np.arange(len(t)), ids, x, y, t, np.rint(t / STEP)])
+    header, body = path.read_text().split('\n', 1)
+    path.write_text('\n'.join([header, *(','.join(row) for row in words), body]))
+    session, _ = import_session(path, Answers(position_unit='_um'))
+    TRUTH.check(session)
+
+
 def test_semicolons_and_decimal_commas(tmp_path):
     names = ['Time', 'x0_um', 'y0_um', 'x1_um', 'y1_um']
     path = write_csv(tmp_path / 'a.csv', names, [TRUTH.t, *wide()], mark=';', point=',')

@@ -62,6 +62,11 @@ def find_columns(sheet: Sheet, named: dict[str, str]) -> list[Column]:
         column = Column(index, told, _split_unit(name)[1]) if told else _recognise(index, name)
         if column and (told or column.role not in named):
             columns.append(column)
+    # Beside the identity of a track, a bare 'ID' numbers the rows.
+    identities = [column for column in columns if column.role == 'particle']
+    if len(identities) > 1:
+        columns = [c for c in columns if c not in identities or _split_unit(
+            sheet.names[c.index])[0] != 'id']
     seen: dict[tuple[str, int | None], Column] = {}
     for column in columns:
         key = column.role, None if column.role in _SINGLE else column.particle

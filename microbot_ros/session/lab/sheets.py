@@ -126,13 +126,13 @@ def _with_point(cell: str) -> str:
 def _sheet(path: Path, name: str, rows: list[tuple[Any, ...]]) -> Sheet | None:
     """The table below the first row that looks like a header; None where there is none."""
     numbered = [(i, row) for i, row in enumerate(rows, 1) if any(not _blank(c) for c in row)]
-    header = next((k for k, (_, row) in enumerate(numbered) if _is_header(row)), None)
+    header = next((k for k, (_, row) in enumerate(numbered) if _words(row) >= 2), None)
     if header is None or header + 1 == len(numbered):
         return None
     names = [str(cell).strip() if not _blank(cell) else '' for cell in numbered[header][1]]
     body = numbered[header + 1:]
     # Some programs explain their columns in further rows of words.
-    while len(body) > 1 and _is_header(body[0][1]):
+    while len(body) > 1 and _words(body[0][1]) == sum(not _blank(c) for c in body[0][1]):
         body = body[1:]
     for line, row in body:
         if any(not _blank(cell) for cell in row[len(names):]):
@@ -141,10 +141,9 @@ def _sheet(path: Path, name: str, rows: list[tuple[Any, ...]]) -> Sheet | None:
     return Sheet(path, name, names, padded, [line for line, _ in body])
 
 
-def _is_header(row: tuple[Any, ...]) -> bool:
-    """Whether a row names columns: at least two cells are words and none is a number."""
-    filled = [cell for cell in row if not _blank(cell)]
-    return len(filled) >= 2 and all(_number(cell) is None for cell in filled)
+def _words(row: tuple[Any, ...]) -> int:
+    """How many cells of a row are neither numbers nor blank."""
+    return sum(_number(cell) is None for cell in row)
 
 
 def _blank(cell: Any) -> bool:
