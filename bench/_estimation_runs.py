@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
-from microbot_ros.estimation.batch import fit
 from microbot_ros.estimation.commands import model_paths
 from microbot_ros.estimation.noise import GainLikelihood
-from microbot_ros.estimation.online import Estimates, Estimator
-from microbot_ros.estimation.recipe import one_leg
-from microbot_ros.model.model import Model
+from microbot_ros.estimation.online import Estimates, Estimator, Settings
+from microbot_ros.model.first_order import simulate
+from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.particle import Fluid, translational_diffusion
-from microbot_ros.records import Conditions, Session
+from microbot_ros.records import Conditions, Session, Tracks
+from microbot_ros.session import read_session
 from microbot_ros.virtual_rig.commands import Herding, steps
-from microbot_ros.virtual_rig.experiment import Camera, draw_swarm, perform
+from microbot_ros.virtual_rig.experiment import Camera, as_tracks, draw_swarm, perform
 from microbot_ros.virtual_rig.world import World
 
 FIELD = 5e-3
@@ -53,7 +54,7 @@ def _draw(
     rng: np.random.Generator, closed: bool, duration: float, particles: int,
 ) -> tuple[Run, np.ndarray]:
     sigma = float(rng.choice([0.03e-6, 0.1e-6, 0.3e-6]))
-    rate = float(rng.choice([20.0, 30.0, 60.0]))
+    rate = float(rng.choice([10.0, 20.0, 30.0]))
     shutter = float(rng.choice([0.0, 1.0]))
     missed = float(rng.choice([0.0, 0.1]))
     swarm = draw_swarm(rng, particles, FLUID, FIELD)
@@ -68,13 +69,10 @@ def _draw(
     return Run(session, truth, sigma, shutter / rate), path.position
 
 
-def replay(run: Run, estimator: Estimator | None = None) -> list[Estimates]:
+def replay(run: Run) -> list[Estimates]:
     """The online estimator over a recording, command by command, frame by frame."""
-    from microbot_ros.estimation.online import Settings
-
     session = run.session
-    if estimator is None:
-        estimator = Estimator(session.conditions, Settings(exposure=run.exposure))
+    estimator = Estimator(session.conditions, Settings(exposure=run.exposure))
     times, positions = session.tracks.grid()
     commands, sent, out = session.commands, 0, []
     ids = session.tracks.particles
@@ -97,3 +95,67 @@ def bound(run: Run) -> np.ndarray:
         run.sigma**2 / DIFFUSION
     ).power
     return np.sqrt(DIFFUSION / power)
+
+
+def record_change(seed: int, factor: complex, changed: float = 20.0) -> tuple[Run, float]:
+    """An experiment in which every c is multiplied by `factor` at `changed` [s]; c afterwards.
+
+    The world of fine Langevin steps before and after, with a turn of the field every second.
+    """
+    rng = np.random.default_rng([seed, 77])
+    swarm = draw_swarm(rng, 3, FLUID, FIELD, half_extent=200e-6, spacing=60e-6)
+    commands = steps(rng, changed + 4.0, FIELD, (0.8, 1.2))
+    world = World(swarm, rng)
+    camera = Camera(30.0, 0.0, 0.1e-6)
+    conditions = Conditions(radius=RADIUS, viscosity=FLUID.viscosity, reference_field=FIELD)
+    first, _ = perform(world, commands, camera, changed, rng, conditions)
+    later = swarm.copy()
+    later['x'], later['y'] = world.position.T
+    later['heading'] = world.heading
+    later['speed'] *= abs(factor)
+    later['phi'] += np.angle(factor)
+    after = replace(commands, t=commands.t - changed)
+    second, _ = perform(World(later, rng), after, camera, 4.0, rng, conditions)
+    session = replace(first, tracks=_joined(first.tracks, second.tracks, changed))
+    truth = later['speed'] * np.exp(1j * later['phi'])
+    return Run(session, truth, 0.1e-6, 0.0), changed
+
+
+def _joined(first: Tracks, second: Tracks, later: float) -> Tracks:
+    early = first.t < later - 1e-9
+    return Tracks(
+        np.concatenate([first.t[early], second.t + later]),
+        np.concatenate([first.particle[early], second.particle]),
+        np.concatenate([first.position[early], second.position]),
+        np.concatenate([first.theta[early], second.theta]),
+        np.concatenate([first.sigma[early], second.sigma]),
+    )
+
+
+def quiet_hours(seed: int, hours: float = 2.0, rate: float = 5.0) -> int:
+    """How often the diagnosis speaks up, other than on excitation, on data from the model."""
+    rng = np.random.default_rng([seed, 5])
+    times = np.arange(int(hours * 3600 * rate)) / rate
+    commands = steps(rng, times[-1], FIELD, (1.0, 5.0))
+    particles = ParticleParameters(
+        np.arange(3), rng.uniform(3.5e-6, 5e-6, 3), rng.uniform(-np.pi, np.pi, 3))
+    truth = simulate(Model(FIELD), particles, commands, times, 1e-4 * rng.normal(size=(3, 2)))
+    truth += np.sqrt(2 * DIFFUSION / rate) * np.cumsum(rng.normal(size=truth.shape), axis=0)
+    tracks = as_tracks(times, truth + 0.1e-6 * rng.normal(size=truth.shape))
+    conditions = Conditions(radius=RADIUS, viscosity=FLUID.viscosity, reference_field=FIELD)
+    alarms, standing = 0, set[str]()
+    for estimates in replay(Run(Session(tracks, commands, conditions), particles.velocity,
+                                0.1e-6, 0.0)):
+        now = {text for text in estimates.diagnosis if 'cannot be told apart' not in text}
+        alarms += bool(now - standing)
+        standing = now
+    return alarms
+
+
+def rolling_robot() -> Session | None:
+    """The recording of a rolling robot beside the checkout; None, with a word, where absent."""
+    folder = Path(__file__).parents[2] / 'shared' / 'data' / 'rolling_robot'
+    if not folder.is_dir():
+        print(f'no {folder}: the rolling robot is left out')
+        return None
+    return read_session(folder)
