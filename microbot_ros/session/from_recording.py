@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, NoReturn
 
 import numpy as np
 import pydantic
@@ -26,82 +28,116 @@ def session_of(recording: Recording) -> Session:
     not the moment it takes force. Where `coils/applied` shows that the gate let no current
     through, the command is zero. A recording without `field/command` gives `field/applied`
     instead, or no commands. Conditions come from the recording's metadata named `session`.
+
+    InputError where there are no tracks, or a topic holds what it should not.
     """
-    tracks = _tracks(recording)
-    commands = _commands(recording)
-    conditions = _conditions(recording, commands.frequency is not None)
-    return Session(tracks, commands, conditions, recording.path.resolve().stem)
-
-
-def _tracks(recording: Recording) -> Tracks:
-    topic = recording.topic('particles', 'sensor_msgs/msg/PointCloud2')
-    if topic is None:
+    particles = recording.topic('particles', 'sensor_msgs/msg/PointCloud2')
+    if particles is None:
         raise InputError(recording.path, 'expected a topic particles')
-    stamps, clouds, last = [], [], -1
-    for message in recording.messages([topic]):
+    series = [found for name in _SERIES if (found := _find_series(recording, name))]
+    if any(one.name == 'field/command' for one in series):
+        series = [one for one in series if one.name != 'field/applied']
+    by_topic = {one.topic: one for one in series}
+    sightings = _Sightings(recording, particles)
+    for message in recording.messages([particles, *by_topic]):
         content = recording.decode(message)
+        if message.topic == particles:
+            sightings.add(message.t_ns, content)
+        else:
+            by_topic[message.topic].add(message.t_ns, content)
+    commands = _commands({one.name: one.arrays(recording) for one in series})
+    conditions = _conditions(recording, commands.frequency is not None)
+    return Session(sightings.tracks(), commands, conditions, recording.path.resolve().stem)
+
+
+class _Sightings:
+    """The clouds of `particles`, checked as they come."""
+
+    def __init__(self, recording: Recording, topic: str) -> None:
+        self._recording, self._topic = recording, topic
+        self._stamps: list[np.ndarray] = []
+        self._clouds: list[dict[str, np.ndarray]] = []
+        self._last = -1
+
+    def add(self, t_ns: int, content: Any) -> None:
         stamp = stamp_ns(content)
-        if stamp <= last or abs(stamp - message.t_ns) > _FARTHEST_STAMP:
-            problem = 'to ascend' if stamp <= last else "on the recorder's clock"
-            at = (message.t_ns - recording.start_ns) / 1e9
-            raise InputError(recording.path, f'{topic}: expected stamps {problem}, at {at:.3f} s')
-        last = stamp
-        clouds.append(cloud_points(content, recording.path, topic))
-        stamps.append(np.full(len(clouds[-1]['id']), stamp))
-    columns = {
-        name: np.concatenate([cloud[name] for cloud in clouds])
-        for name in ('id', 'x', 'y', 'theta', 'sigma')
-    } if clouds else {}
-    if not clouds or not (seen := np.isfinite(columns['x']) & np.isfinite(columns['y'])).any():
-        raise InputError(recording.path, f'{topic}: expected positions of particles, found none')
-    t = (np.concatenate(stamps)[seen] - recording.start_ns) / 1e9
-    columns = {name: column[seen] for name, column in columns.items()}
-    particle = columns['id'].astype(np.int64)
-    order = np.lexsort((particle, t))
-    if np.any((np.diff(t[order]) == 0) & (np.diff(particle[order]) == 0)):
-        raise InputError(recording.path, f'{topic}: expected a particle once in a message')
-    position = np.column_stack([columns['x'], columns['y']])
-    return Tracks(
-        t[order], particle[order], position[order], columns['theta'][order],
-        columns['sigma'][order],
-    )
+        if stamp <= self._last or abs(stamp - t_ns) > _FARTHEST_STAMP:
+            problem = 'to ascend' if stamp <= self._last else "on the recorder's clock"
+            at = (t_ns - self._recording.start_ns) / 1e9
+            self._refuse(f'expected stamps {problem}, at {at:.3f} s')
+        self._last = stamp
+        self._clouds.append(cloud_points(content, self._recording.path, self._topic))
+        self._stamps.append(np.full(len(self._clouds[-1]['id']), stamp))
+
+    def tracks(self) -> Tracks:
+        if not self._clouds:
+            self._refuse('expected positions of particles, found none')
+        columns = {
+            name: np.concatenate([cloud[name] for cloud in self._clouds])
+            for name in self._clouds[0]
+        }
+        position = np.column_stack([columns['x'], columns['y']])
+        seen = np.isfinite(position).all(axis=1)
+        if not seen.any():
+            self._refuse('expected positions of particles, found none')
+        t = (np.concatenate(self._stamps) - self._recording.start_ns) / 1e9
+        particle = columns['id'].astype(np.int64)
+        order = np.lexsort((particle, t))
+        order = order[seen[order]]
+        if np.any((np.diff(t[order]) == 0) & (np.diff(particle[order]) == 0)):
+            self._refuse('expected a particle once in a message')
+        return Tracks(
+            t[order], particle[order], position[order], columns['theta'][order],
+            columns['sigma'][order],
+        )
+
+    def _refuse(self, problem: str) -> NoReturn:
+        raise InputError(self._recording.path, f'{self._topic}: {problem}')
 
 
-def _commands(recording: Recording) -> Commands:
-    wanted = _series(recording, 'field/command', 'geometry_msgs/msg/Vector3Stamped', _vector)
-    if wanted is None:
-        applied = _series(recording, 'field/applied', 'sensor_msgs/msg/MagneticField', _magnetic)
-        if applied is None:
-            return Commands(np.empty(0), np.empty((0, 2)))
-        return changes(*applied, None)
-    times, field = wanted
-    gate = _series(recording, 'coils/applied', 'sensor_msgs/msg/JointState', _any_current)
-    turning = _series(recording, 'field/rotation', 'geometry_msgs/msg/Vector3Stamped', _frequency)
-    t = np.unique(np.concatenate([series[0] for series in (wanted, gate, turning) if series]))
-    field = _held(t, times, field)
-    if gate is not None:
-        field = field * _held(t, *gate)
-    if turning is None:
-        return changes(t, field, None)
-    # No field turns nothing, whatever rate was last told.
-    return changes(t, field, _held(t, *turning)[:, 0] * field.any(axis=1))
+@dataclass
+class _Series:
+    """The values of one topic over time."""
+
+    name: str
+    topic: str
+    value: Callable[[Any], tuple[float, ...]]
+    t_ns: list[int] = field(default_factory=list)
+    values: list[tuple[float, ...]] = field(default_factory=list)
+
+    def add(self, t_ns: int, content: Any) -> None:
+        self.t_ns.append(t_ns)
+        self.values.append(self.value(content))
+
+    def arrays(self, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+        """Times of receipt (K,) [s] and values (K, n)."""
+        values = np.array(self.values, dtype=float)
+        if not np.isfinite(values).all():
+            raise InputError(recording.path, f'{self.topic}: expected finite values')
+        return (np.array(self.t_ns) - recording.start_ns) / 1e9, values
 
 
-def _series(
-    recording: Recording, name: str, msgtype: str, value: Any,
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """Times of receipt (K,) [s] and values (K, n) of a topic; None where it holds nothing."""
+def _find_series(recording: Recording, name: str) -> _Series | None:
+    msgtype, value = _SERIES[name]
     topic = recording.topic(name, msgtype)
-    if topic is None:
+    if topic is None or not recording.topics[topic].count:
         return None
-    found = [(m.t_ns, value(recording.decode(m))) for m in recording.messages([topic])]
-    if not found:
-        return None
-    t = (np.array([t_ns for t_ns, _ in found]) - recording.start_ns) / 1e9
-    values = np.array([content for _, content in found], dtype=float)
-    if not np.isfinite(values).all():
-        raise InputError(recording.path, f'{topic}: expected finite values')
-    return t, values
+    return _Series(name, topic, value)
+
+
+def _commands(series: dict[str, tuple[np.ndarray, np.ndarray]]) -> Commands:
+    if 'field/command' not in series:
+        nothing = np.empty(0), np.empty((0, 2))
+        return changes(*series.get('field/applied', nothing), None)
+    gate, turning = series.get('coils/applied'), series.get('field/rotation')
+    t = np.unique(np.concatenate([times for times, _ in series.values()]))
+    commanded = _held(t, *series['field/command'])
+    if gate is not None:
+        commanded = commanded * _held(t, *gate)
+    if turning is None:
+        return changes(t, commanded, None)
+    # No field turns nothing, whatever rate was last told.
+    return changes(t, commanded, _held(t, *turning)[:, 0] * commanded.any(axis=1))
 
 
 def _held(t: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -110,11 +146,11 @@ def _held(t: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
         np.searchsorted(times, t, side='right')]
 
 
-def changes(t: np.ndarray, field: np.ndarray, frequency: np.ndarray | None) -> Commands:
-    """Commands (K', …) without the rows of (K, …) that repeat the one before."""
-    state = field if frequency is None else np.column_stack([field, frequency])
-    new = np.append(True, (np.diff(state, axis=0) != 0).any(axis=1))
-    return Commands(t[new], field[new], None if frequency is None else frequency[new])
+def changes(t: np.ndarray, b: np.ndarray, frequency: np.ndarray | None) -> Commands:
+    """Commands of fields `b` (K, 2) [T] without the rows that repeat the one before."""
+    state = b if frequency is None else np.column_stack([b, frequency])
+    new = np.append(True, (np.diff(state, axis=0) != 0).any(axis=1))[:len(t)]
+    return Commands(t[new], b[new], None if frequency is None else frequency[new])
 
 
 def _conditions(recording: Recording, rolling: bool) -> Conditions:
@@ -149,3 +185,11 @@ def _any_current(content: Any) -> tuple[bool]:
 def _frequency(content: Any) -> tuple[float]:
     vector = content.vector
     return (float(np.hypot(vector.x, vector.y)) / (2 * np.pi),)
+
+
+_SERIES: dict[str, tuple[str, Callable[[Any], tuple[float, ...]]]] = {
+    'field/command': ('geometry_msgs/msg/Vector3Stamped', _vector),
+    'field/applied': ('sensor_msgs/msg/MagneticField', _magnetic),
+    'field/rotation': ('geometry_msgs/msg/Vector3Stamped', _frequency),
+    'coils/applied': ('sensor_msgs/msg/JointState', _any_current),
+}
