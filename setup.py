@@ -8,9 +8,9 @@ package_name = 'microbot_ros'
 ros_from_pypi = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
 
 development = [
-    'catkin_pkg', 'colcon-common-extensions', 'hypothesis', 'import-linter', 'magpylib', 'mypy',
-    'psutil', 'pysindy', 'pytest', 'pytest-timeout', 'pytest-xdist', 'ruff', 'trackpy',
-    'types-PyYAML', 'types-pyserial',
+    'catkin_pkg', 'colcon-common-extensions', 'coverage', 'hypothesis', 'import-linter',
+    'magpylib', 'mypy', 'psutil', 'pysindy', 'pytest', 'pytest-timeout', 'pytest-xdist', 'ruff',
+    'trackpy', 'types-PyYAML', 'types-pyserial',
 ]
 
 nodes = [

@@ -12,9 +12,10 @@ import serial
 
 from microbot_ros.drive.errors import PortBusyError, PortLostError, PortMissingError
 
-_SLICE_S = 0.02
+_SLICE_S = 0.01
 """Longest uninterrupted wait in the kernel: how long `close` from another thread can take."""
 _WRITE_TIMEOUT_S = 0.1
+_MOST_AT_ONCE = 4096
 
 
 class Port:
@@ -26,9 +27,11 @@ class Port:
 
     def __init__(self, url: str, baud: int, *, xon_xoff: bool = False) -> None:
         self.url = url
+        # pyserial's RFC 2217 has no write timeout: there TCP decides when a line is lost.
+        write_timeout = None if url.startswith('rfc2217:') else _WRITE_TIMEOUT_S
         try:
             self._serial = serial.serial_for_url(
-                url, baudrate=baud, timeout=_SLICE_S, write_timeout=_WRITE_TIMEOUT_S,
+                url, baudrate=baud, timeout=_SLICE_S, write_timeout=write_timeout,
                 xonxoff=xon_xoff, exclusive=True)
         except (OSError, ValueError, termios.error) as error:
             if getattr(error, 'errno', None) in (errno.EBUSY, errno.EAGAIN):
@@ -41,15 +44,20 @@ class Port:
             self._serial.write(data)
 
     def receive(self, timeout_s: float = 0.0) -> bytes:
-        """What has arrived; waits for the first byte at most `timeout_s` (± 20 ms), then b''."""
+        """What has arrived; waits for the first byte at most `timeout_s` (+ 10 ms), then b''."""
         deadline = time.monotonic() + timeout_s
         with self._named():
-            while not (waiting := self._serial.in_waiting):
-                if time.monotonic() >= deadline:
-                    return b''
-                if first := self._serial.read(1):
-                    return bytes(first + self._serial.read(self._serial.in_waiting))
-            return bytes(self._serial.read(waiting))
+            data = self._waiting()
+            while not data and time.monotonic() < deadline:
+                data = bytes(self._serial.read(1)) + self._waiting()
+            return data
+
+    def _waiting(self) -> bytes:
+        """What is there to be read without waiting; a socket tells of one byte at a time."""
+        data = b''
+        while len(data) < _MOST_AT_ONCE and (count := self._serial.in_waiting):
+            data += self._serial.read(count)
+        return data
 
     def discard_input(self) -> None:
         """Forget what arrived and was not read."""

@@ -14,6 +14,7 @@ LINES = ('a', 'b', 'c', 'd')
     (b'2.71E1\n', 27.1), (b'-1.0000E-1\r\n', -0.1), (b'\r\n 0\n', 0.0), (b'+3.\r', 3.0),
     (b'2.71E1', None), (b'', None), (b'nan\n', None), (b'inf\n', None), (b'1E400\n', None),
     (b'1_0\n', None), (b'2.71E1\x80\n', None), (b'1 2\n', None), (b'\n', None),
+    (b'1.0\n2.0\n', None), (b'1.0\r\n', 1.0),
 ])
 def test_numbers_pass_whole_and_finite_only(answer, value):
     assert codec.number(answer) == value

@@ -1,14 +1,18 @@
 """The SerialTransfer driver against the emulated board, over a real pseudo-terminal."""
 
+import contextlib
 import math
 import os
 import pty
+import socket
 import threading
 import tty
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import serial
+from serial import rfc2217
 
 from microbot_ros.drive.errors import (
     NoAnswerError,
@@ -132,6 +136,57 @@ def test_no_byte_is_written_for_a_current_outside(amplifier, value, coil):
     with pytest.raises(ValueError, match='within'):
         amplifier.write(currents)
     assert amplifier.counters.frames_sent == sent
+
+
+class Terminal(serial.Serial):
+    """A port without the modem lines that a pseudo-terminal does not have."""
+
+    cts = dsr = ri = cd = False
+
+    def _update_dtr_state(self):
+        pass
+
+    def _update_rts_state(self):
+        pass
+
+
+@pytest.fixture(params=['socket', 'rfc2217'])
+def remote(request, board):
+    """The board behind a serial-to-network server, as a URL."""
+    line = Terminal(board.url, 500_000, timeout=0.01)
+    listener = socket.create_server(('127.0.0.1', 0))
+    ended = threading.Event()
+    thread = threading.Thread(target=serve, args=(request.param, listener, line, ended))
+    thread.start()
+    yield f'{request.param}://127.0.0.1:{listener.getsockname()[1]}'
+    ended.set()
+    thread.join()
+    listener.close()
+    line.close()
+
+
+def serve(kind, listener, line, ended):
+    connection, _ = listener.accept()
+    connection.settimeout(0.005)
+    manager = rfc2217.PortManager(line, SimpleNamespace(write=connection.sendall))
+    with connection:
+        while not ended.is_set():
+            if data := line.read(line.in_waiting):
+                connection.sendall(b''.join(manager.escape(data)) if kind == 'rfc2217' else data)
+            with contextlib.suppress(TimeoutError):
+                if not (data := connection.recv(4096)):
+                    return
+                line.write(b''.join(manager.filter(data)) if kind == 'rfc2217' else data)
+
+
+@pytest.mark.filterwarnings('ignore:set(Daemon|Name):DeprecationWarning')  # within pyserial 3.5
+def test_it_works_over_a_network_port(remote, board):
+    amplifier = SerialTransferAmplifier(remote, FULL_SCALE)
+    amplifier.connect()
+    acknowledged(amplifier, amplifier.write([1.0, -0.5, 0.25, 2.0]))
+    board.eventually_at([1.0, -0.5, 0.25, 2.0])
+    assert amplifier.close()
+    assert board.currents() == [0, 0, 0, 0]
 
 
 def test_the_bytes_of_a_session_and_no_others():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TextIO
 
 
@@ -14,10 +14,11 @@ class Coils:
 
     Every change is one line of JSON in `log`, flushed: `t_monotonic_s`, `currents_A`, `cause`.
     `watchdog_s` is how long after the last good command the currents go to zero; None models
-    firmware that keeps them for ever.
+    firmware that keeps them for ever; `clock` counts seconds.
     """
 
-    def __init__(self, full_scale_A: float, watchdog_s: float | None, log: TextIO) -> None:
+    def __init__(self, full_scale_A: float, watchdog_s: float | None, log: TextIO,
+                 clock: Callable[[], float] = time.monotonic) -> None:
         self.full_scale_A = full_scale_A
         self.watchdog_s = watchdog_s
         self.currents_A: tuple[float, ...] = ()
@@ -25,6 +26,7 @@ class Coils:
         self._wanted: list[float] = [0.0] * 4
         self._dead: frozenset[int] = frozenset()
         self._log = log
+        self._clock = clock
         self._deadline_s = math.inf
         self.zero('reset')
 
@@ -39,7 +41,7 @@ class Coils:
     def feed(self) -> None:
         """Start the watchdog's time anew."""
         if self.watchdog_s is not None:
-            self._deadline_s = time.monotonic() + self.watchdog_s
+            self._deadline_s = self._clock() + self.watchdog_s
 
     def zero(self, cause: str) -> None:
         """Zero for a reason other than a command; the watchdog rests until the next command."""
@@ -68,6 +70,6 @@ class Coils:
         if currents == self.currents_A:
             return
         self.currents_A = currents
-        entry = {'t_monotonic_s': time.monotonic(), 'currents_A': currents, 'cause': cause}
+        entry = {'t_monotonic_s': self._clock(), 'currents_A': currents, 'cause': cause}
         self._log.write(json.dumps(entry) + '\n')
         self._log.flush()

@@ -28,6 +28,13 @@ DEVICES = {
 """Protocol → emulated device, imported only where it is emulated."""
 
 
+def make_device(protocol: str, coils: Coils) -> Device:
+    """The emulated amplifier that speaks a protocol, driving these coils."""
+    module, name = DEVICES[protocol].split(':')
+    device: Device = getattr(importlib.import_module(module), name)(coils)
+    return device
+
+
 def run(protocol: str, link: Path, log: Path | None, full_scale_A: float,
         watchdog_s: float | None, faults: list[str]) -> None:
     """Emulate until SIGINT or SIGTERM; then the coils are at zero and the link is gone.
@@ -39,18 +46,17 @@ def run(protocol: str, link: Path, log: Path | None, full_scale_A: float,
     signals: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda received, _frame: signals.append(received))
-    module, name = DEVICES[protocol].split(':')
-    kind: type[Device] = getattr(importlib.import_module(module), name)
     started = time.monotonic()
     planned = Faults([parse(text, started) for text in faults if text != '-'])
     with ExitStack() as stack:
         coils = Coils(full_scale_A, watchdog_s, stack.enter_context(_open_log(log)))
+        device = make_device(protocol, coils)
         lines = []
-        for path in links(link, kind.ports):
+        for path in links(link, device.ports):
             lines.append(Line(path))
             stack.callback(lines[-1].unplug)
         stack.callback(coils.zero, 'power_off')
-        server = Server(kind(coils), lines, planned, sys.stdin.fileno() if '-' in faults else None)
+        server = Server(device, lines, planned, sys.stdin.fileno() if '-' in faults else None)
         print('serving', protocol, 'at', *(line.link for line in lines), flush=True)
         server.run(lambda: bool(signals))
 

@@ -26,9 +26,11 @@ def current(amperes: float) -> str:
 
 
 def text(answer: bytes) -> str | None:
-    """The answer's line; None where its end has not come or it is not printable ASCII."""
-    content, end, _ = answer.replace(b'\r', b'\n').lstrip(b'\n').partition(b'\n')
-    if not end or not all(0x20 <= byte < 0x7F for byte in content):
+    """The answer's line; None where its end has not come, where it is not printable ASCII or not
+    alone.
+    """
+    content, end, rest = answer.replace(b'\r', b'\n').lstrip(b'\n').partition(b'\n')
+    if not end or rest.strip(b'\n') or not all(0x20 <= byte < 0x7F for byte in content):
         return None
     return content.decode('ascii')
 

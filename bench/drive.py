@@ -1,0 +1,83 @@
+"""The safety case in figures: gate, codecs, dead-man, a day of faults."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from bench import _day, _dead_man, _fuzz, _gate_sweep, _mutants
+from bench.figure import Figure
+
+_ISSUE = 6
+_GATE = 'microbot_ros.drive.gate'
+_GATE_TESTS = Path('test/drive/test_gate.py')
+_SWEPT = 10_000_000
+_FUZZ_S = 60.0
+_TRIES = 50
+_LIMITS_S = {'kill -9 of the host': 0.2, 'a stopped host': 0.2, 'an unplugged line': 0.2,
+             'a hung controller': 0.1}
+
+
+def figures() -> list[Figure]:
+    """All figures; about five minutes on one core."""
+    # The dead-man first, while this process is small: it forks its hosts.
+    return [*_dead_man_figures(), *_gate_figures(), *_codec_figures(), *_day_figures()]
+
+
+def _dead_man_figures() -> list[Figure]:
+    worst = _dead_man.worst_s(_TRIES)
+    return [Figure(_ISSUE, f'last good command to zero, {name}, worst of {_TRIES}',
+                   1e3 * worst[name], 'ms', f'<= {1e3 * limit:g}', 'none', worst[name] <= limit)
+            for name, limit in _LIMITS_S.items()]
+
+
+def _gate_figures() -> list[Figure]:
+    wrong, passed = _gate_sweep.values_outside(_SWEPT)
+    covered = _branch_coverage()
+    total, alive = _mutants.survivors(_GATE, _GATE_TESTS)
+    for what in alive:
+        print('survived:', what, file=sys.stderr)
+    return [
+        Figure(_ISSUE, f'{_SWEPT:g} values through the gate, {passed} affirmed, outside limits',
+               wrong, 'values', '0', 'none', wrong == 0 and passed > _SWEPT / 4),
+        Figure(_ISSUE, 'gate, lines and branches covered', covered, '%', '100', 'coverage.py',
+               covered == 100.0),
+        Figure(_ISSUE, f'gate, survivors of {total} mutants', len(alive), 'mutants', '0', 'none',
+               not alive),
+    ]
+
+
+def _branch_coverage() -> float:
+    module = Path(_GATE.replace('.', '/') + '.py')
+    with tempfile.TemporaryDirectory() as folder:
+        data, report = Path(folder) / 'data', Path(folder) / 'report.json'
+        coverage = [sys.executable, '-m', 'coverage']
+        subprocess.run([*coverage, 'run', '--branch', f'--data-file={data}', f'--include={module}',
+                        '-m', 'pytest', '-q', str(_GATE_TESTS)],
+                       check=True, stdout=subprocess.DEVNULL)
+        subprocess.run([*coverage, 'json', '-q', f'--data-file={data}', '-o', report], check=True)
+        return float(json.loads(report.read_text())['totals']['percent_covered'])
+
+
+def _codec_figures() -> list[Figure]:
+    tally = _fuzz.run(_FUZZ_S)
+    bad = tally.raised + tally.accepted
+    return [Figure(_ISSUE, f'codecs, {tally.cases} fuzzed cases in {_FUZZ_S:g} s: raised or '
+                   'accepted though bad', bad, 'cases', '0', 'none', bad == 0)]
+
+
+def _day_figures() -> list[Figure]:
+    day = _day.run(24.0)
+    left = _dead_man.left_over()
+    return [
+        Figure(_ISSUE, f'24 h, {day.commands} commands, {day.faults} faults, {day.trips} trips: '
+               'wrong currents', day.wrong, 'commands', '0', 'none',
+               day.wrong == 0 and day.trips > 0),
+        Figure(_ISSUE, '24 h: memory grown in the second half', day.resident_growth_kB, 'kB',
+               '<= 1024', 'none', day.resident_growth_kB <= 1024),
+        Figure(_ISSUE, 'threads and descriptors left after 30 unplugged sessions', left, 'of both',
+               '0', 'none', left == 0),
+    ]
