@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import struct
 from bisect import bisect_left
 from collections.abc import Collection, Iterator
@@ -114,10 +115,18 @@ class McapFile:
             yield Metadata.read(stream_at(self._file, index.offset))
 
     def repair(self) -> None:
-        """Replace an unfinished last record by the index that was never written."""
+        """Replace an unfinished last record by the index that was never written.
+
+        InputError where the recorder is still at work.
+        """
         if self.complete:
             return
         with self.path.open('r+b') as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                problem = 'expected a recording that nobody is writing'
+                raise InputError(self.path, problem) from None
             file.truncate(self._end)
             if self.summary.chunk_indexes:
                 self._end += complete_index(file, self.summary.chunk_indexes[-1], self._end)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import zlib
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 
@@ -43,6 +45,8 @@ class Segment:
         self.summary = empty_summary()
         self.size = 0
         self._file = path.open('xb', buffering=0)
+        with suppress(OSError):  # some network drives know no locks
+            fcntl.flock(self._file, fcntl.LOCK_EX)  # for as long as the process lives
         header = Header('ros2', f'microbot_ros {version("microbot_ros")}')
         try:
             self._append(MAGIC + bytes_of(header))

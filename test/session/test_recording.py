@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from microbot_ros.session import (
 )
 from microbot_ros.session.as_messages import SessionMessages
 from microbot_ros.session.bag import typestore
+from microbot_ros.session.segment import Segment
 
 HERE = Path(__file__).parent
 
@@ -141,6 +143,26 @@ def test_kill_9_costs_less_than_a_second_and_repair_makes_it_whole(tmp_path):
         assert recording.attachments() == {'rig.yaml': b'coils: 4'}
     with AnyReader([folder]) as reader:
         assert [t for _, t, _ in reader.messages()] == kept
+
+
+def test_a_recording_in_progress_reads_as_far_as_it_goes_and_is_not_repaired(
+    tmp_path, monkeypatch,
+):
+    monkeypatch.setattr(store, 'FLUSH_SECONDS', 0.0)
+    write, written = Segment.add_chunk, threading.Event()
+    monkeypatch.setattr(
+        Segment, 'add_chunk', lambda self, chunk: (write(self, chunk), written.set()))
+    with RecordingWriter(tmp_path / 'run') as writer:
+        writer.write('/field/command', VECTOR, 7, vector(7, 1, 2))
+        assert written.wait(60)
+        with open_recording(tmp_path / 'run') as recording:
+            assert [message.t_ns for message in recording.messages()] == [7]
+            with pytest.raises(InputError, match='nobody is writing'):
+                recording.repair()
+        writer.write('/field/command', VECTOR, 8, vector(8, 1, 2))
+    with open_recording(tmp_path / 'run') as recording:
+        assert recording.complete
+        assert [message.t_ns for message in recording.messages()] == [7, 8]
 
 
 def test_a_recording_by_rosbags_reads_alike_and_survives_a_crash(tmp_path):
