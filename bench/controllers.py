@@ -220,8 +220,9 @@ def _swaps() -> list[Figure]:
     controllers = {name: kind() for name, kind in kinds.items()}
     for controller in controllers.values():
         controller.configure(controller.parameters)
+    controllers['predictive'].configure(PredictiveParameters(budget_ms=2.0))
     limits = Limits(FIELD, 0.3, 50.0)
-    board = Switchboard(controllers, 'hold', deadline=0.004, patience=0.1)
+    board = Switchboard(controllers, 'hold', deadline=0.005, patience=0.1)
     rng, names, period = np.random.default_rng(0), list(kinds), 0.01
     goals = Goals(np.array([[30e-6, 0], [0, 30e-6], [-30e-6, 0]]))
     logging.getLogger('microbot_ros.control').setLevel(logging.CRITICAL)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import time
 from collections import deque
 from dataclasses import dataclass
@@ -205,8 +206,9 @@ class Predictive(Ensemble):
         return dataclasses.replace(swarm, heading=self._heading)
 
 
+@functools.cache
 def _warm_up() -> None:
-    """One plan from beginning to end, so that whatever compiles does it now."""
+    """One plan from beginning to end, so that whatever compiles does it now, once a process."""
     swarm = Swarm(np.zeros(2, complex), np.array([1e-6, 1e-6j]), np.ones(2, complex),
                   with_lags(Model(1e-3), [0.1, 0.3]), 0.0)
     view = Workspace(np.array([-1e-4, -1e-4]), np.array([1e-4, 1e-4]))

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import ctypes
 import queue
+import sys
 import threading
 import time
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
 T = TypeVar('T')
+
+SWITCH_INTERVAL = 5e-4
+"""How long [s] a thread may keep the interpreter while another waits for it."""
 
 
 class LateError(Exception):
@@ -46,6 +50,9 @@ class Worker:
     """
 
     def __init__(self, patience: float) -> None:
+        # A thread that waits gets the interpreter back from one that computes only this often;
+        # Python's default of 5 ms would come on top of every deadline.
+        sys.setswitchinterval(min(sys.getswitchinterval(), SWITCH_INTERVAL))
         self._patience = patience
         self._calls: queue.SimpleQueue[_Call | None] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
