@@ -86,19 +86,19 @@ def _run(folder: Path, seconds: float, seed: int, began: float,
             graph.start_nodes([node], rig)
         graph.wait_ready(120.0)
         with Remote() as remote:
-            watch = _Watch(remote)
+            watch = _Watch(remote, graph, began)
             remote.arm()
             armed_at = time.time()
             remote.set('controller', controller='open_loop')
             start = time.monotonic()
             _say(began, f'armed; {LEARN_SECONDS:g} s of fixed directions to learn v and φ')
-            watch.until(start + LEARN_SECONDS, began)
+            watch.until(start + LEARN_SECONDS)
             goals = watch.place() + GOALS_UM * 1e-6
             remote.set('controller', controller='waypoint')
             remote.send_goals([tuple(goal) for goal in goals.tolist()])
             _say(began, 'swapped to waypoint: ' + ' → '.join(
                 f'({x:.0f}, {y:.0f}) µm' for x, y in goals * 1e6))
-            watch.until(start + seconds, began)
+            watch.until(start + seconds)
             remote.set('controller', controller='hold')
             remote.arm(False)
         _say(began, 'stopping; the coils are at zero')
@@ -108,20 +108,29 @@ def _run(folder: Path, seconds: float, seed: int, began: float,
 
 
 class _Watch:
-    """Listens to the estimates while the demo runs, and tells of progress once a second."""
+    """Listens while the demo runs: estimates, faults, what the nodes print."""
 
-    def __init__(self, remote: Any) -> None:
-        self._remote = remote
+    def __init__(self, remote: Any, graph: Any, began: float) -> None:
+        self._remote, self._graph, self._began = remote, graph, began
         self._estimates: Any = np.empty(0)
+        self._faults: set[str] = set()
         remote.watch_estimates(lambda points: setattr(self, '_estimates', points))
+        remote.watch_health(self._on_health)
 
-    def until(self, deadline: float, began: float) -> None:
+    def until(self, deadline: float) -> None:
         """Let the loop run; one line a second."""
         while (left := deadline - time.monotonic()) > 0:
             self._remote.spin(min(1.0, left))
-            known = [f'{e["speed"] * 1e6:.2f}±{e["speed_std"] * 1e6:.2f}'
+            self._graph.pump(0.0)
+            known = [f'{e["speed"] * 1e6:.2f}±{1.96 * e["speed_std"] * 1e6:.2f}'
                      for e in self._estimates if np.isfinite(e['speed_std'])]
-            _say(began, f'v = {", ".join(known)} µm/s' if known else 'no estimate yet')
+            line = f'v = {", ".join(known)} µm/s' if known else 'no estimate yet'
+            _say(self._began, line)
+
+    def _on_health(self, node: str, level: bytes, sentence: str, _: dict[str, str]) -> None:
+        if level == b'\x02' and sentence not in self._faults:
+            self._faults.add(sentence)
+            _say(self._began, f'{node}: FAULT {sentence}')
 
     def place(self) -> np.ndarray:
         """Where the steered particle is (2,) [m]: the one with the lowest identity."""

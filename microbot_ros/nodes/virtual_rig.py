@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 import time
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,6 +33,7 @@ from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 from microbot_ros.virtual_rig.world import FieldHistory, World
 
 _REFERENCE_FIELD = 5e-3
+_LONGEST_DELAY = 1.0
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,7 @@ class VirtualRigNode(RigNode):
         self._microscope = Microscope(self._microscope_settings, values.seed)
         self._world = self._make_world()
         self._microscope.render(self._world.position, self._world.heading, 0.0)  # compiles too
+        self._changes = deque([(-1e9, np.zeros(4))])  # since ever nothing flows
         self._frames = 0
         self._busy = self._longest = 0.0
         self._images = self.publisher(Image, 'camera/image_raw', IMAGES_OUT)
@@ -149,9 +152,11 @@ class VirtualRigNode(RigNode):
 
     def _advance(self, now: float) -> None:
         """Let the world live until now under the currents that flowed meanwhile."""
-        changes = [(self._world.t, self._log.currents)]
-        for t_monotonic, currents in self._log.read():
-            changes.append((max(t_monotonic - self._begin, self._world.t), currents))
+        changes = self._changes
+        changes += [(t - self._begin, currents) for t, currents in self._log.read()]
+        # A hidden delay looks back; the last change before that still holds.
+        while len(changes) > 1 and changes[1][0] < self._world.t - _LONGEST_DELAY:
+            changes.popleft()
         times = np.array([t for t, _ in changes])
         per_ampere = self._coils.field_per_ampere(self._world.position)[..., :2]
         field = np.tensordot(np.array([c for _, c in changes]), per_ampere, 1)
@@ -159,7 +164,7 @@ class VirtualRigNode(RigNode):
 
 
 class _AmplifierLog:
-    """Follows the amplifier's log as it grows; `currents` is its last word [A]."""
+    """Follows the amplifier's log as it grows."""
 
     def __init__(self, path: str, node: str) -> None:
         if not path:
@@ -170,15 +175,13 @@ class _AmplifierLog:
             raise InputError(path, f'expected the log of an emulated amplifier ({error.strerror})'
                              ) from None
         self._rest = ''
-        self.currents = np.zeros(4)
 
     def read(self) -> Iterator[tuple[float, np.ndarray]]:
         """New changes: time [s, monotonic] and currents (4,) [A]."""
         *lines, self._rest = (self._rest + self._stream.read()).split('\n')
         for line in lines:
             entry = json.loads(line)
-            self.currents = np.array(entry['currents_A'], float)
-            yield float(entry['t_monotonic_s']), self.currents
+            yield float(entry['t_monotonic_s']), np.array(entry['currents_A'], float)
 
     def close(self) -> None:
         self._stream.close()

@@ -87,7 +87,8 @@ def test_the_film_and_the_figure_show_something(demo: Path) -> None:
     assert cv2.imread(str(demo / 'demo.png')).std() > 10
 
 
-@pytest.mark.parametrize('arguments', [['--seconds', '3'], ['--seconds', 'nan'], ['--sedond', '1']])
+@pytest.mark.parametrize('arguments', [
+    ['--seconds', '3'], ['--seconds', 'nan'], ['--sedond', '1']])
 def test_bad_options_are_one_line_and_two(tmp_path: Path, arguments: list[str]) -> None:
     done = subprocess.run(
         [sys.executable, '-m', 'microbot_ros.cli', 'demo', '--out', str(tmp_path / 'out'),

@@ -1,0 +1,125 @@
+"""From a source of frames to particles with identities, with everything a camera can do wrong."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from sensor_msgs.msg import Image, PointCloud2
+
+from microbot_ros.nodes import messages
+from microbot_ros.nodes.lifecycle import IMAGES_IN
+from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
+
+PLACE = np.array([[-60.0, 20.0], [10.0, -40.0], [70.0, 30.0]]) * 1e-6
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A folder of 40 pictures."""
+    path = tmp_path / 'film'
+    path.mkdir()
+    scope = Microscope(MicroscopeSettings(), seed=3)
+    for k in range(40):
+        picture = scope.render(PLACE, np.array([0.3, 1.0, 2.0]), k / 30)
+        cv2.imwrite(str(path / f'{k:03d}.png'), picture)
+    return path
+
+
+def test_frames_become_particles_where_they_are(ros: Any, folder: Path) -> None:
+    graph = ros({'camera': {'source': str(folder), 'frame_rate_hz': 60, 'loop': True},
+                 'tracker': {'pixel_size_um': 0.45}})
+    particles = graph.hear(PointCloud2, 'particles')
+    assert graph.add('tracker').active
+    assert graph.add('camera').active, graph.nodes['camera'].fault
+
+    def all_found() -> bool:
+        return bool(particles) and particles[-1].width == len(PLACE)
+    graph.until(all_found, 30)
+    points = messages.points(particles[-1], messages.PARTICLE)
+    found = np.stack([points['x'], points['y']], axis=1)
+    assert np.abs(np.sort(found, axis=0) - np.sort(PLACE, axis=0)).max() < 0.5e-6
+    assert (points['sigma'] > 0).all()
+    assert len(set(points['id'].tolist())) == len(PLACE)
+
+
+def test_a_film_that_ends_is_said_and_all_frames_came(ros: Any, folder: Path) -> None:
+    graph = ros({'camera': {'source': str(folder), 'frame_rate_hz': 200.0}})
+    frames = graph.hear(Image, 'camera/image_raw', IMAGES_IN)
+    camera = graph.add('camera')
+    graph.until(lambda: 'ended after 40 frames' in camera.health()[1])
+    graph.until(lambda: len(frames) >= 35)  # discovery may cost the first
+    stamps = [messages.to_seconds(frame.header.stamp) for frame in frames]
+    assert (np.diff(stamps) > 0).all()
+    assert messages.gray(frames[-1]).shape == (480, 640)
+
+
+def test_pictures_that_cannot_be_read_are_left_out_and_said(ros: Any, folder: Path) -> None:
+    (folder / '005.png').write_bytes(b'')
+    (folder / '006.png').write_bytes((folder / '007.png').read_bytes()[:300])
+    graph = ros({'camera': {'source': str(folder), 'frame_rate_hz': 500.0}})
+    camera = graph.add('camera')
+    graph.until(lambda: 'ended after 38 frames' in camera.health()[1])
+
+
+@pytest.mark.parametrize(('source', 'expected'), [
+    ('', 'expected a parameter source'),
+    ('/nowhere/film.mp4', '/nowhere/film.mp4'),
+    ('/dev/video99', '/dev/video99'),
+    ('EMPTY', 'no frame'),
+    ('FOLDER', 'expected images'),
+])
+def test_no_source_no_camera_and_no_other_one(
+        ros: Any, tmp_path: Path, source: str, expected: str) -> None:
+    (tmp_path / 'empty.mp4').write_bytes(b'')
+    (tmp_path / 'folder').mkdir()
+    source = {'EMPTY': str(tmp_path / 'empty.mp4'), 'FOLDER': str(tmp_path / 'folder')}.get(
+        source, source)
+    node = ros({'camera': {'source': source}}).add('camera')
+    assert not node.active
+    assert expected in node.fault
+    assert '\n' not in node.fault
+
+
+@pytest.mark.parametrize('broken', ['size', 'encoding', 'short', 'stamp'])
+def test_a_wrong_frame_in_mid_stream_is_reported_and_passed_over(ros: Any, broken: str) -> None:
+    graph = ros({'tracker': {'pixel_size_um': 0.45}})
+    tracker = graph.add('tracker')
+    assert tracker.active, tracker.fault
+    publisher = graph.probe.create_publisher(Image, 'camera/image_raw', 10)
+    graph.until(lambda: publisher.get_subscription_count() == 1)
+    particles = graph.hear(PointCloud2, 'particles')
+    scope = Microscope(MicroscopeSettings(), seed=3)
+    begin = tracker.seconds()
+
+    def frame(k: int, height: int = 480) -> Image:
+        picture = scope.render(PLACE, np.array([0.3, 1.0, 2.0]), k / 30)[:height]
+        return messages.image(picture, messages.to_stamp(begin + k / 30))
+
+    def seen() -> list[int]:
+        return sorted(messages.points(particles[-1], messages.PARTICLE)['id'].tolist())
+
+    def answered(frames: int) -> bool:
+        return bool(len(particles) == tracker._frames == frames)
+
+    k = 0
+    while not (particles and len(seen()) == 3):
+        publisher.publish(frame(k))
+        k += 1
+        graph.until(partial(answered, k), 30)
+        assert k < 200
+    ids = seen()
+    wrong = frame(k if broken != 'stamp' else 3, 200 if broken == 'size' else 480)
+    if broken == 'encoding':
+        wrong.encoding = 'yuv422'
+    elif broken == 'short':
+        wrong.data = wrong.data[:1000]
+    publisher.publish(wrong)
+    graph.until(lambda: tracker._complaint)
+    publisher.publish(frame(k + 1))
+    graph.until(partial(answered, k + 1))
+    assert seen() == ids
