@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -26,6 +26,12 @@ _LOOKS_SPREAD = 0.25
 
 _LEAST_SIGMA = 0.05
 """Pixels: no prediction is better than this, whatever the formulas say."""
+
+_OVERLAP = 1.0
+"""Diameters: particles nearer than this overlap in the picture."""
+
+_TOUCHED, _HIDDEN = 0.1, 0.35
+"""Diameters: error of a position where two particles overlap, and where one is seen for two."""
 
 _EXPECTED_FOR = 5
 """Frames for which an unseen particle is still looked for at its prediction."""
@@ -78,7 +84,7 @@ class Linker:
     def __init__(
         self, settings: TrackerSettings, appearance: Appearance, size: tuple[int, int]
     ) -> None:
-        diameter_px = appearance.diameter_px
+        diameter_px = self._diameter = appearance.diameter_px
         self._settings = settings
         # Round particles that touch are told apart by the fit; outlines run into one.
         self._merging = not appearance.round
@@ -94,8 +100,8 @@ class Linker:
     def predict(self, dt: float, shift: np.ndarray) -> None:
         """Move all to where they should be `dt` [s] later; `shift` (2,) [px] is known of all."""
         self._interval = dt if self._interval is None else 0.95 * self._interval + 0.05 * dt
-        states, keep = self.states, self._motion.keep(dt)
         frames = dt / self._interval
+        states, keep = self.states, self._motion.keep(frames)
         states.xy = states.xy + states.velocity * dt + shift
         states.velocity = states.velocity * keep
         place, both, speed = states.covariance.T
@@ -116,6 +122,7 @@ class Linker:
     def update(self, found: Detections) -> None:
         """Give each detection to a particle, or to a new one; drop who was unseen too long."""
         states = self.states
+        found = self._doubted(found)
         track, detection = self._associate(found)
         if self._merging:
             track = self._merge(track, found, detection)
@@ -135,6 +142,19 @@ class Linker:
             self._birth_rate += 0.02 * (len(fresh) - self._birth_rate)
             self._birth_rate = max(self._birth_rate, _BIRTHS[1])
         self.states = self.states.join(self._born(found[fresh]))
+
+    def _doubted(self, found: Detections) -> Detections:
+        """Detections with larger σ where particles overlap or one may hide another.
+
+        What the fit says of itself holds for a particle on its own.
+        """
+        if self._merging or len(found) == 0:
+            return found
+        named = self.states.xy[self.states.id != _UNNAMED]
+        detections = _within(found.xy, found.xy, _OVERLAP * self._diameter)
+        expected = _within(found.xy, named, _OVERLAP * self._diameter)
+        doubt = np.where(expected > detections, _HIDDEN, np.where(detections > 1, _TOUCHED, 0.0))
+        return replace(found, sigma=np.hypot(found.sigma, doubt * self._diameter))
 
     def _associate(self, found: Detections) -> tuple[np.ndarray, np.ndarray]:
         states = self.states
@@ -246,6 +266,16 @@ class Linker:
             theta=found.theta.copy(), contrast=found.contrast.copy(), radius=found.radius.copy(),
             hits=np.ones(count, int), missed=np.zeros(count, int), host=np.full(count, -1),
         )
+
+
+def _within(places: np.ndarray, others: np.ndarray, distance: float) -> np.ndarray:
+    """How many of `others` (M, 2) lie within `distance` of each of `places` (N, 2)."""
+    from scipy.spatial import cKDTree
+
+    if len(others) == 0:
+        return np.zeros(len(places), int)
+    count: np.ndarray = cKDTree(others).query_ball_point(places, distance, return_length=True)
+    return count
 
 
 def _looks(of: TrackStates | Detections) -> np.ndarray:

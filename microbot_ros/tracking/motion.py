@@ -13,6 +13,10 @@ _PRIOR = 30.0
 """Displacements that the first guess is worth."""
 
 
+_PERSISTENCE = 30.0
+"""Frames over which a velocity is expected to change."""
+
+
 class Motion:
     """Random steps on top of a velocity that persists: variances per coordinate, learned online.
 
@@ -21,9 +25,6 @@ class Motion:
     ⟨d d′⟩ = V dt² − σ² (V. Berglund, Physical Review E 82, 011917, 2010, with a velocity added),
     so both follow from two averages, and Brownian spheres and swimmers need no setting.
     """
-
-    persistence = 2.0
-    """Time [s] over which a velocity is expected to change."""
 
     def __init__(self, diameter_px: float) -> None:
         self._same = (0.2 * diameter_px) ** 2
@@ -56,6 +57,6 @@ class Motion:
         """Variance per coordinate [px²] of the random part of a frame's displacement."""
         return max(self._same - self.velocity_step - 2 * self._noise, self._least)
 
-    def keep(self, dt: float) -> float:
-        """Share of a velocity that persists over `dt` [s]."""
-        return math.exp(-dt / self.persistence)
+    def keep(self, frames: float) -> float:
+        """Share of a velocity that persists over so many usual frame intervals."""
+        return math.exp(-frames / _PERSISTENCE)

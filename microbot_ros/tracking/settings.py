@@ -33,6 +33,6 @@ class TrackerSettings(Settings):
     confirm_frames: int = Field(
         3, ge=2, le=20, description='frames in which a particle must be seen before it has an id')
     coast_frames: int = Field(
-        15, ge=0, le=1000, description='frames that an unseen particle is carried on')
+        20, ge=0, le=1000, description='frames that an unseen particle is carried on')
     learning_frames: int = Field(
         10, ge=1, le=200, description='frames from which appearance is learned')
