@@ -129,6 +129,7 @@ def _opening(folder: Path, size: int = 2 * GIGABYTE) -> list[Figure]:
     """Opening 2 GB of frames, and reading the session out of between them."""
     noise = np.random.default_rng(2).integers(0, 256, (8, 1280 * 1024), np.uint8)
     frames = [picture.tobytes() for picture in noise]
+    size = min(size, shutil.disk_usage(folder.parent).free // 3)
     seconds = size / len(frames[0]) / 100
     with RecordingWriter(folder) as writer:
         for message in _busy(seconds, frames):
