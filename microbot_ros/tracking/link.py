@@ -122,12 +122,12 @@ class Linker:
     def update(self, found: Detections) -> None:
         """Give each detection to a particle, or to a new one; drop who was unseen too long."""
         states = self.states
-        found = self._doubted(found)
-        track, detection = self._associate(found)
+        found, noise = self._doubted(found)
+        track, detection = self._associate(found, noise)
         if self._merging:
             track = self._merge(track, found, detection)
         self._learn(track, found, detection)
-        self._correct(track, found, detection)
+        self._correct(track, found, detection, noise[detection])
         states.missed = states.missed + 1
         states.missed[track] = 0
         states.hits[track] += 1
@@ -143,20 +143,25 @@ class Linker:
             self._birth_rate = max(self._birth_rate, _BIRTHS[1])
         self.states = self.states.join(self._born(found[fresh]))
 
-    def _doubted(self, found: Detections) -> Detections:
-        """Detections with larger σ where particles overlap or one may hide another.
+    def _doubted(self, found: Detections) -> tuple[Detections, np.ndarray]:
+        """Detections with larger σ where one is seen for two; the variance (N,) to link with.
 
-        What the fit says of itself holds for a particle on its own.
+        What the fit says of itself holds for a particle on its own: where particles overlap, a
+        position may be off by more, and must not bend the prediction.
         """
         if self._merging or len(found) == 0:
-            return found
+            return found, found.sigma**2 + _LEAST_SIGMA**2
         named = self.states.xy[self.states.id != _UNNAMED]
         detections = _within(found.xy, found.xy, _OVERLAP * self._diameter)
         expected = _within(found.xy, named, _OVERLAP * self._diameter)
-        doubt = np.where(expected > detections, _HIDDEN, np.where(detections > 1, _TOUCHED, 0.0))
-        return replace(found, sigma=np.hypot(found.sigma, doubt * self._diameter))
+        hidden = np.where(expected > detections, _HIDDEN * self._diameter, 0.0)
+        touched = np.where(detections > 1, _TOUCHED * self._diameter, 0.0)
+        found = replace(found, sigma=np.hypot(found.sigma, hidden))
+        return found, found.sigma**2 + touched**2 + _LEAST_SIGMA**2
 
-    def _associate(self, found: Detections) -> tuple[np.ndarray, np.ndarray]:
+    def _associate(
+        self, found: Detections, noise: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         states = self.states
         alone = states.host < 0
         wider = np.where(alone, np.sqrt(1.0 + states.missed), 1.0)
@@ -164,7 +169,7 @@ class Linker:
         rate = _MISS_RATE * self._birth_rate / (self._size[0] * self._size[1])
         return assign(
             states.xy, states.covariance[:, 0], reach, _looks(states),
-            found.xy, found.sigma**2 + _LEAST_SIGMA**2, _looks(found), _LOOKS_SPREAD, rate)
+            found.xy, noise, _looks(found), _LOOKS_SPREAD, rate)
 
     def _merge(
         self, track: np.ndarray, found: Detections, detection: np.ndarray
@@ -210,15 +215,16 @@ class Linker:
         states = self.states
         step = found.xy[detection] - states.measured[track] - self._shift
         again = (states.missed[track] == 0) & np.isfinite(states.step[track, 0])
+        again &= found.sigma[detection] < _TOUCHED * self._diameter
         self._motion.learn(step[again], states.step[track][again], found.sigma[detection][again])
         states.step[track] = np.where((states.missed[track] == 0)[:, None], step, np.nan)
 
-    def _correct(self, track: np.ndarray, found: Detections, detection: np.ndarray) -> None:
+    def _correct(
+        self, track: np.ndarray, found: Detections, detection: np.ndarray, noise: np.ndarray
+    ) -> None:
         """Kalman update per coordinate; what is published is the measurement itself."""
         states = self.states
         innovation = found.xy[detection] - states.xy[track]
-        sigma = found.sigma[detection]
-        noise = sigma**2 + _LEAST_SIGMA**2
         surprise = np.mean(innovation**2, axis=1) / (states.covariance[track, 0] + noise)
         # A particle that starts, stops or turns has outrun its covariance; let that catch up.
         doubt = np.maximum(surprise / _SURPRISE, 1.0)[:, None]
@@ -230,7 +236,7 @@ class Linker:
         states.covariance[track] = np.column_stack([
             (1 - gain_place) * place, (1 - gain_place) * both, speed - gain_speed * both])
         states.measured[track] = found.xy[detection]
-        states.sigma[track] = sigma
+        states.sigma[track] = found.sigma[detection]
         states.theta[track] = found.theta[detection]
         # What a clump looks like says nothing about its parts, once they part.
         alone = ~np.isin(states.id[track], states.host[states.host >= 0])
