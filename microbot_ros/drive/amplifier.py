@@ -23,7 +23,7 @@ from microbot_ros.errors import InputError
 COILS = ('coil_plus_y', 'coil_plus_x', 'coil_minus_y', 'coil_minus_x')
 """Names of the four coils, in the order of every array of currents."""
 
-READ_BACK_S = 0.25
+READ_BACK_S = 0.5
 """How long a driver waits for the read-back that proves a zero."""
 
 _AGREEMENT = 0.02

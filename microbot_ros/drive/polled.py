@@ -29,8 +29,8 @@ class PolledAmplifier(Amplifier):
     baud = 115_200
     xon_xoff = False
     period_s = 0.02
-    reply_s = 0.05
-    """How long a device may take to answer."""
+    reply_s = 0.03
+    """How long a device may take to answer: twice what a USB adapter holds bytes back at most."""
 
     def __init__(self, url: str, full_scale_A: float | Sequence[float]) -> None:
         super().__init__(url, full_scale_A)

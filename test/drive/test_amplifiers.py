@@ -35,10 +35,17 @@ def device(emulate, protocol):
 
 @pytest.fixture
 def amplifier(device, protocol):
-    amplifier = amplifier_class(protocol)(device.url, FULL_SCALE_A)
+    amplifier = make(protocol, device)
     amplifier.connect()
     yield amplifier
     amplifier.close()
+
+
+def make(protocol, device, reply_s=2.0):
+    """A driver as patient as a loaded machine needs it, or as impatient as silence does."""
+    amplifier = amplifier_class(protocol)(device.url, FULL_SCALE_A)
+    amplifier.reply_s = amplifier._boot_s = reply_s
+    return amplifier
 
 
 def readings(amplifier, count):
@@ -90,14 +97,14 @@ def test_closing_zeroes_and_reads_back(amplifier, device):
     amplifier.connect()
 
 
-@pytest.mark.parametrize('value', [math.nan, math.inf, -math.inf, math.nextafter(2.0, 3), -5.0])
-def test_a_current_outside_is_refused_before_any_byte(amplifier, monkeypatch, value):
+def test_a_current_outside_is_refused_before_any_byte(amplifier, monkeypatch):
     monkeypatch.setattr(transport.Port, 'send', lambda *_: pytest.fail('a byte was written'))
-    for coil in range(4):
-        currents = list(DRIVING)
-        currents[coil] = value
-        with pytest.raises(ValueError, match='within'):
-            amplifier.write(currents)
+    for value in (math.nan, math.inf, -math.inf, math.nextafter(2.0, 3), -5.0):
+        for coil in range(4):
+            currents = list(DRIVING)
+            currents[coil] = value
+            with pytest.raises(ValueError, match='within'):
+                amplifier.write(currents)
     for shape in ([], [0.0] * 3, [0.0] * 5, [[0.0] * 4]):
         with pytest.raises(ValueError, match='4 values'):
             amplifier.write(shape)
@@ -113,25 +120,19 @@ def test_a_full_scale_that_is_none_is_refused(protocol, full_scale_A):
 def test_another_model_is_refused(device, protocol):
     device.fault('wrong_reply')
     with pytest.raises((WrongDeviceError, NoAnswerError)):
-        connect_soon(device, protocol)
+        make(protocol, device, 0.2).connect()
     assert device.currents() == ZERO
 
 
 def test_silence_is_named(device, protocol):
     device.fault('silence')
     with pytest.raises(NoAnswerError, match='no answer'):
-        connect_soon(device, protocol)
-
-
-def connect_soon(device, protocol):
-    amplifier = amplifier_class(protocol)(device.url, FULL_SCALE_A)
-    amplifier.reply_s = amplifier._boot_s = 0.2  # nothing slow is being waited for
-    amplifier.connect()
+        make(protocol, device, 0.2).connect()
 
 
 def test_two_drivers_on_one_port_is_an_error(amplifier, device, protocol):
     with pytest.raises(PortBusyError):
-        amplifier_class(protocol)(device.url, FULL_SCALE_A).connect()
+        make(protocol, device).connect()
     assert readings(amplifier, 1)
 
 
@@ -177,7 +178,7 @@ def test_a_coil_that_does_not_conduct_is_measured(amplifier, device, fault):
 def test_nothing_is_left_open(device, protocol):
     before = len(os.listdir('/proc/self/fd'))
     for _ in range(3):
-        amplifier = amplifier_class(protocol)(device.url, FULL_SCALE_A)
+        amplifier = make(protocol, device)
         amplifier.connect()
         amplifier.close()
     assert len(os.listdir('/proc/self/fd')) == before

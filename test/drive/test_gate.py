@@ -338,7 +338,7 @@ def test_random_commands_never_break_a_limit():
     random = np.random.default_rng(3)
     gate = armed()
     now, history = 0.0, []
-    for _ in range(20_000):
+    for _ in range(8_000):
         now += float(random.exponential(0.01))
         gate.measured(gate.output, now)
         if not gate.armed and gate.arm(now) is None:
@@ -348,7 +348,7 @@ def test_random_commands_never_break_a_limit():
     times = np.array([t for t, _ in history])
     currents = np.array([out for _, out in history])
     assert np.all(np.abs(currents) <= 2.0)
-    assert np.count_nonzero(currents.any(axis=1)) > 3000
+    assert np.count_nonzero(currents.any(axis=1)) > 1000
     rise = np.maximum(np.abs(currents[1:]) - np.abs(currents[:-1]), 0)  # a fall may be a trip
     for window in (1, 2, 3, 10):
         total = np.array([rise[i:i + window].sum(axis=0) for i in range(len(rise) - window)])

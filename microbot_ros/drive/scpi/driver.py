@@ -25,7 +25,7 @@ class ScpiAmplifier(PolledAmplifier):
     baud = 9_600
     xon_xoff = True
     period_s = 0.05
-    reply_s = 0.2
+    reply_s = 0.1
 
     def _identify(self) -> None:
         for port in self._lines:
