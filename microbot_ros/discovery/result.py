@@ -10,7 +10,7 @@ import numpy as np
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.parameter import Parameter
-from microbot_ros.units import from_si
+from microbot_ros.units import from_si, suffix, symbol
 
 Verdict = Literal['consistent', 'named', 'unnamed']
 Status = Literal['established', 'suggested', 'proxy']
@@ -45,6 +45,16 @@ class NamedEffect:
     p_value: float
     e_value: float
     indistinguishable_from: tuple[str, ...] = ()
+
+    def sentence(self) -> str:
+        """With its parameters and 95 % intervals."""
+        values = ', '.join(
+            f'{name.removesuffix(suffix(name))} = {from_si(name, e.value):.3g} ± '
+            f'{from_si(name, 1.96 * e.std):.2g} {symbol(name)}'.strip()
+            for name, e in self.parameters.items())
+        alias = ', '.join(self.indistinguishable_from)
+        doubt = f'; cannot be told from {alias}' if alias else ''
+        return f'{self.status} {self.id}: {values} (ΔBIC {self.delta_bic:.0f}){doubt}.'
 
     def as_json(self) -> dict[str, Any]:
         """The entry of `effects`, in the units of the names."""
@@ -165,6 +175,21 @@ class Discovery:
     def unexplained(self) -> tuple[ResidualMap, ...]:
         """The maps that still fire, worst first."""
         return tuple(sorted((m for m in self.maps_after if m.fires), key=lambda m: m.p_value))
+
+    def sentences(self) -> list[str]:
+        """The verdict for people, the effects, the gap, remarks."""
+        said = {
+            'consistent': ['The first-order model explains the data: nothing is missing.'],
+            'named': ['The model is complete with:'],
+            'unnamed': ['Something is there that no effect of the library explains; it depends on '
+                        + ', '.join(m.against for m in self.unexplained) + '.'],
+        }[self.verdict]
+        said += [effect.sentence() for effect in self.effects]
+        gap = self.gap
+        said.append(
+            f'Prediction {gap.horizon:.3g} s ahead, held out: {gap.before * 1e6:.2f} µm over the '
+            f'noise floor of {gap.floor * 1e6:.2f} µm before, {gap.after * 1e6:.2f} µm after.')
+        return [*said, *(f'! {remark}' for remark in self.remarks)]
 
     def as_json(self) -> dict[str, Any]:
         """`result.json`, in units at the edge."""

@@ -1,0 +1,185 @@
+"""From sessions to a verdict: which effect is missing, how sure that is, what is left."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from microbot_ros.discovery.evidence import Evidence
+from microbot_ros.discovery.held_out import held_out_gap, log_e_value
+from microbot_ros.discovery.ladder import Ladder, contribution
+from microbot_ros.discovery.likelihood import Fit
+from microbot_ros.discovery.maps import residual_maps
+from microbot_ros.discovery.result import (
+    Discovery,
+    Estimate,
+    Limit,
+    NamedEffect,
+    Particle,
+    ResidualMap,
+    Status,
+    Verdict,
+)
+from microbot_ros.discovery.screen import screen
+from microbot_ros.discovery.search import Found
+from microbot_ros.estimation.phasor import polar
+from microbot_ros.model.effect import Effect
+from microbot_ros.model.model import ParticleParameters
+from microbot_ros.model.parameter import Parameter
+from microbot_ros.model.particle import Fluid, stokes_drag
+from microbot_ros.records import Session
+
+CLOSE = 6.0
+"""Difference in BIC within which two effects can't be told apart."""
+
+HELD_OUT = float(np.log(20))
+"""Logarithm of the e-value that an established effect has to reach."""
+
+ONE_SIDED = 1.645
+
+
+def discover(sessions: Sequence[Session],
+             report: Callable[[str], None] = lambda _: None) -> Discovery:
+    """Find, name and prove what the first-order model misses on sessions of one rig.
+
+    Sessions share the effects; every session has its own particles and noise. `report` is told
+    what is being done. Raises InputError where nothing can be learnt, and says what could.
+    """
+    evidences, remarks = screen(sessions)
+    ladder = Ladder(evidences)
+    start = ladder.fit
+    report('mapping what the first-order model leaves')
+    before = residual_maps(start)
+    ladder.climb(report)
+    report('mapping what is left')
+    after = residual_maps(ladder.fit) if ladder.fit.model.effects else before
+    clean = not any(m.fires for m in after)
+    report('comparing with what could stand in')
+    effects = tuple(_name(ladder, effect, clean) for effect in ladder.fit.model.effects)
+    effects += _suggested(ladder, clean)
+    report('predicting what was held out')
+    fit = ladder.fit
+    return Discovery(
+        verdict=_verdict(effects, clean),
+        effects=tuple(sorted(effects, key=lambda e: -e.delta_bic)),
+        gap=held_out_gap(start, fit),
+        maps_before=before, maps_after=after, ladder=tuple(ladder.rungs),
+        limits=tuple(limit for found in ladder.open for limit in _limits(found)),
+        baseline=_particles(fit),
+        diffusion=_mean([Estimate(p.diffusion, p.diffusion * np.sqrt(2 / p.freedom))
+                         for p in fit.parts]),
+        localisation=_localisation(fit),
+        next_experiment=None,
+        model=fit.model,
+        particles=ParticleParameters.from_velocity(
+            fit.parts[-1].evidence.ids, fit.parts[-1].swim),
+        remarks=remarks,
+    )
+
+
+def _verdict(effects: Sequence[NamedEffect], clean: bool) -> Verdict:
+    if not clean:
+        return 'unnamed'
+    return 'named' if any(e.status == 'established' for e in effects) else 'consistent'
+
+
+def _name(ladder: Ladder, effect: Effect, clean: bool) -> NamedEffect:
+    """An effect of the final model with its evidence and its rivals."""
+    own = contribution(ladder.fit, effect.id)
+    gain = log_e_value(ladder.fit, effect.id)
+    status: Status = 'established' if gain > HELD_OUT else 'suggested'
+    rivals = tuple(r.id for r in ladder.rivals(effect.id) if _close(r, own))
+    return _entry(own, status if clean else 'proxy', gain, rivals)
+
+
+def _close(rival: Found, own: Found) -> bool:
+    """Whether a rival explains about as much, as BIC or as likelihood has it."""
+    return (rival.delta_bic > own.delta_bic - CLOSE
+            or rival.likelihood_ratio > own.likelihood_ratio - CLOSE)
+
+
+def _suggested(ladder: Ladder, clean: bool) -> tuple[NamedEffect, ...]:
+    """The best candidate that BIC alone would take."""
+    best = max(ladder.open, key=lambda c: c.delta_bic, default=None)
+    if best is None or best.delta_bic <= 0 or not clean:
+        return ()
+    rivals = tuple(c.id for c in ladder.open if c is not best and _close(c, best))
+    return (_entry(best, 'suggested', log_e_value(best.fit, best.id), rivals),)
+
+
+def _entry(found: Found, status: Status, gain: float, rivals: tuple[str, ...]) -> NamedEffect:
+    return NamedEffect(
+        found.id, status, _estimates(found.fit, found.id), found.delta_bic, found.p_value,
+        float(np.exp(min(gain, 700.0))), rivals)
+
+
+def _deviations(fit: Fit, name: str) -> list[tuple[Parameter, float, float]]:
+    """The parameters of an effect with value and standard deviation in fit coordinates."""
+    std = np.sqrt(np.diag(fit.covariance))
+    return [
+        (parameter, float(x), float(s))
+        for (effect, parameter), x, s in zip(
+            fit.model.parameters, fit.model.vector(), std, strict=True)
+        if effect == name
+    ]
+
+
+def _estimates(fit: Fit, name: str) -> dict[str, Estimate]:
+    """Parameters in SI; of a reciprocal coordinate by the delta method."""
+    result = {}
+    for parameter, x, std in _deviations(fit, name):
+        slope = parameter.scale / x**2 if parameter.inverse and x else parameter.scale
+        result[parameter.name] = Estimate(parameter.from_fit(x), std * slope)
+    return result
+
+
+def _limits(found: Found) -> list[Limit]:
+    """How large the strengths of an effect that is not supported may still be."""
+    limits = []
+    for parameter, x, std in _deviations(found.fit, found.id):
+        if not parameter.shape:
+            most = abs(x) + ONE_SIDED * std
+            inside = most <= max(map(abs, parameter.fit_bounds))
+            limits.append(Limit(
+                found.id, parameter, parameter.from_fit(most) if inside else float('nan')))
+    return limits
+
+
+def _particles(fit: Fit) -> tuple[Particle, ...]:
+    """Speed, φ and force of every particle under the final model."""
+    result = []
+    for p in fit.parts:
+        e = p.evidence
+        power = np.trace(p.gram[:, 1:, 1:], axis1=1, axis2=2) / 2
+        std = np.sqrt(p.diffusion / np.maximum(power, 1e-300))
+        swims = polar(p.swim, std)
+        drag = np.nan
+        known = e.conditions
+        if known.radius and known.viscosity and fit.model.propulsion == 'catalytic':
+            drag = stokes_drag(Fluid(known.viscosity), known.radius)
+        for n, name in enumerate(e.ids):
+            label = str(name) if len(fit.parts) == 1 else f'{e.name}:{name}'
+            result.append(Particle(
+                label, Estimate(float(swims.speed[n]), float(swims.speed_std[n])),
+                Estimate(float(swims.phi[n]), float(swims.phi_std[n])),
+                Estimate(float(drag * swims.speed[n]), float(drag * swims.speed_std[n]))))
+    return tuple(result)
+
+
+def _localisation(fit: Fit) -> Estimate:
+    """As for a strobe: an exposure would add a third of D times its length to σ²."""
+    return _mean([
+        Estimate(float(np.sqrt(max(p.whitening.excess, 0.0) * p.diffusion)), float('nan'))
+        for p in fit.parts
+    ])
+
+
+def _mean(values: list[Estimate]) -> Estimate:
+    value, std = (np.array([getattr(e, part) for e in values]) for part in ('value', 'std'))
+    return Estimate(float(value.mean()), float(np.sqrt((std**2).sum()) / len(values)))
+
+
+def fired(maps: Sequence[ResidualMap]) -> list[str]:
+    """What the maps that fire are against."""
+    return [m.against for m in maps if m.fires]

@@ -1,0 +1,144 @@
+"""A session prepared for many fits: what was seen, what was commanded, where particles were."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from microbot_ros.model.increments import Response, as_vectors, respond
+from microbot_ros.model.model import Model
+from microbot_ros.model.particle import Fluid, rotational_diffusion
+from microbot_ros.model.timeline import Timeline
+from microbot_ros.records import Commands, Conditions, Session
+
+FORGOTTEN = 5.0
+"""Alignment times after which the heading has forgotten where it began."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """One session as arrays.
+
+    `times` (T,) [s]; `z` (T, N) complex positions [m], 0 where `seen` (T, N) is False; `places`
+    (T, N, 2) [m]: positions as known from earlier and present frames only, for terms that depend
+    on position (raw ones would bias them), NaN before and after a particle is in view.
+    """
+
+    name: str
+    ids: np.ndarray
+    times: np.ndarray
+    z: np.ndarray
+    seen: np.ndarray
+    places: np.ndarray
+    commands: Commands
+    conditions: Conditions
+
+    @classmethod
+    def of(cls, session: Session) -> Evidence:
+        """The frames from the first field on: before it, headings are unknown.
+
+        Recordings stamped with the time of day are counted from their first frame.
+        """
+        times, positions = session.tracks.grid()
+        commands = session.commands
+        zero = times[0] if abs(times[0]) > 3600 else 0.0
+        times, commands = times - zero, replace(commands, t=commands.t - zero)
+        keep = times >= first_field(commands)
+        times, positions = times[keep], positions[keep]
+        z = positions[..., 0] + 1j * positions[..., 1]
+        seen = np.isfinite(z)
+        return cls(
+            session.name, session.tracks.particles, times, np.where(seen, z, 0), seen, positions,
+            commands, session.conditions)
+
+    @cached_property
+    def timeline(self) -> Timeline:
+        """Commands and frames, ready to evaluate models on."""
+        return Timeline(self.commands, self.times, self.places)
+
+    @cached_property
+    def interval(self) -> float:
+        """The usual time between frames [s]."""
+        return float(np.median(np.diff(self.times)))
+
+    @cached_property
+    def turning(self) -> float | None:
+        """Rotational diffusion [rad²/s] by Stokes–Einstein–Debye; None where not known."""
+        known = self.conditions
+        if not (known.radius and known.viscosity):
+            return None
+        fluid = Fluid(known.viscosity, known.temperature or 298.15)
+        return rotational_diffusion(fluid, known.radius)
+
+    def since(self, seconds: float) -> Evidence:
+        """Without the frames in the first `seconds` after the field came on."""
+        keep = self.times >= first_field(self.commands) + seconds
+        return replace(
+            self, times=self.times[keep], z=self.z[keep], seen=self.seen[keep],
+            places=self.places[keep])
+
+    def within(self, frames: np.ndarray) -> Evidence:
+        """With only some frames (T,) bool used; the others still count as time that passes."""
+        return replace(self, seen=self.seen & frames[:, None])
+
+    def located(self, moved: np.ndarray, excess: float) -> Evidence:
+        """With places filtered about the displacement (T, N) complex that a model expects."""
+        from microbot_ros.discovery.kernels import filter_levels
+
+        belief = filter_levels(self.times, self.seen, self.z - moved, excess) + moved
+        last = len(self.times) - 1 - self.seen[::-1].argmax(axis=0)
+        belief[np.arange(len(self.times))[:, None] > last] = np.nan
+        return replace(self, places=as_vectors(belief))
+
+
+def first_field(commands: Commands) -> float:
+    """When the first field that is not zero was commanded; infinity if never."""
+    driven = commands.t[np.hypot(*commands.field.T) > 0]
+    return float(driven[0]) if driven.size else np.inf
+
+
+def settling(model: Model) -> float:
+    """Seconds after the field came on before a model knows where particles head."""
+    lag = model.effect('alignment_lag')
+    return model.delay + FORGOTTEN * (lag.tau if lag else 0.0)  # type: ignore[attr-defined]
+
+
+@dataclass(frozen=True)
+class Levels:
+    """What a model says of all frames, as complex displacements accumulated since the first.
+
+    A particle with a + ib = v e^{iφ} is at `offset` + a·`along` + b·`across`, each (T, 1 or N).
+    `turned`: across is i·along, as it is where pixels are square.
+    """
+
+    offset: np.ndarray
+    along: np.ndarray
+    across: np.ndarray
+    turned: bool
+
+    def moved(self, swim: np.ndarray) -> np.ndarray:
+        """Displacements (T, N) [m] of particles with v e^{iφ} = `swim` (N,)."""
+        return self.offset + self.along * swim.real + self.across * swim.imag
+
+
+def levels(model: Model, evidence: Evidence) -> Levels:
+    """The levels of a model; where a particle was not in view it does not move."""
+    response: Response = respond(model, evidence.timeline)
+    square = not any(effect.stage == 'observation' for effect in model.effects)
+    if square:
+        along = _accumulate(response.propulsion)
+        return Levels(_accumulate(_complex(response.drift)), along, 1j * along, True)
+    columns = response.columns()
+    along, across = (_accumulate(_complex(columns[..., k])) for k in (0, 1))
+    return Levels(_accumulate(_complex(response.offset())), along, across, False)
+
+
+def _complex(vectors: np.ndarray) -> np.ndarray:
+    return vectors[..., 0] + 1j * vectors[..., 1]
+
+
+def _accumulate(steps: np.ndarray) -> np.ndarray:
+    steps = np.nan_to_num(steps)
+    return np.concatenate([np.zeros((1, steps.shape[1]), complex), np.cumsum(steps, axis=0)])

@@ -1,0 +1,141 @@
+"""Which effects the data ask for: added one by one, dropped again, exchanged for better ones.
+
+Forward at a family-wise 1 % over the library, backward at 0.1 %, as in pharmacometrics' covariate
+models (Jonsson and Karlsson 1998), with exchanges because stand-ins enter first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+
+from microbot_ros.discovery.evidence import Evidence, settling
+from microbot_ros.discovery.likelihood import (
+    Fit,
+    Whitening,
+    evaluate,
+    maximise,
+    settle,
+    with_noise,
+)
+from microbot_ros.discovery.result import Candidate, Rung
+from microbot_ros.discovery.search import Found, found_in, look
+from microbot_ros.model.effects import EFFECTS
+from microbot_ros.model.model import Model
+
+FORWARD, BACKWARD = 0.01, 0.001
+MOST = 6
+"""Effects in a model: a recording that seems to need more needs another library."""
+
+CLEARLY = 3.0
+"""Gain in log p for which one effect is exchanged for another: a factor of 20."""
+
+Search = Callable[[Fit, Iterable[str]], list[Found]]
+
+
+def search(fit: Fit, names: Iterable[str]) -> list[Found]:
+    """Every candidate that the data can show, the least likely by chance first."""
+    found = [one for name in names if (one := look(fit, name)) is not None]
+    return sorted(found, key=lambda one: one.log_p)
+
+
+@dataclass
+class Ladder:
+    """A climb from the baseline: `fit` is where it stands, `rungs` how it came there."""
+
+    originals: Sequence[Evidence]
+    search: Search = search
+    fit: Fit = field(init=False)
+    rungs: list[Rung] = field(default_factory=list)
+    open: list[Found] = field(default_factory=list)
+    """What the last search found, beside the model."""
+
+    def __post_init__(self) -> None:
+        first = self.originals[0]
+        self.fit = self.stand(Model.baseline(first.conditions, first.commands))
+
+    def stand(self, model: Model) -> Fit:
+        """A model on what of the sessions it can explain, with places as it believes them."""
+        evidences = [_long_enough(e, settling(model)) for e in self.originals]
+        fit = evaluate(model, evidences, [Whitening(e.interval) for e in evidences])
+        fit = settle(fit)
+        located = [
+            e.located(p.levels.moved(p.swim), p.whitening.excess)
+            for e, p in zip(evidences, fit.parts, strict=True)
+        ]
+        again = evaluate(fit.model, located, [p.whitening for p in fit.parts])
+        return with_noise(maximise(again))
+
+    def climb(self, report: Callable[[str], None]) -> None:
+        """Add, drop and exchange until nothing is left to do."""
+        for _ in range(3):
+            while len(self.fit.model.effects) < MOST and self._step(report):
+                pass
+            if not self._exchange(report):
+                return
+
+    def _step(self, report: Callable[[str], None]) -> bool:
+        """Add the best candidate if chance can't explain it, then drop what it made needless."""
+        here = tuple(e.id for e in self.fit.model.effects)
+        report(f'looking beside {", ".join(here) or "the first-order model"}')
+        self.open = self.search(self.fit, [name for name in EFFECTS if name not in here])
+        table = tuple(
+            Candidate(c.id, c.likelihood_ratio, c.dof, c.delta_bic, c.p_value) for c in self.open
+        )
+        best = self.open[0] if self.open else None
+        if best is None or best.p_value * len(self.open) >= FORWARD:
+            self.rungs.append(Rung(here, table, None))
+            return False
+        report(f'adding {best.id} (p = {best.p_value:.2g})')
+        self.fit = self.stand(best.fit.model)
+        removed = self._drop(best.id)
+        self.rungs.append(Rung(here, table, best.id, removed))
+        return best.id not in removed
+
+    def _drop(self, new: str) -> tuple[str, ...]:
+        """Take out, worst first, what is no longer needed."""
+        removed: list[str] = []
+        while len(self.fit.model.effects) > 1:
+            worst = max((contribution(self.fit, e.id) for e in self.fit.model.effects),
+                        key=lambda c: c.log_p)
+            if worst.p_value < BACKWARD:
+                break
+            removed.append(worst.id)
+            self.fit = self.stand(self.fit.model.without(worst.id))
+        return tuple(removed)
+
+    def _exchange(self, report: Callable[[str], None]) -> bool:
+        """Exchange one effect for one that explains clearly more in its place."""
+        for effect in self.fit.model.effects:
+            own = contribution(self.fit, effect.id)
+            rivals = self.rivals(effect.id)
+            if rivals and rivals[0].log_p < own.log_p - CLEARLY:
+                report(f'{rivals[0].id} instead of {effect.id}')
+                self.fit = self.stand(rivals[0].fit.model)
+                return True
+        return False
+
+    def rivals(self, name: str) -> list[Found]:
+        """What could stand in place of an effect, best first."""
+        rest = without(self.fit, name)
+        present = [e.id for e in self.fit.model.effects]
+        return self.search(rest, [other for other in EFFECTS if other not in present])
+
+
+def without(fit: Fit, name: str) -> Fit:
+    """The fit with one effect less, all else at its maximum again."""
+    evidences = [p.evidence for p in fit.parts]
+    rest = evaluate(fit.model.without(name), evidences, [p.whitening for p in fit.parts])
+    return maximise(with_noise(maximise(rest)), 4)
+
+
+def contribution(fit: Fit, name: str) -> Found:
+    """What one effect of a fit brings beside the others."""
+    return found_in(fit, without(fit, name), name)
+
+
+def _long_enough(evidence: Evidence, seconds: float) -> Evidence:
+    """Without the start that a model can't explain, but never less than half."""
+    start = evidence.times[0]
+    half = (evidence.times[-1] - start) / 2
+    return evidence.since(min(seconds, half)) if seconds > 0 else evidence

@@ -1,0 +1,151 @@
+"""Where data and model still part: χ² maps of the white residual against one covariate each.
+
+With U orthonormal functions of a covariate, after everything fitted is projected off them,
+T = ‖Uᵀr‖² is χ² where nothing is left (a score test: Rao 1948); p-values are Holm's.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from microbot_ros.discovery.covariates import Group, Surroundings
+from microbot_ros.discovery.likelihood import Fit, Part, eliminate, inner
+from microbot_ros.discovery.result import ResidualMap
+
+RANK = 1e-6
+"""Eigenvalue, relative to 1 for a column of its own, below which a direction is fitted already."""
+
+BINS = 12
+
+
+def residual_maps(fit: Fit) -> tuple[ResidualMap, ...]:
+    """All maps of a fit, Holm-adjusted together."""
+    surroundings = [Surroundings(p) for p in fit.parts]
+    by_name: dict[str, list[tuple[int, Group]]] = {}
+    for k, around in enumerate(surroundings):
+        for group in around.groups():
+            by_name.setdefault(group.against, []).append((k, group))
+    raw = [_tested(fit, groups) for groups in by_name.values()]
+    raw += [_rhythm(fit), _rhythm(fit, surroundings), _single_steps(fit)]
+    adjusted = _holm([m.p_value for m in raw])
+    return tuple(
+        ResidualMap(m.against, m.label, m.statistic, m.dof, p, m.middles, m.curves)
+        for m, p in zip(raw, adjusted, strict=True)
+    )
+
+
+def _holm(p_values: list[float]) -> list[float]:
+    """Holm's adjusted p-values: the smallest times their number, and so on, never falling."""
+    order = np.argsort(p_values)
+    adjusted = np.array(p_values)[order] * np.arange(len(order), 0, -1)
+    result = np.empty(len(order))
+    result[order] = np.minimum(np.maximum.accumulate(adjusted), 1.0)
+    return [float(p) for p in result]
+
+
+def _tested(fit: Fit, groups: list[tuple[int, Group]]) -> ResidualMap:
+    """The test of one covariate over the sessions that have it, each with its own coefficients."""
+    from scipy.stats import chi2
+
+    statistic, dof = 0.0, 0
+    for k, group in groups:
+        value, rank = _score(fit.parts[k], fit.jacobian[k], fit, group.fields)
+        statistic, dof = statistic + value, dof + rank
+    group = groups[0][1]
+    middles, curves = _curves(fit.parts[groups[0][0]], group)
+    p_value = float(chi2.sf(statistic, dof)) if dof else 1.0
+    return ResidualMap(group.against, group.label, statistic, dof, p_value, middles, curves)
+
+
+def _score(p: Part, jacobian: np.ndarray, fit: Fit, fields: np.ndarray) -> tuple[float, int]:
+    """T and its degrees of freedom for velocity fields (T−1, N, M)."""
+    moved = np.nan_to_num(fields) * np.diff(p.evidence.times)[:, None, None]
+    levels = np.concatenate([np.zeros((1, *moved.shape[1:]), complex), moved.cumsum(axis=0)])
+    white = p.whiten(levels)
+    columns = np.concatenate([p.white / np.sqrt(p.diffusion), jacobian, white], axis=-1)
+    gram = inner(columns, columns)
+    total = eliminate(gram).sum(axis=0)
+    raw = np.diagonal(gram, axis1=1, axis2=2)[:, 3:].sum(axis=0)
+    count = jacobian.shape[-1]
+    if count:
+        fitted = total[1:1 + count, 1:1 + count]
+        mixed = np.delete(total, range(1, 1 + count), axis=1)[1:1 + count]
+        rest = np.delete(np.delete(total, range(1, 1 + count), 0), range(1, 1 + count), 1)
+        total = rest - mixed.T @ np.linalg.pinv(fitted, rcond=1e-10, hermitian=True) @ mixed
+    size = np.sqrt(np.maximum(raw[count:], 1e-300))
+    information = total[1:, 1:] / np.outer(size, size)
+    values, vectors = np.linalg.eigh(information)
+    kept = values > RANK
+    found = vectors[:, kept].T @ (total[1:, 0] / size)
+    return float((found**2 / values[kept]).sum()), int(kept.sum())
+
+
+def _rhythm(fit: Fit, surroundings: list[Surroundings] | None = None) -> ResidualMap:
+    """The largest peak of a periodogram: of all particles in the laboratory, or in their frame."""
+    from scipy.stats import chi2
+
+    duration = max(float(np.ptp(p.evidence.times)) for p in fit.parts)
+    fastest = 0.4 / max(p.evidence.interval for p in fit.parts)
+    frequency = np.arange(2.0, max(fastest * duration, 3.0), 0.5) / duration
+    signals = 2 if surroundings else 1
+    power = np.zeros((signals, len(frequency)))
+    for k, p in enumerate(fit.parts):
+        residual = p.residual
+        if surroundings:
+            direction = np.zeros_like(residual)
+            direction[1:] = surroundings[k].body
+            residual = (residual * direction.conj() * np.abs(p.swim)).sum(axis=1)
+            pair = [residual.real, residual.imag]
+            weight = (np.abs(direction * p.swim) ** 2 * p.evidence.seen).sum() / 2
+        else:
+            pair = [residual.sum(axis=1)]
+            weight = p.count / 2
+        turned = np.exp(-2j * np.pi * np.outer(frequency, p.evidence.times))
+        for s, signal in enumerate(pair):
+            power[s] += np.abs(turned @ signal) ** 2 / max(weight, 1e-300) / 2
+            if not surroundings:
+                power[s] += np.abs(turned.conj() @ signal) ** 2 / weight / 2
+    dof = 4 if not surroundings else 2
+    best = float(power.max())
+    trials = signals * len(frequency) / 2
+    p_value = float(min(1.0, trials * chi2.sf(best, dof) * (1 if dof == 4 else 1)))
+    name = 'rhythm, along the heading' if surroundings else 'rhythm'
+    return ResidualMap(name, 'frequency [Hz]', best, dof, p_value, frequency, {
+        'power': (power.max(axis=0), np.zeros(len(frequency)))})
+
+
+def _single_steps(fit: Fit) -> ResidualMap:
+    """The largest step of one particle, and of all of them at once."""
+    worst, trials = 0.0, 0
+    for p in fit.parts:
+        used = p.residual != 0
+        common = p.residual.sum(axis=1) / np.sqrt(np.maximum(used.sum(axis=1), 1))
+        worst = max(worst, float((np.abs(p.residual) ** 2).max()),
+                    float((np.abs(common) ** 2).max()))
+        trials += p.count + len(common)
+    p_value = float(min(1.0, trials * np.exp(-worst / 2)))
+    return ResidualMap('single steps', 'time [s]', worst, 2, p_value, np.empty(0), {})
+
+
+def _curves(p: Part, group: Group) -> tuple[np.ndarray, dict[str, tuple[np.ndarray, np.ndarray]]]:
+    """Mean residual velocity along and across the frame, in bins of the covariate."""
+    e = p.evidence
+    left = np.diff(e.z - p.levels.moved(p.swim), axis=0)
+    use = e.seen[1:] & e.seen[:-1] & np.isfinite(group.value) & (np.abs(group.frame) > 0.5)
+    turned = left * np.conj(group.frame) / np.diff(e.times)[:, None]
+    value, velocity = group.value[use], turned[use]
+    if not value.size:
+        return np.empty(0), {}
+    edges = np.unique(np.quantile(value, np.linspace(0, 1, BINS + 1)))
+    which = np.clip(np.searchsorted(edges, value, side='right') - 1, 0, max(len(edges) - 2, 0))
+    count = np.bincount(which)
+    filled = count > 2
+    middles = (np.bincount(which, value) / np.maximum(count, 1))[filled]
+    fixed = bool((group.frame == 1).all())
+    curves = {}
+    for name, part in zip(('x', 'y') if fixed else ('along', 'across'),
+                          (velocity.real, velocity.imag), strict=True):
+        mean = np.bincount(which, part) / np.maximum(count, 1)
+        spread = np.sqrt(np.bincount(which, (part - mean[which]) ** 2)) / np.maximum(count, 1)
+        curves[name] = mean[filled], spread[filled]
+    return middles, curves

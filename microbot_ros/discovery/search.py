@@ -1,0 +1,199 @@
+"""One candidate at a time: where its fit may begin, its maximum, and how likely that is by chance.
+
+Effects with a place, a width or a frequency have many local maxima, and where nothing is hidden
+the largest of them is larger than χ² says: they are scanned first, and pay for every independent
+place they were looked for at (the look-elsewhere effect: Davies 1987, Gross and Vitells 2010).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from microbot_ros.discovery.evidence import levels
+from microbot_ros.discovery.likelihood import Fit, evaluate, maximise, with_noise
+from microbot_ros.model.effect import Effect
+from microbot_ros.model.effects import EFFECTS
+
+COARSE = (0.03, 0.3, 1.0, 3.0, 10.0, 30.0)
+"""Fit coordinates, both signs, from which effects of one parameter may start."""
+
+TRIED = 3
+"""Starting points worth a full fit."""
+
+NEGLIGIBLE = 8.0
+"""Likelihood ratio below which neither better noise nor a better place makes evidence."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """A fit with one effect more. `trials`: independent places at which it was looked for."""
+
+    fit: Fit
+    id: str
+    likelihood_ratio: float
+    dof: int
+    trials: int
+
+    @property
+    def log_p(self) -> float:
+        """Logarithm of the chance of so much evidence where nothing is there, scan included.
+
+        1 − (1 − P(χ² > LR))^trials.
+        """
+        from scipy.stats import chi2
+
+        tail = float(chi2.logsf(max(self.likelihood_ratio, 1e-12), self.dof))
+        if tail < -30:
+            return tail + np.log(self.trials)
+        return float(np.log(-np.expm1(self.trials * np.log1p(-np.exp(tail)))))
+
+    @property
+    def p_value(self) -> float:
+        """The chance itself."""
+        return float(np.exp(max(self.log_p, -700.0)))
+
+    @property
+    def delta_bic(self) -> float:
+        """Positive where the effect is worth its parameters."""
+        return float(self.likelihood_ratio - self.dof * np.log(self.fit.count))
+
+
+def found_in(fit: Fit, rest: Fit, effect_id: str) -> Found:
+    """An effect that a fit already has, beside the fit without it."""
+    effect = EFFECTS[effect_id]
+    return Found(fit, effect_id, rest.cost - fit.cost, _freedom(fit, effect),
+                 _trials(fit, effect))
+
+
+def look(fit: Fit, effect_id: str) -> Found | None:
+    """The best fit of a model with this effect added; None where the data can't show it."""
+    effect = EFFECTS[effect_id]
+    if not _applies(fit, effect):
+        return None
+    tried = [maximise(_at(fit, start)) for start in _starts(fit, effect)]
+    best = min(tried, key=lambda t: t.cost)
+    if fit.cost - best.cost > NEGLIGIBLE:
+        best = maximise(with_noise(best), 4)
+    return found_in(best, fit, effect_id)
+
+
+def _at(fit: Fit, effect: Effect) -> Fit:
+    evidences, whitenings = zip(*((p.evidence, p.whitening) for p in fit.parts), strict=True)
+    return evaluate(fit.model.with_effect(effect), evidences, whitenings)
+
+
+def _applies(fit: Fit, effect: type[Effect]) -> bool:
+    if effect.id == 'drive_response':
+        return fit.model.propulsion == 'rolling' and _frequencies(fit) > 1
+    if effect.id in ('dipole_interaction', 'hydrodynamic_slowdown'):
+        return any(len(p.evidence.ids) > 1 for p in fit.parts)
+    return True
+
+
+def _frequencies(fit: Fit) -> int:
+    """How many rotation frequencies were used."""
+    used = [np.abs(p.evidence.commands.frequency_at(p.evidence.times)) for p in fit.parts]
+    return len(np.unique(np.concatenate(used)))
+
+
+def _freedom(fit: Fit, effect: type[Effect]) -> int:
+    count = len(effect.parameters())
+    if effect.id == 'drive_response':
+        return min(count, _frequencies(fit) - 1)
+    return count
+
+
+def _trials(fit: Fit, effect: type[Effect]) -> int:
+    """Independent places of a shape at which a recording lets one look."""
+    if effect.id == 'periodic_drift':
+        return max(int(_fastest(fit) * _duration(fit)), 1)
+    return len(effect.starts(fit.parts[0].evidence.timeline)) if effect.id == 'hot_spot' else 1
+
+
+def _starts(fit: Fit, effect: type[Effect]) -> list[Effect]:
+    """Starting points worth a full fit."""
+    if effect.id == 'periodic_drift':
+        return _swings(fit)
+    if not any(p.shape for p in effect.parameters()):
+        return _plain(fit, effect)
+    starts = effect.starts(fit.parts[0].evidence.timeline)
+    if effect.id == 'drive_response':
+        costs = [_at(fit, start).cost for start in starts]
+        return [starts[k] for k in np.argsort(costs)[:TRIED]]
+    scored = sorted((_strengthened(fit, start) for start in starts), key=lambda s: -s[0])
+    return _promising(scored)
+
+
+def _promising(scored: list[tuple[float, Effect]]) -> list[Effect]:
+    """The best start, and others that are not far behind one that is worth anything."""
+    best = scored[0][0]
+    return [start for score, start in scored[:TRIED]
+            if score == best or score > max(NEGLIGIBLE, best / 2)]
+
+
+def _plain(fit: Fit, effect: type[Effect]) -> list[Effect]:
+    """Near nothing; and for effects of one parameter the best of a coarse row of values."""
+    parameters = effect.parameters()
+    small = {p.field: p.from_fit(min(1e-3, p.fit_bounds[1])) for p in parameters}
+    starts = [effect(**small)]
+    if len(parameters) > 1:
+        return starts
+    low, high = parameters[0].fit_bounds
+    coarse = [effect(**{parameters[0].field: parameters[0].from_fit(x)})
+              for size in COARSE for x in (size, -size) if low <= x <= high]
+    costs = [_at(fit, start).cost for start in coarse]
+    best = int(np.argmin(costs))
+    return [*starts, coarse[best]] if costs[best] < fit.cost + 20 else starts
+
+
+def _strengthened(fit: Fit, start: Effect) -> tuple[float, Effect]:
+    """The evidence for a start whose one strength is linear, and the start with that strength."""
+    strength = next(p for p in start.parameters() if not p.shape)
+    unit = replace(start, **{strength.field: strength.from_fit(1.0)})
+    model = fit.model.with_effect(unit)
+    information, slope = 1e-30, 0.0
+    for p in fit.parts:
+        moved = levels(model, p.evidence).moved(p.swim) - p.levels.moved(p.swim)
+        column = p.whiten(np.broadcast_to(moved, p.evidence.z.shape)[..., None])[..., 0]
+        information += float((np.abs(column) ** 2).sum())
+        slope += float((column.conj() * p.residual).real.sum())
+    low, high = strength.fit_bounds
+    size = float(np.clip(slope / information, low, high))
+    return slope**2 / information, replace(start, **{strength.field: strength.from_fit(size)})
+
+
+def _duration(fit: Fit) -> float:
+    return max(float(np.ptp(p.evidence.times)) for p in fit.parts)
+
+
+def _fastest(fit: Fit) -> float:
+    """The highest frequency that is looked at [Hz]."""
+    return min(3.0, 0.4 / max(p.evidence.interval for p in fit.parts))
+
+
+def _swings(fit: Fit) -> list[Effect]:
+    """Frequencies at which what is left swings most, from its periodogram.
+
+    White residuals summed over particles; turning both ways, so that any ellipse counts.
+    """
+    effect = EFFECTS['periodic_drift']
+    duration = _duration(fit)
+    frequency = np.arange(1.0, max(_fastest(fit) * duration, 1.1), 0.25) / duration
+    power = np.zeros(len(frequency))
+    swings = np.zeros((2, len(frequency)), complex)
+    for p in fit.parts:
+        common = p.residual.sum(axis=1) / np.sqrt(max(p.seen_at_once, 1.0))
+        for k, sign in enumerate((-1, 1)):
+            turned = np.exp(sign * 2j * np.pi * np.outer(frequency, p.evidence.times)) @ common
+            power += np.abs(turned) ** 2 / len(common)
+            swings[k] += turned
+    peaks = [k for k in np.argsort(-power) if power[k] == power[max(k - 3, 0):k + 4].max()]
+    scored = []
+    for k in peaks[:TRIED]:
+        # x + iy = ½ a (e^{i(α+ψ)} e^{iωt} + e^{i(α−ψ)} e^{−iωt}): the two turning parts.
+        forward, back = np.angle(swings[0, k]), np.angle(swings[1, k])
+        start = effect(0.0, float(frequency[k]), (forward + back) / 2, (forward - back) / 2)
+        scored.append(_strengthened(fit, start))
+    return _promising(scored)
