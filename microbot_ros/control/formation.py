@@ -103,7 +103,7 @@ class Formation(SharedField):
         margin = units.to_si('margin_um', self.parameters.margin_um)
         normal, room = borders(situation.workspace, situation.expected[rows], velocity, margin)
         z = as_complex(situation.expected[rows])
-        ends = allowed_corners(normal, room)
+        ends = allowed_corners(normal, np.maximum(room, 0.0))
         best = max(ends.tolist(), key=lambda U: float(np.var(z + velocity * U)))
         return Aim(best, velocity * best, velocity)
 

@@ -36,27 +36,29 @@ def borders(workspace: Workspace, position: np.ndarray, velocity: np.ndarray,
             margin: float) -> tuple[np.ndarray, np.ndarray]:
     """What keeps all particles in view: Re(n̄ U) ≤ h for every n (4N,) [m/s] and h (4N,) [m].
 
-    `position` (N, 2) [m]. One that is within the `margin` [m] of the border, or beyond it, may
-    stay as far out as it is, so that U = 0 is always allowed. As the workspace is convex, no
-    particle leaves it on the straight way to a displacement that is allowed.
+    `position` (N, 2) [m]. h is negative for one that is nearer to a border than `margin` [m]: it
+    is to come back. As the workspace is convex, no particle leaves it on the straight way to a
+    displacement that is allowed.
     """
     room = np.concatenate([workspace.high - margin - position, position - workspace.low - margin])
     normal = np.concatenate([velocity.conj(), 1j * velocity.conj(),
                              -velocity.conj(), -1j * velocity.conj()])
     count = len(position)
     by_side = np.concatenate([room[:count].T, room[count:].T]).ravel()
-    return normal, np.maximum(by_side, 0.0)
+    return normal, by_side
 
 
 def nearest_allowed(wanted: complex, normal: np.ndarray, room: np.ndarray) -> complex:
-    """The displacement nearest to the wanted one with Re(n̄ U) ≤ h for all n (K,), h (K,) ≥ 0.
+    """The displacement nearest to the wanted one with Re(n̄ U) ≤ h for all n (K,), h (K,).
 
-    As the squared error of `best_displacement` grows by Σ|cᵢ|² |U − U*|², the nearest is the best.
+    If there is none, particles beyond a border may stay as far out as they are. As the squared error of `best_displacement` grows by Σ|cᵢ|² |U − U*|², the nearest is the best.
     """
     if _allowed(np.array([wanted]), normal, room)[0]:
         return complex(wanted)
     candidates = np.concatenate([_feet(wanted, normal, room), allowed_corners(normal, room)])
     candidates = candidates[_allowed(candidates, normal, room)]
+    if not len(candidates):
+        return nearest_allowed(wanted, normal, np.maximum(room, 0.0))
     return complex(candidates[np.argmin(np.abs(candidates - wanted))])
 
 
@@ -69,7 +71,7 @@ def _feet(wanted: complex, normal: np.ndarray, room: np.ndarray) -> np.ndarray:
 
 
 def allowed_corners(normal: np.ndarray, room: np.ndarray) -> np.ndarray:
-    """The corners of what is allowed, where two borders meet, and U = 0."""
+    """The corners of what is allowed, where two borders meet, and U = 0 if it is."""
     a, b = np.triu_indices(len(normal), 1)
     cross = (normal[a].conj() * normal[b]).imag
     some = np.abs(cross) > 1e-9 * np.abs(normal[a]) * np.abs(normal[b])
@@ -80,4 +82,4 @@ def allowed_corners(normal: np.ndarray, room: np.ndarray) -> np.ndarray:
 
 def _allowed(points: np.ndarray, normal: np.ndarray, room: np.ndarray) -> np.ndarray:
     slack = room - (normal.conj() * points[:, None]).real
-    return np.asarray((slack >= -1e-12 - 1e-9 * room).all(1))
+    return np.asarray((slack >= -1e-12 - 1e-9 * np.abs(room)).all(1))

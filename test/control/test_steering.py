@@ -1,0 +1,137 @@
+"""Courses, made-up fields, goals and whose they are."""
+
+import cmath
+import math
+
+import numpy as np
+import pytest
+
+from microbot_ros.control.assignment import Assignment
+from microbot_ros.control.contract import GoalError, Goals, Limits, ParticleLostError
+from microbot_ros.control.itinerary import Itinerary
+from microbot_ros.control.steering import Excitation, approach, field_along, turned_inwards
+from microbot_ros.control.testkit import situation
+from microbot_ros.model.effects.background_field import BackgroundField
+from microbot_ros.model.effects.coil_gain_mismatch import CoilGainMismatch
+from microbot_ros.model.model import Model
+
+
+@pytest.mark.parametrize('start', [30 + 10j, 0.2 + 0.1j, -1j, 1e-9 + 0j])
+def test_approach_ends_on_the_circle_at_once_straight(start):
+    """Kinematics of unit speed; the way is at most the tangent and a part of the circle."""
+    z, step, path = start, 0.01, []
+    for _ in range(6000):
+        z += step * cmath.exp(1j * approach(-z, 1.0))
+        path.append(abs(z))
+    assert np.abs(np.array(path[-1000:]) - 1).max() < 0.02
+    arrival = next(k for k, distance in enumerate(path) if distance < 1.05) * step
+    assert arrival <= max(abs(start), 2.0)
+
+
+def test_approach_turns_counter_clockwise_on_the_circle():
+    assert approach(-1 + 0j, 1.0) == pytest.approx(math.pi - math.pi / 2)
+    assert approach(0j, 1.0) == pytest.approx(-math.pi)
+
+
+def test_field_along_makes_up_for_what_the_model_knows():
+    model = Model(5e-3, effects=(BackgroundField(bx=0.4e-3, by=-0.3e-3), CoilGainMismatch(0.8)))
+    shown = situation(model=model)
+    for angle in np.linspace(-3, 3, 7):
+        command = field_along(shown, angle, 3e-3)
+        field = model.field(command)
+        assert field == pytest.approx([3e-3 * math.cos(angle), 3e-3 * math.sin(angle)], abs=2e-6)
+        strong = field_along(shown, angle, 1.0)
+        assert math.hypot(*strong) <= shown.limits.field * (1 + 1e-12)
+        assert math.remainder(
+            math.atan2(*model.field(strong)[::-1]) - angle, math.tau) == pytest.approx(0, abs=0.01)
+
+
+def test_field_along_without_a_model_keeps_the_limit():
+    shown = situation(limits=Limits(field=2e-3))
+    assert field_along(shown, math.pi / 2, 9.0) == pytest.approx([0, 2e-3])
+
+
+def test_excitation_is_a_closed_triangle_that_starts_anew():
+    excitation = Excitation()
+    fields = [excitation.command(situation(t=5 + 0.1 * k), 1.0, 1e-3).field for k in range(30)]
+    assert np.sum(fields, axis=0) == pytest.approx([0, 0], abs=1e-12)
+    assert fields[0] == pytest.approx([1e-3, 0])
+    excitation.stop()
+    assert excitation.command(situation(t=9.7), 1.0, 1e-3).field == pytest.approx([1e-3, 0])
+
+
+def test_near_the_border_courses_turn_inwards():
+    shown = situation(1, expected=np.array([[143e-6, 0]]))
+    assert math.cos(turned_inwards(shown, 0, 0.1, 5e-6)) < 0
+    assert turned_inwards(shown, 0, math.pi, 5e-6) == pytest.approx(math.pi)
+    assert turned_inwards(situation(1, expected=np.zeros((1, 2))), 0, 0.1, 5e-6) == pytest.approx(0.1)
+
+
+GOALS = np.array([[10e-6, 0], [20e-6, 0], [30e-6, 0]])
+
+
+def test_itinerary_ticks_off_goals_in_order_and_stays_at_the_last():
+    itinerary, shown = Itinerary(), situation(goals=Goals(GOALS))
+    itinerary.update(shown, asked=1)
+    assert itinerary.row(shown) == 1
+    assert itinerary.offset(np.zeros(2), 1e-6) == pytest.approx(10e-6)
+    assert itinerary.offset(np.array([9.5e-6, 0]), 1e-6) == pytest.approx(10.5e-6)
+    assert not itinerary.done
+    itinerary.offset(GOALS[1], 1e-6)
+    itinerary.offset(GOALS[2], 1e-6)
+    assert itinerary.done
+    itinerary.offset(np.zeros(2), 1e-6)
+    itinerary.update(shown, asked=1)
+    assert itinerary.done
+    assert str(itinerary) == 'particle 1: goal 3 of 3'
+    itinerary.update(situation(goals=Goals(GOALS[:2])), asked=1)
+    assert not itinerary.done
+    assert itinerary.offset(np.zeros(2), 1e-6) == pytest.approx(10e-6)
+
+
+def test_itinerary_chooses_the_nearest_and_another_when_that_is_lost():
+    position = np.array([[50e-6, 0], [12e-6, 0], [30e-6, 0]])
+    shown = situation(goals=Goals(GOALS), position=position)
+    itinerary = Itinerary()
+    itinerary.update(shown, asked=-1)
+    assert itinerary.row(shown) == 1
+    fewer = situation(2, goals=Goals(GOALS), position=position[[0, 2]], ids=np.array([0, 2]))
+    itinerary.update(fewer, asked=-1)
+    assert itinerary.row(fewer) == 1
+    assert itinerary.particle == 2
+    with pytest.raises(ParticleLostError):
+        itinerary.row(situation(0))
+
+
+def test_itinerary_of_a_named_particle_is_for_that_one_only():
+    shown = situation(goals=Goals(GOALS, np.array([2, 1, 2])))
+    itinerary = Itinerary()
+    itinerary.update(shown, asked=-1)
+    assert (len(itinerary), itinerary.row(shown)) == (2, 2)
+    with pytest.raises(ParticleLostError, match='particle 2'):
+        itinerary.row(situation(2))
+
+
+@pytest.mark.parametrize('bad', [(np.nan, 0), (np.inf, 0), (0, -np.inf), (145e-6, 0), (0, 1.0)])
+def test_goals_no_camera_could_see_are_refused(bad):
+    shown = situation(goals=Goals(np.array([[0, 0], bad])))
+    with pytest.raises(GoalError, match='goal 2'):
+        Itinerary().update(shown, asked=-1)
+    with pytest.raises(GoalError, match='goal 2'):
+        Assignment().update(shown)
+
+
+def test_assignment_keeps_each_goal_with_its_particle():
+    assignment = Assignment()
+    shown = situation(3, ids=np.array([7, 3, 5]), goals=Goals(GOALS))
+    assert assignment.update(shown)
+    rows, goals = assignment.pairs(shown)
+    assert dict(zip(shown.ids[rows].tolist(), goals[:, 0].tolist(), strict=True)) == {
+        3: 10e-6, 5: 20e-6, 7: 30e-6}
+    later = situation(2, ids=np.array([7, 5]), goals=Goals(GOALS))
+    assert not assignment.update(later)
+    rows, goals = assignment.pairs(later)
+    assert later.ids[rows].tolist() == [5, 7]
+    assert goals[:, 0].tolist() == [20e-6, 30e-6]
+    with pytest.raises(ParticleLostError):
+        assignment.pairs(situation(1, ids=np.array([9])))
