@@ -11,7 +11,8 @@ import numpy as np
 
 from microbot_ros.drive.amplifier import Amplifier, Command, Reading
 from microbot_ros.drive.errors import AmplifierError
-from microbot_ros.drive.gate import Gate, Limits, Reason
+from microbot_ros.drive.gate import ZERO, Currents, Gate, Limits, Reason
+from microbot_ros.errors import InputError
 
 _TICK_S = 0.01
 """How late the dead-man can be, beside the gate's own times."""
@@ -28,16 +29,22 @@ class CoilDriver:
     The thread lives from `start` to `stop` and does all that must happen without being asked:
     stale commands, silence and deviation end in zero, whatever hangs elsewhere in the process;
     a lost line is latched as a fault and reopened with zero, still disarmed. `on_reading` is
-    called in that thread for each reading.
+    called in that thread for each reading and must not block. Raises InputError for a current
+    limit that is more than the amplifier can give.
     """
 
     def __init__(self, amplifier: Amplifier, limits: Limits,
                  on_reading: Callable[[Reading], None]) -> None:
+        full_scale_A = float(amplifier.full_scale_A.min())
+        if not limits.current_A <= full_scale_A:
+            raise InputError('current_A', f'expected at most the full scale of the amplifier, '
+                             f'{full_scale_A:g} A; received {limits.current_A:g} A')
         self.amplifier = amplifier
         self.gate = Gate(limits)
         self.connected = False
         self._on_reading = on_reading
         self._lock = threading.Lock()
+        self._sent: Currents = ZERO
         self._sent_s = 0.0
         self._ending = threading.Event()
         self._thread: threading.Thread | None = None
@@ -88,8 +95,8 @@ class CoilDriver:
         if not self.connected:
             return None
         try:
-            self._sent_s = time.monotonic()
-            return self.amplifier.write(self.gate.output)
+            self._sent, self._sent_s = self.gate.output, time.monotonic()
+            return self.amplifier.write(self._sent)
         except AmplifierError as error:
             self._lose(error)
             return None
@@ -121,11 +128,10 @@ class CoilDriver:
                 self._lose(error)
             return
         with self._lock:
-            before = self.gate.output
             now = time.monotonic()
             for reading in readings:
                 self.gate.measured(reading.currents_A.tolist(), now)
-            if self.gate.tick(now) != before or now - self._sent_s >= _REFRESH_S:
+            if self.gate.tick(now) != self._sent or now - self._sent_s >= _REFRESH_S:
                 self._write_output()
         for reading in readings:
             self._on_reading(reading)

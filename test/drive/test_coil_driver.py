@@ -12,6 +12,7 @@ from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.errors import NoAnswerError
 from microbot_ros.drive.gate import Limits, Reason
 from microbot_ros.drive.serial_transfer.driver import SerialTransferAmplifier
+from microbot_ros.errors import InputError
 
 FULL_SCALE_A = 2.0
 LIMITS = Limits(
@@ -215,6 +216,18 @@ def test_it_leaves_no_thread_and_no_port(driver, board):
     again = SerialTransferAmplifier(board.url, FULL_SCALE_A)
     again.connect()
     assert again.close()
+
+
+@pytest.mark.parametrize('full_scale_A', [math.nextafter(FULL_SCALE_A, 0), [9.0, 9.0, 1.0, 9.0]])
+def test_a_limit_beyond_what_the_amplifier_gives_is_refused(full_scale_A):
+    with pytest.raises(InputError, match='at most the full scale'):
+        CoilDriver(SerialTransferAmplifier('nowhere', full_scale_A), LIMITS, print)
+
+
+def test_arming_again_takes_the_current_away(driver, board):
+    drive(driver, board)
+    assert 'without a command' in board.until(driver.arm)
+    board.eventually_at([0] * 4, 'command')
 
 
 def test_it_does_not_start_without_an_amplifier(board):
