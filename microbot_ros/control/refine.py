@@ -39,7 +39,7 @@ def improve(swarm: Swarm, plan: Plan, task: Task, rollout: Rollout,
     if step is None:
         return plan, rollout
     before = cost(swarm, plan, task, rollout)
-    for fraction in (1.0, 0.3):
+    for fraction in (1.0, 0.3, 0.1, 0.03):
         field = plan.field + fraction * task.limit * step.reshape(-1, 2)
         strength = np.hypot(*field.T)
         field *= np.minimum(1, task.limit / np.maximum(strength, 1e-12))[:, None]

@@ -51,7 +51,8 @@ def borders(workspace: Workspace, position: np.ndarray, velocity: np.ndarray,
 def nearest_allowed(wanted: complex, normal: np.ndarray, room: np.ndarray) -> complex:
     """The displacement nearest to the wanted one with Re(n̄ U) ≤ h for all n (K,), h (K,).
 
-    If there is none, particles beyond a border may stay as far out as they are. As the squared error of `best_displacement` grows by Σ|cᵢ|² |U − U*|², the nearest is the best.
+    If there is none, particles beyond a border may stay as far out as they are. As the squared
+    error of `best_displacement` grows by Σ|cᵢ|² |U − U*|², the nearest is the best.
     """
     if _allowed(np.array([wanted]), normal, room)[0]:
         return complex(wanted)

@@ -64,7 +64,8 @@ def test_near_the_border_courses_turn_inwards():
     shown = situation(1, expected=np.array([[143e-6, 0]]))
     assert math.cos(turned_inwards(shown, 0, 0.1, 5e-6)) < 0
     assert turned_inwards(shown, 0, math.pi, 5e-6) == pytest.approx(math.pi)
-    assert turned_inwards(situation(1, expected=np.zeros((1, 2))), 0, 0.1, 5e-6) == pytest.approx(0.1)
+    inside = situation(1, expected=np.zeros((1, 2)))
+    assert turned_inwards(inside, 0, 0.1, 5e-6) == pytest.approx(0.1)
 
 
 GOALS = np.array([[10e-6, 0], [20e-6, 0], [30e-6, 0]])

@@ -1,0 +1,58 @@
+"""`microbot reach` from its command line."""
+
+import json
+
+import pytest
+from click.testing import CliRunner
+
+from microbot_ros.cli.reach import command
+from microbot_ros.errors import InputError
+
+TWO = ['--particle', '4,0', '--particle', '4,2', '--at', '0,0', '--at', '30,0',
+       '--goal', '20,0', '--goal', '30,-15']
+
+
+def run(*arguments):
+    return CliRunner().invoke(command, list(arguments), catch_exceptions=False)
+
+
+def test_says_and_draws_what_can_be_reached(tmp_path):
+    picture, numbers = tmp_path / 'reach.png', tmp_path / 'reach.json'
+    result = run(*TWO, '--alignment-times-s', '0.1,0.3', '--figure', str(picture),
+                 '--json', str(numbers))
+    assert result.exit_code == 0
+    assert '2 of 4 dimensions' in result.output
+    assert picture.stat().st_size > 10_000
+    found = json.loads(numbers.read_text())
+    # By hand: c = 4, 4e^{2i}; d = 20, −15i; U = Σ c̄ d / Σ |c|².
+    assert found['floor_um'] == pytest.approx(17.11, abs=0.01)
+    assert found['planned_floor_um'] < 0.2
+    assert min(found['opened_um']['off']) > 1
+
+
+def test_equal_particles_open_nothing(tmp_path):
+    numbers = tmp_path / 'reach.json'
+    assert run(*TWO, '--json', str(numbers)).exit_code == 0
+    found = json.loads(numbers.read_text())
+    assert max(found['opened_um']['off']) < 1e-6
+    assert found['planned_floor_um'] >= found['floor_um'] - 1e-6
+
+
+@pytest.mark.parametrize(('arguments', 'complaint'), [
+    (['--at', '0,0', '--goal', '1,1'], 'expected --model FILE or --particle'),
+    ([*TWO, '--goal', '1,1'], '--goal: expected one for each of 2 particles'),
+    ([*TWO, '--at', '1,1'], '--at: expected one for each of 2 particles'),
+    ([*TWO, '--alignment-times-s', '0.1'], 'expected 2 positive times'),
+    ([*TWO, '--alignment-times-s', '0.1,-1'], 'expected 2 positive times'),
+    (['--particle', '4,nan', '--at', '0,0', '--goal', '1,1'], "received '4,nan'"),
+    (['--particle', '4', '--at', '0,0', '--goal', '1,1'], 'expected V_UM_S,PHI_RAD'),
+    (['--model', 'absent.yaml', '--at', '0,0', '--goal', '1,1'], 'absent.yaml')])
+def test_bad_input_is_named(arguments, complaint, tmp_path):
+    numbers = tmp_path / 'reach.json'
+    with pytest.raises(InputError, match=complaint):
+        run(*arguments, '--json', str(numbers))
+    assert not numbers.exists()
+
+
+def test_help_shows_an_example():
+    assert '--alignment-times-s 0.1,0.3' in run('--help').output
