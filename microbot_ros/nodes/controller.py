@@ -96,7 +96,7 @@ class ControllerNode(RigNode):
         self._goals, self._path, self._joystick = Goals(), np.empty((0, 2)), np.zeros(2)
         self._seen: dict[int, np.void] = {}
         self._last_t, self._last_tick = -math.inf, math.nan
-        self._driving = False
+        self._driving = self._rolling = False
         self._outcome = Outcome(None, Result.STALE, 'no poses yet')
         self._model: tuple[str, Model | None] = ('', None)
         self._commands = self.publisher(Vector3Stamped, 'field/command')
@@ -202,10 +202,13 @@ class ControllerNode(RigNode):
     def _send(self, command: FieldCommand, stamp: Time) -> None:
         self._driving = True
         self._commands.publish(messages.field_vector(command.field, stamp))
-        if command.frequency > 0:
-            x, y = command.field / np.hypot(*command.field) * math.tau * command.frequency
-            # The angular velocity ω for which ω̂ × ẑ is the rolling direction.
+        rolling = command.frequency > 0
+        if rolling or self._rolling:
+            # The angular velocity ω for which ω̂ × ẑ is the rolling direction; zero once at rest.
+            strength = np.hypot(*command.field) or 1.0
+            x, y = command.field / strength * math.tau * command.frequency
             self._rotations.publish(messages.field_vector(np.array([-y, x]), stamp))
+        self._rolling = rolling
 
     def _present_model(self) -> Model | None:
         file = self.settings.model_file

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any, ClassVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
@@ -123,6 +124,12 @@ class RigNode(LifecycleNode):
         """A service that goes with the next cleanup."""
         made = self.create_service(kind, name, callback)
         self._created.append((self.destroy_service, made))
+
+    def client(self, kind: type, name: str) -> Client:
+        """A client that goes with the next cleanup."""
+        made = self.create_client(kind, name)
+        self._created.append((self.destroy_client, made))
+        return made
 
     def seconds(self) -> float:
         """Now on the node's clock [s]."""

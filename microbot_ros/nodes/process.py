@@ -77,6 +77,7 @@ def run(names: list[str], arguments: list[str] | None = None) -> int:
         for node in reversed(nodes):
             executor.remove_node(node)
             node.destroy_node()
+        executor.shutdown()
         rclpy.try_shutdown()
 
 

@@ -8,11 +8,13 @@ from dataclasses import dataclass
 from datetime import datetime
 from importlib import metadata
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray, PoseStamped, Vector3Stamped
 from nav_msgs.msg import Path as PathMessage
+from rcl_interfaces.srv import GetParameters
+from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Image, JointState, MagneticField, PointCloud2, TimeReference
 from visualization_msgs.msg import MarkerArray
@@ -47,6 +49,8 @@ TOPICS: dict[str, tuple[type, QoSProfile]] = {
 """What is recorded, where it is published at all."""
 
 _FRAMES = 'camera/image_raw'
+_CONDITIONS = ('propulsion', 'radius_um', 'viscosity_mPa_s', 'temperature_K')
+"""Parameters of the node `model` that a session keeps."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +98,23 @@ class RecorderNode(RigNode):
             name: metadata.version(name) for name in ('microbot_ros', 'numpy')})
         for name, content in self._attachments.items():
             self._writer.attach(name, content)
+        self._described = False
+        self._model = self.client(GetParameters, 'model/get_parameters')
+        self.every(0.5, self._ask_for_conditions)
+
+    def _ask_for_conditions(self) -> None:
+        """Once the model node is there: what it was told of particles and fluid."""
+        if self._described or not self._model.service_is_ready():
+            return
+        self._described = True
+        asked = self._model.call_async(GetParameters.Request(names=list(_CONDITIONS)))
+        asked.add_done_callback(self._describe)
+
+    def _describe(self, answered: Any) -> None:
+        values = [parameter_value_to_python(value) for value in answered.result().values]
+        if self._writer is not None:
+            self._writer.describe('session', {
+                name: str(value) for name, value in zip(_CONDITIONS, values, strict=True)})
 
     def stop(self) -> None:
         if getattr(self, '_writer', None):

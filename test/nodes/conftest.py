@@ -111,6 +111,7 @@ class Ros:
             node.destroy_node()
         self._executor.remove_node(self.probe)
         self.probe.destroy_node()
+        self._executor.shutdown()
         rclpy.try_shutdown()
 
 

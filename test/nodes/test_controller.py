@@ -1,0 +1,142 @@
+"""The controller node: swapped by a parameter, silent when poses stop, safe when it fails."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from geometry_msgs.msg import PoseArray, Vector3Stamped
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import String
+
+from microbot_ros.nodes import messages
+from microbot_ros.nodes.lifecycle import LATCHED
+
+
+class Loop:
+    """A controller node, and a model that says what the test wants."""
+
+    def __init__(self, ros: Any, **parameters: Any) -> None:
+        self.graph = ros({'controller': parameters})
+        self.node = self.graph.add('controller')
+        assert self.node.active, self.node.fault
+        self.fields = self.graph.hear(Vector3Stamped, 'field/command')
+        self._state = self.graph.probe.create_publisher(PointCloud2, 'model/state', 10)
+        self._goals = self.graph.probe.create_publisher(PoseArray, 'goals', 10)
+        self.graph.until(lambda: self._state.get_subscription_count() == 1)
+
+    def see(self, x: float = 0.0, y: float = 0.0, age: float = 0.0, phi: float = 0.5) -> None:
+        """One particle, whose v and φ are known."""
+        point = np.zeros(1, messages.ESTIMATE)
+        point['x'], point['y'], point['speed'], point['phi'] = x, y, 4e-6, phi
+        for name in ('x_std', 'y_std', 'speed_std', 'phi_std'):
+            point[name] = 1e-8
+        self._state.publish(messages.cloud(point, messages.to_stamp(self.node.seconds() - age)))
+
+    def go(self, *places: tuple[float, float]) -> None:
+        """Goals."""
+        xy = np.array(places).reshape(-1, 2)
+        self._goals.publish(messages.poses(xy, np.zeros(len(xy)), messages.to_stamp(1.0)))
+
+    def set(self, **values: Any) -> Any:
+        """The answer to setting parameters."""
+        request = SetParameters.Request(parameters=[
+            Parameter(name.replace('__', '.'), value=value).to_parameter_msg()
+            for name, value in values.items()])
+        return self.graph.call(SetParameters, 'controller/set_parameters', request).results[0]
+
+    def strength(self) -> float:
+        """Of the last field [T]."""
+        last = self.fields[-1].vector
+        return math.hypot(last.x, last.y)
+
+
+def test_hold_commands_zero_with_the_stamp_of_the_exposure(ros: Any) -> None:
+    loop = Loop(ros)
+    loop.see(age=0.05)
+    loop.graph.until(lambda: loop.fields)
+    assert loop.strength() == 0
+    age = loop.node.seconds() - messages.to_seconds(loop.fields[0].header.stamp)
+    assert 0.05 <= age < 5
+
+
+def test_a_swap_takes_effect_and_an_unknown_one_says_what_there_is(ros: Any) -> None:
+    loop = Loop(ros)
+    loop.see()
+    loop.graph.until(lambda: loop.fields)
+    refused = loop.set(controller='steam')
+    assert not refused.successful
+    assert "no controller 'steam'; there are: " in refused.reason
+    assert loop.node.settings.controller == 'hold'
+    assert loop.set(controller='open_loop').successful
+    loop.graph.until(lambda: loop.see() or loop.strength() > 4.9e-3)
+
+
+def test_waypoint_steers_by_what_the_model_knows(ros: Any) -> None:
+    loop = Loop(ros, controller='waypoint', delay_ms=0.0)
+    loop.go((50e-6, 0.0))
+    loop.graph.until(lambda: len(loop.node._goals) == 1)
+    loop.graph.until(lambda: loop.see(phi=0.5) or (loop.fields and loop.strength() > 4.9e-3))
+    last = loop.fields[-1].vector
+    assert math.atan2(last.y, last.x) == pytest.approx(-0.5, abs=0.05)
+
+
+def test_poses_that_stop_mean_one_zero_and_silence(ros: Any) -> None:
+    loop = Loop(ros, controller='open_loop')
+    loop.graph.until(lambda: loop.see() or (loop.fields and loop.strength() > 1e-3))
+    loop.graph.until(lambda: loop.strength() == 0)
+    count = len(loop.fields)
+    level, sentence, _ = loop.node.health()
+    assert level == b'\x01'
+    assert 'poses are' in sentence
+    loop.see(age=5.0)  # an old pose changes nothing
+    loop.graph.until(lambda: loop.node._last_t < loop.node.seconds() - 4)
+    assert len(loop.fields) == count
+
+
+@pytest.mark.parametrize('place', [(math.nan, 0.0), (math.inf, 0.0), (1.0, 1.0)])
+def test_a_goal_that_cannot_be_is_refused_with_zero(
+        ros: Any, place: tuple[float, float]) -> None:
+    loop = Loop(ros, controller='waypoint')
+    loop.go(place)
+    loop.graph.until(lambda: len(loop.node._goals) == 1)
+    loop.graph.until(lambda: loop.see() or loop.fields)
+    level, sentence, values = loop.node.health()
+    assert loop.strength() == 0
+    assert level == b'\x01'
+    assert values['result'] == 'bad goal'
+    assert sentence.startswith('waypoint: ')
+
+
+def test_a_pose_that_is_no_number_is_not_acted_on(ros: Any) -> None:
+    loop = Loop(ros, controller='waypoint')
+    loop.go((50e-6, 0.0))
+    loop.graph.until(lambda: len(loop.node._goals) == 1)
+    loop.graph.until(lambda: loop.see(x=math.nan, y=math.inf) or loop.fields)
+    assert loop.strength() == 0
+    assert loop.node.health()[2]['result'] == 'particle lost'
+
+
+def test_what_there_is_is_latched(ros: Any) -> None:
+    loop = Loop(ros)
+    listed = loop.graph.hear(String, 'controller/controllers', LATCHED)
+    loop.graph.until(lambda: listed)
+    assert {'hold', 'open_loop', 'waypoint'} <= set(yaml.safe_load(listed[0].data))
+
+
+def test_each_keeps_its_parameters(ros: Any) -> None:
+    loop = Loop(ros)
+    assert loop.set(waypoint__arrival_um=3.0).successful
+    assert not loop.set(waypoint__arrival_um=math.nan).successful
+    assert not loop.set(waypoint__arrival_um=-1.0).successful
+    assert loop.set(controller='waypoint').successful
+    assert loop.set(controller='hold').successful
+    answer = loop.set(waypoint__arrival_um=3.0)
+    assert answer.successful
+    waypoint = loop.node._switchboard._controllers['waypoint']
+    assert waypoint.parameters.arrival_um == 3.0
