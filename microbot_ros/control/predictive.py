@@ -96,7 +96,7 @@ class Predictive(Ensemble):
         """ModelError without a model."""
         super().activate(situation)
         if situation.model is None:
-            raise ModelError('plans with a model; none is loaded')
+            raise ModelError('plans with a model; none is loaded (model_file)')
         self._forget()
 
     def compute(self, situation: Situation) -> FieldCommand:
@@ -104,7 +104,7 @@ class Predictive(Ensemble):
         begun = time.perf_counter()
         model, p = situation.model, self.parameters
         if model is None:
-            raise ModelError('plans with a model; none is loaded')
+            raise ModelError('plans with a model; none is loaded (model_file)')
         if self._assignment.update(situation):
             self._plan = None
         rows, goals = self._assignment.pairs(situation)
