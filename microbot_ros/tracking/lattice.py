@@ -247,7 +247,7 @@ def _fit(image, grid, spacing, parameters, active, model, turns, near, filters, 
                 moved = _turn(
                     image, grid, spacing, parameters[n], errors[n], model, shared[n], window,
                     solution, filters, pictures, discs, normals, covariances)
-                # Alone and within its cell: another turn would give the same.
-                waiting[n] = moved >= 0 and (shared[n] or moved > 0.5 / _CELLS)
+                # Alone and nearly in its cell: another turn would give the same.
+                waiting[n] = moved >= 0 and (shared[n] or moved > 1 / _CELLS)
     model[:] = 0
     return errors

@@ -91,7 +91,7 @@ def pixel_noise(image: np.ndarray) -> float:
     What varies slower than from pixel to pixel drops out (J. Immerkær, Computer Vision and Image
     Understanding 64, 300, 1996); the median makes edges of particles drop out too.
     """
-    rows, columns = max(1, image.shape[0] // 64), max(1, image.shape[1] // 64)
+    rows, columns = max(1, image.shape[0] // 48), max(1, image.shape[1] // 48)
     part = [
         image[j:image.shape[0] - 2 + j:rows, i:image.shape[1] - 2 + i:columns].astype(np.float32)
         for j in range(3) for i in range(3)
@@ -121,7 +121,7 @@ class MatchedFilter:
         # Response in grey levels of contrast: a particle of contrast a responds with a.
         template /= np.sum(template**2)
         left, weight, right = np.linalg.svd(template)
-        rank = int(np.searchsorted(np.cumsum(weight**2) / np.sum(weight**2), 0.995)) + 1
+        rank = int(np.searchsorted(np.cumsum(weight**2) / np.sum(weight**2), 0.97)) + 1
         self._parts = [
             ((left[:, k] * weight[k]).astype(np.float32), right[k].astype(np.float32))
             for k in range(rank)
