@@ -106,8 +106,6 @@ class DelayedLikelihood:
 
     def delay(self, noise: Noise) -> Iterator[Delay | None]:
         """The posterior of the delay, an evaluation at a time (see `delay_posterior`)."""
-        if len(self._commands.t) < 2:
-            return iter(())
         ratio = noise.localisation**2 / noise.diffusion
         return delay_posterior(lambda delay: self.at(delay).at(ratio).log_likelihood)
 

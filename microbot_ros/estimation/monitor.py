@@ -40,11 +40,15 @@ AFTER_TURN = 0.3
 
 @dataclass(frozen=True)
 class Suspicion:
-    """A quantity that innovations may depend on: the tolerated lean, and words for people."""
+    """A quantity that innovations may depend on: the tolerated lean, and words for people.
+
+    `stake`: how much is bet on it; little on what is but a symptom of the others.
+    """
 
     name: str
     tolerance: float
     sentence: str
+    stake: float = 1.0
 
 
 _RUN = 'record a minute and run: microbot discover SESSION'
@@ -54,14 +58,15 @@ SUSPICIONS = {s.name: s for s in (
               f'let the particles visit the whole field of view and {_RUN}'),
     Suspicion('command', 0.01, 'residuals depend on the direction of the field (a background '
               f'field, unequal coils?): turn it through all directions, {_RUN}'),
-    Suspicion('turn', 0.02, 'particles are late or early after turns (alignment lag, delay?): '
+    Suspicion('turn', 0.12, 'particles are late or early after turns (alignment lag, delay?): '
               f'make turns of 30° and of 180°, {_RUN}'),
     Suspicion('swimming', 0.02, 'speed or direction changes faster than can be followed (fuel, '
-              f'slip?): {_RUN}'),
+              f'slip?): {_RUN}', 1e-2),
     Suspicion('memory', 0.06, 'residuals remember the one before (noise levels, heading noise, '
-              f'vibration?): {_RUN}'),
+              f'vibration?): {_RUN}', 1e-3),
     Suspicion('size', 0.0, 'residuals are larger or smaller than the noise explains (focus, '
-              'tracking, something new?): look at the picture, then run: microbot fit SESSION'),
+              'tracking, something new?): look at the picture, then run: microbot fit SESSION',
+              1e-2),
 )}
 
 FEATURES = (
@@ -78,6 +83,10 @@ class Monitor:
     def __init__(self) -> None:
         tolerance = np.array([SUSPICIONS[name].tolerance for name in FEATURES])[:, None]
         self._lean = np.concatenate([LEANS, -LEANS])
+        stake = np.array([SUSPICIONS[name].stake for name in FEATURES])
+        total = stake.sum() * len(self._lean) + SUSPICIONS['size'].stake * len(SPREADS)
+        self._stake = stake[:, None] / total
+        self._stake_size = SUSPICIONS['size'].stake / total
         self._cost = np.abs(self._lean) * tolerance + self._lean**2 / 2
         self._leans = np.zeros((len(FEATURES), len(self._lean)))
         self._spreads = np.zeros(len(SPREADS))
@@ -145,12 +154,11 @@ class Monitor:
 
     def _look(self, t: float) -> None:
         growth = self._lean * self._score[:, None] - self._cost * self._power[:, None]
-        share = 1 / (self._leans.size + self._spreads.size)
-        self._leans = (self._leans + share) * np.exp(np.clip(growth, -700, 40))
+        self._leans = (self._leans + self._stake) * np.exp(np.clip(growth, -700, 40))
         tolerated = np.where(SPREADS > 1, TOLERATED_SPREAD, 1 / TOLERATED_SPREAD)
         spread = SPREADS * tolerated
         growth = -self._count * np.log(SPREADS) - self._squares / 2 * (1 / spread - 1 / tolerated)
-        self._spreads = (self._spreads + share) * np.exp(np.clip(growth, -700, 40))
+        self._spreads = (self._spreads + self._stake_size) * np.exp(np.clip(growth, -700, 40))
         self._clear()
         if self._leans.sum() + self._spreads.sum() >= BOUND:
             feature = int(self._leans.max(axis=1).argmax())

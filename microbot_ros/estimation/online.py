@@ -66,12 +66,13 @@ class Estimator:
         self._start(model or bare)
 
     def _start(self, model: Model) -> None:
-        self._propagator = Propagator(model, self.settings.horizon)
+        self._propagator = Propagator(model)
         self._population = Population(self.settings.fastest / 2)
         self._shared: SharedKnowledge | None = None
         self._opening: list[_Frame] | None = []
         self._monitor = Monitor()
         self._suspects = Suspects()
+        self._suspicions: list[str] = []
         self._next_question = -np.inf
         self._t = -np.inf
 
@@ -90,7 +91,7 @@ class Estimator:
 
     def use(self, model: Model) -> None:
         """Filter with another model from the next frame on; what is known of v and φ stays."""
-        self._propagator = Propagator(model, self.settings.horizon)
+        self._propagator = Propagator(model)
         self._monitor = Monitor()
         if self._shared is not None:
             self._shared.forget_model()
@@ -169,7 +170,9 @@ class Estimator:
         """Predict and take one frame; its readings, and seconds since each c changed."""
         bank, noise = self._population.bank, shared.noise
         start = self._t if np.isfinite(self._t) else frame.t - 1e-3
-        step = self._propagator.step(self._log, shared.delay.value, start, frame.t, bank.p[0])
+        step = self._propagator.advance(
+            self._log, shared.delay.value, start, frame.t, bank.p[0]
+        )
         wander = (self.settings.wander * np.abs(bank.c[0])) ** 2 * step.span
         bank.predict(step.drive, step.drift, 2 * noise.diffusion * step.span, wander)
         self._t = frame.t
@@ -195,7 +198,7 @@ class Estimator:
         self._opening.append(frame)
         if shared.reviewed or len(self._opening) >= LONGEST_OPENING:
             self._population = Population(self.settings.fastest / 2)
-            self._propagator = Propagator(self.model, self.settings.horizon)
+            self._propagator = Propagator(self.model)
             self._t = -np.inf
             for again in self._opening:
                 self._filter(again, shared)
@@ -206,12 +209,21 @@ class Estimator:
         if self._t >= self._next_question:
             self._next_question = self._t + 1.0
             moving = bool(self._propagator.heading.any())
-            for text in self._suspects.ask(state, self._log.last, moving):
-                self._note(text)
-        self._notes = {text: at for text, at in self._notes.items() if self._t - at < NOTED}
+            self._suspicions = self._suspects.ask(state, self._log.last, moving)
+        # What was noted before the first frame counts from that frame on.
+        self._notes = {
+            text: max(at, self._t) if np.isinf(at) else at
+            for text, at in self._notes.items() if np.isinf(at) or self._t - at < NOTED
+        }
         shared = self._shared or self._knowledge(np.empty(0))
-        told = (*self._notes, *shared.sentences, *self._monitor.sentences)
-        return answer(state, self._propagator.ahead, shared, self.conditions, self.settings, told)
+        told = (
+            *self._notes, *self._suspicions, *shared.sentences, *self._monitor.sentences
+        )
+        now = self._t if np.isfinite(self._t) else 0.0
+        ahead = self._propagator.look_ahead(
+            self._log, shared.delay.value, now, now + max(self.settings.horizon, 1e-6), state.p
+        )
+        return answer(state, ahead, shared, self.conditions, self.settings, told)
 
     def _note(self, text: str) -> None:
         """Keep a sentence for the diagnosis of the next seconds."""

@@ -24,33 +24,37 @@ class Step:
 class Propagator:
     """Integrates a model's response exactly between frames, remembering the heading."""
 
-    def __init__(self, model: Model, horizon: float) -> None:
+    def __init__(self, model: Model) -> None:
         self.model = model
-        self._horizon = horizon
         self.heading = np.zeros(1, complex)
         """e^{i(θ−φ)} (1 or N,) at the last frame; zero where no field has been yet."""
-        self.ahead = Step(np.zeros(1, complex), np.zeros(1, complex), horizon)
 
-    def step(
+    def advance(
         self, log: CommandLog, delay: float, start: float, end: float, positions: np.ndarray,
     ) -> Step:
-        """What happens from `start` to `end` [s]; `ahead` then holds the same for the horizon.
+        """What happens from `start` to `end` [s], the next frame.
 
         `positions` (N,) complex [m] at `start`, where effects that depend on place look.
         """
-        times = np.array([start, end, end + self._horizon])
-        vectors = np.stack([positions.real, positions.imag], axis=-1)
-        commands = log.since(start, delay)
-        timeline = Timeline(commands, times, np.broadcast_to(vectors, (3, *vectors.shape)))
-        response = respond(self.model, timeline, self._remembered(len(positions)))
-        moved = response.drift[..., 0] + 1j * response.drift[..., 1]
-        now, self.ahead = (
-            Step(response.propulsion[k], moved[k], times[k + 1] - times[k]) for k in (0, 1)
-        )
-        self.heading = response.heading[1]
-        return now
+        step, self.heading = self._respond(log, delay, start, end, positions)
+        return step
 
-    def _remembered(self, particles: int) -> np.ndarray | None:
-        """The heading so far, while it is one for all; else let the model reconstruct it."""
+    def look_ahead(
+        self, log: CommandLog, delay: float, start: float, end: float, positions: np.ndarray,
+    ) -> Step:
+        """The same from the last frame at `start` on, under the commands so far."""
+        return self._respond(log, delay, start, end, positions)[0]
+
+    def _respond(
+        self, log: CommandLog, delay: float, start: float, end: float, positions: np.ndarray,
+    ) -> tuple[Step, np.ndarray]:
+        vectors = np.stack([positions.real, positions.imag], axis=-1)
+        timeline = Timeline(
+            log.since(start, delay), np.array([start, end]),
+            np.broadcast_to(vectors, (2, *vectors.shape)),
+        )
+        # A heading common to all is carried on; one of each, or none yet, follows from commands.
         known = self.heading.size == 1 and self.heading[0] != 0
-        return self.heading if known else None
+        response = respond(self.model, timeline, self.heading if known else None)
+        moved = response.drift[0, :, 0] + 1j * response.drift[0, :, 1]
+        return Step(response.propulsion[0], moved, end - start), response.heading[1]

@@ -15,7 +15,7 @@ from microbot_ros.estimation.population import Taken
 from microbot_ros.estimation.window import Review, Window
 from microbot_ros.model.model import Model
 
-FIRST_REVIEW, REVIEW_EVERY = 0.5, 2.0
+FIRST_REVIEW, REVIEW_EVERY = 0.5, 4.0
 """Seconds from the first frame to the first review; seconds between reviews at most."""
 
 PRIOR_LOG_STD = 1.0

@@ -1,0 +1,133 @@
+"""The factorised complex filter against a textbook Kalman filter, and under hostile input."""
+
+import numpy as np
+import pytest
+
+from microbot_ros.estimation.bank import PhasorBank
+
+
+class Textbook:
+    """Kalman filter on the real state (x, y, a, b), as in any book."""
+
+    def __init__(self, z, p_var, c_var):
+        self.state = np.array([z.real, z.imag, 0, 0])
+        self.cov = np.diag([p_var, p_var, c_var, c_var])
+
+    def predict(self, drive, drift, diffused, wander):
+        transition = np.eye(4)
+        transition[:2, 2:] = [[drive.real, -drive.imag], [drive.imag, drive.real]]
+        self.state = transition @ self.state + [drift.real, drift.imag, 0, 0]
+        noise = np.diag([diffused, diffused, wander, wander])
+        self.cov = transition @ self.cov @ transition.T + noise
+
+    def update(self, z, noise):
+        innovation = np.array([z.real, z.imag]) - self.state[:2]
+        total = self.cov[:2, :2] + noise * np.eye(2)
+        gain = self.cov[:, :2] @ np.linalg.inv(total)
+        self.state = self.state + gain @ innovation
+        self.cov = self.cov - gain @ self.cov[:2]
+
+
+def test_one_hypothesis_is_the_textbook_filter():
+    rng = np.random.default_rng(0)
+    bank, book = PhasorBank(1), Textbook(1 + 2j, 0.3, 4.0)
+    bank.add(np.array([1 + 2j]), np.array([0.3]), 4.0)
+    for _ in range(200):
+        drive, drift, z = (complex(*rng.normal(size=2)) for _ in range(3))
+        diffused, wander, noise = rng.exponential(size=3) * [0.1, 0.001, 0.2]
+        bank.predict(np.array([drive]), np.array([drift]), diffused, np.array([wander]))
+        book.predict(drive, drift, diffused, wander)
+        if rng.random() < 0.7:
+            bank.update(np.array([z]), np.array([noise]), np.array([True]))
+            book.update(z, noise)
+        found = bank.combined()
+        np.testing.assert_allclose(
+            [found['p'][0].real, found['p'][0].imag, found['c'][0].real, found['c'][0].imag],
+            book.state, rtol=1e-8, atol=1e-10,
+        )
+        assert found['p_var'][0] == pytest.approx(book.cov[0, 0], rel=1e-8)
+        assert found['c_var'][0] == pytest.approx(book.cov[2, 2], rel=1e-8)
+        # E p̃ c̃* of a circular pair: twice (cov(x, a) + i cov(y, a)).
+        assert found['cross'][0] == pytest.approx(
+            complex(book.cov[0, 2], book.cov[1, 2]), rel=1e-7, abs=1e-12)
+
+
+def simulate(rng, bank, change_at=None, factor=1.0, seconds=20.0, step=0.05):
+    """One particle at c = 4 under a field that turns every second; c seen after every frame."""
+    c, place, seen = 4.0 + 0j, 0j, []
+    bank.add(np.array([0j]), np.array([0.01]), 100.0)
+    drive = 1.0
+    for k in range(int(seconds / step)):
+        if k % 20 == 0:
+            drive = np.exp(1j * rng.uniform(-np.pi, np.pi))
+        if change_at is not None and k == int(change_at / step):
+            c = c * factor
+        place += c * drive * step + np.sqrt(2 * 0.04 * step) * complex(*rng.normal(size=2))
+        bank.predict(np.array([drive * step]), np.zeros(1), 2 * 0.04 * step, np.array([1e-6]))
+        z = place + 0.05 * complex(*rng.normal(size=2))
+        bank.update(np.array([z]), np.array([0.0025]), np.array([True]))
+        if k % 5 == 4:
+            bank.tick(1e-4, np.abs(bank.c[0]) ** 2 / 2, 100.0)
+        seen.append(bank.combined())
+    return c, seen
+
+
+@pytest.mark.parametrize('factor', [0.5, np.exp(1j)])
+def test_a_change_is_followed_within_seconds(factor):
+    rng = np.random.default_rng(1)
+    errors = []
+    for _ in range(10):
+        c, seen = simulate(rng, PhasorBank(7), 15.0, factor)
+        late = seen[int(18.0 / 0.05)]
+        errors.append(abs(late['c'][0] - c))
+        assert abs(seen[int(14.9 / 0.05)]['c'][0] - 4) < 0.5
+    # Three seconds of diffusion alone leave √(2·2D/T) = 0.23.
+    assert np.sqrt(np.mean(np.square(errors))) < 0.35
+
+
+def test_without_a_change_nothing_is_lost():
+    rng = np.random.default_rng(2)
+    several, single = [], []
+    for _ in range(12):
+        state = rng.bit_generator.state
+        several.append(abs(simulate(rng, PhasorBank(7))[1][-1]['c'][0] - 4))
+        rng.bit_generator.state = state
+        single.append(abs(simulate(rng, Single())[1][-1]['c'][0] - 4))
+    assert np.sqrt(np.mean(np.square(several))) < 1.05 * np.sqrt(np.mean(np.square(single)))
+
+
+class Single(PhasorBank):
+    """A bank that never considers a change."""
+
+    def __init__(self):
+        super().__init__(1)
+
+    def tick(self, *_):
+        return np.zeros(self.count)
+
+
+def test_state_stays_finite_and_covariance_positive_over_millions_of_hostile_steps():
+    rng = np.random.default_rng(3)
+    count, steps = 2000, 1200
+    bank = PhasorBank(7)
+    scale = 10.0 ** rng.uniform(-9, 2, count)
+    bank.add(scale * rng.normal(size=count), scale**2, 1.0)
+    for k in range(steps):
+        drive = 10.0 ** rng.uniform(-9, 3) * np.exp(1j * rng.uniform(-3, 3, count))
+        bank.predict(drive * (rng.random() < 0.8), rng.normal(size=count) * 1e-3,
+                     10.0 ** rng.uniform(-18, 2), 10.0 ** rng.uniform(-18, 0, count))
+        noise = 10.0 ** rng.uniform(-20, 4, count)
+        z = rng.normal(size=count) * 10.0 ** rng.uniform(-9, 6, count)
+        bank.update(z, noise, rng.random(count) < 0.7)
+        if k % 3 == 0:
+            bank.tick(1e-5, np.abs(bank.c[0]) ** 2 / 2 + 1e-12, 1e3)
+        if k % 40 == 0:
+            bank.restart_position(z, noise, rng.random(count) < 0.01)
+        assert np.isfinite(bank.p).all()
+        assert np.isfinite(bank.c).all()
+        # The factors of the covariance: positive means positive definite.
+        assert (bank.p_var > 0).all()
+        assert (bank.c_var > 0).all()
+        assert np.isfinite(bank.g).all()
+    weights = bank.weights()
+    np.testing.assert_allclose(weights.sum(axis=0), 1)

@@ -1,0 +1,111 @@
+"""The batch fit on simulated and real recordings, beside the paper's recipe."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from microbot_ros.errors import InputError
+from microbot_ros.estimation import report
+from microbot_ros.estimation.batch import fit
+from microbot_ros.estimation.recipe import one_leg
+from microbot_ros.model.particle import Fluid, translational_diffusion
+from microbot_ros.records import Commands, Conditions, Session, Tracks
+from microbot_ros.session import read_session
+from microbot_ros.virtual_rig.commands import steps
+from microbot_ros.virtual_rig.experiment import Camera, draw_swarm, perform
+from microbot_ros.virtual_rig.hidden import hide
+from microbot_ros.virtual_rig.world import World
+
+FIELD = 5e-3
+FLUID = Fluid(1.245e-3)
+CONDITIONS = Conditions(radius=4.6e-6, viscosity=1.245e-3, reference_field=FIELD)
+ROLLING = Path(__file__).parents[2].parent / 'shared' / 'data' / 'rolling_robot'
+
+
+def experiment(seed, hidden=None, seconds=30.0):
+    rng = np.random.default_rng(seed)
+    swarm = draw_swarm(rng, 3, FLUID, FIELD, half_extent=300e-6, spacing=100e-6)
+    gain = swarm['speed'] * np.exp(1j * swarm['phi'])
+    if hidden:
+        hide(swarm, *hidden, reference_field=FIELD)
+    session, _ = perform(World(swarm, rng), steps(rng, seconds, FIELD, (2.0, 6.0)),
+                         Camera(20.0, 0.0, 0.1e-6, 0.05), seconds, rng, CONDITIONS)
+    return session, gain
+
+
+def test_everything_comes_out_within_its_spread():
+    off = []
+    for seed in range(6):
+        session, gain = experiment(seed)
+        result = fit(session)
+        off += list((result.swims.speed - np.abs(gain)) / result.swims.speed_std)
+        off += list(np.angle(np.exp(1j * result.swims.phi) / gain) / result.swims.phi_std)
+        assert result.noise.diffusion == pytest.approx(
+            translational_diffusion(FLUID, 4.6e-6), abs=4 * result.noise.diffusion_std)
+        assert result.noise.localisation == pytest.approx(0.1e-6, rel=0.1)
+        assert not [text for text in result.warnings if 'Stokes' in text or 'too large' in text]
+    # 36 deviates: their root mean square strays by 0.12.
+    assert 0.65 < np.sqrt(np.mean(np.square(off))) < 1.4
+
+
+def test_a_delay_is_used_only_where_the_data_demand_it():
+    session, gain = experiment(1, ('command_delay', {'delay_s': 0.2}))
+    late = fit(session)
+    assert late.delay.value == pytest.approx(0.2, abs=4 * late.delay.std)
+    np.testing.assert_allclose(late.swims.speed, np.abs(gain), rtol=0.06)
+    assert fit(experiment(1)[0]).delay.value == 0.0
+
+
+def test_the_recipe_is_a_regression_over_the_longest_leg():
+    session, _ = experiment(2)
+    leg = one_leg(session)[0]
+    track = session.tracks.of(0)
+    inside = (track.t >= leg.start) & (track.t <= leg.end)
+    slope = np.polyfit(track.t[inside], track.position[inside], 1)[0]
+    assert leg.speed == pytest.approx(np.hypot(*slope))
+    u = session.commands.field_at(leg.start)
+    turned = np.arctan2(slope[1], slope[0]) - np.arctan2(u[1], u[0])
+    assert np.exp(1j * leg.phi) == pytest.approx(np.exp(1j * turned))
+    lengths = np.diff(np.append(session.commands.t, track.t[-1]))
+    assert leg.end - leg.start == pytest.approx(lengths.max(), abs=0.2)
+
+
+def test_a_jump_is_left_out_and_said():
+    session, gain = experiment(3)
+    moved = session.tracks.position + 40e-6 * (session.tracks.t > 15)[:, None]
+    tracks = Tracks(session.tracks.t, session.tracks.particle, moved, session.tracks.theta,
+                    session.tracks.sigma)
+    result = fit(Session(tracks, session.commands, session.conditions))
+    np.testing.assert_allclose(result.swims.speed, np.abs(gain), rtol=0.08)
+    assert sum('too large for diffusion' in text for text in result.warnings) == 3
+
+
+def test_without_commands_there_is_noise_but_no_speed():
+    session, _ = experiment(4, seconds=8.0)
+    result = fit(Session(session.tracks, Commands(np.empty(0), np.empty((0, 2))), CONDITIONS))
+    assert np.isnan(result.swims.speed).all()
+    assert any('nothing was driven' in text for text in result.warnings)
+    content = report.as_json(result)
+    assert content['particles']['0']['v_um_s'] == {'value': None, 'std': None}
+    json.dumps(content, allow_nan=False)
+
+
+def test_too_little_is_an_input_error():
+    tracks = Tracks(np.array([0.0, 0.1]), np.zeros(2, int), np.zeros((2, 2)), *np.zeros((2, 2)))
+    with pytest.raises(InputError, match='at least 4 frames'):
+        fit(Session(tracks, Commands(np.empty(0), np.empty((0, 2))), CONDITIONS, 'short'))
+
+
+@pytest.mark.skipif(not ROLLING.is_dir(), reason='the recording of a rolling robot is not here')
+def test_the_rolling_robot():
+    result = fit(read_session(ROLLING))
+    fast = [band for band in result.bands if band.low >= 10]
+    for band in fast:
+        assert abs(band.gain) * 1e6 == pytest.approx(3.0, abs=0.1)
+    assert np.degrees(result.swims.phi[0]) == pytest.approx(-14, abs=1)
+    assert any('φ and delay cannot be told apart' in text for text in result.warnings)
+    assert any('gain is not constant in frequency' in text for text in result.warnings)
+    assert np.isnan(result.force).all()
+    assert 'gain_um_s_hz' in report.as_json(result)['particles']['0']

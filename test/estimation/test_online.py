@@ -1,0 +1,290 @@
+"""The online estimator on simulated experiments of every kind, and on everything that goes wrong."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from microbot_ros.errors import InputError
+from microbot_ros.estimation.online import Estimator, Settings
+from microbot_ros.model.effects.alignment_lag import AlignmentLag
+from microbot_ros.model.effects.linear_flow import LinearFlow
+from microbot_ros.model.model import Model, ParticleParameters
+from microbot_ros.model.model_file import write_model
+from microbot_ros.model.particle import Fluid
+from microbot_ros.records import Commands, Conditions
+from microbot_ros.virtual_rig.commands import steps
+from microbot_ros.virtual_rig.experiment import Camera, draw_swarm, perform
+from microbot_ros.virtual_rig.hidden import hide
+from microbot_ros.virtual_rig.world import World
+
+FIELD = 5e-3
+CONDITIONS = Conditions(radius=4.6e-6, viscosity=1.245e-3, reference_field=FIELD)
+
+
+def experiment(seed, seconds=20.0, hidden=None, **camera):
+    """A filmed session of three swimmers far apart, and their true c."""
+    rng = np.random.default_rng(seed)
+    swarm = draw_swarm(rng, 3, Fluid(1.245e-3), FIELD, half_extent=300e-6, spacing=100e-6)
+    gain = swarm['speed'] * np.exp(1j * swarm['phi'])
+    if hidden:
+        hide(swarm, *hidden, reference_field=FIELD)
+    commands = steps(rng, seconds, FIELD, (1.0, 3.0))
+    shot = Camera(**{'frame_rate': 20.0, 'noise': 0.1e-6, **camera})
+    session, _ = perform(World(swarm, rng), commands, shot, seconds, rng, CONDITIONS)
+    return session, gain
+
+
+def replay(session, estimator=None):
+    estimator = estimator or Estimator(session.conditions)
+    times, positions = session.tracks.grid()
+    sent, out = 0, []
+    for t, position in zip(times, positions, strict=True):
+        while sent < len(session.commands.t) and session.commands.t[sent] <= t:
+            estimator.command(session.commands.t[sent], session.commands.field[sent])
+            sent += 1
+        out.append(estimator.update(t, session.tracks.particles, position))
+    return out
+
+
+def deviations(estimates, gain):
+    turned = np.angle(np.exp(1j * estimates.phi) * np.conj(gain))
+    return np.concatenate([
+        (estimates.speed - np.abs(gain)) / estimates.speed_std, turned / estimates.phi_std])
+
+
+@pytest.mark.parametrize('camera', [
+    {}, {'noise': 0.02e-6}, {'noise': 0.3e-6}, {'missed': 0.2, 'run': 4.0, 'dropped': 0.05},
+    {'exposure': 1.0},
+], ids=str)
+def test_speed_and_direction_come_out_within_their_spread(camera):
+    off = []
+    for seed in range(3):
+        session, gain = experiment(seed, **camera)
+        exposure = camera.get('exposure', 0.0) / 20.0
+        last = replay(session, Estimator(CONDITIONS, Settings(exposure=exposure)))[-1]
+        assert last.known.all()
+        off.append(deviations(last, gain))
+        np.testing.assert_allclose(last.speed, np.abs(gain), rtol=0.12)
+    # 18 deviates of unit variance: their root mean square strays by 0.17.
+    assert 0.5 < np.sqrt(np.mean(np.square(off))) < 1.6
+
+
+def test_force_carries_the_spread_of_viscosity_and_radius():
+    session, _ = experiment(0, 6.0)
+    last = replay(session)[-1]
+    drag = 6 * np.pi * 1.245e-3 * 4.6e-6
+    np.testing.assert_allclose(last.force, drag * last.speed)
+    relative = np.sqrt((last.speed_std / last.speed) ** 2 + 0.05**2 + 0.05**2)
+    np.testing.assert_allclose(last.force_std / last.force, relative)
+
+
+def test_prediction_is_where_particles_will_be():
+    session, _ = experiment(1, 15.0)
+    estimates = replay(session)
+    off = []
+    for now, then in zip(estimates[200:-10], estimates[210:], strict=True):
+        turned = session.commands.index_at(now.t) != session.commands.index_at(then.t)
+        if not turned:
+            off.append((then.position - now.prediction) / now.prediction_std[:, None])
+    assert 0.7 < np.sqrt(np.mean(np.square(off))) < 1.3
+
+
+def test_delay_is_found_and_used():
+    session, gain = experiment(2, hidden=('command_delay', {'delay_s': 0.15}))
+    last = replay(session)[-1]
+    assert abs(last.delay - 0.15) < 4 * last.delay_std + 1e-3
+    assert last.delay_std < 0.02
+    assert np.sqrt(np.mean(deviations(last, gain) ** 2)) < 1.8
+
+
+def test_nothing_is_claimed_before_the_command_excites():
+    estimator = Estimator(CONDITIONS)
+    rng = np.random.default_rng(0)
+    for k in range(100):
+        found = estimator.update(k / 20, [4], 1e-7 * rng.normal(size=(1, 2)))
+    assert not found.known[0]
+    assert np.isnan([found.speed[0], found.phi[0], found.force[0]]).all()
+    assert any('no command' in text for text in found.diagnosis)
+
+
+def test_what_one_way_turning_confounds_is_said():
+    commands = Commands(np.arange(0, 12, 0.1), FIELD * np.stack(
+        [np.cos(0.6 * np.arange(120)), np.sin(0.6 * np.arange(120))], axis=-1))
+    rng = np.random.default_rng(0)
+    swarm = draw_swarm(rng, 2, Fluid(1.245e-3), FIELD)
+    session, _ = perform(World(swarm, rng), commands, Camera(20.0, 0.0, 1e-7), 12.0, rng,
+                         CONDITIONS)
+    said = {text for found in replay(session) for text in found.diagnosis}
+    assert any(text.startswith('φ and delay cannot be told apart') for text in said)
+
+
+def test_under_one_constant_command_drift_hides():
+    straight = Commands(np.zeros(1), np.array([[FIELD, 0.0]]))
+    rng = np.random.default_rng(0)
+    swarm = draw_swarm(rng, 2, Fluid(1.245e-3), FIELD)
+    session, _ = perform(World(swarm, rng), straight, Camera(20.0, 0.0, 1e-7), 10.0, rng,
+                         CONDITIONS)
+    last = replay(session)[-1]
+    for name in ('speed', 'φ'):
+        assert any(
+            text.startswith(f'{name} and drift cannot be told apart') for text in last.diagnosis)
+
+
+@pytest.mark.parametrize(('hidden', 'effect'), [
+    (('alignment_lag', {'tau_s': 0.4}), AlignmentLag(0.4)),
+    (('linear_flow', {'gxx_per_s': 0.0, 'gxy_per_s': 0.02, 'gyx_per_s': 0.0, 'gyy_per_s': 0.0}),
+     LinearFlow(0.0, 0.02, 0.0, 0.0)),
+])
+def test_an_extended_model_filters_what_the_plain_one_cannot(tmp_path, hidden, effect):
+    session, gain = experiment(5, hidden=hidden)
+    nobody = ParticleParameters(np.empty(0, int), np.empty(0), np.empty(0))
+    write_model(tmp_path / 'model.yaml', Model(FIELD, effects=(effect,)), nobody)
+    extended = Estimator(CONDITIONS)
+    extended.load(tmp_path / 'model.yaml')
+    with_effect = deviations(replay(session, extended)[-1], gain)
+    without = deviations(replay(session)[-1], gain)
+    assert np.sqrt(np.mean(with_effect**2)) < 1.7
+    assert np.sqrt(np.mean(without**2)) > 2
+
+
+def test_a_bad_model_file_is_refused_and_the_old_model_kept(tmp_path):
+    estimator = Estimator(CONDITIONS, model=Model(FIELD, effects=(AlignmentLag(0.4),)))
+    before = estimator.model
+    bad = tmp_path / 'model.yaml'
+    bad.write_text('effects: {no_such_effect: {}}\n')
+    with pytest.raises(InputError, match=r'model\.yaml'):
+        estimator.load(bad)
+    nobody = ParticleParameters(np.empty(0, int), np.empty(0), np.empty(0))
+    write_model(bad, Model(FIELD, 'rolling'), nobody)
+    with pytest.raises(InputError, match='propulsion'):
+        estimator.load(bad)
+    assert estimator.model is before
+
+
+def spoiled(change, seconds=15.0, seed=3):
+    """The diagnosis over a run whose positions (T, N, 2) were changed after 10 s."""
+    session, _ = experiment(seed, seconds)
+    times, positions = session.tracks.grid()
+    change(times, positions)
+    estimator, said, sent = Estimator(CONDITIONS), set(), 0
+    for t, position in zip(times, positions, strict=True):
+        while sent < len(session.commands.t) and session.commands.t[sent] <= t:
+            estimator.command(session.commands.t[sent], session.commands.field[sent])
+            sent += 1
+        found = estimator.update(t, [0, 1, 2], position)
+        assert np.isfinite(found.position).all()
+        said |= {text for text in found.diagnosis if t > 10}
+    return found, said
+
+
+def test_a_particle_that_is_stuck_is_named():
+    def stick(times, positions):
+        positions[times > 10, 1] = positions[times > 10][0, 1]
+
+    _, said = spoiled(stick)
+    assert 'particle 1 does not follow the field: stuck, or not a swimmer?' in said
+    assert not any('particle 0' in text or 'particle 2' in text for text in said)
+
+
+def test_a_particle_that_jumps_is_named_and_followed():
+    def jump(times, positions):
+        positions[times > 10, 2] += 30e-6
+
+    found, said = spoiled(jump)
+    assert any(text.startswith('particle 2 jumped by 42') for text in said)
+    assert found.known.all()
+    assert found.position_std[2] < 0.3e-6
+
+
+def test_two_tracks_of_one_particle_are_named():
+    def double(times, positions):
+        rng = np.random.default_rng(0)
+        positions[:, 2] = positions[:, 1] + 0.05e-6 * rng.normal(size=positions[:, 1].shape)
+
+    _, said = spoiled(double)
+    assert 'particles 1 and 2 are at the same place: two tracks of one particle?' in said
+
+
+def test_what_is_not_a_number_is_named_and_left_out():
+    def spoil(times, positions):
+        positions[times > 10, 0] = np.nan
+
+    found, said = spoiled(spoil)
+    assert 'particle 0 was reported at a place that is not a number' in said
+    assert list(found.seen) == [False, True, True]
+
+
+def test_the_model_node_is_told_when_the_model_stops_explaining():
+    def drift(times, positions):
+        positions[..., 0] += 2e-6 * np.maximum(times - 10, 0)[:, None]
+
+    _, said = spoiled(drift, 16.0)
+    assert any('carried along' in text and 'microbot discover' in text for text in said)
+
+
+@pytest.mark.parametrize(('offset', 'side'), [(1e4, 'after'), (-1e9, 'before')])
+def test_commands_from_another_clock_are_noticed(offset, side):
+    estimator = Estimator(CONDITIONS)
+    estimator.command(offset, [FIELD, 0])
+    for k in range(10):
+        found = estimator.update(1.0 + k, [0], [[0, 0]])
+    assert any(f'{side} the frames: another clock?' in text for text in found.diagnosis)
+
+
+def test_frames_and_commands_out_of_order_are_ignored_and_said():
+    estimator = Estimator(CONDITIONS)
+    estimator.command(0.0, [FIELD, 0])
+    estimator.command(-0.5, [FIELD, 0])
+    estimator.command(0.1, [np.nan, 0])
+    first = estimator.update(1.0, [0], [[0, 0]])
+    for t in (1.0, 0.9, np.nan, np.inf):
+        again = estimator.update(t, [0], [[5e-6, 0]])
+        np.testing.assert_array_equal(again.position, first.position)
+    assert any('not later' in text for text in again.diagnosis)
+    assert any('not finite' in text for text in again.diagnosis)
+    assert any('before it: ignored' in text for text in again.diagnosis)
+
+
+def test_a_clock_set_back_starts_anew():
+    session, gain = experiment(0, 8.0)
+    estimator = Estimator(CONDITIONS)
+    replay(session, estimator)
+    again = replay(session, estimator)
+    assert any('set back' in text for text in again[0].diagnosis)
+    np.testing.assert_allclose(again[-1].speed, np.abs(gain), rtol=0.2)
+
+
+def test_particles_come_and_go():
+    estimator = Estimator(CONDITIONS, Settings(forget_after=1.0))
+    estimator.command(0.0, [FIELD, 0])
+    estimator.update(0.0, [7, 3], [[0, 0], [1e-5, 0]])
+    found = estimator.update(0.5, [3, 9], [[1e-5, 0], [2e-5, 0]])
+    assert list(found.id) == [3, 7, 9]
+    assert list(found.seen) == [True, False, True]
+    assert list(estimator.update(1.4, [3], [[1e-5, 0]]).id) == [3, 9]
+    empty = estimator.update(9.0, [], np.empty((0, 2)))
+    assert empty.id.shape == empty.speed.shape == (0,)
+
+
+rows = st.lists(
+    st.tuples(st.integers(0, 4), st.floats(allow_nan=True, allow_infinity=True, width=32),
+              st.floats(-1e-3, 1e-3)), max_size=6)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(
+    st.floats(-0.5, 2.0), rows, st.floats(-1, 1) | st.just(np.nan), st.booleans()), max_size=25))
+def test_no_input_breaks_it(script):
+    estimator, t = Estimator(CONDITIONS), 0.0
+    for step, readings, bx, commanded in script:
+        t += step
+        if commanded:
+            estimator.command(t, [bx, FIELD])
+        ids = [name for name, _, _ in readings]
+        found = estimator.update(
+            t, ids, np.array([[x, y] for _, x, y in readings]).reshape(-1, 2))
+        assert np.isfinite(found.position).all()
+        assert (found.position_std > 0).all()
+        assert (found.speed_std[found.known] > 0).all()
+        assert np.isfinite(found.prediction_std).all()
