@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -13,6 +14,7 @@ from geometry_msgs.msg import PoseArray, PoseStamped, Vector3Stamped
 from nav_msgs.msg import Path
 from sensor_msgs.msg import Joy, PointCloud2
 from std_msgs.msg import String
+from visualization_msgs.msg import MarkerArray
 
 from microbot_ros.control.contract import FieldCommand, Goals, Limits, Result, Situation, Workspace
 from microbot_ros.control.registry import PluginError, controller_classes
@@ -22,8 +24,11 @@ from microbot_ros.model.model import Model
 from microbot_ros.model.model_file import read_model
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import ERROR, LATCHED, OK, WARN, RigNode
+from microbot_ros.nodes.markers import markers
 from microbot_ros.nodes.parameters import ParameterSet
 from microbot_ros.settings import defaults, setting
+
+_MARKERS_SECONDS = 0.2
 
 
 @dataclass(frozen=True)
@@ -100,6 +105,8 @@ class ControllerNode(RigNode):
         self._outcome = Outcome(None, Result.STALE, 'no poses yet')
         self._model: tuple[str, Model | None] = ('', None)
         self._commands = self.publisher(Vector3Stamped, 'field/command')
+        self._markers = self.publisher(MarkerArray, 'markers')
+        self._markers_due = 0.0
         self._rotations = self.publisher(Vector3Stamped, 'field/rotation')
         self.publisher(String, '~/controllers', LATCHED).publish(
             String(data=yaml.safe_dump(self._summaries, sort_keys=False)))
@@ -146,6 +153,9 @@ class ControllerNode(RigNode):
         points = messages.points(message, messages.ESTIMATE)
         stamp = messages.to_seconds(message.header.stamp)
         self._tick(self._situation(points, stamp), message.header.stamp)
+        if self._markers.get_subscription_count() and time.monotonic() > self._markers_due:
+            self._markers_due = time.monotonic() + _MARKERS_SECONDS
+            self._markers.publish(markers(points, self._goals.position, message.header.stamp))
 
     def _on_goals(self, message: PoseArray) -> None:
         self._goals = Goals(np.array(

@@ -13,6 +13,7 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
+from visualization_msgs.msg import MarkerArray
 
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import LATCHED
@@ -127,6 +128,18 @@ def test_what_there_is_is_latched(ros: Any) -> None:
     listed = loop.graph.hear(String, 'controller/controllers', LATCHED)
     loop.graph.until(lambda: listed)
     assert {'hold', 'open_loop', 'waypoint'} <= set(yaml.safe_load(listed[0].data))
+
+
+def test_viewers_get_particles_and_goals(ros: Any) -> None:
+    loop = Loop(ros)
+    drawn = loop.graph.hear(MarkerArray, 'markers')
+    loop.go((50e-6, 20e-6), (math.nan, 0.0))
+    loop.graph.until(lambda: len(loop.node._goals) == 2)
+    loop.graph.until(lambda: loop.see(x=1e-5) or drawn)
+    by_name = {marker.ns: marker for marker in drawn[-1].markers}
+    assert [point.x for point in by_name['goals'].points] == pytest.approx([50e-6])
+    assert [point.x for point in by_name['particles'].points] == pytest.approx([1e-5])
+    assert by_name['labels'].text == '0: 4.0 µm/s'
 
 
 def test_each_keeps_its_parameters(ros: Any) -> None:
