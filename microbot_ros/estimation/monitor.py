@@ -63,7 +63,7 @@ SUSPICIONS = {s.name: s for s in (
     Suspicion('swimming', 0.02, 'speed or direction changes faster than can be followed (fuel, '
               f'slip?): {_RUN}', 1e-2),
     Suspicion('memory', 0.06, 'residuals remember the one before (noise levels, heading noise, '
-              f'vibration?): {_RUN}', 1e-3),
+              f'vibration?): {_RUN}', 0.03),
     Suspicion('size', 0.0, 'residuals are larger or smaller than the noise explains (focus, '
               'tracking, something new?): look at the picture, then run: microbot fit SESSION',
               1e-2),
