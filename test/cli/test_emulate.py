@@ -49,6 +49,7 @@ def test_it_takes_over_a_stale_link_and_leaves_files_alone(tmp_path):
     ['--fault', 'flop'], ['--fault', 'flip=2'], ['--fault', 'flip=nan'], ['--fault', 'open=5'],
     ['--fault', 'open=1.5'], ['--fault', 'flip@'], ['--fault', 'unplug@1.2.3'],
     ['--watchdog-ms', '0'], ['--watchdog-ms', 'nan'], ['--watchdog-ms', 'inf'],
+    ['--watchdog-ms', '50', '--no-watchdog'],
     ['--full-scale-A', '0'], ['--full-scale-A', 'nan'], ['--full-scale-A', '-1'],
     ['--log', '/nowhere/at/all'], ['--link', '/nowhere/at/all'],
 ])
@@ -58,6 +59,14 @@ def test_a_bad_option_is_one_line_and_leaves_nothing(tmp_path, options):
     assert done.stdout == ''
     assert len(done.stderr.strip().splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize('option', [['--watchdog-ms', '50'], ['--no-watchdog']])
+def test_a_watchdog_that_the_protocol_does_not_have_is_refused(tmp_path, option):
+    done = subprocess.run([*COMMAND[:-1], 'modbus', '--link', tmp_path / 'coils', *option],
+                          capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2
+    assert 'for serial_transfer only' in done.stderr
 
 
 def test_help_shows_an_example():
