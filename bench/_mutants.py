@@ -24,6 +24,7 @@ _SWAPPED: dict[type, tuple[type, ...]] = {
     ast.Is: (ast.IsNot,), ast.IsNot: (ast.Is,), ast.Add: (ast.Sub,), ast.Sub: (ast.Add,),
     ast.Mult: (ast.Div,), ast.Div: (ast.Mult,), ast.And: (ast.Or,), ast.Or: (ast.And,),
 }
+_WORKERS = os.cpu_count() or 1
 _RENAMED = {'min': 'max', 'max': 'min', 'all': 'any', 'any': 'all', 'abs': 'float'}
 
 
@@ -92,11 +93,31 @@ def _delete(node: ast.AST) -> str | None:
     return None
 
 
-def survives(module: str, mutant: ast.Module, tests: Path) -> bool:
-    """Whether all tests pass with the mutant in the module's place."""
+def survivors(module: str, tests: Path) -> tuple[int, list[str]]:
+    """How many mutants there are, and what the tests did not notice."""
+    path = importlib.import_module(module).__file__
+    found = list(mutants(Path(path or '').read_text(encoding='utf-8')))
+    running: dict[int, str] = {}
+    alive: list[str] = []
+    waiting = list(reversed(found))
+    while waiting or running:
+        while waiting and len(running) < _WORKERS:
+            what, mutant = waiting.pop()
+            running[_try(module, mutant, tests)] = what
+        child, status = os.wait()
+        what = running.pop(child)
+        if os.waitstatus_to_exitcode(status) == 0:
+            alive.append(what)
+    return len(found), alive
+
+
+def _try(module: str, mutant: ast.Module, tests: Path) -> int:
+    """Run the tests with the mutant in the module's place, in a process that ends with 0 if all
+    pass; its id.
+    """
     child = os.fork()
     if child:
-        return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+        return child
     code = 1
     try:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
@@ -105,17 +126,8 @@ def survives(module: str, mutant: ast.Module, tests: Path) -> bool:
         sys.modules[module] = replaced
         exec(compile(mutant, module, 'exec'), replaced.__dict__)
         code = int(pytest.main(['-x', '-q', '--timeout', '60', '-p', 'no:xdist', str(tests)]))
-    except BaseException:
-        code = 1
     finally:
         os._exit(code)
-
-
-def survivors(module: str, tests: Path) -> tuple[int, list[str]]:
-    """How many mutants there are, and what the tests did not notice."""
-    path = importlib.import_module(module).__file__
-    found = list(mutants(Path(path or '').read_text(encoding='utf-8')))
-    return len(found), [what for what, mutant in found if survives(module, mutant, tests)]
 
 
 if __name__ == '__main__':

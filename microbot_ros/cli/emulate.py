@@ -37,8 +37,8 @@ class _Within(click.FloatRange):
 @click.option('--fault', 'faults', multiple=True, metavar='KIND[=VALUE][@START][+DURATION]',
               help='What goes wrong, when and for how long [s]; may be repeated. A single - reads '
                    'faults from standard input, one a line, as they come.')
-def command(protocol: str, link: Path, log: Path | None, full_scale_a: float, watchdog_ms: float | None,
-            no_watchdog: bool, faults: tuple[str, ...]) -> None:
+def command(protocol: str, link: Path, log: Path | None, full_scale_a: float,
+            watchdog_ms: float | None, no_watchdog: bool, faults: tuple[str, ...]) -> None:
     """Emulate an amplifier that speaks PROTOCOL on a pseudo-terminal, until Ctrl-C or SIGTERM.
 
     The watchdog of a serial_transfer board is on, as in the project's reference firmware;
