@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from microbot_ros.discovery.evidence import Evidence
+from microbot_ros.discovery.experiment import next_experiment
 from microbot_ros.discovery.held_out import held_out_gap, log_e_value
 from microbot_ros.discovery.ladder import Ladder, contribution
 from microbot_ros.discovery.likelihood import Fit
@@ -17,7 +18,6 @@ from microbot_ros.discovery.result import (
     Limit,
     NamedEffect,
     Particle,
-    ResidualMap,
     Status,
     Verdict,
 )
@@ -25,7 +25,7 @@ from microbot_ros.discovery.screen import screen
 from microbot_ros.discovery.search import Found
 from microbot_ros.estimation.phasor import polar
 from microbot_ros.model.effect import Effect
-from microbot_ros.model.model import ParticleParameters
+from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.parameter import Parameter
 from microbot_ros.model.particle import Fluid, stokes_drag
 from microbot_ros.records import Session
@@ -40,11 +40,13 @@ ONE_SIDED = 1.645
 
 
 def discover(sessions: Sequence[Session],
-             report: Callable[[str], None] = lambda _: None) -> Discovery:
+             report: Callable[[str], None] = lambda _: None,
+             truth: Model | None = None) -> Discovery:
     """Find, name and prove what the first-order model misses on sessions of one rig.
 
     Sessions share the effects; every session has its own particles and noise. `report` is told
-    what is being done. Raises InputError where nothing can be learnt, and says what could.
+    what is being done; `truth`, where it is known, is only judged by its gap. Raises InputError
+    where nothing can be learnt, and says what could.
     """
     evidences, remarks = screen(sessions)
     ladder = Ladder(evidences)
@@ -56,21 +58,23 @@ def discover(sessions: Sequence[Session],
     after = residual_maps(ladder.fit) if ladder.fit.model.effects else before
     clean = not any(m.fires for m in after)
     report('comparing with what could stand in')
-    effects = tuple(_name(ladder, effect, clean) for effect in ladder.fit.model.effects)
-    effects += _suggested(ladder, clean)
+    named = [_name(ladder, effect, clean) for effect in ladder.fit.model.effects]
+    named += _suggested(ladder, clean)
+    effects = tuple(effect for effect, _ in named)
+    rivals = [rival for _, models in named for rival in models]
     report('predicting what was held out')
     fit = ladder.fit
     return Discovery(
         verdict=_verdict(effects, clean),
         effects=tuple(sorted(effects, key=lambda e: -e.delta_bic)),
-        gap=held_out_gap(start, fit),
+        gap=held_out_gap(start, fit, truth),
         maps_before=before, maps_after=after, ladder=tuple(ladder.rungs),
         limits=tuple(limit for found in ladder.open for limit in _limits(found)),
         baseline=_particles(fit),
         diffusion=_mean([Estimate(p.diffusion, p.diffusion * np.sqrt(2 / p.freedom))
                          for p in fit.parts]),
         localisation=_localisation(fit),
-        next_experiment=None,
+        next_experiment=next_experiment(fit, rivals),
         model=fit.model,
         particles=ParticleParameters.from_velocity(
             fit.parts[-1].evidence.ids, fit.parts[-1].swim),
@@ -84,12 +88,12 @@ def _verdict(effects: Sequence[NamedEffect], clean: bool) -> Verdict:
     return 'named' if any(e.status == 'established' for e in effects) else 'consistent'
 
 
-def _name(ladder: Ladder, effect: Effect, clean: bool) -> NamedEffect:
-    """An effect of the final model with its evidence and its rivals."""
+def _name(ladder: Ladder, effect: Effect, clean: bool) -> tuple[NamedEffect, list[Model]]:
+    """An effect of the final model with its evidence, and the models with its rivals instead."""
     own = contribution(ladder.fit, effect.id)
     gain = log_e_value(ladder.fit, effect.id)
     status: Status = 'established' if gain > HELD_OUT else 'suggested'
-    rivals = tuple(r.id for r in ladder.rivals(effect.id) if _close(r, own))
+    rivals = [rival for rival in ladder.rivals(effect.id) if _close(rival, own)]
     return _entry(own, status if clean else 'proxy', gain, rivals)
 
 
@@ -99,19 +103,21 @@ def _close(rival: Found, own: Found) -> bool:
             or rival.likelihood_ratio > own.likelihood_ratio - CLOSE)
 
 
-def _suggested(ladder: Ladder, clean: bool) -> tuple[NamedEffect, ...]:
+def _suggested(ladder: Ladder, clean: bool) -> list[tuple[NamedEffect, list[Model]]]:
     """The best candidate that BIC alone would take."""
     best = max(ladder.open, key=lambda c: c.delta_bic, default=None)
     if best is None or best.delta_bic <= 0 or not clean:
-        return ()
-    rivals = tuple(c.id for c in ladder.open if c is not best and _close(c, best))
-    return (_entry(best, 'suggested', log_e_value(best.fit, best.id), rivals),)
+        return []
+    rivals = [c for c in ladder.open if c is not best and _close(c, best)]
+    return [_entry(best, 'suggested', log_e_value(best.fit, best.id), rivals)]
 
 
-def _entry(found: Found, status: Status, gain: float, rivals: tuple[str, ...]) -> NamedEffect:
-    return NamedEffect(
+def _entry(found: Found, status: Status, gain: float,
+           rivals: list[Found]) -> tuple[NamedEffect, list[Model]]:
+    effect = NamedEffect(
         found.id, status, _estimates(found.fit, found.id), found.delta_bic, found.p_value,
-        float(np.exp(min(gain, 700.0))), rivals)
+        float(np.exp(min(gain, 700.0))), tuple(rival.id for rival in rivals))
+    return effect, [rival.fit.model for rival in rivals]
 
 
 def _deviations(fit: Fit, name: str) -> list[tuple[Parameter, float, float]]:
@@ -179,7 +185,3 @@ def _mean(values: list[Estimate]) -> Estimate:
     value, std = (np.array([getattr(e, part) for e in values]) for part in ('value', 'std'))
     return Estimate(float(value.mean()), float(np.sqrt((std**2).sum()) / len(values)))
 
-
-def fired(maps: Sequence[ResidualMap]) -> list[str]:
-    """What the maps that fire are against."""
-    return [m.against for m in maps if m.fires]

@@ -16,6 +16,15 @@ from microbot_ros.records import Commands, Conditions, Session
 FORGOTTEN = 5.0
 """Alignment times after which the heading has forgotten where it began."""
 
+CONTACT, BLUR = 1.05, 3.0
+"""How near spheres may touch between frames: in distances of contact, and in usual steps more."""
+
+LARGEST_CONTACT = 30e-6
+"""Particles that never came closer than this [m] did not touch."""
+
+FEWEST = 20
+"""Rows that make a piece of a track worth keeping."""
+
 
 @dataclass(frozen=True)
 class Evidence:
@@ -48,10 +57,9 @@ class Evidence:
         keep = times >= first_field(commands)
         times, positions = times[keep], positions[keep]
         z = positions[..., 0] + 1j * positions[..., 1]
-        seen = np.isfinite(z)
         return cls(
-            session.name, session.tracks.particles, times, np.where(seen, z, 0), seen, positions,
-            commands, session.conditions)
+            session.name, session.tracks.particles, times, np.nan_to_num(z), np.isfinite(z),
+            positions, commands, session.conditions)
 
     @cached_property
     def timeline(self) -> Timeline:
@@ -82,6 +90,43 @@ class Evidence:
     def within(self, frames: np.ndarray) -> Evidence:
         """With only some frames (T,) bool used; the others still count as time that passes."""
         return replace(self, seen=self.seen & frames[:, None])
+
+    def without_contact(self) -> Evidence:
+        """Tracks cut where spheres may touch: there they push each other.
+
+        What follows a contact counts as another particle, since nobody saw how far it was pushed.
+        Without a known radius, contact is as near as two ever came.
+        """
+        z = np.where(self.seen, self.z, np.nan)
+        apart = np.abs(z[:, :, None] - z[:, None, :])
+        apart[~np.isfinite(apart)] = np.inf
+        apart[:, range(z.shape[1]), range(z.shape[1])] = np.inf
+        radius = self.conditions.radius
+        steps = np.abs(np.diff(z, axis=0))
+        blur = BLUR * float(np.nanmedian(steps)) if np.isfinite(steps).any() else 0.0
+        contact = 2 * radius if radius else float(apart.min()) + blur
+        if contact > LARGEST_CONTACT:
+            return self
+        touching = (apart < contact * CONTACT + blur).any(axis=2)
+        touching[1:] |= touching[:-1].copy()
+        touching[:-1] |= touching[1:].copy()
+        return self.cut(touching)
+
+    def cut(self, out: np.ndarray) -> Evidence:
+        """Without the rows `out` (T, N) bool; what comes after one is another track."""
+        if not out.any():
+            return self
+        number = np.cumsum(np.diff(out, axis=0, prepend=False) & out, axis=0)
+        used = self.seen & ~out
+        pieces = [
+            (n, piece) for n in range(used.shape[1]) for k in range(number[-1, n] + 1)
+            if (piece := used[:, n] & (number[:, n] == k)).sum() >= FEWEST
+        ]
+        columns = [n for n, _ in pieces]
+        seen = np.stack([piece for _, piece in pieces], axis=1) if pieces else self.seen[:, :0]
+        return replace(
+            self, ids=self.ids[columns], z=np.where(seen, self.z[:, columns], 0), seen=seen,
+            places=np.where(seen[..., None], self.places[:, columns], np.nan))
 
     def located(self, moved: np.ndarray, excess: float) -> Evidence:
         """With places filtered about the displacement (T, N) complex that a model expects."""
@@ -140,5 +185,8 @@ def _complex(vectors: np.ndarray) -> np.ndarray:
 
 
 def _accumulate(steps: np.ndarray) -> np.ndarray:
-    steps = np.nan_to_num(steps)
-    return np.concatenate([np.zeros((1, steps.shape[1]), complex), np.cumsum(steps, axis=0)])
+    """Sums (T, N) of steps (T−1, N); a particle that is not in view makes none."""
+    sums = np.zeros((len(steps) + 1, steps.shape[1]), complex)
+    known = steps if np.isfinite(steps).all() else np.nan_to_num(steps)
+    np.cumsum(known, axis=0, out=sums[1:])
+    return sums

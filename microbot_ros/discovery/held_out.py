@@ -72,10 +72,14 @@ def held_out_gap(before: Fit, after: Fit, truth: Model | None = None) -> Gap:
             ]
     floor = _floor(after, horizon)
     excess = [
-        float(np.sqrt(max(np.mean(np.concatenate(found) ** 2) - floor**2, 0.0)))
+        _excess(np.concatenate(found), floor)
         for found in errors
     ]
     return Gap(horizon, excess[0], excess[1], floor, excess[2] if truth else float('nan'))
+
+
+def _excess(errors: np.ndarray, floor: float) -> float:
+    return float(np.sqrt(max(np.mean(errors**2) - floor**2, 0.0))) if errors.size else float('nan')
 
 
 def _errors(learned: Part, whole: Part, frames: np.ndarray, horizon: float) -> np.ndarray:
@@ -84,9 +88,17 @@ def _errors(learned: Part, whole: Part, frames: np.ndarray, horizon: float) -> n
     ahead = max(round(horizon / e.interval), 1)
     left = e.z - learned.levels.moved(learned.swim)
     seen = e.seen & frames[:, None]
-    both = seen[ahead:] & seen[:-ahead]
+    both = seen[ahead:] & seen[:-ahead] & _known(learned, horizon)
     error = (left[ahead:] - left[:-ahead])[both]
     return np.concatenate([error.real, error.imag])
+
+
+def _known(learned: Part, horizon: float) -> np.ndarray:
+    """Particles (N,) of which enough was seen elsewhere for their v and φ to be of use."""
+    power = np.trace(learned.gram[:, 1:, 1:], axis1=1, axis2=2) / 2
+    spread = horizon * np.sqrt(learned.diffusion / np.maximum(power, 1e-300))
+    known: np.ndarray = spread < 0.5 * np.sqrt(2 * learned.diffusion * horizon)
+    return known
 
 
 def _floor(fit: Fit, horizon: float) -> float:

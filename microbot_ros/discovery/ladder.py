@@ -49,6 +49,8 @@ class Ladder:
     rungs: list[Rung] = field(default_factory=list)
     open: list[Found] = field(default_factory=list)
     """What the last search found, beside the model."""
+    _rivals: dict[str, list[Found]] = field(init=False, default_factory=dict)
+    _rivals_of: Fit | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         first = self.originals[0]
@@ -116,10 +118,14 @@ class Ladder:
         return False
 
     def rivals(self, name: str) -> list[Found]:
-        """What could stand in place of an effect, best first."""
-        rest = without(self.fit, name)
-        present = [e.id for e in self.fit.model.effects]
-        return self.search(rest, [other for other in EFFECTS if other not in present])
+        """What could stand in place of an effect, best first; found once for every fit."""
+        if self._rivals_of is not self.fit:
+            self._rivals, self._rivals_of = {}, self.fit
+        if name not in self._rivals:
+            present = [e.id for e in self.fit.model.effects]
+            self._rivals[name] = self.search(
+                without(self.fit, name), [other for other in EFFECTS if other not in present])
+        return self._rivals[name]
 
 
 def without(fit: Fit, name: str) -> Fit:

@@ -125,19 +125,20 @@ def part(model: Model, evidence: Evidence, whitening: Whitening,
     white, log_det, count = whitening.apply(evidence, columns)
     if turned:
         white = np.concatenate([white, 1j * white[..., 1:2]], axis=-1)
-    return Part(evidence, whitening, expected, white, inner(white, white), log_det, count)
+    return Part(evidence, whitening, expected, white, inner(white), log_det, count)
 
 
-def inner(left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Real inner products (N, L, M) over time of columns (T, N, L) and (T, N, M)."""
-    product: np.ndarray = np.matmul(left.conj().transpose(1, 2, 0), right.transpose(1, 0, 2)).real
+def inner(columns: np.ndarray) -> np.ndarray:
+    """Real inner products (N, M, M) over time of complex columns (T, N, M)."""
+    real = np.ascontiguousarray(columns.transpose(1, 2, 0)).view(float)
+    product: np.ndarray = real @ real.transpose(0, 2, 1)
     return product
 
 
 def eliminate(gram: np.ndarray) -> np.ndarray:
     """Inner products (N, M−2, M−2) of columns 0, 3, 4, … after columns 1 and 2 are taken out."""
-    rest = np.delete(np.arange(gram.shape[-1]), (1, 2))
-    mixed = gram[:, 1:3][:, :, rest]
+    rest = [0, *range(3, gram.shape[-1])]
+    mixed = gram[:, 1:3, rest]
     left: np.ndarray = gram[:, rest][:, :, rest] - np.swapaxes(mixed, 1, 2) @ _solve(
         gram[:, 1:3, 1:3], mixed)
     return left
@@ -199,7 +200,7 @@ class Fit:
         raw = np.zeros(len(total))
         for p, jacobian in zip(self.parts, self.jacobian, strict=True):
             all_columns = np.concatenate([p.white / np.sqrt(p.diffusion), jacobian], axis=-1)
-            gram = inner(all_columns, all_columns)
+            gram = inner(all_columns)
             total += eliminate(gram).sum(axis=0)
             raw[1:] += np.diagonal(gram, axis1=1, axis2=2)[:, 3:].sum(axis=0)
         visible = np.diag(total)[1:] > COLLINEAR * raw[1:]
@@ -283,20 +284,22 @@ def _renoise(model: Model, p: Part) -> Part:
     from scipy.optimize import minimize_scalar
 
     h = p.evidence.interval
+    heading = _heading(model, p) if remembers(model, p.evidence) else None
 
-    def at(log_total: float, turning: float) -> Part:
+    def at(log_total: float, turning: float = 0.0) -> Part:
         excess = float(np.exp(log_total)) - h / 3
-        heading = _heading(model, p, turning) if turning else ()
-        return part(model, p.evidence, Whitening(excess, *heading), p.levels)
+        whitening = Whitening(excess, turning / p.diffusion, *heading) if heading else (
+            Whitening(excess))
+        return part(model, p.evidence, whitening, p.levels)
 
-    def best(turning: float) -> Part:
+    def best(turning: float = 0.0) -> Part:
         found = minimize_scalar(
             lambda u: -at(u, turning).log_likelihood, method='bounded',
-            bounds=(np.log(0.05 * h), np.log(1e3 * h)), options={'xatol': 0.01})
+            bounds=(np.log(0.05 * h), np.log(1e3 * h)), options={'xatol': 0.02})
         return at(found.x, turning)
 
-    if not remembers(model, p.evidence):
-        return best(0.0)
+    if heading is None:
+        return best()
     if p.evidence.turning is not None:
         return best(p.evidence.turning)
     found = minimize_scalar(
@@ -314,13 +317,14 @@ def remembers(model: Model, evidence: Evidence) -> bool:
     return not on[later].all()
 
 
-def _heading(model: Model, p: Part, turning: float) -> tuple[float, np.ndarray, np.ndarray]:
+def _heading(model: Model, p: Part) -> tuple[np.ndarray, np.ndarray]:
+    """What a turn does over every frame interval, and what is left of it: (T−1, N) each."""
     particles = ParticleParameters.from_velocity(p.evidence.ids, p.swim)
     response = heading_response(model, particles, p.evidence.timeline)
     bend = np.nan_to_num(response.sensitivity[..., 0] + 1j * response.sensitivity[..., 1])
     shape = p.evidence.z[1:].shape
     return (
-        turning / p.diffusion, np.ascontiguousarray(np.broadcast_to(bend, shape)),
+        np.ascontiguousarray(np.broadcast_to(bend, shape)),
         np.ascontiguousarray(np.broadcast_to(response.kept, shape)),
     )
 

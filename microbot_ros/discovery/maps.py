@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from microbot_ros.discovery.chance import tail
 from microbot_ros.discovery.covariates import Group, Surroundings
 from microbot_ros.discovery.likelihood import Fit, Part, eliminate, inner
 from microbot_ros.discovery.result import ResidualMap
@@ -45,15 +46,13 @@ def _holm(p_values: list[float]) -> list[float]:
 
 def _tested(fit: Fit, groups: list[tuple[int, Group]]) -> ResidualMap:
     """The test of one covariate over the sessions that have it, each with its own coefficients."""
-    from scipy.stats import chi2
-
     statistic, dof = 0.0, 0
     for k, group in groups:
         value, rank = _score(fit.parts[k], fit.jacobian[k], fit, group.fields)
         statistic, dof = statistic + value, dof + rank
     group = groups[0][1]
     middles, curves = _curves(fit.parts[groups[0][0]], group)
-    p_value = float(chi2.sf(statistic, dof)) if dof else 1.0
+    p_value = tail(statistic, dof) if dof else 1.0
     return ResidualMap(group.against, group.label, statistic, dof, p_value, middles, curves)
 
 
@@ -63,7 +62,7 @@ def _score(p: Part, jacobian: np.ndarray, fit: Fit, fields: np.ndarray) -> tuple
     levels = np.concatenate([np.zeros((1, *moved.shape[1:]), complex), moved.cumsum(axis=0)])
     white = p.whiten(levels)
     columns = np.concatenate([p.white / np.sqrt(p.diffusion), jacobian, white], axis=-1)
-    gram = inner(columns, columns)
+    gram = inner(columns)
     total = eliminate(gram).sum(axis=0)
     raw = np.diagonal(gram, axis1=1, axis2=2)[:, 3:].sum(axis=0)
     count = jacobian.shape[-1]
@@ -82,8 +81,6 @@ def _score(p: Part, jacobian: np.ndarray, fit: Fit, fields: np.ndarray) -> tuple
 
 def _rhythm(fit: Fit, surroundings: list[Surroundings] | None = None) -> ResidualMap:
     """The largest peak of a periodogram: of all particles in the laboratory, or in their frame."""
-    from scipy.stats import chi2
-
     duration = max(float(np.ptp(p.evidence.times)) for p in fit.parts)
     fastest = 0.4 / max(p.evidence.interval for p in fit.parts)
     frequency = np.arange(2.0, max(fastest * duration, 3.0), 0.5) / duration
@@ -108,7 +105,7 @@ def _rhythm(fit: Fit, surroundings: list[Surroundings] | None = None) -> Residua
     dof = 4 if not surroundings else 2
     best = float(power.max())
     trials = signals * len(frequency) / 2
-    p_value = float(min(1.0, trials * chi2.sf(best, dof) * (1 if dof == 4 else 1)))
+    p_value = float(min(1.0, trials * tail(best, dof)))
     name = 'rhythm, along the heading' if surroundings else 'rhythm'
     return ResidualMap(name, 'frequency [Hz]', best, dof, p_value, frequency, {
         'power': (power.max(axis=0), np.zeros(len(frequency)))})

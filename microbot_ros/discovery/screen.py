@@ -27,7 +27,7 @@ def screen(sessions: Sequence[Session]) -> tuple[list[Evidence], tuple[str, ...]
     remarks = [remark for e in evidences for remark in _remarks(e)]
     if len({session.conditions.propulsion for session in sessions}) > 1:
         raise InputError(sessions[1].name, 'expected sessions of one kind of propulsion')
-    return evidences, tuple(dict.fromkeys(remarks))
+    return [e.without_contact() for e in evidences], tuple(dict.fromkeys(remarks))
 
 
 def _usable(session: Session) -> Evidence:

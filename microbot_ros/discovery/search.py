@@ -11,12 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from microbot_ros.discovery.chance import log_of_any, log_tail
 from microbot_ros.discovery.evidence import levels
 from microbot_ros.discovery.likelihood import Fit, evaluate, maximise, with_noise
 from microbot_ros.model.effect import Effect
 from microbot_ros.model.effects import EFFECTS
 
-COARSE = (0.03, 0.3, 1.0, 3.0, 10.0, 30.0)
+COARSE = (0.3, 2.0, 10.0)
 """Fit coordinates, both signs, from which effects of one parameter may start."""
 
 TRIED = 3
@@ -38,16 +39,8 @@ class Found:
 
     @property
     def log_p(self) -> float:
-        """Logarithm of the chance of so much evidence where nothing is there, scan included.
-
-        1 − (1 − P(χ² > LR))^trials.
-        """
-        from scipy.stats import chi2
-
-        tail = float(chi2.logsf(max(self.likelihood_ratio, 1e-12), self.dof))
-        if tail < -30:
-            return tail + np.log(self.trials)
-        return float(np.log(-np.expm1(self.trials * np.log1p(-np.exp(tail)))))
+        """Logarithm of the chance of so much evidence where nothing is there, scan included."""
+        return log_of_any(log_tail(self.likelihood_ratio, self.dof), self.trials)
 
     @property
     def p_value(self) -> float:

@@ -1,0 +1,32 @@
+"""How likely χ² is to be as large by chance, however unlikely that is."""
+
+from __future__ import annotations
+
+import math
+
+
+def log_tail(chi_square: float, dof: int) -> float:
+    """Natural logarithm of P(χ² > chi_square), exact where P itself is no longer a number."""
+    from scipy.special import gammaincc, gammaln
+
+    a, z = dof / 2, max(chi_square, 0.0) / 2
+    tail = float(gammaincc(a, z))
+    if tail > 1e-280:
+        return math.log(tail)
+    # The asymptotic series of the incomplete gamma function (DLMF 8.11.2).
+    series = 1 + (a - 1) / z * (1 + (a - 2) / z)
+    return (a - 1) * math.log(z) - z - float(gammaln(a)) + math.log(series)
+
+
+def tail(chi_square: float, dof: int) -> float:
+    """P(χ² > chi_square)."""
+    return math.exp(log_tail(chi_square, dof))
+
+
+def log_of_any(log_p: float, trials: int) -> float:
+    """Logarithm of 1 − (1 − p)^trials: chance of one such among independent trials."""
+    if log_p < -30:
+        return log_p + math.log(trials)
+    if log_p >= 0:
+        return 0.0
+    return math.log(-math.expm1(trials * math.log1p(-math.exp(log_p))))

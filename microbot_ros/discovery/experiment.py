@@ -1,0 +1,115 @@
+"""What to record next, to tell apart the explanations that a recording leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from microbot_ros.discovery.evidence import Evidence
+from microbot_ros.discovery.likelihood import Fit, Whitening, evaluate, maximise
+from microbot_ros.discovery.result import NextExperiment
+from microbot_ros.model.first_order import simulate
+from microbot_ros.model.increments import as_vectors
+from microbot_ros.model.model import Model, ParticleParameters
+from microbot_ros.records import Commands
+
+DECIDES = 10.0
+"""Expected difference in log likelihood that settles a question: odds of 20 000 to 1."""
+
+TRIAL = 60.0
+"""Seconds of an experiment that is tried out."""
+
+LONGEST = 120.0
+"""Minutes beyond which an experiment is no help."""
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """A command in words and as turns [rad], field levels (relative) and holding times [s]."""
+
+    words: str
+    turns: tuple[float, ...]
+    levels: tuple[float, ...] = (1.0,)
+    hold: tuple[float, float] = (2.0, 6.0)
+
+
+_MENU = (
+    _Plan('steps in all directions, each held for 2 to 6 s', (2.4, -1.3, 0.7, -2.9, 1.8, -0.4)),
+    _Plan('quick steps in all directions, each held for 0.3 to 1 s',
+          (2.4, -1.3, 0.7, -2.9, 1.8, -0.4), hold=(0.3, 1.0)),
+    _Plan('steps in all directions at full and at a third of the field magnitude',
+          (2.4, -1.3, 0.7, -2.9, 1.8, -0.4), levels=(1.0, 1 / 3, 1 / 3, 1.0, 1.0, 1 / 3, 1.0)),
+    _Plan('turns by 175° and by 30° in both senses, each held for 2 s',
+          (3.05, 0.52, -3.05, -0.52), hold=(2.0, 2.0)),
+    _Plan('straight there and back, 20 s each way, twice, at right angles',
+          (np.pi, np.pi / 2), hold=(20.0, 20.0)),
+    _Plan('a square walked round both ways, 5 s a side', (1.571, 1.571, 1.571, 1.571, -1.571,
+                                                        -1.571, -1.571, -1.571), hold=(5.0, 5.0)),
+)
+
+
+def next_experiment(fit: Fit, rivals: Sequence[Model]) -> NextExperiment | None:
+    """The command of the menu that best tells a fit from all its rivals, and for how long.
+
+    Each plan is tried out on the particles of the last session under the fitted model; its worth
+    is the least expected difference in log likelihood, every rival's parameters, v and φ at their
+    best. None without rivals; in words where no plan helps.
+    """
+    if not rivals:
+        return None
+    worth = [min(_separation(fit, _trial(fit, plan), rival) for rival in rivals)
+             for plan in _MENU]
+    best = int(np.argmax(worth))
+    minutes = TRIAL / 60 * DECIDES / max(worth[best], 1e-9)
+    if minutes > LONGEST:
+        return NextExperiment(
+            'no command tells these apart: measure one of them by itself, with a calibration '
+            'grid for the camera, a field probe for the coils, passive beads for the flow', np.inf)
+    return NextExperiment(
+        f'record {_MENU[best].words}, for {_rounded(minutes)}', float(minutes))
+
+
+def _rounded(minutes: float) -> str:
+    return f'{max(round(minutes), 1)} min' if minutes > 1 else 'a minute'
+
+
+def _trial(fit: Fit, plan: _Plan) -> Evidence:
+    """What the fitted model expects of the last session's particles under a plan."""
+    last = fit.parts[-1]
+    e = last.evidence
+    commands = _commands(plan, e.commands)
+    particles = ParticleParameters.from_velocity(e.ids, last.swim)
+    first = np.isfinite(e.places[..., 0]).argmax(axis=0)
+    start = fit.model.true_position(e.places[first, np.arange(len(e.ids))])
+    times = np.arange(0.0, TRIAL, max(e.interval, 1 / 30))
+    places = fit.model.observe(simulate(fit.model, particles, commands, times, start))
+    z = places[..., 0] + 1j * places[..., 1]
+    return replace(e, times=times, z=z, seen=np.ones(z.shape, bool), places=as_vectors(z),
+                   commands=commands)
+
+
+def _commands(plan: _Plan, used: Commands) -> Commands:
+    """A plan at the strength, and over the frequencies, that the session used."""
+    strength = float(np.hypot(*used.field.T).max())
+    rng = np.random.default_rng(0)
+    count = int(TRIAL / plan.hold[0]) + 1
+    t = np.append(0.0, np.cumsum(rng.uniform(*plan.hold, count)))[:count]
+    turns = np.array([plan.turns[k % len(plan.turns)] for k in range(count)])
+    angle = np.cumsum(turns)
+    levels = np.array([plan.levels[k % len(plan.levels)] for k in range(count)])
+    field = (strength * levels * np.exp(1j * angle)).astype(complex)
+    frequency = None
+    if used.frequency is not None:
+        driven = np.unique(np.abs(used.frequency[used.frequency != 0]))
+        frequency = rng.choice(driven, count)
+    return Commands(t, as_vectors(field), frequency)
+
+
+def _separation(fit: Fit, trial: Evidence, rival: Model) -> float:
+    """½‖W(μ − μ')‖² of the fitted model and a rival fitted to what it expects."""
+    noise = fit.parts[-1]
+    start = evaluate(rival, [trial], [Whitening(noise.whitening.excess)])
+    best = maximise(start, 8)
+    return best.parts[0].squares / noise.diffusion / 2
