@@ -37,11 +37,11 @@ class Lattice:
     """Filters of every sub-pixel cell for one appearance."""
 
     def __init__(self, appearance: Appearance) -> None:
-        half = int(np.ceil(appearance.reach_px)) + 1
-        # Rows of whole vectors of eight are several times faster; what is too much weighs nothing.
-        across = -(-(2 * half + 1) // 8) * 8
+        half = int(np.ceil(appearance.reach_px + 0.5))
+        # Rows of whole vectors are several times faster; what is too much weighs nothing.
+        across = -(-(2 * half + 1) // 4) * 4
         v, u = np.mgrid[-half:half + 1, -half:across - half].astype(float)
-        self._near = appearance.reach_px + 0.6 * appearance.diameter_px
+        self._near = appearance.reach_px + 0.25 * appearance.diameter_px
         shape = (_CELLS, _CELLS)
         self._filters = np.zeros((*shape, 5, *u.shape), np.float32)
         self._picture = np.zeros((*shape, *u.shape), np.float32)

@@ -190,7 +190,7 @@ class _Learner:
     def _trim(self) -> None:
         """The reach is where the picture ends, with a margin to tell the light from it."""
         end = self._radii[np.flatnonzero(np.abs(self._table[0]) > 0.04)[-1]]
-        self._reach = min(self._reach, float(end) + 2.0)
+        self._reach = min(self._reach, float(end) + 1.0)
         self._basis = RadialBasis(self._reach, self._radii)
 
     def _conclude(self) -> Appearance:

@@ -102,6 +102,10 @@ def pixel_noise(image: np.ndarray) -> float:
     return max(1.4826 * float(np.median(difference)) / 6, _LEAST_NOISE)
 
 
+_ENOUGH = 0.97
+"""Share of the filter's energy that the separable parts must have."""
+
+
 class MatchedFilter:
     """Search with the learned picture itself, the optimal linear filter for white noise.
 
@@ -118,15 +122,20 @@ class MatchedFilter:
         disc = offsets[None, :] ** 2 + offsets[:, None] ** 2 <= (appearance.reach_px + 0.5) ** 2
         template = np.where(disc, template, 0.0)
         template = np.where(disc, template - template.sum() / disc.sum(), 0.0)
-        # Response in grey levels of contrast: a particle of contrast a responds with a.
-        template /= np.sum(template**2)
         left, weight, right = np.linalg.svd(template)
-        rank = int(np.searchsorted(np.cumsum(weight**2) / np.sum(weight**2), 0.97)) + 1
+        rank = int(np.searchsorted(np.cumsum(weight**2) / np.sum(weight**2), _ENOUGH)) + 1
+        sums = left[:, :rank].sum(axis=0) * right[:rank].sum(axis=1)
+        # What is left out must not make the filter see the light itself.
+        most = np.argmax(np.abs(sums))
+        weight[most] -= np.sum(sums * weight[:rank]) / sums[most]
+        kernel = (left[:, :rank] * weight[:rank]) @ right[:rank]
+        # Response in grey levels of contrast: a particle of contrast a responds with a.
+        scale = 1 / np.sum(kernel * template)
         self._parts = [
-            ((left[:, k] * weight[k]).astype(np.float32), right[k].astype(np.float32))
+            ((left[:, k] * weight[k] * scale).astype(np.float32), right[k].astype(np.float32))
             for k in range(rank)
         ]
-        self.gain = float(np.sqrt(np.sum(template**2)))
+        self.gain = float(scale * np.sqrt(np.sum(kernel**2)))
         self._separation = max(1, round(0.35 * appearance.diameter_px / self.shrink))
 
     def response(self, image: np.ndarray) -> np.ndarray:
