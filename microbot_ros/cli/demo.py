@@ -87,6 +87,7 @@ def _run(folder: Path, seconds: float, seed: int, began: float,
         graph.wait_ready(120.0)
         with Remote() as remote:
             watch = _Watch(remote, graph, began)
+            watch.until_tracked(60.0)
             remote.arm()
             armed_at = time.time()
             remote.set('controller', controller='open_loop')
@@ -117,6 +118,15 @@ class _Watch:
         remote.watch_estimates(lambda points: setattr(self, '_estimates', points))
         remote.watch_health(self._on_health)
 
+    def until_tracked(self, seconds: float) -> None:
+        """Return when the tracker has learned what particles look like and found some."""
+        deadline = time.monotonic() + seconds
+        while not len(self._estimates):
+            if time.monotonic() > deadline:
+                raise InputError('tracker', f'found no particle within {seconds:g} s')
+            self._remote.spin(0.1)
+            self._graph.pump(0.0)
+
     def until(self, deadline: float) -> None:
         """Let the loop run; one line a second."""
         while (left := deadline - time.monotonic()) > 0:
@@ -134,8 +144,6 @@ class _Watch:
 
     def place(self) -> np.ndarray:
         """Where the steered particle is (2,) [m]: the one with the lowest identity."""
-        if not len(self._estimates):
-            raise InputError('model/state', 'no particle was found to steer')
         first = self._estimates[self._estimates['id'].argmin()]
         return np.array([first['x'], first['y']], float)
 

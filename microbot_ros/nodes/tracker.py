@@ -16,7 +16,14 @@ from microbot_ros.files import read_yaml
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import IMAGES_IN, IMAGES_OUT, OK, WARN, RigNode
 from microbot_ros.settings import setting
-from microbot_ros.tracking import FrameError, ImageToWorkspace, Poses, Tracker, TrackerSettings
+from microbot_ros.tracking import (
+    FrameError,
+    ImageToWorkspace,
+    Poses,
+    Tracker,
+    TrackerSettings,
+    warm_up,
+)
 
 
 @dataclass(frozen=True)
@@ -45,6 +52,7 @@ class TrackerNode(RigNode):
     Parameters: ClassVar[type] = TrackerParameters
 
     def setup(self) -> None:
+        warm_up()
         file = self.settings.settings_file
         self._tracker = Tracker(read_yaml(file, TrackerSettings) if file else TrackerSettings())
         self._camera: ImageToWorkspace | None = None
