@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
+from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Vector3Stamped
 from sensor_msgs.msg import MagneticField, PointCloud2
 
@@ -53,6 +54,7 @@ class ModelNode(RigNode):
         _warm_up(self._make_estimator())
         self._estimator = self._make_estimator()
         self._model_file = ''
+        self._origin: float | None = None
         self._estimates: Estimates | None = None
         self._state = self.publisher(PointCloud2, 'model/state')
         self.subscribe(PointCloud2, 'particles', self._on_particles)
@@ -94,22 +96,29 @@ class ModelNode(RigNode):
     def _on_applied(self, message: MagneticField) -> None:
         field = message.magnetic_field
         self._estimator.command(
-            messages.to_seconds(message.header.stamp), np.array([field.x, field.y]))
+            self._time(message.header.stamp), np.array([field.x, field.y]))
 
     def _on_command(self, message: Vector3Stamped) -> None:
         # Its stamp is the exposure it answers; what passes until the field turns is a delay, and
         # that is estimated.
         field = np.array([message.vector.x, message.vector.y])
-        self._estimator.command(messages.to_seconds(message.header.stamp), field)
+        self._estimator.command(self._time(message.header.stamp), field)
 
     def _on_particles(self, message: PointCloud2) -> None:
         self._follow_model_file()
         found = messages.points(message, messages.PARTICLE)
         position = np.stack([found['x'], found['y']], axis=1).astype(float)
         self._estimates = estimates = self._estimator.update(
-            messages.to_seconds(message.header.stamp), found['id'].astype(int), position,
+            self._time(message.header.stamp), found['id'].astype(int), position,
             found['sigma'].astype(float))
         self._state.publish(messages.cloud(_points(estimates), message.header.stamp))
+
+    def _time(self, stamp: Time) -> float:
+        """Seconds since the first message: effects such as fuel decay count from the start."""
+        t = messages.to_seconds(stamp)
+        if self._origin is None:
+            self._origin = t
+        return t - self._origin
 
     def _follow_model_file(self) -> None:
         file = self.settings.model_file
