@@ -5,8 +5,10 @@ from __future__ import annotations
 import cmath
 import logging
 import math
+import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 
 import numpy as np
 
@@ -214,8 +216,36 @@ def _faults() -> dict[str, Callable[[], Controller]]:
     return {name: make(name, act) for name, act in acts.items()}
 
 
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Real-time priority, where that is allowed: other programs' load is not what is measured."""
+    policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+    with suppress(PermissionError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    try:
+        yield
+    finally:
+        with suppress(PermissionError):
+            os.sched_setscheduler(0, policy, parameters)
+
+
 def _swaps() -> list[Figure]:
     """1,000 swaps in a loop at 100 Hz, two ticks each, among all controllers and faulty ones."""
+    with _undisturbed():
+        missed, steepest, strongest = _swapping()
+    tolerance = 1 + 1e-9
+    return [
+        Figure(ISSUE, '1,000 swaps at 100 Hz: ticks missed', missed, '', '0',
+               'at real-time priority, where allowed', missed == 0),
+        Figure(ISSUE, '1,000 swaps: steepest step', steepest, '×', '≤ 1', 'the declared slew',
+               steepest <= tolerance),
+        Figure(ISSUE, '1,000 swaps: strongest command', strongest, '×', '≤ 1', 'the limit',
+               strongest <= tolerance),
+    ]
+
+
+def _swapping() -> tuple[int, float, float]:
+    """Ticks missed, steepest step over the slew, strongest field over the limit."""
     kinds = controller_classes() | _faults()
     controllers = {name: kind() for name, kind in kinds.items()}
     for controller in controllers.values():
@@ -227,26 +257,19 @@ def _swaps() -> list[Figure]:
     goals = Goals(np.array([[30e-6, 0], [0, 30e-6], [-30e-6, 0]]))
     logging.getLogger('microbot_ros.control').setLevel(logging.CRITICAL)
     missed, steepest, strongest, before = 0, 0.0, 0.0, np.zeros(2)
-    begun = time.monotonic()
+    begun, slot = time.monotonic(), 0
     for tick in range(2000):
-        due = begun + tick * period
-        time.sleep(max(0.0, due - time.monotonic()))
+        time.sleep(max(0.0, begun + slot * period - time.monotonic()))
         if tick % 2 == 0:
             board.swap(names[rng.integers(len(names))])
         outcome = board.tick(situation(
             t=tick * period, dt=period, limits=limits, workspace=VIEW, goals=goals,
             path=EIGHT_PATH, joystick=rng.uniform(-1, 1, 2), model=Model(FIELD)))
-        missed += time.monotonic() > due + period
+        late = max(0, int((time.monotonic() - begun) / period) - slot)
+        missed, slot = missed + late, slot + 1 + late
         field = np.full(2, np.nan) if outcome.command is None else outcome.command.field
         steepest = max(steepest, float(np.hypot(*(field - before))) / (limits.slew * period))
         strongest = max(strongest, float(np.hypot(*field)) / limits.field)
         before = field
     board.close()
-    tolerance = 1 + 1e-9
-    return [
-        Figure(ISSUE, '1,000 swaps at 100 Hz: ticks missed', missed, '', '0', '', missed == 0),
-        Figure(ISSUE, '1,000 swaps: steepest step', steepest, '×', '≤ 1', 'the declared slew',
-               steepest <= tolerance),
-        Figure(ISSUE, '1,000 swaps: strongest command', strongest, '×', '≤ 1', 'the limit',
-               strongest <= tolerance),
-    ]
+    return missed, steepest, strongest

@@ -120,7 +120,7 @@ class Predictive(Ensemble):
             situation.speed[rows] * np.exp(1j * situation.phi[rows]),
             self._heading, models, situation.t + situation.delay))
         task = self._task(situation, goals)
-        plan = self._choose(situation, swarm, task)
+        self._plan = plan = self._choose(situation, swarm, task)
         if plan is None:
             return super().compute(situation)
         return self._carry_out(swarm, task, plan, begun)

@@ -8,6 +8,7 @@ import pytest
 from microbot_ros.control.contract import (
     Controller,
     FieldCommand,
+    Goals,
     Limits,
     ParticleLostError,
     Result,
@@ -15,8 +16,10 @@ from microbot_ros.control.contract import (
 )
 from microbot_ros.control.hold import Hold
 from microbot_ros.control.open_loop import OpenLoop, OpenLoopParameters
+from microbot_ros.control.registry import controller_classes
 from microbot_ros.control.switchboard import Switchboard
 from microbot_ros.control.testkit import situation
+from microbot_ros.model.model import Model
 
 LIMITS = Limits(field=5e-3, slew=0.1)
 DT = 0.01
@@ -288,3 +291,25 @@ def test_closing_deactivates():
     run(board, 1)
     board.close()
     assert east.calls[-1] == 'deactivate'
+
+
+def test_nothing_unsafe_comes_out_of_random_swaps_among_all_controllers_and_faulty_ones():
+    kinds = controller_classes()
+    faulty = {'nan': FieldCommand(np.full(2, np.nan)), 'strong': FieldCommand(np.ones(2)),
+              'fast': FieldCommand(np.zeros(2), 1e9), 'raises': RuntimeError('on purpose')}
+    controllers = {name: kind() for name, kind in kinds.items()}
+    controllers |= {name: Answers(value) for name, value in faulty.items()} | {'no': Refuses()}
+    board = Switchboard(controllers, 'hold', deadline=10.0)
+    rng, before = np.random.default_rng(0), np.zeros(2)
+    goals = Goals(np.array([[20e-6, 0], [0, 20e-6]]))
+    for k in range(300):
+        name = rng.choice(list(controllers))
+        was, answer = board.active, board.swap(name)
+        assert board.active == (name if answer.ok else was)
+        outcome = board.tick(look(k * DT, goals=goals, path=goals.position, model=Model(5e-3)))
+        field = outcome.command.field
+        assert np.hypot(*field) <= LIMITS.field * (1 + 1e-9)
+        assert np.hypot(*(field - before)) <= LIMITS.slew * DT * (1 + 1e-9)
+        assert 0 <= outcome.command.frequency <= LIMITS.frequency
+        assert (outcome.result is Result.FAULT) == (board.active in faulty)
+        before = field
