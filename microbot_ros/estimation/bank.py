@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
 MIN_WEIGHT = 0.05
@@ -26,7 +28,7 @@ class PhasorBank:
     Adams & MacKay 2007, on a fixed grid.)
     """
 
-    _ARRAYS = ('p', 'c', 'g', 'p_var', 'c_var', 'log_weight')
+    _ARRAYS: ClassVar[tuple[str, ...]] = ('p', 'c', 'g', 'p_var', 'c_var', 'log_weight')
 
     def __init__(self, hypotheses: int) -> None:
         shape = (hypotheses, 0)

@@ -10,6 +10,7 @@ import numpy as np
 from microbot_ros.errors import InputError
 from microbot_ros.estimation.commands import CommandLog
 from microbot_ros.estimation.estimates import Estimates, Settings, State, answer
+from microbot_ros.estimation.heading_bank import HeadingBank
 from microbot_ros.estimation.monitor import Monitor
 from microbot_ros.estimation.noise import Noise
 from microbot_ros.estimation.population import Population, Taken
@@ -19,7 +20,7 @@ from microbot_ros.estimation.suspects import Suspects
 from microbot_ros.estimation.window import SECONDS
 from microbot_ros.model.model import Model
 from microbot_ros.model.model_file import read_model
-from microbot_ros.model.particle import Fluid, translational_diffusion
+from microbot_ros.model.particle import Fluid, rotational_diffusion, translational_diffusion
 from microbot_ros.records import Conditions
 
 __all__ = ['Estimates', 'Estimator', 'Settings']
@@ -66,8 +67,7 @@ class Estimator:
         self._start(model or bare)
 
     def _start(self, model: Model) -> None:
-        self._propagator = Propagator(model)
-        self._population = Population(self.settings.fastest / 2)
+        self._begin(model)
         self._shared: SharedKnowledge | None = None
         self._opening: list[_Frame] | None = []
         self._monitor = Monitor()
@@ -75,6 +75,25 @@ class Estimator:
         self._suspicions: list[str] = []
         self._next_question = -np.inf
         self._t = -np.inf
+
+    def _begin(self, model: Model) -> None:
+        self._propagator = Propagator(model)
+        self._population = Population(self.settings.fastest / 2)
+        self._follow_headings()
+
+    def _follow_headings(self) -> None:
+        """Where headings lag, their strays are a state; where they don't, noise like any other."""
+        if self.model.effect('alignment_lag') and self._spin > 0:
+            self._population.let_headings_stray()
+
+    @property
+    def _spin(self) -> float:
+        """Rotational diffusion [rad²/s]; 0 where radius or viscosity are not known."""
+        radius, viscosity = self.conditions.radius, self.conditions.viscosity
+        if not (radius and viscosity):
+            return 0.0
+        return rotational_diffusion(
+            Fluid(viscosity, self.conditions.temperature or 298.15), radius)
 
     @property
     def model(self) -> Model:
@@ -92,6 +111,7 @@ class Estimator:
     def use(self, model: Model) -> None:
         """Filter with another model from the next frame on; what is known of v and φ stays."""
         self._propagator = Propagator(model)
+        self._follow_headings()
         self._monitor = Monitor()
         if self._shared is not None:
             self._shared.forget_model()
@@ -174,6 +194,11 @@ class Estimator:
             self._log, shared.delay.value, start, frame.t, bank.p[0]
         )
         wander = (self.settings.wander * np.abs(bank.c[0])) ** 2 * step.span
+        if isinstance(bank, HeadingBank):
+            bent = self._propagator.heading_sway(
+                self._log, shared.delay.value, start, frame.t
+            )
+            bank.sway(*bent, 2 * self._spin * step.span)
         bank.predict(step.drive, step.drift, 2 * noise.diffusion * step.span, wander)
         self._t = frame.t
         taken = self._population.take(
@@ -197,8 +222,7 @@ class Estimator:
             return
         self._opening.append(frame)
         if shared.reviewed or len(self._opening) >= LONGEST_OPENING:
-            self._population = Population(self.settings.fastest / 2)
-            self._propagator = Propagator(self.model)
+            self._begin(self.model)
             self._t = -np.inf
             for again in self._opening:
                 self._filter(again, shared)

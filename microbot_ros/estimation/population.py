@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from microbot_ros.estimation.bank import PhasorBank
+from microbot_ros.estimation.heading_bank import HeadingBank
 
 HYPOTHESES = 7
 """Nothing changed, or c changed about 0.25, 0.5, 1, 2, 4 or 8 s ago."""
@@ -50,6 +51,11 @@ class Population:
         self._gain_var = gain_prior_std**2
         self._outliers = np.empty(0, int)
         self._next_tick = -np.inf
+
+    def let_headings_stray(self) -> None:
+        """Follow the stray of every heading from its course as well."""
+        if not isinstance(self.bank, HeadingBank):
+            self.bank = HeadingBank.of(self.bank)
 
     def take(self, t: float, ids: np.ndarray, z: np.ndarray, reading: np.ndarray) -> Taken:
         """Readings of distinct particles (n,): complex positions and their variance."""

@@ -7,9 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from microbot_ros.estimation.commands import CommandLog
-from microbot_ros.model.increments import respond
-from microbot_ros.model.model import Model
+from microbot_ros.model.increments import heading_response, respond
+from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.timeline import Timeline
+
+HEADING_MEMORY = 10.0
+"""Seconds of commands from which the course of a lagging heading is followed anew."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,19 @@ class Propagator:
         """
         step, self.heading = self._respond(log, delay, start, end, positions)
         return step
+
+    def heading_sway(
+        self, log: CommandLog, delay: float, start: float, end: float,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """What a stray of the heading at `start` does until `end`, for c = 1.
+
+        The derivative (1,) of the path [s] by the heading, complex, and the part of the stray
+        (1,) that is left (see `model.increments.heading_response`).
+        """
+        timeline = Timeline(log.since(start - HEADING_MEMORY, delay), np.array([start, end]))
+        one = ParticleParameters(np.zeros(1, int), np.ones(1), np.zeros(1))
+        bent = heading_response(self.model, one, timeline)
+        return bent.sensitivity[0] @ [1, 1j], bent.kept[0]
 
     def look_ahead(
         self, log: CommandLog, delay: float, start: float, end: float, positions: np.ndarray,

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from microbot_ros.estimation.bank import PhasorBank
+from microbot_ros.estimation.heading_bank import HeadingBank
 
 
 class Textbook:
@@ -50,6 +51,33 @@ def test_one_hypothesis_is_the_textbook_filter():
         # E p̃ c̃* of a circular pair: twice (cov(x, a) + i cov(y, a)).
         assert found['cross'][0] == pytest.approx(
             complex(book.cov[0, 2], book.cov[1, 2]), rel=1e-7, abs=1e-12)
+
+
+def test_headings_that_stray_are_a_third_state_of_the_textbook_filter():
+    rng = np.random.default_rng(4)
+    bank = HeadingBank(1)
+    bank.add(np.array([0j]), np.array([0.3]), 4.0)
+    # The textbook: complex state (p, s, c), Hermitian covariance per axis.
+    state, cov = np.zeros(3, complex), np.diag([0.3, 0.0, 4.0]).astype(complex)
+    for _ in range(100):
+        drive, bend, z = (complex(*rng.normal(size=2)) for _ in range(3))
+        kept, spun, diffused, noise = rng.uniform(0.05, 1, 4)
+        kicked = abs(state[2]) ** 2 * spun / 2
+        bank.sway(np.array([bend]), np.array([kept]), spun)
+        bank.predict(np.array([drive]), np.zeros(1), diffused, np.zeros(1))
+        transition = np.array([[1, -1j * bend, drive], [0, kept, 0], [0, 0, 1]])
+        state = transition @ state
+        cov = transition @ cov @ transition.conj().T + np.diag([diffused, kicked, 0])
+        bank.update(np.array([z]), np.array([noise]), np.array([True]))
+        gain = cov[:, 0] / (cov[0, 0] + noise)
+        state = state + gain * (z - state[0])
+        cov = cov - np.outer(gain, cov[0])
+        found = bank.combined()
+        assert found['p'][0] == pytest.approx(state[0], rel=1e-7)
+        assert found['c'][0] == pytest.approx(state[2], rel=1e-7)
+        assert bank.s[0, 0] == pytest.approx(state[1], rel=1e-6, abs=1e-9)
+        assert found['p_var'][0] == pytest.approx(cov[0, 0].real, rel=1e-7)
+        assert found['c_var'][0] == pytest.approx(cov[2, 2].real, rel=1e-7)
 
 
 def simulate(rng, bank, change_at=None, factor=1.0, seconds=20.0, step=0.05):
@@ -106,14 +134,19 @@ class Single(PhasorBank):
         return np.zeros(self.count)
 
 
-def test_state_stays_finite_and_covariance_positive_over_millions_of_hostile_steps():
+@pytest.mark.parametrize('kind', [PhasorBank, HeadingBank])
+def test_state_stays_finite_and_covariance_positive_over_millions_of_hostile_steps(kind):
     rng = np.random.default_rng(3)
-    count, steps = 2000, 1200
-    bank = PhasorBank(7)
+    count, steps = 2000, 300
+    bank = kind(7)
     scale = 10.0 ** rng.uniform(-9, 2, count)
     bank.add(scale * rng.normal(size=count), scale**2, 1.0)
     for k in range(steps):
         drive = 10.0 ** rng.uniform(-9, 3) * np.exp(1j * rng.uniform(-3, 3, count))
+        if kind is HeadingBank:
+            bank.sway(drive, 10.0 ** rng.uniform(-6, 0.3, count), 10.0 ** rng.uniform(-12, 0))
+            assert (bank.s_var >= 0).all()
+            assert (np.abs(bank.ps) ** 2 <= bank.p_var * bank.s_var * (1 + 1e-9)).all()
         bank.predict(drive * (rng.random() < 0.8), rng.normal(size=count) * 1e-3,
                      10.0 ** rng.uniform(-18, 2), 10.0 ** rng.uniform(-18, 0, count))
         noise = 10.0 ** rng.uniform(-20, 4, count)
