@@ -73,8 +73,10 @@ class Worker:
         self._calls.put(call)
         if not call.returned.wait(deadline):
             raise LateError(f'took longer than {deadline * 1e3:g} ms')
-        if call.error is not None:
+        if isinstance(call.error, Exception):
             raise call.error
+        if call.error is not None:  # a call to exit must not end the loop
+            raise RuntimeError(f'raised {type(call.error).__name__}') from call.error
         return call.value
 
     def leave_behind(self) -> None:

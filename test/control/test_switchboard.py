@@ -55,7 +55,7 @@ class Answers(East):
         self.value = value
 
     def compute(self, situation):
-        if isinstance(self.value, Exception):
+        if isinstance(self.value, BaseException):
             raise self.value
         return self.value
 
@@ -141,7 +141,7 @@ def test_before_the_first_poses_a_controller_is_activated_at_its_first_tick():
 
 
 @pytest.mark.parametrize('value', [
-    ValueError('no'), ZeroDivisionError(), None, 7, no_field,
+    ValueError('no'), ZeroDivisionError(), SystemExit(1), KeyboardInterrupt(), None, 7, no_field,
     FieldCommand(np.array([np.nan, 0])), FieldCommand(np.array([0, np.inf])),
     FieldCommand(np.array([-np.inf, 0])), FieldCommand(np.array([5.001e-3, 0])),
     FieldCommand(np.zeros(3)), FieldCommand(np.zeros(2), np.nan), FieldCommand(np.zeros(2), -1.0),
