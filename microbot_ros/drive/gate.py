@@ -83,19 +83,20 @@ class Gate:
         """The currents that may flow now."""
         self.heat: Currents = ZERO
         """I²t of each coil as a part of what it bears: above 1 is a fault."""
-        self._now_s = -math.inf
-        self._commanded_s = -math.inf
-        self._measured_s = -math.inf
+        self._now_s = self._commanded_s = self._measured_s = -math.inf
         self._measured: Currents = ZERO
         self._allowance = _four([limits.step_A] * 4)  # what each current may yet change
-        self._outputs: deque[tuple[float, Currents]] = deque([(-math.inf, ZERO)])
+        self._replaced: deque[tuple[float, Currents]] = deque()  # when, which output
 
     def arm(self, now_s: float) -> str | None:
         """Clear the fault and affirm from now on; or, where that is not safe, say why not.
 
-        Safe is: measured just now, no current flowing, no coil at its limit of heat.
+        Safe is: measured just now, no current flowing, no coil beyond its heat. A gate that is
+        armed stays as it is.
         """
-        self.revoke()
+        self.tick(now_s)
+        if self.armed:
+            return None
         if not self._advance(now_s):
             return f'the clock went from {self._now_s} to {now_s}'
         if not now_s - self._measured_s <= self.limits.silence_s:
@@ -143,9 +144,10 @@ class Gate:
         if measured is None:
             return self.trip(Reason.MALFORMED, f'measured currents of {currents_A!r}')
         self._measured, self._measured_s = measured, now_s
-        self._forget_outputs()
+        while self._replaced and self._replaced[0][0] <= now_s - self.limits.settling_s:
+            self._replaced.popleft()
         for coil, current in enumerate(measured):
-            recent = [output[coil] for _, output in self._outputs]
+            recent = [self.output[coil], *(output[coil] for _, output in self._replaced)]
             margin = self.limits.deviation_A
             if not min(recent) - margin <= current <= max(recent) + margin:
                 return self.trip(Reason.DEVIATION, f'{_amperes(measured)} measured where '
@@ -169,7 +171,7 @@ class Gate:
         if not (math.isfinite(now_s) and self._now_s <= now_s):
             self.trip(Reason.CLOCK, f'from {self._now_s} to {now_s}')
             return False
-        elapsed = now_s - self._now_s if self._now_s > -math.inf else 0.0
+        elapsed = now_s - self._now_s  # infinite at first, when there is no heat to keep
         keep = math.exp(-elapsed / self.limits.thermal_s)
         flowing = zip(self.heat, self.output, self._measured, strict=True)
         self.heat = _four(self._load(output, measured) * (1.0 - keep) + heat * keep
@@ -192,16 +194,9 @@ class Gate:
     def _put(self, currents: Currents) -> Currents:
         self._allowance = _four(max(left, 0.0) for left in self._allowance_after(currents))
         if currents != self.output:
-            self._outputs.append((self._now_s, currents))
-            self._forget_outputs()
+            self._replaced.append((self._now_s, self.output))
         self.output = currents
         return currents
-
-    def _forget_outputs(self) -> None:
-        """Drop the outputs that were replaced before the settling time began."""
-        begin = self._now_s - self.limits.settling_s
-        while len(self._outputs) > 1 and self._outputs[1][0] <= begin:
-            self._outputs.popleft()
 
 
 def _currents(values: Sequence[float]) -> Currents | None:

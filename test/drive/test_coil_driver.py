@@ -224,12 +224,6 @@ def test_a_limit_beyond_what_the_amplifier_gives_is_refused(full_scale_A):
         CoilDriver(SerialTransferAmplifier('nowhere', full_scale_A), LIMITS, print)
 
 
-def test_arming_again_takes_the_current_away(driver, board):
-    drive(driver, board)
-    assert 'without a command' in board.until(driver.arm)
-    board.eventually_at([0] * 4, 'command')
-
-
 def test_it_does_not_start_without_an_amplifier(board):
     board.fault('silence')
     driver = CoilDriver(SerialTransferAmplifier(board.url, 2.0, boot_s=0.1), LIMITS, print)

@@ -1,5 +1,6 @@
 """The gate: every limit swept densely across its boundary, armed and disarmed alike."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -248,14 +249,48 @@ def test_a_coil_bears_its_continuous_current_for_ever():
     assert gate.heat == pytest.approx((1.0,) * 4)
 
 
-def test_measured_current_heats_where_it_is_the_larger():
-    gate = driving(only(0, 0.5))
-    gate.measured(only(0, -0.75 + 1.0), 0.0)
-    gate.measured(only(0, 0.75), 0.01)
+@pytest.mark.parametrize(('output', 'measured'), [
+    (0.75, 0.5), (-0.75, -0.5), (0.5, 0.75), (-0.5, -0.75),
+])
+def test_the_larger_of_commanded_and_measured_heats(output, measured):
+    gate = driving(only(0, output), Limits(**{**vars(LIMITS), 'continuous_A': 0.5}))
+    gate.measured(only(0, measured), 0.0)
     before = gate.heat[0]
-    gate.tick(0.11)
-    keep = math.exp(-0.1 / 8)
-    assert gate.heat[0] == pytest.approx(before * keep + 0.75**2 * (1 - keep), rel=1e-12)
+    assert before == 0.0
+    gate.tick(0.1)
+    assert gate.heat[0] == pytest.approx(1.5**2 * -math.expm1(-0.1 / 8), rel=1e-12)
+
+
+def test_a_coil_may_be_exactly_as_hot_as_it_bears():
+    gate = driving((0.5,) * 4, Limits(**{
+        **vars(LIMITS), 'continuous_A': 0.5, 'thermal_s': 1e-4, 'settling_s': 1.0}))
+    gate.measured((0.5,) * 4, 0.0)
+    assert gate.tick(0.125) == (0.5,) * 4
+    assert gate.heat == (1.0,) * 4
+    gate.revoke()
+    gate.measured(ZERO, 0.125)
+    assert gate.arm(0.125) is None
+
+
+def test_a_fault_says_what_a_person_needs():
+    limits = Limits(**{**vars(LIMITS), 'stale_s': 1.0, 'silence_s': 2.0, 'continuous_A': 0.5,
+                       'thermal_s': 1e-4})
+    gate = armed(limits)
+    gate.measured(ZERO, 1.0)
+    gate.command(only(2, 0.6), 1.0)
+    gate.tick(1.5)
+    assert gate.fault.detail == 'a coil is at 144% of what it bears'
+    gate.measured(ZERO, 1.5)
+    assert gate.arm(1.5) == 'a coil is too hot: 144% of what it bears'
+    gate = armed(limits)
+    gate.measured(ZERO, 1.0)
+    gate.command(only(2, 0.1), 1.0)
+    gate.tick(2.5)
+    assert gate.fault.detail == 'none for 1.500 s'
+    gate = armed(limits)
+    gate.measured(ZERO, 1.0)
+    gate.tick(3.25)
+    assert gate.fault.detail == 'none for 2.250 s'
 
 
 def test_a_nonsensical_measurement_does_not_heat_for_ever():
@@ -299,11 +334,21 @@ def test_arming_needs_a_fresh_measurement_of_no_current(measured, age, refusal):
     assert gate.fault is (fault if refusal else None)
 
 
-def test_arming_again_starts_from_zero():
+def test_arming_an_armed_gate_changes_nothing():
     gate = driving((0.5,) * 4)
-    gate.measured((0.1,) * 4, 0.0)
-    assert gate.arm(0.0) is None
-    assert gate.output == ZERO
+    gate.measured((0.5,) * 4, 0.0)
+    assert gate.arm(0.01) is None
+    assert gate.output == (0.5,) * 4
+    assert gate.arm(0.2) is not None  # stale by now
+    assert tripped(gate, Reason.STALE)
+
+
+def test_limits_and_faults_cannot_be_changed():
+    gate = driving(ZERO)
+    gate.trip(Reason.LINE, 'unplugged')
+    for fixed, name in ((gate.limits, 'current_A'), (gate.fault, 'reason')):
+        with pytest.raises(dataclasses.FrozenInstanceError):
+            setattr(fixed, name, 1e9)
 
 
 def test_revoking_zeroes_and_keeps_the_fault():
