@@ -57,7 +57,7 @@ def _first_order() -> list[Figure]:
 
     return [
         figure('Newton–Stokes', newton_stokes, full, 300),
-        figure('its translation alone (in the paper 1.04)', translation, part, 200),
+        figure('its translation alone (in the paper 1.04)', translation, part, 300),
     ]
 
 

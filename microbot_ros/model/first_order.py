@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from microbot_ros.model.heading import follow
+from microbot_ros.model.heading import as_complex, follow
 from microbot_ros.model.increments import Response, as_vectors, respond
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.scene import Places, Scene
@@ -36,20 +36,19 @@ def simulate(model: Model, particles: ParticleParameters, commands: Commands, ti
 def _spread(response: Response, velocity: np.ndarray, start: np.ndarray) -> np.ndarray:
     """All trajectories at once, where the particles share one course and one drift.
 
-    Each coordinate is then linear in five numbers that only depend on time, so one matrix
-    product writes every position once.
+    As complex numbers, positions are the path @ (velocity, 1, start). With the real and imaginary
+    parts of the path as columns one product of real matrices writes every position once.
     """
-    path = np.zeros((len(response.propulsion) + 1, 5))
-    path[:, 4] = 1.0
-    path[1:, :2] = as_vectors(response.propulsion[:, 0])
-    path[1:, 2:4] = response.drift[:, 0]
-    np.cumsum(path[:, :4], axis=0, out=path[:, :4])
-    weights = np.zeros((5, *start.shape))
+    path = np.zeros((len(response.propulsion) + 1, 3), dtype=complex)
+    np.cumsum(response.propulsion[:, 0], out=path[1:, 0])
+    np.cumsum(as_complex(response.drift)[:, 0], out=path[1:, 1])
+    path[:, 2] = 1.0
+    weights = np.zeros((6, *start.shape))
     weights[0] = as_vectors(velocity)
     weights[1] = as_vectors(1j * velocity)
     weights[2, :, 0] = weights[3, :, 1] = 1.0
     weights[4] = start
-    return (path @ weights.reshape(5, -1)).reshape(-1, *start.shape)
+    return (path.view(float) @ weights.reshape(6, -1)).reshape(-1, *start.shape)
 
 
 def _step(model: Model, particles: ParticleParameters, timeline: Timeline, start: np.ndarray,
@@ -58,7 +57,7 @@ def _step(model: Model, particles: ParticleParameters, timeline: Timeline, start
     mean = particles.velocity * (way.path / scene.span)
     position = np.empty((len(timeline.times), *start.shape))
     position[0] = p = start
-    last = np.append(segments.first[1:], len(mean)) - 1
+    last = segments.frames[1:] - 1
     frame = 1
     for k, h in enumerate(scene.span[:, 0].tolist()):
         def velocity(at: np.ndarray, k: int = k) -> np.ndarray:

@@ -62,29 +62,31 @@ def course(model: Model, scene: Scene, start: np.ndarray | None = None) -> Cours
             np.broadcast_to(begin, shape[1:]), np.broadcast_to(target, shape),
             np.broadcast_to(rate, shape), scene.span[:, 0],
         ))
-    target = _hold(target, driven, start)
+    kept = np.zeros(target.shape)
+    if not driven.all():
+        target = _hold(target, driven, start)
+        kept = np.where(driven | (target == 0), 0.0, 1.0)
     path = target * scene.span
-    free = ~driven & (target != 0)
     heading = np.concatenate([target, target[-1:]])
-    return Course(heading, path, 1j * path * free, free.astype(float))
+    return Course(heading, path, 1j * path * kept, kept)
+
+
+def as_complex(vectors: np.ndarray) -> np.ndarray:
+    """Real vectors (..., 2) as complex numbers (...), the inverse of `increments.as_vectors`."""
+    return np.ascontiguousarray(vectors).view(complex)[..., 0]
 
 
 def _target(model: Model, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """e^{iχ} that the field asks for (S, n), zero without a field, and whether there is one."""
-    strength = scene.strength
+    field = as_complex(scene.field)
+    strength = np.abs(field)
     driven = strength > 0
-    field = scene.field[..., 0] + 1j * scene.field[..., 1]
-    target = field / (strength if driven.all() else np.where(driven, strength, 1.0))
-    offset = model.heading_offset(scene)
-    if np.any(offset):
-        target = target * np.exp(1j * np.asarray(offset))
-    return target, driven
+    target = field / np.where(driven, strength, 1.0)
+    return target * np.exp(1j * model.heading_offset(scene)), driven
 
 
 def _hold(target: np.ndarray, driven: np.ndarray, start: np.ndarray | None) -> np.ndarray:
     """The target with each span without a field taking over the last heading before it."""
-    if driven.all():
-        return target
     before = np.zeros((1, 1)) if start is None else np.asarray(start)[None]
     shape = (len(target), max(before.shape[1], target.shape[1]))
     known = np.concatenate([np.broadcast_to(before, (1, shape[1])),

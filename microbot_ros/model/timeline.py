@@ -24,7 +24,7 @@ class Segments:
     """Spans during which the command stays, S of them, the last at the last frame.
 
     The first `lead` of them lie before the first frame: the history that the heading remembers.
-    `first` (T−1,) is the span, counted after these, with which each frame interval begins.
+    `frames` (T,) is where the frames lie among the edges of the spans after these.
     """
 
     t: np.ndarray
@@ -36,7 +36,12 @@ class Segments:
     frequency: np.ndarray
     """Commanded rotation (S, 1) [Hz]."""
     lead: int
-    first: np.ndarray
+    frames: np.ndarray
+
+    @property
+    def first(self) -> np.ndarray:
+        """The span after the lead with which each frame interval begins (T−1,)."""
+        return self.frames[:-1]
 
     def sum(self, spans: np.ndarray) -> np.ndarray:
         """Sum (S − lead, ...) over the spans of every frame interval: (T−1, ...)."""
@@ -47,13 +52,7 @@ class Segments:
     @property
     def interval(self) -> np.ndarray:
         """The frame interval (S − lead,) that each span after the lead belongs to."""
-        spans = np.arange(len(self.t) - self.lead)
-        return np.searchsorted(self.first, spans, side='right') - 1
-
-    @property
-    def frames(self) -> np.ndarray:
-        """Where the T frames lie among the edges of the spans after the lead."""
-        return np.append(self.first, -1)
+        return np.repeat(np.arange(len(self.first)), np.diff(self.frames))
 
     def scene(self, model: Model) -> Scene:
         """The scene in every span, the lead included, with the field after stage 1."""
@@ -71,10 +70,11 @@ class Timeline:
 
     def __init__(self, commands: Commands, times: np.ndarray,
                  positions: np.ndarray | None = None) -> None:
-        if len(times) < 2 or not (np.diff(times) > 0).all():
+        times = np.asarray(times, dtype=float)
+        if len(times) < 2 or not (times[1:] > times[:-1]).all():
             raise ValueError('times must be at least two, ascending')
         self.commands = commands
-        self.times = np.asarray(times, dtype=float)
+        self.times = times
         self.positions = positions
         self._segments: dict[tuple[float, bool], Segments] = {}
         self._places: dict[object, Places] = {}
@@ -100,25 +100,24 @@ class Timeline:
     def _cut(self, delay: float, whole: bool) -> Segments:
         commands, times = self.commands, self.times
         switches = commands.t + delay
-        inside = switches[(switches > times[0]) & (switches < times[-1])]
-        edges = np.concatenate([switches[switches < times[0]], times])
-        new = np.unique(inside[times[np.searchsorted(times, inside)] != inside])
-        if new.size:
-            edges = np.sort(np.concatenate([edges, new]), kind='stable')
-        start, span = edges[:-1], np.diff(edges)
+        edges = np.concatenate([switches[switches < times[-1]], times])
+        edges.sort(kind='stable')  # a merge: both were ascending
+        edges = edges[np.append(True, edges[1:] > edges[:-1])]
         if not whole:
-            start, span = _subdivide(start, span)
-        row = np.searchsorted(switches, start, side='right') - 1
-        lead = int(np.searchsorted(start, times[0]))
+            edges = _subdivide(edges)
+        start = edges[:-1, None]
+        span = edges[1:, None] - start
+        lead = int(edges.searchsorted(times[0]))
+        row = switches.searchsorted(start, side='right') - 1
         frequency = np.zeros(len(commands.t)) if commands.frequency is None else commands.frequency
         # Row −1, before the first command, is the zero appended at the end.
         return Segments(
-            t=(start + span / 2)[:, None],
-            span=span[:, None],
-            field=np.concatenate([commands.field, np.zeros((1, 2))])[row, None],
-            frequency=np.append(frequency, 0.0)[row, None],
+            t=start + span / 2,
+            span=span,
+            field=np.concatenate([commands.field, np.zeros((1, 2))]).take(row, axis=0),
+            frequency=np.append(frequency, 0.0).take(row),
             lead=lead,
-            first=np.searchsorted(start[lead:], times[:-1]),
+            frames=edges[lead:].searchsorted(times),
         )
 
 
@@ -131,11 +130,12 @@ def _remembered(cache: dict[Key, Value], key: Key, make: Callable[[], Value]) ->
     return cache[key]
 
 
-def _subdivide(start: np.ndarray, span: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The spans cut into equal parts no longer than LONGEST."""
+def _subdivide(edges: np.ndarray) -> np.ndarray:
+    """The edges with more between them, so that spans are cut equally to LONGEST at most."""
+    span = np.diff(edges)
     parts = np.ceil(span / LONGEST - 1e-9).astype(int)  # frames of just LONGEST stay whole
     if parts.max() <= 1:
-        return start, span
-    part = np.repeat(span / parts, parts)
-    number = np.arange(len(part)) - np.repeat(np.cumsum(parts) - parts, parts)
-    return np.repeat(start, parts) + number * part, part
+        return edges
+    number = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
+    inner = np.repeat(edges[:-1], parts) + number * np.repeat(span / parts, parts)
+    return np.append(inner, edges[-1])
