@@ -69,7 +69,11 @@ def command(model_file: Path | None, particles: tuple[str, ...], places: tuple[s
     if figure is not None:
         from microbot_ros.control.reach_figure import draw
 
-        draw(figure, swarm, goal, found, beyond, planned, seconds)
+        try:
+            draw(figure, swarm, goal, found, beyond, planned, seconds)
+        except (OSError, ValueError) as error:
+            problem = f'expected a PNG, PDF or SVG file that can be written ({error})'
+            raise InputError(figure, problem) from None
     if json_file is not None:
         write_text(json_file, json.dumps(result, indent=1) + '\n')
     _tell(result)
@@ -93,6 +97,8 @@ def _swarm(model_file: Path | None, particles: tuple[str, ...], places: tuple[st
     assert known is not None
     position = as_complex(np.array([_numbers('--at', p, _PAIR) for p in places]) * 1e-6)
     count = len(known.ids)
+    if not (known.speed > 0).all():
+        raise InputError('--particle', 'expected speeds above zero')
     if len(position) != count:
         raise InputError('--at', f'expected one for each of {count} particles; '
                                  f'received {len(position)}')

@@ -45,6 +45,9 @@ def test_equal_particles_open_nothing(tmp_path):
     ([*TWO, '--alignment-times-s', '0.1'], 'expected 2 positive times'),
     ([*TWO, '--alignment-times-s', '0.1,-1'], 'expected 2 positive times'),
     (['--particle', '4,nan', '--at', '0,0', '--goal', '1,1'], "received '4,nan'"),
+    (['--particle', '0,1', '--at', '0,0', '--goal', '1,1'], 'speeds above zero'),
+    ([*TWO, '--figure', 'absent/reach.png'], 'absent/reach.png: expected a PNG'),
+    ([*TWO, '--figure', 'reach.doc'], r'reach\.doc: expected a PNG'),
     (['--particle', '4', '--at', '0,0', '--goal', '1,1'], 'expected V_UM_S,PHI_RAD'),
     (['--model', 'absent.yaml', '--at', '0,0', '--goal', '1,1'], 'absent.yaml')])
 def test_bad_input_is_named(arguments, complaint, tmp_path):
@@ -52,6 +55,13 @@ def test_bad_input_is_named(arguments, complaint, tmp_path):
     with pytest.raises(InputError, match=complaint):
         run(*arguments, '--json', str(numbers))
     assert not numbers.exists()
+
+
+def test_one_particle_can_go_anywhere(tmp_path):
+    picture = tmp_path / 'reach.svg'
+    result = run('--particle', '4,1', '--at', '0,0', '--goal', '9,9', '--figure', str(picture))
+    assert 'floor 0.00' in result.output
+    assert picture.exists()
 
 
 def test_help_shows_an_example():
