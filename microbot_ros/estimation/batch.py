@@ -14,7 +14,7 @@ from microbot_ros.estimation.noise import GainFit, Noise, whiten
 from microbot_ros.estimation.phasor import Polar, polar
 from microbot_ros.estimation.recipe import Leg, one_leg
 from microbot_ros.model.model import Model
-from microbot_ros.model.particle import Fluid, stokes_drag, translational_diffusion
+from microbot_ros.model.particle import Fluid, translational_diffusion
 from microbot_ros.records import Session
 
 GATE = 40.0
@@ -81,12 +81,8 @@ def fit(session: Session, exposure: float = 0.0) -> Fit:
     excited = record.excitation(0.0, plain.noise)
     best, delay = _with_delay(record, plain) if excited.shows_delay else (plain, Delay())
     turn = record.turn(delay.value, best.noise)
-    late = delay.std if delay.determined else 0.0
-    swims = polar(best.gain, np.sqrt(np.where(np.isfinite(best.gain), best.variance, np.nan)))
-    swims = Polar(
-        swims.speed, np.hypot(swims.speed_std, swims.speed * abs(turn.real) * late),
-        swims.phi, np.hypot(swims.phi_std, abs(turn.imag) * late),
-    )
+    spread = np.sqrt(np.where(np.isfinite(best.gain), best.variance, np.nan))
+    swims = polar(best.gain, spread).widened(turn, delay.std)
     warnings += excited.sentences
     if ('φ', 'delay') in excited.pairs:
         warnings.append(
@@ -96,7 +92,7 @@ def fit(session: Session, exposure: float = 0.0) -> Fit:
     warnings += _against_stokes_einstein(session, best.noise)
     bands = _bands(session, model, times, z, best.noise) if model.propulsion == 'rolling' else []
     warnings += _uneven(bands)
-    force, force_std = _force(session, swims)
+    force, force_std = swims.force(session.conditions, DRAG_RELATIVE_STD)
     drive = record.drive(delay.value)
     return Fit(
         session.tracks.particles, swims, force, force_std, best.noise, delay, one_leg(session),
@@ -193,16 +189,6 @@ def _against_stokes_einstein(session: Session, noise: Noise) -> list[str]:
         f'D is {noise.diffusion * 1e12:.3g} µm²/s where Stokes–Einstein gives '
         f'{expected * 1e12:.3g}: radius or viscosity are off, or something moves the particles'
     ]
-
-
-def _force(session: Session, swims: Polar) -> tuple[np.ndarray, np.ndarray]:
-    """F = 6πηr v [N] with the spread of v, η and r."""
-    radius, viscosity = session.conditions.radius, session.conditions.viscosity
-    drag = np.nan
-    if radius and viscosity and session.conditions.propulsion != 'rolling':
-        drag = stokes_drag(Fluid(viscosity), radius)
-    force = drag * swims.speed
-    return force, np.hypot(drag * swims.speed_std, DRAG_RELATIVE_STD * force)
 
 
 def _predicted(z: np.ndarray, moved: np.ndarray) -> np.ndarray:

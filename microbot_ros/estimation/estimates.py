@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from microbot_ros.estimation.noise import Noise
-from microbot_ros.estimation.phasor import Polar, polar
+from microbot_ros.estimation.phasor import polar
 from microbot_ros.estimation.propagation import Step
 from microbot_ros.estimation.shared import SharedKnowledge
-from microbot_ros.model.particle import Fluid, stokes_drag
 from microbot_ros.records import Conditions
 
 
@@ -95,8 +94,10 @@ def answer(
     """The state in terms of speed, φ and force, and as it will be after the step `ahead`."""
     std = np.sqrt(state.c_var)
     known = std < settings.fastest / 20
-    swims = _widened(polar(state.c, std), shared)
-    force, force_std = _force(swims, conditions, settings)
+    swims = polar(state.c, std).widened(shared.turn, shared.delay.std)
+    force, force_std = swims.force(
+        conditions, np.hypot(settings.viscosity_relative_std, settings.radius_relative_std)
+    )
     spread = (
         state.p_var + 2 * np.real(ahead.drive * np.conj(state.cross))
         + np.abs(ahead.drive) ** 2 * state.c_var + 2 * shared.noise.diffusion * ahead.span
@@ -116,28 +117,6 @@ def answer(
         delay=shared.delay.value, delay_std=shared.delay.std, noise=shared.noise,
         diagnosis=diagnosis,
     )
-
-
-def _widened(swims: Polar, shared: SharedKnowledge) -> Polar:
-    """Speed and φ with what the delay's spread does to them."""
-    late = shared.delay.std if shared.delay.determined else 0.0
-    return replace(
-        swims,
-        speed_std=np.hypot(swims.speed_std, swims.speed * abs(shared.turn.real) * late),
-        phi_std=np.hypot(swims.phi_std, abs(shared.turn.imag) * late),
-    )
-
-
-def _force(
-    swims: Polar, conditions: Conditions, settings: Settings,
-) -> tuple[np.ndarray, np.ndarray]:
-    """F = 6πηr v [N] and its spread, that of η and r included; NaN without η or r."""
-    radius, viscosity, drag = conditions.radius, conditions.viscosity, np.nan
-    if radius and viscosity and conditions.propulsion != 'rolling':
-        drag = stokes_drag(Fluid(viscosity), radius)
-    relative = np.hypot(settings.viscosity_relative_std, settings.radius_relative_std)
-    force = drag * swims.speed
-    return force, np.hypot(drag * swims.speed_std, relative * force)
 
 
 def _vectors(z: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from microbot_ros.estimation.heading_bank import HeadingBank
 from microbot_ros.estimation.monitor import Monitor
 from microbot_ros.estimation.noise import Noise
 from microbot_ros.estimation.population import Population, Taken
-from microbot_ros.estimation.propagation import Propagator
+from microbot_ros.estimation.propagation import HEADING_MEMORY, Propagator
 from microbot_ros.estimation.shared import SharedKnowledge
 from microbot_ros.estimation.suspects import Suspects
 from microbot_ros.estimation.window import SECONDS
@@ -152,7 +152,7 @@ class Estimator:
             self._suspects.forget()
         self._settle(frame, shared)
         self._population.forget(t - self.settings.forget_after)
-        self._log.forget_before(t - SECONDS - 10)
+        self._log.forget_before(t - SECONDS - HEADING_MEMORY)
         return self._answer(np.isin(self._population.ids, frame.ids))
 
     def _usable(

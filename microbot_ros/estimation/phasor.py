@@ -1,11 +1,14 @@
-"""From the complex gain c = v exp(iφ) to speed and direction, with honest spreads."""
+"""From the complex gain c = v exp(iφ) to speed, direction and force, with honest spreads."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import i0e, i1e
+
+from microbot_ros.model.particle import Fluid, stokes_drag
+from microbot_ros.records import Conditions
 
 
 @dataclass(frozen=True)
@@ -16,6 +19,30 @@ class Polar:
     speed_std: np.ndarray
     phi: np.ndarray
     phi_std: np.ndarray
+
+    def widened(self, turn: complex, delay_std: float) -> Polar:
+        """With what a spread of the delay [s] does, where `turn` is d log c / d delay [1/s].
+
+        Nothing where the delay is not determined (NaN): then it is said that φ hangs on it.
+        """
+        late = delay_std if np.isfinite(delay_std) else 0.0
+        return replace(
+            self, speed_std=np.hypot(self.speed_std, self.speed * abs(turn.real) * late),
+            phi_std=np.hypot(self.phi_std, abs(turn.imag) * late),
+        )
+
+    def force(
+        self, conditions: Conditions, drag_relative_std: float,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """F = 6πηr v [N] and its standard deviation, that of the drag 6πηr included.
+
+        NaN where radius or viscosity are not known, and for rollers.
+        """
+        radius, viscosity, drag = conditions.radius, conditions.viscosity, np.nan
+        if radius and viscosity and conditions.propulsion != 'rolling':
+            drag = stokes_drag(Fluid(viscosity), radius)
+        force = drag * self.speed
+        return force, np.hypot(drag * self.speed_std, drag_relative_std * force)
 
 
 def polar(c: np.ndarray, std: np.ndarray) -> Polar:

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from microbot_ros.estimation.commands import CommandLog
-from microbot_ros.estimation.delay import LONGEST_DELAY, Delay, DelayedLikelihood
+from microbot_ros.estimation.delay import Delay, DelayedLikelihood
 from microbot_ros.estimation.noise import Noise
+from microbot_ros.estimation.propagation import HEADING_MEMORY
 from microbot_ros.model.model import Model
 
 PROBES = 8
@@ -99,7 +100,7 @@ class Window:
         if np.isfinite(z).sum() - PROBES < LEAST:
             return
         record = DelayedLikelihood(
-            model, log.since(times[0] - LONGEST_DELAY), times, z, noise.exposure
+            model, log.since(times[0] - HEADING_MEMORY), times, z, noise.exposure
         )
         fit = record.at(delay.value).maximum()
         yield None
