@@ -16,6 +16,8 @@ _EFFORT = 0.02
 """Weight of the change itself [µm²]: keeps the programme well posed."""
 _PENALTY = 50.0
 """What a micrometre of trespass costs [µm²]."""
+_USABLE = (1, 2)
+"""OSQP's numbers for solved, and solved inaccurately."""
 
 
 def cost(swarm: Swarm, plan: Plan, task: Task, rollout: Rollout) -> float:
@@ -78,10 +80,6 @@ def _solve(rollout: Rollout, task: Task, seconds: float) -> np.ndarray | None:
     step = result.x[:count] if result.x is not None else np.full(count, np.nan)
     usable = result.info.status_val in _USABLE and np.isfinite(step).all()
     return np.asarray(step) if usable else None
-
-
-_USABLE = (1, 2)
-"""OSQP's numbers for solved, and solved inaccurately."""
 
 
 def _rows(rollout: Rollout, task: Task) -> tuple[np.ndarray, np.ndarray]:
