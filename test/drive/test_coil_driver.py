@@ -16,8 +16,8 @@ from microbot_ros.errors import InputError
 
 FULL_SCALE_A = 2.0
 LIMITS = Limits(
-    current_A=FULL_SCALE_A, step_A=2 * FULL_SCALE_A, slew_A_per_s=1e4, stale_s=0.5,
-    deviation_A=0.1, settling_s=0.2, silence_s=0.3, continuous_A=1.5, thermal_s=60.0)
+    current_A=FULL_SCALE_A, step_A=2 * FULL_SCALE_A, slew_A_per_s=1e4, stale_s=0.8,
+    deviation_A=0.1, settling_s=0.5, silence_s=0.8, continuous_A=1.5, thermal_s=60.0)
 DRIVING = [1.0, -1.0, 0.5, 0.0]
 HOST = """
 import sys, time
@@ -26,9 +26,8 @@ from microbot_ros.drive.gate import Limits
 from microbot_ros.drive.serial_transfer.driver import SerialTransferAmplifier
 driver = CoilDriver(SerialTransferAmplifier(sys.argv[1], 2.0), Limits(*eval(sys.argv[2])), print)
 driver.start()
-while driver.arm():
-    time.sleep(0.01)
 while True:
+    driver.arm()
     driver.command([1.0, -1.0, 0.5, 0.0])
     time.sleep(0.01)
 """
@@ -105,7 +104,7 @@ def test_disarming_zeroes_at_once(driver, board):
 
 @pytest.mark.parametrize(('fault', 'reason'), [
     ('open=1', Reason.DEVIATION), ('over_temperature', Reason.DEVIATION),
-    ('silence', Reason.SILENCE), ('reset', Reason.SILENCE),
+    ('silence', Reason.SILENCE), ('reset=3000', Reason.SILENCE),
 ])
 def test_a_fault_of_the_device_is_latched(driver, board, fault, reason):
     drive(driver, board)
@@ -117,7 +116,7 @@ def test_a_fault_of_the_device_is_latched(driver, board, fault, reason):
 def command_until_fault(driver):
     while driver.gate.fault is None:
         driver.command(DRIVING)
-        threading.Event().wait(0.005)
+        threading.Event().wait(0.02)
     return driver.gate.fault
 
 
@@ -173,10 +172,12 @@ def test_the_watchdog_of_the_device_outlives_the_host(board, number):
     limits = str(tuple(vars(LIMITS).values()))
     with subprocess.Popen([sys.executable, '-c', HOST, board.url, limits],
                           stdout=subprocess.DEVNULL) as host:
-        board.eventually_at(DRIVING)
-        host.send_signal(number)
-        board.eventually_at([0] * 4, 'watchdog')
-        host.kill()
+        try:
+            board.eventually_at(DRIVING)
+            host.send_signal(number)
+            board.eventually_at([0] * 4, 'watchdog')
+        finally:
+            host.kill()
 
 
 def test_firmware_without_a_watchdog_keeps_its_last_command(emulate):
