@@ -1,0 +1,259 @@
+"""Blind sessions: fine Langevin physics with effects hidden at a wanted strength of evidence.
+
+How plainly an effect shows is its expected evidence λ = Σ |W P m|²: m are the displacements it
+causes, W whitens them under the diffusion and localisation error of the session, P projects off
+what speeds and offsets absorb. It is the noncentrality of the likelihood ratio against the
+baseline; for slow effects it is (1/2D) Σ ∫ |P δv|² dt. The library's equations serve to choose
+strengths only: what is filmed is the physics of `virtual_rig`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bench._hidden_effects import KINDS, LISTED, Hideout, Parameters
+from microbot_ros.estimation.noise import Noise, whiten
+from microbot_ros.model.effects import EFFECTS
+from microbot_ros.model.forces import rolled_frequency
+from microbot_ros.model.increments import increments, respond
+from microbot_ros.model.langevin import Path
+from microbot_ros.model.model import Model, ParticleParameters
+from microbot_ros.model.particle import Fluid
+from microbot_ros.model.timeline import Timeline
+from microbot_ros.records import Commands, Conditions, Session
+from microbot_ros.units import to_si
+from microbot_ros.virtual_rig.commands import Herding, steps
+from microbot_ros.virtual_rig.experiment import Camera, Feedback, draw_swarm, perform
+from microbot_ros.virtual_rig.hidden import hide
+from microbot_ros.virtual_rig.world import World
+
+FIELD = 5e-3
+FLUID = Fluid(1.245e-3)
+_ROLLS_ALWAYS = {'cut_in_hz': 0.0, 'step_out_hz': math.inf}
+COMMANDS = ('paper', 'fast', 'closed_loop', 'narrow')
+"""Legs of 2 to 6 s; of 0.3 to 1 s; feedback from every frame; legs within ±20°."""
+
+
+@dataclass(frozen=True)
+class Blind:
+    """A session, and what was hidden in it: parameters as people write them, and evidence λ.
+
+    `path` is where the particles really were and headed.
+    """
+
+    session: Session
+    path: Path
+    seed: int
+    commands: str
+    hidden: dict[str, Parameters]
+    evidence: float
+
+    def __str__(self) -> str:
+        what = f'{" + ".join(self.hidden)} at λ {self.evidence:.0f}' if self.hidden else 'nothing'
+        return f'seed {self.seed}, {self.commands}: {what}'
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Everything about an experiment but what is hidden in it. `control()` starts it anew."""
+
+    swarm: np.ndarray
+    control: Callable[[], Commands | Feedback]
+    camera: Camera
+    duration: float
+    conditions: Conditions
+    chance: int
+
+    def film(
+        self, effects: dict[str, Parameters], quiet: Commands | None = None,
+    ) -> tuple[Session, Path]:
+        """The session and the true path with these effects.
+
+        `quiet`: without diffusion, camera errors or blur, under these commands.
+        """
+        swarm, camera = self.swarm.copy(), self.camera
+        for effect, parameters in effects.items():
+            hide(swarm, effect, parameters, FIELD)
+        if quiet is not None:
+            swarm['diffusion'] = swarm['turning'] = 0.0
+            camera = Camera(camera.frame_rate)
+        rng = np.random.default_rng(self.chance)
+        control = self.control() if quiet is None else quiet
+        session, path = perform(
+            World(swarm, rng), control, camera, self.duration, rng, self.conditions)
+        return session, path
+
+    def apart(self, path: Path) -> bool:
+        """Whether no two spheres came near touching."""
+        z = path.position[..., 0] + 1j * path.position[..., 1]
+        distance = np.abs(z[:, :, None] - z[:, None])
+        distance[:, np.eye(z.shape[1], dtype=bool)] = np.inf
+        return bool(distance.min() > 2.3 * self.swarm['radius'][0])
+
+
+def blind(
+    seed: int, commands: str, effects: tuple[str, ...] = (), evidence: float = 0.0,
+    *, duration: float = 60.0, rolling: bool = False, count: int | None = None,
+) -> Blind:
+    """The session drawn by `seed`, with `effects` of expected `evidence` each hidden in it.
+
+    Drawn are the particles (1 to 20, unless `count` says), their size and thereby diffusion in
+    place and angle, frame rate, shutter, localisation error, gaps, and whether the rig knows its
+    fluid. An experiment in which spheres touch is drawn again, since contact is an effect of its
+    own; so is one in which the evidence can't be reached.
+    """
+    for attempt in range(200):
+        rng = np.random.default_rng([seed, attempt])
+        experiment, extent = _draw(rng, commands, effects, duration, rolling, count)
+        session, path = experiment.film({})
+        if not experiment.apart(path):
+            continue
+        hidden: dict[str, Parameters] = {}
+        for effect in effects:
+            shaped = KINDS[effect].shaped(Hideout(rng, extent * 1e6, duration))
+            yardstick = Yardstick(experiment, session.commands, path)
+            strength = yardstick.strength(effect, shaped, evidence)
+            if strength is not None:
+                hidden[effect] = shaped(strength)
+        if len(hidden) < len(effects):
+            continue
+        if effects:
+            session, path = experiment.film(hidden)
+        if experiment.apart(path):
+            named = replace(session, name=f'blind-{seed}')
+            return Blind(named, path, seed, commands, hidden, evidence)
+    raise RuntimeError(f'seed {seed}: {effects} under {commands} commands always ends in contact')
+
+
+def _draw(
+    rng: np.random.Generator, commands: str, effects: tuple[str, ...], duration: float,
+    rolling: bool, count: int | None,
+) -> tuple[Experiment, float]:
+    """An experiment and the half side [m] of the square in which its particles start."""
+    pairs = any(KINDS[effect].pairs for effect in effects)
+    rolling = rolling or 'drive_response' in effects
+    count = count or int(rng.choice((6, 8, 10) if pairs else (1, 2, 3, 4, 4, 4, 6, 20)))
+    radius = float(rng.choice((2.5e-6, 4.6e-6) if pairs else (1.0e-6, 2.5e-6, 4.6e-6)))
+    spacing = 7 * radius if pairs else 30e-6
+    extent = (9 * radius if pairs else 50e-6) * math.sqrt(count)
+    swarm = draw_swarm(
+        rng, count, FLUID, FIELD, radius=radius, half_extent=extent, spacing=spacing,
+        aligns_in=5e-5)
+    if pairs:  # alike, so that they stay near each other without touching
+        swarm['phi'] = swarm['phi'][0] + rng.uniform(-0.3, 0.3, count)
+    if rolling:
+        swarm['gain'], swarm['speed'] = swarm['speed'] / 8, 0.0
+    several = any(KINDS[effect].levels for effect in effects) or bool(rng.random() < 0.5)
+    levels = (0.2 * FIELD, 0.4 * FIELD, FIELD) if several else (FIELD,)
+    camera = Camera(
+        float(rng.choice((20.0, 30.0, 60.0))), float(rng.choice((0.0, 0.5, 1.0))),
+        float(rng.choice((0.03e-6, 0.1e-6, 0.3e-6))),
+        missed=float(rng.choice((0.0, 0.05, 0.1))), run=3.0,
+        dropped=float(rng.choice((0.0, 0.02))))
+    conditions = Conditions(propulsion='rolling' if rolling else 'catalytic')
+    if rng.random() < 0.7:
+        conditions = replace(
+            conditions, radius=radius, viscosity=FLUID.viscosity, reference_field=FIELD)
+    control = _control(rng, commands, swarm, levels, duration, rolling)
+    return Experiment(
+        swarm, control, camera, duration, conditions, int(rng.integers(2**31))), extent
+
+
+def _control(
+    rng: np.random.Generator, commands: str, swarm: np.ndarray, levels: tuple[float, ...],
+    duration: float, rolling: bool,
+) -> Callable[[], Commands | Feedback]:
+    if commands == 'closed_loop':
+        def herd() -> Feedback:
+            guide = Herding(swarm['phi'].copy(), 1.0)
+            return lambda t, seen: levels[int(t / 5) % len(levels)] * guide(t, seen)
+        return herd
+    dwell = (0.3, 1.0) if commands == 'fast' else (2.0, 6.0)
+    spread = math.radians(20) if commands == 'narrow' else math.pi
+    frequency = (1.0, 2.0, 5.0, 10.0, 20.0) if rolling else None
+    legs = steps(rng, duration, levels, dwell, rng.uniform(-math.pi, math.pi), spread, frequency)
+    return lambda: legs
+
+
+@dataclass(frozen=True)
+class Yardstick:
+    """Measures evidence along the path (T, N, 2) of an experiment with nothing hidden in it."""
+
+    experiment: Experiment
+    commands: Commands
+    path: Path
+
+    def strength(
+        self, effect: str, shaped: Callable[[float], Parameters], wanted: float,
+    ) -> float | None:
+        """The strength at which the evidence is as wanted within 3 %, None where none is."""
+        strength = KINDS[effect].guess
+        for _ in range(20):
+            reached = self.evidence(effect, shaped(strength))
+            if not reached > 1e-4 * wanted:
+                return None
+            if abs(reached / wanted - 1) < 0.03:
+                return strength
+            strength *= min(max(math.sqrt(wanted / reached), 0.2), 5.0)
+        return None
+
+    def evidence(self, effect: str, parameters: Parameters) -> float:
+        """λ of one effect.
+
+        What is in no library is filmed without noise, and counted beyond drift, linear flow,
+        decay and slip, which would take most of it: the evidence that something else is there.
+        """
+        if effect in LISTED:
+            return self._left(self.path.t, self._caused(effect, parameters), beyond=False)
+        _, path = self.experiment.film({effect: parameters}, quiet=self.commands)
+        return self._left(path.t, path.position, beyond=True)
+
+    def _caused(self, effect: str, parameters: Parameters) -> np.ndarray:
+        """The displacement (T, N, 2) [m] that an effect adds up to along the path."""
+        swarm, kind = self.experiment.swarm, EFFECTS[effect]
+        speed = swarm['gain'] if self._baseline.propulsion == 'rolling' else swarm['speed']
+        particles = ParticleParameters(np.arange(len(swarm)), speed, swarm['phi'])
+        timeline = Timeline(self.commands, self.path.t, self.path.position)
+        plain = increments(self._baseline, particles, timeline)
+        if effect == 'drive_response':  # filmed with the mechanics of rollers, not with curves
+            cut_in, step_out = (parameters.get(k, v) for k, v in _ROLLS_ALWAYS.items())
+            turns = rolled_frequency(self.commands.frequency, cut_in, step_out)
+            rolled = Timeline(replace(self.commands, frequency=turns), self.path.t)
+            return _sum(increments(self._baseline, particles, rolled) - plain)
+        added = kind(**{p.field: to_si(p.name, parameters[p.name]) for p in kind.parameters()})
+        return _sum(increments(self._baseline.with_effect(added), particles, timeline) - plain)
+
+    @property
+    def _baseline(self) -> Model:
+        conditions = replace(self.experiment.conditions, reference_field=FIELD)
+        return Model.baseline(conditions, self.commands)
+
+    def _left(self, times: np.ndarray, path: np.ndarray, beyond: bool) -> float:
+        """What of displacements (T, N, 2) the baseline can't absorb, whitened and squared."""
+        keep = times >= self.commands.t[0]
+        times, z = times[keep], path[keep, :, 0] + 1j * path[keep, :, 1]
+        swum = respond(self._baseline, Timeline(self.commands, times)).propulsion
+        columns = [z, np.broadcast_to(_sum(swum), z.shape)]
+        if beyond:
+            age = times[:-1, None]
+            aging = _sum(swum * age) * np.exp(1j * self.experiment.swarm['phi'])
+            x, y = (_sum(np.diff(times)[:, None] * part[:-1]) for part in (z.real, z.imag))
+            clock = np.broadcast_to(times[:, None] - times[0], z.shape)
+            columns += [clock, 1j * clock, x, 1j * x, y, 1j * y, aging, 1j * aging]
+        camera, body = self.experiment.camera, self.experiment.swarm[0]
+        noise = Noise(body['diffusion'], camera.noise, camera.exposure / camera.frame_rate)
+        white = whiten(np.stack(columns, axis=-1).astype(complex), times, noise).columns
+        along = white[..., 1]
+        share = (along.conj()[..., None] * white).sum(0) / (np.abs(along) ** 2).sum(0)[:, None]
+        white = white - along[..., None] * share
+        real = np.concatenate([white.real, white.imag]).reshape(-1, white.shape[-1])
+        weights = np.linalg.lstsq(real[:, 2:], real[:, 0], rcond=1e-9)[0]
+        return float(((real[:, 0] - real[:, 2:] @ weights) ** 2).sum())
+
+
+def _sum(increments: np.ndarray) -> np.ndarray:
+    return np.concatenate([np.zeros((1, *increments.shape[1:])), np.cumsum(increments, axis=0)])
