@@ -24,7 +24,7 @@ from microbot_ros.tracking.search import MatchedFilter, background
 from microbot_ros.tracking.settings import TrackerSettings
 
 _ITERATIONS = 3
-_SWEEPS = 2
+_SWEEPS = 6
 
 _CLOSEST = 0.4
 """Diameters: two fits nearer than this are one particle twice."""

@@ -13,6 +13,9 @@ from microbot_ros.tracking.settings import TrackerSettings
 _LADDER = 2.0 ** np.arange(2, 6.6, 0.5)
 """Diameters [px] tried: 4 to 76."""
 
+_NEARLY_ALL = 0.9
+"""The smallest width that explains this share of the most is taken."""
+
 _MOST_CANDIDATES = 80
 _MOST_PIXELS = 150_000
 _LEAST_SIGMA = 8.0
@@ -40,15 +43,18 @@ def best_guess(
     """
     signs = {'dark': [-1.0], 'bright': [1.0], None: [-1.0, 1.0]}[settings.contrast]
     ladder = _LADDER if settings.diameter_px is None else [settings.diameter_px]
-    best: Guess | None = None
+    guesses: list[Guess] = []
     for diameter in ladder:
         if 2 * diameter >= min(frames[0].shape):
             break
         for sign in signs:
             guess = _guess(frames[:2], float(diameter), sign)
             yield
-            if guess is not None and (best is None or guess.energy > best.energy):
-                best = guess
+            if guess is not None:
+                guesses.append(guess)
+    # A window wider than the particle explains it all, and a little of what lies around.
+    most = max((guess.energy for guess in guesses), default=0.0)
+    best = next((guess for guess in guesses if guess.energy > _NEARLY_ALL * most), None)
     return None if best is None else guess_at(frames, best.diameter, best.sign)
 
 

@@ -25,8 +25,12 @@ from microbot_ros.tracking.fit import (
     background_at,
 )
 
-_CELLS = 8
+_CELLS = 6
 """Cells per pixel and axis."""
+
+_SETTLED = 0.125
+_SETTLED_AMONG_OTHERS = 0.04
+"""Pixels: after a smaller move another turn would give the same; neighbours need more turns."""
 
 _FAST = {'reassoc', 'contract', 'arcp', 'nsz'}
 _UNKNOWNS = (CONTRAST, X, Y, SIZE, OFFSET)
@@ -247,7 +251,6 @@ def _fit(image, grid, spacing, parameters, active, model, turns, near, filters, 
                 moved = _turn(
                     image, grid, spacing, parameters[n], errors[n], model, shared[n], window,
                     solution, filters, pictures, discs, normals, covariances)
-                # Alone and nearly in its cell: another turn would give the same.
-                waiting[n] = moved >= 0 and (shared[n] or moved > 1 / _CELLS)
+                waiting[n] = moved > (_SETTLED_AMONG_OTHERS if shared[n] else _SETTLED)
     model[:] = 0
     return errors

@@ -33,6 +33,9 @@ _MOST_RESCALINGS = 4
 _NEAR = 0.3
 """A guess within this of the found size, as a difference of logarithms, is good enough."""
 
+_FAR = 2.45
+"""Ratio of sizes beyond which a blob does not fit at all."""
+
 _LEAST_OUTLINE = 8.0
 """Pixels: a smaller particle has no outline to speak of."""
 
@@ -61,13 +64,16 @@ def learning(
     step = max(1, len(frames) // _MOST_FRAMES)
     frames = frames[::step][:_MOST_FRAMES]
     guess = yield from best_guess(frames, settings)
-    for _ in range(_MOST_RESCALINGS):
+    for turn in range(_MOST_RESCALINGS):
         if guess is None:
             return None
         learner = _Learner(frames, guess, settings)
         yield
         scale = learner.scale()
         if settings.diameter_px is not None or abs(math.log(scale)) < _NEAR:
+            break
+        if turn > 0 and not 1 / _FAR < scale < _FAR:
+            # A ring, say: no blob of any size fits it, but its picture will be learned.
             break
         # A wide window collects the energy of debris and halos too: look again at the size of
         # what was found, or the fits would run into the limits of their size.
