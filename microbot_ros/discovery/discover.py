@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from microbot_ros.discovery.evidence import Evidence
 from microbot_ros.discovery.experiment import next_experiment
 from microbot_ros.discovery.held_out import held_out_gap, log_e_value
 from microbot_ros.discovery.ladder import Ladder, contribution

@@ -19,6 +19,9 @@ FORGOTTEN = 5.0
 CONTACT, BLUR = 1.05, 3.0
 """How near spheres may touch between frames: in distances of contact, and in usual steps more."""
 
+JUMP = 6.0
+"""Steps longer than this many times the 99th percentile are no motion."""
+
 LARGEST_CONTACT = 30e-6
 """Particles that never came closer than this [m] did not touch."""
 
@@ -32,7 +35,8 @@ class Evidence:
 
     `times` (T,) [s]; `z` (T, N) complex positions [m], 0 where `seen` (T, N) is False; `places`
     (T, N, 2) [m]: positions as known from earlier and present frames only, for terms that depend
-    on position (raw ones would bias them), NaN before and after a particle is in view.
+    on position (raw ones would bias them), NaN before and after a particle is in view; `jumps`:
+    steps too large for any motion, at which tracks were cut.
     """
 
     name: str
@@ -43,6 +47,7 @@ class Evidence:
     places: np.ndarray
     commands: Commands
     conditions: Conditions
+    jumps: int = 0
 
     @classmethod
     def of(cls, session: Session) -> Evidence:
@@ -90,6 +95,14 @@ class Evidence:
     def within(self, frames: np.ndarray) -> Evidence:
         """With only some frames (T,) bool used; the others still count as time that passes."""
         return replace(self, seen=self.seen & frames[:, None])
+
+    def without_jumps(self) -> Evidence:
+        """Tracks cut at steps beyond any motion: the stage moved, or two were confused."""
+        both = self.seen[1:] & self.seen[:-1]
+        steps = np.where(both, np.abs(np.diff(self.z, axis=0)), 0.0)
+        usual = np.quantile(steps[both], 0.99) if both.any() else 0.0
+        jumped = np.concatenate([np.zeros((1, self.z.shape[1]), bool), steps > JUMP * usual])
+        return replace(self.cut(jumped), jumps=int(jumped.sum()))
 
     def without_contact(self) -> Evidence:
         """Tracks cut where spheres may touch: there they push each other.

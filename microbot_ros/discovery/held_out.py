@@ -47,7 +47,7 @@ def log_e_value(fit: Fit, effect: str) -> float:
         learned = maximise(_on(fit, fit.model, train)).model
         rest = without(_on(fit, fit.model, test), effect)
         logs.append((rest.cost - _on(fit, learned, test).cost) / 2)
-    return float(np.logaddexp(*logs) - np.log(2))
+    return float(np.logaddexp(logs[0], logs[1]) - np.log(2))
 
 
 def held_out_gap(before: Fit, after: Fit, truth: Model | None = None) -> Gap:

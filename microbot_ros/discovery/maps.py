@@ -11,6 +11,7 @@ import numpy as np
 from microbot_ros.discovery.chance import tail
 from microbot_ros.discovery.covariates import Group, Surroundings
 from microbot_ros.discovery.likelihood import Fit, Part, eliminate, inner
+from microbot_ros.discovery.periodogram import turning_parts
 from microbot_ros.discovery.result import ResidualMap
 
 RANK = 1e-6
@@ -48,7 +49,7 @@ def _tested(fit: Fit, groups: list[tuple[int, Group]]) -> ResidualMap:
     """The test of one covariate over the sessions that have it, each with its own coefficients."""
     statistic, dof = 0.0, 0
     for k, group in groups:
-        value, rank = _score(fit.parts[k], fit.jacobian[k], fit, group.fields)
+        value, rank = _score(fit.parts[k], fit.jacobian[k], group.fields)
         statistic, dof = statistic + value, dof + rank
     group = groups[0][1]
     middles, curves = _curves(fit.parts[groups[0][0]], group)
@@ -56,7 +57,7 @@ def _tested(fit: Fit, groups: list[tuple[int, Group]]) -> ResidualMap:
     return ResidualMap(group.against, group.label, statistic, dof, p_value, middles, curves)
 
 
-def _score(p: Part, jacobian: np.ndarray, fit: Fit, fields: np.ndarray) -> tuple[float, int]:
+def _score(p: Part, jacobian: np.ndarray, fields: np.ndarray) -> tuple[float, int]:
     """T and its degrees of freedom for velocity fields (T−1, N, M)."""
     moved = np.nan_to_num(fields) * np.diff(p.evidence.times)[:, None, None]
     levels = np.concatenate([np.zeros((1, *moved.shape[1:]), complex), moved.cumsum(axis=0)])
@@ -80,39 +81,36 @@ def _score(p: Part, jacobian: np.ndarray, fit: Fit, fields: np.ndarray) -> tuple
 
 
 def _rhythm(fit: Fit, surroundings: list[Surroundings] | None = None) -> ResidualMap:
-    """The largest peak of a periodogram: of all particles in the laboratory, or in their frame."""
-    duration = max(float(np.ptp(p.evidence.times)) for p in fit.parts)
-    fastest = 0.4 / max(p.evidence.interval for p in fit.parts)
-    frequency = np.arange(2.0, max(fastest * duration, 3.0), 0.5) / duration
-    signals = 2 if surroundings else 1
-    power = np.zeros((signals, len(frequency)))
-    for k, p in enumerate(fit.parts):
-        residual = p.residual
-        if surroundings:
-            direction = np.zeros_like(residual)
-            direction[1:] = surroundings[k].body
-            residual = (residual * direction.conj() * np.abs(p.swim)).sum(axis=1)
-            pair = [residual.real, residual.imag]
-            weight = (np.abs(direction * p.swim) ** 2 * p.evidence.seen).sum() / 2
-        else:
-            pair = [residual.sum(axis=1)]
-            weight = p.count / 2
-        turned = np.exp(-2j * np.pi * np.outer(frequency, p.evidence.times))
-        for s, signal in enumerate(pair):
-            power[s] += np.abs(turned @ signal) ** 2 / max(weight, 1e-300) / 2
-            if not surroundings:
-                power[s] += np.abs(turned.conj() @ signal) ** 2 / weight / 2
-    dof = 4 if not surroundings else 2
+    """The largest peak of a periodogram: of all particles in the laboratory, or in their frame.
+
+    Of the longest session. In the laboratory both axes count together (χ² of 4); along the
+    heading and across it count apart, since speed and angle may swing (χ² of 2 each).
+    """
+    k = int(np.argmax([np.ptp(p.evidence.times) for p in fit.parts]))
+    p = fit.parts[k]
+    fastest = 0.4 / p.evidence.interval
+    if surroundings is None:
+        frequency, *turned = turning_parts(p.evidence.times, p.residual.sum(axis=1), fastest)
+        power = (np.abs(np.array(turned)) ** 2).sum(axis=0) / p.count
+        name, dof, trials = 'rhythm', 4, len(frequency)
+    else:
+        direction = np.zeros_like(p.residual)
+        direction[1:] = surroundings[k].body * np.abs(p.swim)
+        weight = (np.abs(direction) ** 2 * p.evidence.seen).sum()
+        own = (p.residual * direction.conj()).sum(axis=1)
+        parts = [turning_parts(p.evidence.times, axis, fastest) for axis in (own.real, own.imag)]
+        frequency = parts[0][0]
+        power = np.max([2 * np.abs(ahead) ** 2 / weight for _, ahead, _ in parts], axis=0)
+        name, dof, trials = 'rhythm, along the heading', 2, 2 * len(frequency)
     best = float(power.max())
-    trials = signals * len(frequency) / 2
-    p_value = float(min(1.0, trials * tail(best, dof)))
-    name = 'rhythm, along the heading' if surroundings else 'rhythm'
+    # Every other of the padded frequencies counts: peaks are as wide as two of them.
+    p_value = min(1.0, trials / 2 * tail(best, dof))
     return ResidualMap(name, 'frequency [Hz]', best, dof, p_value, frequency, {
-        'power': (power.max(axis=0), np.zeros(len(frequency)))})
+        'power': (power, np.zeros(len(frequency)))})
 
 
 def _single_steps(fit: Fit) -> ResidualMap:
-    """The largest step of one particle, and of all of them at once."""
+    """The largest step of one particle, and of all of them at once; jumps that were cut out."""
     worst, trials = 0.0, 0
     for p in fit.parts:
         used = p.residual != 0
@@ -120,7 +118,8 @@ def _single_steps(fit: Fit) -> ResidualMap:
         worst = max(worst, float((np.abs(p.residual) ** 2).max()),
                     float((np.abs(common) ** 2).max()))
         trials += p.count + len(common)
-    p_value = float(min(1.0, trials * np.exp(-worst / 2)))
+    jumps = sum(p.evidence.jumps for p in fit.parts)
+    p_value = 0.0 if jumps else float(min(1.0, trials * np.exp(-worst / 2)))
     return ResidualMap('single steps', 'time [s]', worst, 2, p_value, np.empty(0), {})
 
 

@@ -194,7 +194,7 @@ class Discovery:
     def as_json(self) -> dict[str, Any]:
         """`result.json`, in units at the edge."""
         speed = 'gain_um_s_hz' if self.model.propulsion == 'rolling' else 'v_um_s'
-        result = {
+        return {
             'verdict': self.verdict,
             'effects': [effect.as_json() for effect in self.effects],
             'gap': {
@@ -224,7 +224,6 @@ class Discovery:
             'next_experiment': self.next_experiment.sentence if self.next_experiment else '',
             'remarks': list(self.remarks),
         }
-        return result
 
 
 def parameters_of(effect_id: str) -> dict[str, Parameter]:

@@ -22,7 +22,7 @@ def screen(sessions: Sequence[Session]) -> tuple[list[Evidence], tuple[str, ...]
     """
     if not sessions:
         raise InputError('', 'expected at least one session')
-    evidences = [_usable(session) for session in sessions]
+    evidences = [_usable(session).without_jumps() for session in sessions]
     _all_different(evidences)
     remarks = [remark for e in evidences for remark in _remarks(e)]
     if len({session.conditions.propulsion for session in sessions}) > 1:
@@ -76,7 +76,11 @@ def _remarks(e: Evidence) -> list[str]:
         said.append(
             f'{e.name}: the command never turned. v and φ absorb drift, background field, coils '
             'and camera; record steps in all directions.')
-    if len(e.ids) == 1:
+    if e.jumps:
+        said.append(
+            f'{e.name}: {e.jumps} steps are longer than any motion; tracks were cut there. Did '
+            'the stage move, were particles confused?')
+    if len(np.unique(e.ids)) == 1:
         said.append(
             f'{e.name}: one particle. What acts between particles can’t be seen, and what acts '
             'on all can’t be told from what acts on one; record three or more.')

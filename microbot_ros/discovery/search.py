@@ -14,8 +14,10 @@ import numpy as np
 from microbot_ros.discovery.chance import log_of_any, log_tail
 from microbot_ros.discovery.evidence import levels
 from microbot_ros.discovery.likelihood import Fit, evaluate, maximise, with_noise
+from microbot_ros.discovery.periodogram import turning_parts
 from microbot_ros.model.effect import Effect
 from microbot_ros.model.effects import EFFECTS
+from microbot_ros.model.effects.periodic_drift import PeriodicDrift
 
 COARSE = (0.3, 2.0, 10.0)
 """Fit coordinates, both signs, from which effects of one parameter may start."""
@@ -167,26 +169,20 @@ def _fastest(fit: Fit) -> float:
 
 
 def _swings(fit: Fit) -> list[Effect]:
-    """Frequencies at which what is left swings most, from its periodogram.
+    """Frequencies at which what is left of the longest session swings most.
 
     White residuals summed over particles; turning both ways, so that any ellipse counts.
     """
-    effect = EFFECTS['periodic_drift']
-    duration = _duration(fit)
-    frequency = np.arange(1.0, max(_fastest(fit) * duration, 1.1), 0.25) / duration
-    power = np.zeros(len(frequency))
-    swings = np.zeros((2, len(frequency)), complex)
-    for p in fit.parts:
-        common = p.residual.sum(axis=1) / np.sqrt(max(p.seen_at_once, 1.0))
-        for k, sign in enumerate((-1, 1)):
-            turned = np.exp(sign * 2j * np.pi * np.outer(frequency, p.evidence.times)) @ common
-            power += np.abs(turned) ** 2 / len(common)
-            swings[k] += turned
+    longest = max(fit.parts, key=lambda p: float(np.ptp(p.evidence.times)))
+    frequency, forward, back = turning_parts(
+        longest.evidence.times, longest.residual.sum(axis=1), _fastest(fit))
+    power = np.abs(forward) ** 2 + np.abs(back) ** 2
     peaks = [k for k in np.argsort(-power) if power[k] == power[max(k - 3, 0):k + 4].max()]
     scored = []
     for k in peaks[:TRIED]:
         # x + iy = ½ a (e^{i(α+ψ)} e^{iωt} + e^{i(α−ψ)} e^{−iωt}): the two turning parts.
-        forward, back = np.angle(swings[0, k]), np.angle(swings[1, k])
-        start = effect(0.0, float(frequency[k]), (forward + back) / 2, (forward - back) / 2)
+        ahead, behind = np.angle(forward[k]), np.angle(back[k])
+        start = PeriodicDrift(
+            0.0, float(frequency[k]), (ahead + behind) / 2, (ahead - behind) / 2)
         scored.append(_strengthened(fit, start))
     return _promising(scored)
