@@ -91,7 +91,7 @@ def test_an_expected_particle_that_is_not_there_is_not_found() -> None:
     appearance = learn(frames, TrackerSettings(shape='round'))
     assert appearance is not None
     detector = make_detector(appearance, TrackerSettings(shape='round'))
-    found = detector.detect(frames[0], np.vstack([lone, lone[:1] + [9.0, 3.0]]))
+    found = detector.detect(frames[0], np.vstack([lone, lone[:1] + np.array([9.0, 3.0])]))
     away, _ = cKDTree(lone).query(found.xy)
     assert len(found) == 2
     assert away.max() < 0.3

@@ -1,0 +1,117 @@
+"""`microbot track`: its files, its numbers, and what it says of bad input."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from bench._tracker_scenes import scene
+from microbot_ros.cli import main
+
+
+def _run(*arguments: object) -> int:
+    import sys
+
+    before, sys.argv = sys.argv, ['microbot', 'track', *map(str, arguments)]
+    try:
+        with pytest.raises(SystemExit) as done:
+            main()
+    finally:
+        sys.argv = before
+    return int(done.value.code or 0)
+
+
+@pytest.fixture(scope='module')
+def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp('images')
+    for k, frame in enumerate(scene('disc', -60, 15, seed=9, frames=8).frames):
+        cv2.imwrite(str(folder / f'{k}.png'), frame[:240, :320])
+    return folder
+
+
+def test_tracks_in_pixels_and_micrometres(images: Path, tmp_path: Path) -> None:
+    result = tmp_path / 'result.json'
+    assert _run(images, '--out', tmp_path / 'out', '--pixel-size-um', 0.5,
+                '--frame-rate-hz', 20, '--json', result) == 0
+    with (tmp_path / 'out' / 'tracks.csv').open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert list(rows[0]) == ['frame', 'particle', 'x_px', 'y_px', 't_s', 'x_um', 'y_um']
+    for row in rows:
+        assert float(row['t_s']) == pytest.approx(int(row['frame']) / 20, abs=1e-6)
+        assert float(row['x_um']) == pytest.approx(0.5 * (float(row['x_px']) - 159.5), abs=1e-3)
+        assert float(row['y_um']) == pytest.approx(0.5 * (119.5 - float(row['y_px'])), abs=1e-3)
+    truth = scene('disc', -60, 15, seed=9, frames=1).truth
+    places = np.array([[float(row['x_px']), float(row['y_px'])] for row in rows])
+    assert np.linalg.norm(places[:, None] - truth, axis=2).min(axis=1).max() < 1
+    summary = json.loads(result.read_text())
+    assert summary['frames'] == 8
+    assert summary['positions'] == len(rows)
+    assert sorted(p.name for p in (tmp_path / 'out').iterdir()) == [
+        'overlay.mp4', 'settings.png', 'tracks.csv']
+    film = cv2.VideoCapture(str(tmp_path / 'out' / 'overlay.mp4'))
+    assert sum(1 for _ in iter(lambda: film.read()[0], False)) == 8
+
+
+def test_without_a_pixel_size_there_are_pixels_only(images: Path, tmp_path: Path) -> None:
+    assert _run(f'{images}/*.png', '--out', tmp_path / 'out', '--no-overlay') == 0
+    lines = (tmp_path / 'out' / 'tracks.csv').read_text().splitlines()
+    assert lines[0] == 'frame,particle,x_px,y_px'
+    assert len(lines) > 100
+    assert not (tmp_path / 'out' / 'overlay.mp4').exists()
+
+
+@pytest.mark.parametrize(('arguments', 'expected'), [
+    (['missing.mp4'], 'not found'),
+    (['{images}', '--pixel-size-um', 'nan'], 'expected a positive number'),
+    (['{images}', '--pixel-size-um', '0'], 'expected a positive number'),
+    (['{images}', '--pixel-size-um', 'inf'], 'expected a positive number'),
+    (['{images}', '--frame-rate-hz', '-3'], 'positive number of hertz'),
+    (['{images}', '--settings', '{tmp}/typo.yaml'], "typo.yaml:1: unknown key 'diametre_px'"),
+    (['{images}', '--settings', '{tmp}/nan.yaml'], 'nan.yaml:1:'),
+    (['{tmp}/empty.mp4'], 'no frame of it can be decoded'),
+])
+def test_bad_input_is_one_line_and_leaves_nothing(
+    images: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str],
+    expected: str,
+) -> None:
+    (tmp_path / 'typo.yaml').write_text('diametre_px: 9\n')
+    (tmp_path / 'nan.yaml').write_text('diameter_px: .nan\n')
+    (tmp_path / 'empty.mp4').write_bytes(b'')
+    before = sorted(tmp_path.iterdir())
+    filled = [part.format(images=images, tmp=tmp_path) for part in arguments]
+    assert _run(*filled, '--out', tmp_path / 'out') == 2
+    said = capsys.readouterr().err
+    assert expected in said
+    assert said.count('\n') == 1
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_broken_image_is_named_and_the_rest_tracked(
+    images: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / 'images'
+    folder.mkdir()
+    for path in images.iterdir():
+        (folder / path.name).write_bytes(path.read_bytes() if path.name != '3.png' else b'')
+    assert _run(folder, '--out', tmp_path / 'out', '--no-overlay') == 0
+    assert 'frame 3 can not be decoded' in capsys.readouterr().err
+    frames = {line.split(',')[0] for line in (
+        tmp_path / 'out' / 'tracks.csv').read_text().splitlines()[1:]}
+    assert '3' not in frames
+    assert '7' in frames
+
+
+def test_nothing_to_track_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(0)
+    for k in range(3):
+        cv2.imwrite(str(tmp_path / f'{k}.png'), rng.normal(120, 5, (96, 128)).astype(np.uint8))
+    assert _run(tmp_path, '--out', tmp_path / 'out') == 0
+    assert 'nothing in it stands out' in capsys.readouterr().err
+    assert (tmp_path / 'out' / 'tracks.csv').read_text() == 'frame,particle,x_px,y_px\n'
