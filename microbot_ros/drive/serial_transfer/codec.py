@@ -89,6 +89,8 @@ class Decoder:
         self.discarded_bytes = 0
         """Bytes that were part of no good packet: noise, another protocol, damage."""
         self._length = payload_length
+        self._header = (
+            {PACKET_ID}, {*range(payload_length), NOTHING_STUFFED}, {payload_length})
         self._pending = bytearray()
         self._last_byte_s = -math.inf
 
@@ -128,9 +130,7 @@ class Decoder:
     def _may_start_a_packet(self) -> bool:
         """Whether the pending bytes agree with a header, as far as they go."""
         header = self._pending[1:_HEADER]
-        wanted: tuple[range | tuple[int, ...], ...] = (
-            (PACKET_ID,), (*range(self._length), NOTHING_STUFFED), (self._length,))
-        return all(byte in allowed for byte, allowed in zip(header, wanted, strict=False))
+        return all(byte in allowed for byte, allowed in zip(header, self._header, strict=False))
 
     def _payload(self, packet: bytes) -> bytes | None:
         stuffed, crc, end = packet[_HEADER:-_TRAILER], packet[-2], packet[-1]
