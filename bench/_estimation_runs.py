@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from microbot_ros.estimation.commands import model_paths
-from microbot_ros.estimation.noise import GainLikelihood
+from microbot_ros.estimation.noise import GainLikelihood, Profile
 from microbot_ros.estimation.online import Estimates, Estimator, Settings
 from microbot_ros.model.first_order import simulate
 from microbot_ros.model.model import Model, ParticleParameters
@@ -87,14 +87,22 @@ def replay(run: Run) -> list[Estimates]:
 
 def bound(run: Run) -> np.ndarray:
     """Cramér–Rao bound on c (N,), per axis [m/s], with noise levels known."""
+    return np.sqrt(DIFFUSION / _known_noise(run, -np.inf, np.inf).power)
+
+
+def told_of_change(run: Run, begin: float, end: float) -> np.ndarray:
+    """c (N,) from what was seen between two times [s] alone, with noise levels known."""
+    return _known_noise(run, begin, end).gain
+
+
+def _known_noise(run: Run, begin: float, end: float) -> Profile:
     times, positions = run.session.tracks.grid()
     z = positions[..., 0] + 1j * positions[..., 1]
     model = Model.baseline(run.session.conditions, run.session.commands)
-    path = model_paths(model, run.session.commands, times).drive
-    power = GainLikelihood(times, z, np.broadcast_to(path, z.shape), run.exposure).at(
-        run.sigma**2 / DIFFUSION
-    ).power
-    return np.sqrt(DIFFUSION / power)
+    path = np.broadcast_to(model_paths(model, run.session.commands, times).drive, z.shape)
+    kept = (times >= begin) & (times <= end)
+    likelihood = GainLikelihood(times[kept], z[kept], path[kept], run.exposure)
+    return likelihood.at(run.sigma**2 / DIFFUSION)
 
 
 def record_change(seed: int, factor: complex, changed: float = 20.0) -> tuple[Run, float]:

@@ -129,7 +129,7 @@ class GainFit:
 
 
 @dataclass(frozen=True)
-class _Profile:
+class Profile:
     """Everything that follows in closed form from one value of σ²/D."""
 
     gain: np.ndarray
@@ -159,7 +159,7 @@ class GainLikelihood:
         if self._seen.sum() - self._seen.any(axis=0).sum() < 3:
             raise ValueError('fewer than 3 increments: nothing to fit')
 
-    def at(self, ratio: float) -> _Profile:
+    def at(self, ratio: float) -> Profile:
         """The maximum over gains and D for σ²/D = `ratio` [s]."""
         from microbot_ros.estimation.kernels import whiten_levels
 
@@ -175,7 +175,7 @@ class GainLikelihood:
         squares = float((np.abs(left) ** 2).sum())
         diffusion = max(squares / (2 * free), 1e-30)
         value = -count * np.log(2 * np.pi * diffusion) - log_det - squares / (2 * diffusion)
-        return _Profile(gain, power, left, diffusion, count, float(value))
+        return Profile(gain, power, left, diffusion, count, float(value))
 
     def maximum(self) -> GainFit:
         """Gains, D and σ together at the maximum, with their standard deviations."""

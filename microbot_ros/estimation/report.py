@@ -117,10 +117,10 @@ def figure(fit: Fit, path: Path) -> None:
     left.legend(frameon=False, fontsize='small', title='95 % intervals')
     for n, name in enumerate(fit.ids):
         measured, predicted = fit.z[:, n] * 1e6, fit.prediction[:, n] * 1e6
-        line, = right.plot(measured.real, measured.imag, lw=1.2, label=f'{name}')
-        right.plot(predicted.real, predicted.imag, '--', color=line.get_color(), lw=1)
+        right.plot(measured.real, measured.imag, lw=1.2, label=f'{name}')
+        right.plot(predicted.real, predicted.imag, '--', color='0.25', lw=0.8)
     right.set(xlabel='x [µm]', ylabel='y [µm]', aspect='equal',
-              title='tracks, and dashed the fitted model from the start on')
+              title='tracks; dashed: the fitted model from the start')
     right.title.set_fontsize('medium')
     if len(fit.ids) <= 12:
         right.legend(title='particle', frameon=False, fontsize='small')
