@@ -36,7 +36,7 @@ def draw_overlay(
     picture: np.ndarray = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
     thickness = max(1, round(image.shape[1] / 700))
     ring = round(1.5 * radius_px)
-    for k in range(len(poses)):
+    for k in np.argsort(poses.seen, kind='stable'):
         colour = _COLOURS[int(poses.id[k]) % len(_COLOURS)]
         x, y = round(float(poses.x_px[k])), round(float(poses.y_px[k]))
         if trails and poses.id[k] in trails:
