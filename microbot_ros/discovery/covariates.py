@@ -66,7 +66,7 @@ class Surroundings:
         yield from self._angles()
         yield from self._position()
         yield from self._levels()
-        if len(self.evidence.ids) > 1:
+        if self.evidence.owner[-1] > 0:
             yield self._neighbours()
             yield self._particles()
 
@@ -159,11 +159,12 @@ class Surroundings:
         T, N = self.shape
         times = self.evidence.times
         t = (self.middle - times.mean()) / np.ptp(times)
-        own = np.eye(N)[None, :, :]
-        drift = np.broadcast_to(own, (T, N, N)).astype(complex)
+        owner = self.evidence.owner
+        own = np.eye(owner[-1] + 1)[owner][None]
+        drift = np.broadcast_to(own, (T, *own.shape[1:])).astype(complex)
         change = (t * self.body)[:, :, None] * own
         fields = np.concatenate([drift, 1j * drift, change, 1j * change], axis=-1)
-        number = np.broadcast_to(np.arange(N, dtype=float), (T, N))
+        number = np.broadcast_to(self.evidence.ids.astype(float), (T, N))
         return Group('particle', 'particle', fields, number, np.ones((T, N), complex))
 
 

@@ -75,8 +75,7 @@ def discover(sessions: Sequence[Session],
         localisation=_localisation(fit),
         next_experiment=next_experiment(fit, rivals),
         model=fit.model,
-        particles=ParticleParameters.from_velocity(
-            fit.parts[-1].evidence.ids, fit.parts[-1].swim),
+        particles=_swimmers(fit),
         remarks=remarks,
     )
 
@@ -91,7 +90,8 @@ def _name(ladder: Ladder, effect: Effect, clean: bool) -> tuple[NamedEffect, lis
     """An effect of the final model with its evidence, and the models with its rivals instead."""
     own = contribution(ladder.fit, effect.id)
     gain = log_e_value(ladder.fit, effect.id)
-    status: Status = 'established' if gain > HELD_OUT else 'suggested'
+    sure = gain > HELD_OUT and own.delta_bic > CLOSE
+    status: Status = 'established' if sure else 'suggested'
     rivals = [rival for rival in ladder.rivals(effect.id) if _close(rival, own)]
     return _entry(own, status if clean else 'proxy', gain, rivals)
 
@@ -158,18 +158,25 @@ def _particles(fit: Fit) -> tuple[Particle, ...]:
         e = p.evidence
         power = np.trace(p.gram[:, 1:, 1:], axis1=1, axis2=2) / 2
         std = np.sqrt(p.diffusion / np.maximum(power, 1e-300))
-        swims = polar(p.swim, std)
+        swims = polar(p.swim[e.first_track], std)
         drag = np.nan
         known = e.conditions
         if known.radius and known.viscosity and fit.model.propulsion == 'catalytic':
             drag = stokes_drag(Fluid(known.viscosity), known.radius)
-        for n, name in enumerate(e.ids):
+        for n, name in enumerate(e.ids[e.first_track]):
             label = str(name) if len(fit.parts) == 1 else f'{e.name}:{name}'
             result.append(Particle(
                 label, Estimate(float(swims.speed[n]), float(swims.speed_std[n])),
                 Estimate(float(swims.phi[n]), float(swims.phi_std[n])),
                 Estimate(float(drag * swims.speed[n]), float(drag * swims.speed_std[n]))))
     return tuple(result)
+
+
+def _swimmers(fit: Fit) -> ParticleParameters:
+    """The particles of the last session."""
+    last = fit.parts[-1]
+    first = last.evidence.first_track
+    return ParticleParameters.from_velocity(last.evidence.ids[first], last.swim[first])
 
 
 def _localisation(fit: Fit) -> Estimate:

@@ -33,7 +33,7 @@ FEWEST = 20
 class Evidence:
     """One session as arrays.
 
-    `times` (T,) [s]; `z` (T, N) complex positions [m], 0 where `seen` (T, N) is False; `places`
+    `ids` (N,) names the particle of each track, ascending; `times` (T,) [s]; `z` (T, N) complex positions [m], 0 where `seen` (T, N) is False; `places`
     (T, N, 2) [m]: positions as known from earlier and present frames only, for terms that depend
     on position (raw ones would bias them), NaN before and after a particle is in view; `jumps`:
     steps too large for any motion, at which tracks were cut.
@@ -65,6 +65,17 @@ class Evidence:
         return cls(
             session.name, session.tracks.particles, times, np.nan_to_num(z), np.isfinite(z),
             positions, commands, session.conditions)
+
+    @cached_property
+    def owner(self) -> np.ndarray:
+        """The particle (N,) that each track belongs to, counted from 0, ascending."""
+        owner: np.ndarray = np.unique(self.ids, return_inverse=True)[1]
+        return owner
+
+    @cached_property
+    def first_track(self) -> np.ndarray:
+        """The first track of every particle."""
+        return np.unique(self.ids, return_index=True)[1]
 
     @cached_property
     def timeline(self) -> Timeline:
@@ -126,20 +137,30 @@ class Evidence:
         return self.cut(touching)
 
     def cut(self, out: np.ndarray) -> Evidence:
-        """Without the rows `out` (T, N) bool; what comes after one is another track."""
+        """Without the rows `out` (T, N) bool; what comes after one is another track.
+
+        Others still feel where the particle is meanwhile.
+        """
         if not out.any():
             return self
         number = np.cumsum(np.diff(out, axis=0, prepend=False) & out, axis=0)
         used = self.seen & ~out
-        pieces = [
-            (n, piece) for n in range(used.shape[1]) for k in range(number[-1, n] + 1)
-            if (piece := used[:, n] & (number[:, n] == k)).sum() >= FEWEST
-        ]
-        columns = [n for n, _ in pieces]
-        seen = np.stack([piece for _, piece in pieces], axis=1) if pieces else self.seen[:, :0]
+        row = np.arange(len(used))
+        columns, seen, own = [], [], []
+        for n in range(used.shape[1]):
+            pieces = [used[:, n] & (number[:, n] == k) for k in range(number[-1, n] + 1)]
+            pieces = [piece for piece in pieces if piece.sum() >= FEWEST]
+            begins = [0, *(int(piece.argmax()) for piece in pieces[1:]), len(used)]
+            for piece, begin, end in zip(pieces, begins, begins[1:], strict=False):
+                columns.append(n)
+                seen.append(piece)
+                own.append((row >= begin) & (row < end))
+        if not columns:
+            return self
+        kept, place = np.stack(seen, axis=1), np.stack(own, axis=1)
         return replace(
-            self, ids=self.ids[columns], z=np.where(seen, self.z[:, columns], 0), seen=seen,
-            places=np.where(seen[..., None], self.places[:, columns], np.nan))
+            self, ids=self.ids[columns], z=np.where(kept, self.z[:, columns], 0), seen=kept,
+            places=np.where(place[..., None], self.places[:, columns], np.nan))
 
     def located(self, moved: np.ndarray, excess: float) -> Evidence:
         """With places filtered about the displacement (T, N) complex that a model expects."""
@@ -148,7 +169,8 @@ class Evidence:
         belief = filter_levels(self.times, self.seen, self.z - moved, excess) + moved
         last = len(self.times) - 1 - self.seen[::-1].argmax(axis=0)
         belief[np.arange(len(self.times))[:, None] > last] = np.nan
-        return replace(self, places=as_vectors(belief))
+        known = np.isfinite(belief)[..., None]
+        return replace(self, places=np.where(known, as_vectors(belief), self.places))
 
 
 def first_field(commands: Commands) -> float:

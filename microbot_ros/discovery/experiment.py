@@ -80,13 +80,14 @@ def _trial(fit: Fit, plan: _Plan) -> Evidence:
     last = fit.parts[-1]
     e = last.evidence
     commands = _commands(plan, e.commands)
-    particles = ParticleParameters.from_velocity(e.ids, last.swim)
-    first = np.isfinite(e.places[..., 0]).argmax(axis=0)
-    start = fit.model.true_position(e.places[first, np.arange(len(e.ids))])
+    tracks = e.first_track
+    particles = ParticleParameters.from_velocity(e.ids[tracks], last.swim[tracks])
+    first = np.isfinite(e.places[:, tracks, 0]).argmax(axis=0)
+    start = fit.model.true_position(e.places[first, tracks])
     times = np.arange(0.0, TRIAL, max(e.interval, 1 / 30))
     places = fit.model.observe(simulate(fit.model, particles, commands, times, start))
     z = places[..., 0] + 1j * places[..., 1]
-    return replace(e, times=times, z=z, seen=np.ones(z.shape, bool), places=as_vectors(z),
+    return replace(e, ids=e.ids[tracks], times=times, z=z, seen=np.ones(z.shape, bool), places=as_vectors(z),
                    commands=commands)
 
 

@@ -54,7 +54,8 @@ class Part:
     """One session under a model: everything that follows in closed form.
 
     `white` (T, N, 3) are the data less the offset, and the columns along and across, of unit
-    variance but for D; `swim` (N,) = v e^{iφ}; `gram` (N, 3, 3) their real inner products.
+    variance but for D; `gram` (particles, 3, 3) their real inner products: pieces of one track
+    share v and φ.
     """
 
     evidence: Evidence
@@ -67,9 +68,10 @@ class Part:
 
     @cached_property
     def swim(self) -> np.ndarray:
-        """v e^{iφ} (N,) of every particle; 0 where nothing drove it."""
+        """v e^{iφ} (N,) of every track; 0 where nothing drove it."""
         solved = _solve(self.gram[:, 1:, 1:], self.gram[:, 1:, :1])[..., 0]
-        return solved[:, 0] + 1j * solved[:, 1]
+        own: np.ndarray = (solved[:, 0] + 1j * solved[:, 1])[self.evidence.owner]
+        return own
 
     @cached_property
     def squares(self) -> float:
@@ -125,13 +127,16 @@ def part(model: Model, evidence: Evidence, whitening: Whitening,
     white, log_det, count = whitening.apply(evidence, columns)
     if turned:
         white = np.concatenate([white, 1j * white[..., 1:2]], axis=-1)
-    return Part(evidence, whitening, expected, white, inner(white), log_det, count)
+    return Part(evidence, whitening, expected, white, inner(white, evidence), log_det, count)
 
 
-def inner(columns: np.ndarray) -> np.ndarray:
-    """Real inner products (N, M, M) over time of complex columns (T, N, M)."""
+def inner(columns: np.ndarray, evidence: Evidence) -> np.ndarray:
+    """Real inner products (particles, M, M) of complex columns (T, N, M) of all their tracks."""
     real = np.ascontiguousarray(columns.transpose(1, 2, 0)).view(float)
-    product: np.ndarray = real @ real.transpose(0, 2, 1)
+    of_tracks: np.ndarray = real @ real.transpose(0, 2, 1)
+    if len(of_tracks) == evidence.owner[-1] + 1:
+        return of_tracks
+    product: np.ndarray = np.add.reduceat(of_tracks, evidence.first_track)
     return product
 
 
@@ -200,7 +205,7 @@ class Fit:
         raw = np.zeros(len(total))
         for p, jacobian in zip(self.parts, self.jacobian, strict=True):
             all_columns = np.concatenate([p.white / np.sqrt(p.diffusion), jacobian], axis=-1)
-            gram = inner(all_columns)
+            gram = inner(all_columns, p.evidence)
             total += eliminate(gram).sum(axis=0)
             raw[1:] += np.diagonal(gram, axis1=1, axis2=2)[:, 3:].sum(axis=0)
         visible = np.diag(total)[1:] > COLLINEAR * raw[1:]

@@ -63,7 +63,7 @@ def _score(p: Part, jacobian: np.ndarray, fields: np.ndarray) -> tuple[float, in
     levels = np.concatenate([np.zeros((1, *moved.shape[1:]), complex), moved.cumsum(axis=0)])
     white = p.whiten(levels)
     columns = np.concatenate([p.white / np.sqrt(p.diffusion), jacobian, white], axis=-1)
-    gram = inner(columns)
+    gram = inner(columns, p.evidence)
     total = eliminate(gram).sum(axis=0)
     raw = np.diagonal(gram, axis1=1, axis2=2)[:, 3:].sum(axis=0)
     count = jacobian.shape[-1]

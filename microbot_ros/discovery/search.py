@@ -17,10 +17,14 @@ from microbot_ros.discovery.likelihood import Fit, evaluate, maximise, with_nois
 from microbot_ros.discovery.periodogram import turning_parts
 from microbot_ros.model.effect import Effect
 from microbot_ros.model.effects import EFFECTS
+from microbot_ros.model.effects.hot_spot import HotSpot
 from microbot_ros.model.effects.periodic_drift import PeriodicDrift
 
 COARSE = (0.3, 2.0, 10.0)
 """Fit coordinates, both signs, from which effects of one parameter may start."""
+
+PERIODS = 2.0
+"""Periods that a recording must hold to be said to swing."""
 
 TRIED = 3
 """Starting points worth a full fit."""
@@ -71,7 +75,24 @@ def look(fit: Fit, effect_id: str) -> Found | None:
     best = min(tried, key=lambda t: t.cost)
     if fit.cost - best.cost > NEGLIGIBLE:
         best = maximise(with_noise(best), 4)
-    return found_in(best, fit, effect_id)
+    return found_in(best, fit, effect_id) if _shown(best, effect_id) else None
+
+
+def _shown(fit: Fit, effect_id: str) -> bool:
+    """Whether the recording shows the shape that was found, not only its flank.
+
+    Half a swing or the far slope of a spot could stand in for anything smooth.
+    """
+    effect = fit.model.effect(effect_id)
+    if isinstance(effect, PeriodicDrift):
+        return effect.frequency * _duration(fit) >= PERIODS
+    if isinstance(effect, HotSpot):
+        spot = np.array([effect.x, effect.y])
+        places = [p.evidence.places.reshape(-1, 2) for p in fit.parts]
+        nearest = min(float(np.nanmin(np.hypot(*(p - spot).T))) for p in places)
+        extent = max(float(np.nanmax(np.ptp(p[np.isfinite(p[:, 0])], axis=0))) for p in places)
+        return nearest < effect.width < extent / 4
+    return True
 
 
 def _at(fit: Fit, effect: Effect) -> Fit:
@@ -83,7 +104,7 @@ def _applies(fit: Fit, effect: type[Effect]) -> bool:
     if effect.id == 'drive_response':
         return fit.model.propulsion == 'rolling' and _frequencies(fit) > 1
     if effect.id in ('dipole_interaction', 'hydrodynamic_slowdown'):
-        return any(len(p.evidence.ids) > 1 for p in fit.parts)
+        return any(p.evidence.owner[-1] > 0 for p in fit.parts)
     return True
 
 
