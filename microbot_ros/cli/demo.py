@@ -56,18 +56,21 @@ def command(seconds: float, seed: int, out: Path, json_path: Path | None) -> Non
         raise InputError('--seconds', f'expected at least {_FEWEST_SECONDS:g}; got {seconds:g}')
     began = time.monotonic()
     with output_folder(out) as folder:
-        goal, armed_at, controllers = _run(folder, seconds, seed, began)
+        goal, armed_at, controllers, faults = _run(folder, seconds, seed, began)
         summary = _look_back(folder, out, goal, armed_at, controllers, began)
     _print(summary, out)
     if json_path:
         write_text(json_path, json.dumps(summary, indent=1) + '\n')
+    if faults:
+        _say(began, f'the loop was cut: {"; ".join(faults)}')
+        sys.exit(1)
 
 
 def _run(folder: Path, seconds: float, seed: int, began: float,
-         ) -> tuple[np.ndarray, float, list[str]]:
+         ) -> tuple[np.ndarray, float, list[str], list[str]]:
     """The whole graph for that long.
 
-    The last goal [m], the ROS time [s] of arming, and the controllers used, in order.
+    The last goal [m], the ROS time [s] of arming, the controllers used, in order, and faults.
     """
     from microbot_ros.nodes.graph import Graph
     from microbot_ros.nodes.remote import Remote
@@ -105,7 +108,7 @@ def _run(folder: Path, seconds: float, seed: int, began: float,
         _say(began, 'stopping; the coils are at zero')
         graph.stop(['recorder', 'controller', 'model', 'tracker', 'virtual_rig', 'coil_driver'])
         graph.stop(['amplifier'])
-    return goals[-1], armed_at, ['hold', 'open_loop', 'waypoint', 'hold']
+    return goals[-1], armed_at, ['hold', 'open_loop', 'waypoint', 'hold'], sorted(watch.faults)
 
 
 class _Watch:
@@ -114,7 +117,7 @@ class _Watch:
     def __init__(self, remote: Any, graph: Any, began: float) -> None:
         self._remote, self._graph, self._began = remote, graph, began
         self._estimates: Any = np.empty(0)
-        self._faults: set[str] = set()
+        self.faults: set[str] = set()
         remote.watch_estimates(lambda points: setattr(self, '_estimates', points))
         remote.watch_health(self._on_health)
 
@@ -138,8 +141,8 @@ class _Watch:
             _say(self._began, line)
 
     def _on_health(self, node: str, level: bytes, sentence: str, _: dict[str, str]) -> None:
-        if level == b'\x02' and sentence not in self._faults:
-            self._faults.add(sentence)
+        if level == b'\x02' and sentence not in self.faults:
+            self.faults.add(sentence)
             _say(self._began, f'{node}: FAULT {sentence}')
 
     def place(self) -> np.ndarray:
@@ -175,7 +178,8 @@ def _rig_file(folder: Path, port: Path, log: Path, seed: int) -> str:
         'model': {'radius_um': 2.3, 'viscosity_mPa_s': 1.245},
         'controller': {'controller': 'hold', 'open_loop.directions_deg': LEARN_DIRECTIONS_DEG,
                        'open_loop.durations_s': [1.0] * len(LEARN_DIRECTIONS_DEG)},
-        'coil_driver': {'port': str(port)},
+        # A shared machine may pause for a tenth of a second; beside a rig the default is right.
+        'coil_driver': {'port': str(port), 'stale_ms': 250.0},
         'recorder': {'folder': str(folder / 'recording'), 'frame_every': 6,
                      'title': 'microbot demo'},
     }

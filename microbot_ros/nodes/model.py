@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -32,6 +33,8 @@ class ModelParameters:
                                      read_only=True)
     temperature_K: float = setting(298.0, 'Temperature of the fluid.', lower=250.0, upper=400.0,
                                    read_only=True)
+    reference_field_mT: float = setting(5.0, 'Field at which alignment times are stated.',
+                                        lower=1e-3, upper=1000.0, read_only=True)
     exposure_ms: float = setting(0.0, 'Exposure time of a frame.', lower=0.0, upper=1000.0,
                                  read_only=True)
     horizon_s: float = setting(0.5, 'How far ahead to predict.', lower=0.0, upper=60.0,
@@ -53,12 +56,15 @@ class ModelNode(RigNode):
         values: ModelParameters = self.settings
         _warm_up(self._make_estimator())
         self._estimator = self._make_estimator()
+        self._first_order = self._estimator.model
         self._model_file = ''
         self._origin: float | None = None
         self._estimates: Estimates | None = None
         self._state = self.publisher(PointCloud2, 'model/state')
         self.subscribe(PointCloud2, 'particles', self._on_particles)
-        if values.command_source == 'applied':
+        if values.propulsion == 'rolling':
+            self.subscribe(Vector3Stamped, 'field/rotation', self._on_rotation)
+        elif values.command_source == 'applied':
             self.subscribe(MagneticField, 'field/applied', self._on_applied)
         else:
             self.subscribe(Vector3Stamped, 'field/command', self._on_command)
@@ -68,15 +74,18 @@ class ModelNode(RigNode):
         return Estimator(
             Conditions(
                 propulsion=values.propulsion, radius=values.radius_um * 1e-6,
-                viscosity=values.viscosity_mPa_s * 1e-3, temperature=values.temperature_K),
+                viscosity=values.viscosity_mPa_s * 1e-3, temperature=values.temperature_K,
+                reference_field=values.reference_field_mT * 1e-3),
             Settings(horizon=values.horizon_s, exposure=values.exposure_ms * 1e-3))
 
     def veto(self, proposed: ModelParameters) -> str:
         if proposed.model_file:
             try:
-                read_model(proposed.model_file)
+                model, _ = read_model(proposed.model_file)
             except InputError as error:
                 return str(error)
+            if model.propulsion != proposed.propulsion:
+                return f'{proposed.model_file} is of {model.propulsion} particles'
         return ''
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
@@ -104,6 +113,13 @@ class ModelNode(RigNode):
         field = np.array([message.vector.x, message.vector.y])
         self._estimator.command(self._time(message.header.stamp), field)
 
+    def _on_rotation(self, message: Vector3Stamped) -> None:
+        """A field that turns with ω rolls particles along ω̂ × ẑ."""
+        x, y = message.vector.x, message.vector.y
+        rate = math.hypot(x, y)
+        direction = np.array([y, -x]) / (rate or 1.0)
+        self._estimator.command(self._time(message.header.stamp), direction, rate / math.tau)
+
     def _on_particles(self, message: PointCloud2) -> None:
         self._follow_model_file()
         found = messages.points(message, messages.PARTICLE)
@@ -125,7 +141,9 @@ class ModelNode(RigNode):
         if file != self._model_file:
             self._model_file = file
             if file:
-                self._estimator.use(read_model(file)[0])
+                self._estimator.load(file)
+            else:
+                self._estimator.use(self._first_order)
 
 
 def _warm_up(estimator: Estimator) -> None:
