@@ -1,0 +1,140 @@
+"""The pictures of the report: the gap, the maps, tracks inside the predicted band."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Sequence
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from microbot_ros.discovery.report_prediction import Prediction
+from microbot_ros.discovery.result import Gap, ResidualMap
+
+# Okabe and Ito's colours, told apart by colour-blind readers; markers and lines say the same.
+BEFORE, AFTER, FLOOR = '#D55E00', '#0072B2', '#999999'
+COMPONENTS = ('o', 's', '^')
+COLUMNS = 4
+MOST_PARTICLES = 4
+MOST_POINTS = 500
+
+
+def embedded(figure: Figure) -> str:
+    """A figure as an address that a page can hold in itself: SVG, the same on every run."""
+    stream = io.BytesIO()
+    with mpl.rc_context({'svg.hashsalt': 'microbot_ros'}):
+        figure.savefig(stream, format='svg', metadata={'Date': None})
+    return 'data:image/svg+xml;base64,' + base64.b64encode(stream.getvalue()).decode()
+
+
+def draw_gap(gap: Gap) -> Figure:
+    """What prediction misses beyond the noise, before and after, beside the noise itself."""
+    figure = Figure(figsize=(7.5, 1.9), layout='constrained')
+    axis = figure.subplots()
+    bars = {'before': gap.before, 'after': gap.after, 'noise floor': gap.floor}
+    if np.isfinite(gap.truth):
+        bars['true model'] = gap.truth
+    values = np.nan_to_num(list(bars.values())) * 1e6
+    colours = (BEFORE, AFTER, FLOOR, 'white')
+    drawn = axis.barh(list(bars), values, color=colours[:len(bars)], edgecolor='#444444')
+    axis.bar_label(drawn, [f'{v:.3f} µm' for v in values], padding=4)
+    axis.invert_yaxis()
+    axis.margins(x=0.15)
+    axis.set_xlabel(f'one coordinate, {gap.horizon:g} s ahead (µm)')
+    axis.spines[['top', 'right']].set_visible(False)
+    return figure
+
+
+def draw_maps(before: Sequence[ResidualMap], after: Sequence[ResidualMap]) -> Figure | None:
+    """What is left against each covariate, one panel each; None where there is none to draw."""
+    later = {m.against: m for m in after}
+    drawn = [m for m in before if any(len(mean) > 1 for mean, _ in m.curves.values())]
+    if not drawn:
+        return None
+    rows = -(-len(drawn) // COLUMNS)
+    figure = Figure(figsize=(3.1 * COLUMNS, 2.7 * rows + 0.4), layout='constrained')
+    axes = figure.subplots(rows, COLUMNS, squeeze=False).ravel()
+    for axis, first in zip(axes, drawn, strict=False):
+        _map(axis, first, later.get(first.against, first))
+    for axis in axes[len(drawn):]:
+        axis.set_visible(False)
+    keys = [
+        mpl.lines.Line2D([], [], color=BEFORE, marker='o', mfc='white', ls=':', label='before'),
+        mpl.lines.Line2D([], [], color=AFTER, marker='o', ls='-', label='after'),
+    ]
+    figure.legend(handles=keys, loc='outside upper right', ncols=2, frameon=False)
+    return figure
+
+
+def _map(axis: Axes, before: ResidualMap, after: ResidualMap) -> None:
+    """Circles are the first component, squares the second; open before, filled after."""
+    axis.axhline(0, color='#bbbbbb', lw=0.8)
+    for found, colour, style, fill in (
+        (before, BEFORE, ':', 'white'), (after, AFTER, '-', AFTER),
+    ):
+        for marker, (name, (mean, error)) in zip(COMPONENTS, found.curves.items(), strict=False):
+            if name == 'power':
+                axis.plot(*_peaks(found.middles, mean), style, color=colour, lw=0.8)
+                axis.set_ylabel('power (χ²)', fontsize=8)
+                continue
+            axis.errorbar(
+                found.middles, mean * 1e6, error * 1e6, fmt=marker, ls=style, lw=0.9, ms=3.5,
+                color=colour, mfc=fill, elinewidth=0.7)
+            names = ', '.join(f'{m} {n}' for m, n in zip('○□△', found.curves, strict=False))
+            axis.set_ylabel(f'left over (µm/s)  {names}', fontsize=8)
+    axis.set_title(f'{before.against}\np {_p(before)} → {_p(after)}', fontsize=9,
+                   fontweight='bold' if after.fires else 'normal',
+                   color=BEFORE if after.fires else 'black')
+    axis.set_xlabel(before.label, fontsize=8)
+    axis.tick_params(labelsize=7)
+    axis.spines[['top', 'right']].set_visible(False)
+
+
+def _peaks(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A curve in no more points than a picture can show, with its peaks."""
+    group = -(-len(x) // MOST_POINTS)
+    starts = np.arange(0, len(x), group)
+    return x[starts], np.maximum.reduceat(y, starts)
+
+
+def _p(found: ResidualMap) -> str:
+    """A p-value short enough for a title."""
+    if found.p_value >= 0.01:
+        return f'{found.p_value:.2f}'
+    return f'{found.p_value:.0e}' if found.p_value > 0 else '< 1e−300'
+
+
+def draw_bands(prediction: Prediction) -> Figure:
+    """Measured less predicted, both coordinates, of the first particles of a session."""
+    shown = prediction.measured[:MOST_PARTICLES]
+    figure = Figure(figsize=(11, 1.9 * len(shown) + 0.6), layout='constrained')
+    axes = figure.subplots(len(shown), 2, sharex=True, squeeze=False)
+    for n, row in enumerate(axes):
+        for k, (axis, name) in enumerate(zip(row, 'xy', strict=True)):
+            _band(axis, prediction, n, k)
+            axis.set_ylabel(f'particle {prediction.names[n]}: {name} (µm)', fontsize=8)
+    for axis in axes[-1]:
+        axis.set_xlabel('time (s)')
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc='outside upper center', ncols=3, frameon=False)
+    return figure
+
+
+def _band(axis: Axes, prediction: Prediction, n: int, k: int) -> None:
+    every = slice(None, None, -(-len(prediction.times) // MOST_POINTS))
+    t, half = prediction.times[every], prediction.band[n, every] * 1e6
+    found, plain = (
+        np.where(prediction.restarts[n, every], np.nan, left[n, every, k]) * 1e6
+        for left in (prediction.measured, prediction.without))
+    axis.fill_between(t, -half, half, color=AFTER, alpha=0.22, lw=0,
+                      label='5–95 % of the model found')
+    axis.plot(t, plain, ':', color=BEFORE, lw=1.1, label='measured − first-order model')
+    axis.plot(t, found, '-', color='black', lw=0.8, label='measured − model found')
+    largest = max(float(np.nanmax(np.abs([half, np.nan_to_num(found)]))), 1e-6)
+    reach = min(max(1.6 * largest, float(np.abs(np.nan_to_num(plain)).max())), 4 * largest)
+    axis.set_ylim(-reach, reach)
+    axis.tick_params(labelsize=8)
+    axis.spines[['top', 'right']].set_visible(False)
