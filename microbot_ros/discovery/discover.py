@@ -58,7 +58,6 @@ def discover(sessions: Sequence[Session],
     clean = not any(m.fires for m in after)
     report('comparing with what could stand in')
     named = [_name(ladder, effect, clean) for effect in ladder.fit.model.effects]
-    named += _suggested(ladder, clean)
     effects = tuple(effect for effect, _ in named)
     rivals = [rival for _, models in named for rival in models]
     report('predicting what was held out')
@@ -100,15 +99,6 @@ def _close(rival: Found, own: Found) -> bool:
     """Whether a rival explains about as much, as BIC or as likelihood has it."""
     return (rival.delta_bic > own.delta_bic - CLOSE
             or rival.likelihood_ratio > own.likelihood_ratio - CLOSE)
-
-
-def _suggested(ladder: Ladder, clean: bool) -> list[tuple[NamedEffect, list[Model]]]:
-    """The best candidate that BIC alone would take."""
-    best = max(ladder.open, key=lambda c: c.delta_bic, default=None)
-    if best is None or best.delta_bic <= 0 or not clean:
-        return []
-    rivals = [c for c in ladder.open if c is not best and _close(c, best)]
-    return [_entry(best, 'suggested', log_e_value(best.fit, best.id), rivals)]
 
 
 def _entry(found: Found, status: Status, gain: float,

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from microbot_ros.model.effects.alignment_lag import AlignmentLag
 from microbot_ros.model.increments import Response, as_vectors, respond
 from microbot_ros.model.model import Model
 from microbot_ros.model.particle import Fluid, rotational_diffusion
@@ -15,6 +16,9 @@ from microbot_ros.records import Commands, Conditions, Session
 
 FORGOTTEN = 5.0
 """Alignment times after which the heading has forgotten where it began."""
+
+UNDECIDED, ALIGNED = 0.05, 0.1
+"""Angles [rad]: of a turn from 180° within which chance decides; to the field, once aligned."""
 
 CONTACT, BLUR = 1.05, 3.0
 """How near spheres may touch between frames: in distances of contact, and in usual steps more."""
@@ -33,10 +37,11 @@ FEWEST = 20
 class Evidence:
     """One session as arrays.
 
-    `ids` (N,) names the particle of each track, ascending; `times` (T,) [s]; `z` (T, N) complex positions [m], 0 where `seen` (T, N) is False; `places`
-    (T, N, 2) [m]: positions as known from earlier and present frames only, for terms that depend
-    on position (raw ones would bias them), NaN before and after a particle is in view; `jumps`:
-    steps too large for any motion, at which tracks were cut.
+    `ids` (N,) names the particle of each track, ascending; `times` (T,) [s]; `z` (T, N) complex
+    positions [m], 0 where `seen` (T, N) is False; `places` (T, N, 2) [m]: positions as known from
+    earlier and present frames only, for terms that depend on position (raw ones would bias them),
+    NaN before and after a particle is in view; `jumps`: steps too large for any motion, at which
+    tracks were cut.
     """
 
     name: str
@@ -179,10 +184,34 @@ def first_field(commands: Commands) -> float:
     return float(driven[0]) if driven.size else np.inf
 
 
-def settling(model: Model) -> float:
-    """Seconds after the field came on before a model knows where particles head."""
+def explainable(evidence: Evidence, model: Model) -> Evidence:
+    """What a model that knows no chance in headings can explain.
+
+    Headings are unknown until the first field has come and aligned them, and again after a turn
+    so near 180° that Brownian motion chooses the way round. Never less than half the time.
+    """
     lag = model.effect('alignment_lag')
-    return model.delay + FORGOTTEN * (lag.tau if lag else 0.0)  # type: ignore[attr-defined]
+    tau = lag.tau if isinstance(lag, AlignmentLag) else 0.0
+    start = model.delay + FORGOTTEN * tau
+    half = float(np.ptp(evidence.times)) / 2
+    kept = evidence.since(min(start, half)) if start > 0 else evidence
+    if tau == 0:
+        return kept
+    lost = _lost(kept, model, tau)
+    return kept if lost.mean() > 0.5 else kept.cut(lost[:, None] & np.ones_like(kept.seen))
+
+
+def _lost(evidence: Evidence, model: Model, tau: float) -> np.ndarray:
+    """Frames (T,) from a turn of nearly 180° until the heading is aligned again."""
+    heading = respond(model, evidence.timeline).heading[:, 0]
+    target = model.field(evidence.commands.field_at(evidence.times - model.delay))
+    off = np.angle((target[:, 0] + 1j * target[:, 1]) * heading.conj())
+    jitter = np.sqrt((evidence.turning or 0.0) * tau)
+    lost = np.zeros(len(off), bool)
+    for k, angle in enumerate(np.abs(off)):
+        lost[k] = angle > np.pi - max(UNDECIDED, 4 * jitter) or (
+            k > 0 and lost[k - 1] and angle > ALIGNED)
+    return lost
 
 
 @dataclass(frozen=True)

@@ -87,8 +87,9 @@ def _trial(fit: Fit, plan: _Plan) -> Evidence:
     times = np.arange(0.0, TRIAL, max(e.interval, 1 / 30))
     places = fit.model.observe(simulate(fit.model, particles, commands, times, start))
     z = places[..., 0] + 1j * places[..., 1]
-    return replace(e, ids=e.ids[tracks], times=times, z=z, seen=np.ones(z.shape, bool), places=as_vectors(z),
-                   commands=commands)
+    return replace(
+        e, ids=e.ids[tracks], times=times, z=z, seen=np.ones(z.shape, bool),
+        places=as_vectors(z), commands=commands)
 
 
 def _commands(plan: _Plan, used: Commands) -> Commands:

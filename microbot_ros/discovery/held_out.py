@@ -94,7 +94,7 @@ def _errors(learned: Part, whole: Part, frames: np.ndarray, horizon: float) -> n
 
 
 def _known(learned: Part, horizon: float) -> np.ndarray:
-    """Tracks (N,) of particles of which enough was seen elsewhere for their v and φ to be of use."""
+    """Tracks (N,) of particles that were seen enough elsewhere for their v and φ to be of use."""
     power = np.trace(learned.gram[:, 1:, 1:], axis1=1, axis2=2) / 2
     spread = horizon * np.sqrt(learned.diffusion / np.maximum(power, 1e-300))
     known: np.ndarray = spread < 0.5 * np.sqrt(2 * learned.diffusion * horizon)

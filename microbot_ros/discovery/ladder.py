@@ -9,15 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
-from microbot_ros.discovery.evidence import Evidence, settling
-from microbot_ros.discovery.likelihood import (
-    Fit,
-    Whitening,
-    evaluate,
-    maximise,
-    settle,
-    with_noise,
-)
+from microbot_ros.discovery.evidence import Evidence, explainable
+from microbot_ros.discovery.likelihood import Fit, Whitening, evaluate, settle
 from microbot_ros.discovery.result import Candidate, Rung
 from microbot_ros.discovery.search import Found, found_in, look
 from microbot_ros.model.effects import EFFECTS
@@ -58,15 +51,16 @@ class Ladder:
 
     def stand(self, model: Model) -> Fit:
         """A model on what of the sessions it can explain, with places as it believes them."""
-        evidences = [_long_enough(e, settling(model)) for e in self.originals]
-        fit = evaluate(model, evidences, [Whitening(e.interval) for e in evidences])
-        fit = settle(fit)
+        fit = self._stand(model)
+        # What a lag can explain depends on how long it is.
+        return self._stand(fit.model) if fit.model.effect('alignment_lag') else fit
+
+    def _stand(self, model: Model) -> Fit:
+        evidences = [explainable(e, model) for e in self.originals]
+        fit = settle(evaluate(model, evidences, [Whitening(e.interval) for e in evidences]))
         located = [
-            e.located(p.levels.moved(p.swim), p.whitening.excess)
-            for e, p in zip(evidences, fit.parts, strict=True)
-        ]
-        again = evaluate(fit.model, located, [p.whitening for p in fit.parts])
-        return with_noise(maximise(again))
+            p.evidence.located(p.levels.moved(p.swim), p.whitening.excess) for p in fit.parts]
+        return settle(evaluate(fit.model, located, [p.whitening for p in fit.parts]))
 
     def climb(self, report: Callable[[str], None]) -> None:
         """Add, drop and exchange until nothing is left to do."""
@@ -132,16 +126,10 @@ def without(fit: Fit, name: str) -> Fit:
     """The fit with one effect less, all else at its maximum again."""
     evidences = [p.evidence for p in fit.parts]
     rest = evaluate(fit.model.without(name), evidences, [p.whitening for p in fit.parts])
-    return maximise(with_noise(maximise(rest)), 4)
+    return settle(rest)
 
 
 def contribution(fit: Fit, name: str) -> Found:
     """What one effect of a fit brings beside the others."""
     return found_in(fit, without(fit, name), name)
 
-
-def _long_enough(evidence: Evidence, seconds: float) -> Evidence:
-    """Without the start that a model can't explain, but never less than half."""
-    start = evidence.times[0]
-    half = (evidence.times[-1] - start) / 2
-    return evidence.since(min(seconds, half)) if seconds > 0 else evidence

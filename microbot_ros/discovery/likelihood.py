@@ -19,6 +19,9 @@ from microbot_ros.model.model import Model, ParticleParameters
 REMEMBERED = 0.01
 """Below this part of a turn that is left at the next frame, headings have no memory."""
 
+ROUNDS = 8
+"""Turns in which effects and noise are fitted, at most."""
+
 COLLINEAR = 1e-7
 """Part of a column's power below which v and φ absorb it."""
 
@@ -335,5 +338,13 @@ def _heading(model: Model, p: Part) -> tuple[np.ndarray, np.ndarray]:
 
 
 def settle(fit: Fit) -> Fit:
-    """Effects and noise together at their maximum, as near as evidence goes."""
-    return with_noise(maximise(with_noise(maximise(fit))))
+    """Effects and noise together at their maximum: in turns, until neither gains."""
+    fit = with_noise(maximise(fit))
+    for _ in range(ROUNDS):
+        better = with_noise(maximise(fit))
+        gain = fit.cost - better.cost
+        if gain > 0:
+            fit = better
+        if gain < 0.1:
+            return fit
+    return fit

@@ -13,7 +13,7 @@ import numpy as np
 
 from microbot_ros.discovery.chance import log_of_any, log_tail
 from microbot_ros.discovery.evidence import levels
-from microbot_ros.discovery.likelihood import Fit, evaluate, maximise, with_noise
+from microbot_ros.discovery.likelihood import Fit, evaluate, maximise, settle
 from microbot_ros.discovery.periodogram import turning_parts
 from microbot_ros.model.effect import Effect
 from microbot_ros.model.effects import EFFECTS
@@ -74,7 +74,7 @@ def look(fit: Fit, effect_id: str) -> Found | None:
     tried = [maximise(_at(fit, start)) for start in _starts(fit, effect)]
     best = min(tried, key=lambda t: t.cost)
     if fit.cost - best.cost > NEGLIGIBLE:
-        best = maximise(with_noise(best), 4)
+        best = settle(best)
     return found_in(best, fit, effect_id) if _shown(best, effect_id) else None
 
 

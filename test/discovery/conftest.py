@@ -1,4 +1,4 @@
-"""Blind sessions from the Langevin physics: what they hide comes by another path than is fitted."""
+"""Blind sessions from the Langevin physics, never from the equations that are fitted."""
 
 from __future__ import annotations
 

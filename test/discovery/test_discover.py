@@ -1,0 +1,125 @@
+"""From hidden effect to verdict: named, unnamed, consistent, and what is written."""
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from microbot_ros.cli.discover import command
+from microbot_ros.discovery.discover import discover
+from microbot_ros.errors import InputError
+from microbot_ros.model.model_file import read_model
+from microbot_ros.session import write_session
+
+
+@pytest.fixture(scope='module')
+def consistent():
+    from conftest import film
+    return discover([film(10)[0]])
+
+
+def test_nothing_missing_is_consistent(consistent):
+    assert consistent.verdict == 'consistent'
+    assert consistent.effects == ()
+    assert consistent.model.effects == ()
+    assert consistent.unexplained == ()
+    assert consistent.gap.before < consistent.gap.floor
+    drift = [limit for limit in consistent.limits if limit.id == 'uniform_drift']
+    assert 0 < max(limit.upper_limit for limit in drift) < 1e-6
+
+
+def test_named_with_parameters_and_the_gap_shrinks(film):
+    truth = {'wx_um_s': 0.6, 'wy_um_s': -0.4}
+    found = discover([film(11, {'uniform_drift': truth})[0]])
+    assert found.verdict == 'named'
+    effect, = found.effects
+    assert effect.status == 'established'
+    for name, value in truth.items():
+        estimate = effect.parameters[name]
+        assert abs(estimate.value * 1e6 - value) < 4 * estimate.std * 1e6 < 0.3
+    assert effect.delta_bic > 100
+    assert effect.e_value > 1e3
+    assert found.gap.before > 0.4e-6
+    assert found.gap.after < 0.5 * found.gap.before
+    assert any(m.fires for m in found.maps_before)
+    assert not any(m.fires for m in found.maps_after)
+
+
+def test_two_at_once_are_both_named(film):
+    hidden = {'speed_decay': {'tau_s': 40.0}, 'coil_misalignment': {'skew_rad': 0.25}}
+    found = discover([film(12, hidden)[0]])
+    assert found.verdict == 'named'
+    assert {e.id for e in found.effects if e.status == 'established'} == set(hidden)
+
+
+def test_lag_is_told_from_delay_and_brownian_turning(film):
+    found = discover([film(13, {'alignment_lag': {'tau_s': 0.4}})[0]])
+    assert [(e.id, e.status) for e in found.effects] == [('alignment_lag', 'established')]
+    tau = found.effects[0].parameters['tau_s']
+    assert abs(tau.value - 0.4) < 4 * tau.std < 0.1
+
+
+@pytest.mark.parametrize(('effect', 'parameters', 'against'), [
+    ('lamp_change', {'time_s': 15.0, 'factor': 0.6}, 'time, along the heading'),
+    ('speed_by_heading', {'depth': 0.3}, 'heading'),
+    ('pulsing_speed', {'depth': 0.5, 'frequency_hz': 0.7}, 'rhythm, along the heading'),
+    ('stage_jump', {'time_s': 15.0, 'x_um': 3.0, 'y_um': 1.0}, 'single steps'),
+])
+def test_what_no_entry_explains_is_unnamed(film, effect, parameters, against):
+    found = discover([film(14, {effect: parameters})[0]])
+    assert found.verdict == 'unnamed'
+    assert against in [m.against for m in found.unexplained]
+    assert not any(e.status == 'established' for e in found.effects)
+
+
+def test_rollers_whose_speed_is_not_proportional_to_the_frequency(film):
+    found = discover([film(15, {'drive_response': {'cut_in_hz': 0.9}}, rolling=True)[0]])
+    assert ('drive_response', 'established') in [(e.id, e.status) for e in found.effects]
+    assert found.as_json()['baseline']['particles']['0']['gain_um_s_hz']['value'] > 0.5
+
+
+def test_several_sessions_are_explained_together(film):
+    drift = {'uniform_drift': {'wx_um_s': 0.25, 'wy_um_s': 0.0}}
+    sessions = [film(seed, drift, duration=20.0)[0] for seed in (16, 17)]
+    one, both = discover(sessions[:1]), discover(sessions)
+    assert [e.id for e in both.effects] == ['uniform_drift']
+    spread = [f.effects[0].parameters['wx_um_s'].std for f in (one, both) if f.effects]
+    assert spread[-1] < 0.2e-6
+    assert len(both.baseline) == 6
+
+
+def test_json_is_complete_and_finite(consistent):
+    content = json.loads(json.dumps(consistent.as_json(), allow_nan=False))
+    assert set(content) >= {
+        'verdict', 'effects', 'gap', 'unexplained', 'not_supported', 'baseline',
+        'next_experiment'}
+    particle = content['baseline']['particles']['0']
+    assert particle['force_pN']['value'] == pytest.approx(
+        6 * np.pi * 1.245 * 4.6e-3 * particle['v_um_s']['value'], rel=1e-6)
+
+
+def test_command_writes_a_model_that_can_be_loaded(film, tmp_path):
+    session, _ = film(18, {'speed_decay': {'tau_s': 20.0}})
+    write_session(tmp_path / 'session', session)
+    result = CliRunner().invoke(command, [
+        str(tmp_path / 'session'), '--out', str(tmp_path / 'out'),
+        '--json', str(tmp_path / 'copy.json')])
+    assert result.exit_code == 0, result.output
+    assert 'speed_decay' in result.stdout
+    content = json.loads((tmp_path / 'out' / 'result.json').read_text())
+    assert content == json.loads((tmp_path / 'copy.json').read_text())
+    model, particles = read_model(tmp_path / 'out' / 'model.yaml')
+    value = content['effects'][0]['parameters']['tau_s']['value']
+    assert model.effect('speed_decay').tau == pytest.approx(value)
+    assert len(particles.ids) == 3
+
+
+def test_bad_input_leaves_nothing_behind(film, tmp_path):
+    session, _ = film(19)
+    write_session(tmp_path / 'session', session)
+    with pytest.raises(InputError, match='different sessions'):
+        CliRunner().invoke(command, [
+            str(tmp_path / 'session'), str(tmp_path / 'session'),
+            '--out', str(tmp_path / 'out')], catch_exceptions=False)
+    assert not (tmp_path / 'out').exists()
