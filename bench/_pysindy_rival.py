@@ -16,7 +16,7 @@ from microbot_ros.model.model import Model
 from microbot_ros.model.timeline import Timeline
 from microbot_ros.records import Session
 
-THRESHOLDS = np.geomspace(1e-4, 1.0, 25)
+THRESHOLDS = np.geomspace(1e-3, 1.0, 13)
 BLOCKS = 5
 
 

@@ -1,0 +1,159 @@
+"""The score card of discovery on blind sessions, with PySINDy on the same ones beside it.
+
+Counts come with their exact 95 % binomial intervals, since the number of sets is what the time
+allows; `out/discovery_suite.json` has every set with its seed. About 12 minutes on two cores.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import time
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from bench._hidden_effects import LISTED
+from bench._hidden_suite import blind
+from bench._score_card import (
+    Outcome,
+    null_cases,
+    one_each,
+    power_cases,
+    run,
+    two_at_once,
+    under_narrow_commands,
+    unlisted_cases,
+)
+from bench.figure import Figure
+from microbot_ros.files import write_text
+
+PYSINDY = 'PySINDy'
+
+
+def figures() -> list[Figure]:
+    """All cards."""
+    outcomes = run([
+        *null_cases(240), *one_each('plain', 40.0, 4, LISTED),
+        *one_each('strong', 100.0, 4, LISTED), *under_narrow_commands(1, 100.0),
+        *two_at_once(24, 100.0), *unlisted_cases(3, 100.0), *power_cases(10),
+    ])
+    entries = [dataclasses.asdict(outcome) for outcome in outcomes]
+    write_text(Path('out/discovery_suite.json'), json.dumps(entries, indent=1) + '\n')
+    return [*score(outcomes), _time()]
+
+
+def score(outcomes: Iterable[Outcome]) -> list[Figure]:
+    """The figures of outcomes from all cards."""
+    card: dict[str, list[Outcome]] = {}
+    for outcome in outcomes:
+        card.setdefault(outcome.case.card, []).append(outcome)
+    named = [o for key in ('plain', 'strong', 'narrow') for o in card[key]]
+    return [
+        *_nothing_missing(card['null']),
+        _share('first name right at λ = 40', [o.first for o in card['plain']], 0.97),
+        _share('exact set right at λ = 100', [o.exact for o in card['strong']], 0.95),
+        _share('truth named or in the ambiguity set', [o.suspected for o in named], 0.99),
+        _share('two at once, exact set right', [o.exact for o in card['two']], 0.90),
+        _share('in no list: unnamed', [o.verdict == 'unnamed' for o in card['unlisted']], 0.95),
+        _share('in no list: wrong established name',
+               [bool(o.established) for o in card['unlisted']], 0.02, at_most=True),
+        _coverage(named),
+        *_gap([o for key in ('plain', 'strong') for o in card[key]]),
+        _power(card['power']),
+    ]
+
+
+def _nothing_missing(outcomes: list[Outcome]) -> list[Figure]:
+    rival = [o.rival > 0 for o in outcomes if o.rival is not None]
+    peer = f'{PYSINDY}: {np.mean(rival):.0%} of {len(rival)}'
+    return [
+        _share('nothing missing: established names',
+               [bool(o.established) for o in outcomes], 0.01, at_most=True, peer=peer),
+        _share('nothing missing: called consistent',
+               [o.verdict == 'consistent' for o in outcomes], 0.98),
+    ]
+
+
+def interval(hits: int, count: int) -> tuple[float, float]:
+    """The exact 95 % interval of a probability (Clopper and Pearson 1934)."""
+    from scipy.stats import binomtest
+
+    low, high = binomtest(hits, count).proportion_ci(0.95)
+    return float(low), float(high)
+
+
+def _share(name: str, right: list[bool], target: float, *, at_most: bool = False,
+           peer: str = '–') -> Figure:
+    hits, count = sum(right), len(right)
+    low, high = interval(hits, count)
+    value = hits / count
+    ok = value <= target if at_most else value >= target
+    return Figure(
+        5, f'{name} ({hits} of {count}; 95 %: {low:.1%}–{high:.1%})', 100 * value, '%',
+        f'{"≤" if at_most else "≥"} {100 * target:g}', peer, ok)
+
+
+def _coverage(outcomes: list[Outcome]) -> Figure:
+    held = [c for o in outcomes for c in o.covered]
+    low, high = interval(sum(held), len(held))
+    value = 100 * float(np.mean(held))
+    return Figure(
+        5, f'95 % intervals hold the truth ({sum(held)} of {len(held)}; '
+        f'95 %: {low:.1%}–{high:.1%})', value, '%', '92–98', 'PySINDy: has none',
+        92 <= value <= 98)
+
+
+def _gap(outcomes: list[Outcome]) -> list[Figure]:
+    """Held out, over sets in which something can be seen to be missing."""
+    known = np.array([o.excess for o in outcomes])
+    known = known[np.isfinite(known).all(axis=1)]
+    before, after, truth, floor = (known**2).sum(axis=0)
+    ratio = math.sqrt((after + floor) / (truth + floor))
+    excess = math.sqrt(after / truth)
+    name = f'over {len(known)} sets; before {math.sqrt(before / truth):.2f}×'
+    return [
+        Figure(5, f'held-out excess after, against the true model’s ({name})', excess, '×',
+               '≤ 1.1', 'true model', excess <= 1.1),
+        Figure(5, 'held-out RMS after, against the true model’s', ratio, '×', '≤ 1.1',
+               'true model', ratio <= 1.1),
+    ]
+
+
+def _power(outcomes: list[Outcome]) -> Figure:
+    """Where a logistic curve through found and not found passes one half, over k ln n."""
+    from scipy.optimize import minimize
+
+    part = np.array([o.case.evidence / (o.unknowns * math.log(o.rows)) for o in outcomes])
+    found = np.array([o.first for o in outcomes])
+
+    def cost(shape: np.ndarray) -> float:
+        odds = np.exp(shape[1]) * (np.log(part) - shape[0])
+        return float(np.logaddexp(0, np.where(found, -odds, odds)).sum() + 0.01 * shape[1] ** 2)
+
+    half = float(np.exp(minimize(cost, np.array([0.0, 1.0]), method='Nelder-Mead').x[0]))
+    return Figure(5, f'λ found half the time, over k ln n ({len(part)} sets)', half, '×',
+                  '≤ 1.25', 'theory', half <= 1.25)
+
+
+def _time() -> Figure:
+    """Four particles, 60 s at 30 Hz, with the report, on one core."""
+    import tempfile
+
+    from threadpoolctl import threadpool_limits
+
+    from microbot_ros.discovery.discover import discover
+    from microbot_ros.discovery.report import write_report
+
+    session = next(
+        b.session for seed in range(100)
+        if (b := blind(seed, 'paper', ('uniform_drift',), 60.0, count=4))
+        .session.conditions.frame_rate == 30)
+    with threadpool_limits(1), tempfile.TemporaryDirectory() as folder:
+        began = time.perf_counter()
+        write_report(Path(folder), discover([session]), [session], [])
+        spent = time.perf_counter() - began
+    return Figure(5, 'time, 4 particles, 60 s, 30 Hz, one core, with report', spent, 's', '≤ 10',
+                  '–', spent <= 10)
