@@ -6,9 +6,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from microbot_ros.discovery.chance import tail
 from microbot_ros.discovery.experiment import next_experiment
 from microbot_ros.discovery.held_out import held_out_gap, log_e_value
-from microbot_ros.discovery.ladder import Ladder, contribution
+from microbot_ros.discovery.ladder import BACKWARD, Ladder, contribution
 from microbot_ros.discovery.likelihood import Fit
 from microbot_ros.discovery.maps import residual_maps
 from microbot_ros.discovery.result import (
@@ -17,6 +18,7 @@ from microbot_ros.discovery.result import (
     Limit,
     NamedEffect,
     Particle,
+    ResidualMap,
     Status,
     Verdict,
 )
@@ -57,7 +59,7 @@ def discover(sessions: Sequence[Session],
     after = residual_maps(ladder.fit) if ladder.fit.model.effects else before
     clean = not any(m.fires for m in after)
     report('comparing with what could stand in')
-    named = [_name(ladder, effect, clean) for effect in ladder.fit.model.effects]
+    named = [_name(ladder, effect, after) for effect in ladder.fit.model.effects]
     effects = tuple(effect for effect, _ in named)
     rivals = [rival for _, models in named for rival in models]
     report('predicting what was held out')
@@ -85,14 +87,28 @@ def _verdict(effects: Sequence[NamedEffect], clean: bool) -> Verdict:
     return 'named' if any(e.status == 'established' for e in effects) else 'consistent'
 
 
-def _name(ladder: Ladder, effect: Effect, clean: bool) -> tuple[NamedEffect, list[Model]]:
+def _name(ladder: Ladder, effect: Effect,
+          left: Sequence[ResidualMap]) -> tuple[NamedEffect, list[Model]]:
     """An effect of the final model with its evidence, and the models with its rivals instead."""
     own = contribution(ladder.fit, effect.id)
     gain = log_e_value(ladder.fit, effect.id)
-    sure = gain > HELD_OUT and own.delta_bic > CLOSE
-    status: Status = 'established' if sure else 'suggested'
     rivals = [rival for rival in ladder.rivals(effect.id) if _close(rival, own)]
-    return _entry(own, status if clean else 'proxy', gain, rivals)
+    status: Status = 'established' if gain > HELD_OUT and own.delta_bic > CLOSE else 'suggested'
+    if any(m.fires for m in left) and not _stands_alone(own, left):
+        status = 'proxy'
+    return _entry(own, status, gain, rivals), [rival.fit.model for rival in rivals]
+
+
+def _stands_alone(own: Found, left: Sequence[ResidualMap]) -> bool:
+    """Whether an effect holds although something else is left unexplained.
+
+    Only for one that nothing else could stand in for, since it alone depends on the frequency;
+    its evidence is divided by what is left in excess of chance (quasi-likelihood: McCullagh 1983).
+    """
+    if own.id != 'drive_response':
+        return False
+    excess = max((m.statistic / m.dof for m in left if m.dof > 4), default=1.0)
+    return tail(own.likelihood_ratio / max(excess, 1.0), own.dof) < BACKWARD
 
 
 def _close(rival: Found, own: Found) -> bool:
@@ -101,12 +117,10 @@ def _close(rival: Found, own: Found) -> bool:
             or rival.likelihood_ratio > own.likelihood_ratio - CLOSE)
 
 
-def _entry(found: Found, status: Status, gain: float,
-           rivals: list[Found]) -> tuple[NamedEffect, list[Model]]:
-    effect = NamedEffect(
+def _entry(found: Found, status: Status, gain: float, rivals: list[Found]) -> NamedEffect:
+    return NamedEffect(
         found.id, status, _estimates(found.fit, found.id), found.delta_bic, found.p_value,
         float(np.exp(min(gain, 700.0))), tuple(rival.id for rival in rivals))
-    return effect, [rival.fit.model for rival in rivals]
 
 
 def _deviations(fit: Fit, name: str) -> list[tuple[Parameter, float, float]]:

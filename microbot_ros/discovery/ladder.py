@@ -17,7 +17,7 @@ from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model
 
 FORWARD, BACKWARD = 0.01, 0.001
-MOST = 6
+MOST = 4
 """Effects in a model: a recording that seems to need more needs another library."""
 
 CLEARLY = 3.0

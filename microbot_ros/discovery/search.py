@@ -12,16 +12,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from microbot_ros.discovery.chance import log_of_any, log_tail
-from microbot_ros.discovery.evidence import levels
+from microbot_ros.discovery.evidence import Evidence, levels
 from microbot_ros.discovery.likelihood import Fit, evaluate, maximise, settle
 from microbot_ros.discovery.periodogram import turning_parts
 from microbot_ros.model.effect import Effect
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.effects.hot_spot import HotSpot
 from microbot_ros.model.effects.periodic_drift import PeriodicDrift
+from microbot_ros.session.folder import NOMINAL_FIELD
 
 COARSE = (0.3, 2.0, 10.0)
 """Fit coordinates, both signs, from which effects of one parameter may start."""
+
+OF_STRENGTH = frozenset((
+    'amplifier_deadband', 'background_field', 'incomplete_alignment', 'gradient_force',
+    'dipole_interaction'))
+"""Effects that mean nothing where the strength of the field is not known."""
 
 PERIODS = 2.0
 """Periods that a recording must hold to be said to swing."""
@@ -103,9 +109,19 @@ def _at(fit: Fit, effect: Effect) -> Fit:
 def _applies(fit: Fit, effect: type[Effect]) -> bool:
     if effect.id == 'drive_response':
         return fit.model.propulsion == 'rolling' and _frequencies(fit) > 1
+    if effect.id in OF_STRENGTH and all(_strength_unknown(p.evidence) for p in fit.parts):
+        return False
     if effect.id in ('dipole_interaction', 'hydrodynamic_slowdown'):
         return any(p.evidence.owner[-1] > 0 for p in fit.parts)
     return True
+
+
+def _strength_unknown(evidence: Evidence) -> bool:
+    """Whether only the direction of a rolling field was told, not its strength."""
+    if evidence.commands.frequency is None or evidence.conditions.reference_field:
+        return False
+    strength = np.hypot(*evidence.commands.field.T)
+    return bool(np.allclose(strength[strength > 0], NOMINAL_FIELD, rtol=1e-6))
 
 
 def _frequencies(fit: Fit) -> int:

@@ -37,6 +37,6 @@ def film(seed, effects=None, count=3, duration=30.0, camera=Camera(20.0, 0.0, 0.
     return Session(session.tracks, session.commands, session.conditions, f'film-{seed}'), truth
 
 
-@pytest.fixture(name='film')
+@pytest.fixture(name='film', scope='session')
 def film_fixture():
     return film

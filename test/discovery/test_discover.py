@@ -14,8 +14,7 @@ from microbot_ros.session import write_session
 
 
 @pytest.fixture(scope='module')
-def consistent():
-    from conftest import film
+def consistent(film):
     return discover([film(10)[0]])
 
 
