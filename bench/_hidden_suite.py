@@ -209,8 +209,8 @@ class Yardstick:
         """
         if effect in LISTED:
             return self._left(self.path.t, self._caused(effect, parameters), beyond=False)
-        _, path = self.experiment.film({effect: parameters}, quiet=self.commands)
-        return self._left(path.t, path.position, beyond=True)
+        session, _ = self.experiment.film({effect: parameters}, quiet=self.commands)
+        return self._left(*session.tracks.grid(), beyond=True)
 
     def _caused(self, effect: str, parameters: Parameters) -> np.ndarray:
         """The displacement (T, N, 2) [m] that an effect adds up to along the path."""

@@ -93,6 +93,8 @@ def interval(name: str, estimate: Estimate) -> str:
 
 def number(x: float) -> str:
     """0.03 as it is, 4·10⁻⁹ with its power; 0 stands for less than can be computed."""
+    if not np.isfinite(x):
+        return 'beyond computing' if x > 0 else '–'
     if x <= 0:
         return '< 10⁻³⁰⁰'
     if 0.001 <= x < 1e5:

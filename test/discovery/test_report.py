@@ -1,0 +1,166 @@
+"""The report: what it says, that it stands alone, and that its band is the right width."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from microbot_ros.discovery.discover import discover
+from microbot_ros.discovery.report import (
+    digests,
+    headline,
+    interval,
+    limit,
+    number,
+    page,
+    write_report,
+)
+from microbot_ros.discovery.report_prediction import predict
+from microbot_ros.discovery.result import Estimate, Limit, parameters_of
+
+DRIFT = {'uniform_drift': {'wx_um_s': 0.8, 'wy_um_s': -0.5}}
+
+
+@pytest.fixture(scope='module')
+def drifting(film):
+    session, _ = film(11, DRIFT)
+    return discover([session]), session
+
+
+class Links(HTMLParser):
+    """All addresses a page refers to."""
+
+    def __init__(self):
+        super().__init__()
+        self.addresses = []
+
+    def handle_starttag(self, tag, attrs):
+        self.addresses += [value for name, value in attrs if name in ('src', 'href')]
+
+
+def test_the_report_stands_alone_and_says_what_was_found(tmp_path, drifting):
+    found, session = drifting
+    data = tmp_path / 'session'
+    data.mkdir()
+    (data / 'tracks.csv').write_text('t_s,particle,x_um,y_um\n')
+    write_report(tmp_path, found, [session], [data])
+    html = (tmp_path / 'report.html').read_text()
+    links = Links()
+    links.feed(html)
+    assert len(links.addresses) == 3
+    assert all(a.startswith('data:image/svg+xml;base64,') for a in links.addresses)
+    assert 'http' not in re.sub(r'base64,[^"]*', '', html)
+    for said in (
+        'uniform drift', interval('wx_um_s', found.effects[0].parameters['wx_um_s']),
+        'uniform drift added', 'Looked for and not found', 'µm/s', 'numpy',
+        hashlib.sha256((data / 'tracks.csv').read_bytes()).hexdigest(),
+    ):
+        assert said in html, said
+    assert html == page(found, [session], [data])
+
+
+def test_what_people_call_things_can_not_break_the_page(drifting):
+    found, session = drifting
+    html = page(found, [replace(session, name='<script>alert(1)</script>')], [])
+    assert '<script>' not in html
+
+
+def test_pictures_are_whole(drifting):
+    found, session = drifting
+    for address in re.findall(r'base64,([^"]*)', page(found, [session], [])):
+        picture = base64.b64decode(address).decode()
+        assert picture.rstrip().endswith('</svg>')
+        assert 'NaN' not in picture
+
+
+def test_headlines_follow_the_verdict(drifting):
+    found, _ = drifting
+    named = headline(found)
+    assert 'uniform drift' in named
+    assert '±' in named
+    assert 'ΔBIC' in named
+    proxy = tuple(replace(e, status='proxy') for e in found.effects)
+    left = tuple(replace(m, p_value=1e-6 if m.against == 'position' else 1.0)
+                 for m in found.maps_after)
+    unnamed = headline(replace(found, verdict='unnamed', effects=proxy, maps_after=left))
+    assert 'depends on position (p = 1·10⁻⁶)' in unnamed
+    assert 'only stands in' in unnamed
+    assert 'Nothing is missing' in headline(replace(found, verdict='consistent', effects=()))
+    hint = tuple(replace(e, status='suggested') for e in found.effects)
+    assert 'hint of uniform drift' in headline(
+        replace(found, verdict='consistent', effects=hint))
+
+
+def test_the_band_holds_nine_in_ten_and_the_poorer_model_leaves_it(film):
+    """Many starts of a quick simulation: inside is a mean over correlated positions."""
+    found, session = (lambda s: (discover([s]), s))(film(21, DRIFT, count=4, duration=60.0)[0])
+    prediction = predict(found, session)
+    assert 0.78 < prediction.inside <= 0.98
+    assert replace(prediction, measured=prediction.without).inside < prediction.inside - 0.2
+    assert prediction.measured.shape == (4, len(prediction.times), 2)
+
+
+def test_the_band_counts_from_the_last_start_and_gaps_stay_gaps(drifting):
+    found, session = drifting
+    times, seen = session.tracks.grid()
+    gone = (times > 5) & (times < 12)
+    tracks = session.tracks
+    first = tracks.particle == tracks.particles[0]
+    kept = ~(first & np.isin(tracks.t, times[gone]))
+    torn = replace(session, tracks=replace(
+        tracks, **{name: getattr(tracks, name)[kept]
+                   for name in ('t', 'particle', 'position', 'theta', 'sigma')}))
+    prediction = predict(found, torn)
+    missing = np.isin(prediction.times, times[gone])
+    assert np.isnan(prediction.measured[0, missing]).all()
+    assert np.isfinite(prediction.measured[1, missing]).all()
+    again = prediction.times[~missing & (prediction.times > 10)][0]
+    start = prediction.times == again
+    assert prediction.restarts[0, start].all()
+    assert (prediction.measured[0, start] == 0).all()
+    assert seen.shape[1] == 3
+
+
+@pytest.mark.parametrize(('x', 'said'), [
+    (0.034, '0.034'), (1.0, '1'), (4.2e-9, '4·10⁻⁹'), (9.7e-305, '1·10⁻³⁰⁴'), (0.0, '< 10⁻³⁰⁰'),
+    (123456.0, '1·10⁵'), (1234.0, '1234'), (np.inf, 'beyond computing'), (np.nan, '–'),
+])
+def test_numbers(x, said):
+    assert number(x) == said
+
+
+@pytest.mark.parametrize(('name', 'value', 'std', 'said'), [
+    ('wx_um_s', 4.13e-7, 3.1e-8, '0.413 ± 0.061 µm/s'),
+    ('delay_s', -0.02, 0.001, '−0.0200 ± 0.0020 s'),
+    ('gain_ratio', 1.1, np.nan, '1.1'), ('tau_s', np.inf, 1.0, '–'),
+    ('tau_s', 120.0, 60.0, '120 ± 118 s'),
+    ('phi_rad', 1.0, 0.0, '1 rad'),
+])
+def test_intervals(name, value, std, said):
+    assert interval(name, Estimate(value, std)) == said
+
+
+@pytest.mark.parametrize(('effect', 'name', 'value', 'said'), [
+    ('uniform_drift', 'wx_um_s', 1.2e-7, 'up to 0.12 µm/s'),
+    ('speed_decay', 'tau_s', 900.0, '900 s or longer'),
+    ('coil_gain_mismatch', 'gain_ratio', 1.03, 'within 1 ± 0.03'),
+    ('uniform_drift', 'wx_um_s', np.nan, 'not bounded by these data'),
+])
+def test_limits(effect, name, value, said):
+    assert limit(Limit(effect, parameters_of(effect)[name], value)) == said
+
+
+def test_files_are_hashed_as_sha256sum_does(tmp_path):
+    folder = tmp_path / 'run'
+    folder.mkdir()
+    (folder / 'tracks.csv').write_bytes(b'abc')
+    (folder / 'notes.txt').write_bytes(b'not data')
+    known = 'ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad'
+    assert digests(folder) == [('run/tracks.csv', known)]
+    assert digests(folder / 'tracks.csv') == [('tracks.csv', known)]
