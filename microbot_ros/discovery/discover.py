@@ -23,9 +23,10 @@ from microbot_ros.discovery.result import (
     Verdict,
 )
 from microbot_ros.discovery.screen import screen
-from microbot_ros.discovery.search import Found
+from microbot_ros.discovery.search import LATE, Found, hidden_in_phi
 from microbot_ros.estimation.phasor import polar
 from microbot_ros.model.effect import Effect
+from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.parameter import Parameter
 from microbot_ros.model.particle import Fluid, stokes_drag
@@ -77,7 +78,7 @@ def discover(sessions: Sequence[Session],
         next_experiment=next_experiment(fit, rivals),
         model=fit.model,
         particles=_swimmers(fit),
-        remarks=remarks,
+        remarks=(*remarks, *_confounded(start)),
     )
 
 
@@ -121,6 +122,15 @@ def _entry(found: Found, status: Status, gain: float, rivals: list[Found]) -> Na
     return NamedEffect(
         found.id, status, _estimates(found.fit, found.id), found.delta_bic, found.p_value,
         float(np.exp(min(gain, 700.0))), tuple(rival.id for rival in rivals))
+
+
+def _confounded(fit: Fit) -> list[str]:
+    """What φ can't be told from under the commands."""
+    late = [name for name in LATE if hidden_in_phi(fit, EFFECTS[name])]
+    if not late:
+        return []
+    return [f'φ can’t be told from {" or ".join(late)} under this command, which turns one way '
+            'only: turn both ways, or in steps.']
 
 
 def _deviations(fit: Fit, name: str) -> list[tuple[Parameter, float, float]]:

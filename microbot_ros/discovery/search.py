@@ -24,6 +24,10 @@ from microbot_ros.session.folder import NOMINAL_FIELD
 COARSE = (0.3, 2.0, 10.0)
 """Fit coordinates, both signs, from which effects of one parameter may start."""
 
+LATE = ('command_delay', 'alignment_lag')
+ABSORBED = 0.05
+"""Part of its information below which a late heading can't be told from φ."""
+
 OF_STRENGTH = frozenset((
     'amplifier_deadband', 'background_field', 'incomplete_alignment', 'gradient_force',
     'dipole_interaction'))
@@ -109,11 +113,25 @@ def _at(fit: Fit, effect: Effect) -> Fit:
 def _applies(fit: Fit, effect: type[Effect]) -> bool:
     if effect.id == 'drive_response':
         return fit.model.propulsion == 'rolling' and _frequencies(fit) > 1
+    if effect.id in LATE and hidden_in_phi(fit, effect):
+        return False
     if effect.id in OF_STRENGTH and all(_strength_unknown(p.evidence) for p in fit.parts):
         return False
     if effect.id in ('dipole_interaction', 'hydrodynamic_slowdown'):
         return any(p.evidence.owner[-1] > 0 for p in fit.parts)
     return True
+
+
+def hidden_in_phi(fit: Fit, late: type[Effect]) -> bool:
+    """Whether v and φ absorb a delay or a lag, as they do where the command turns one way only.
+
+    What little is left of it then shows in the likelihood only through what else is wrong.
+    """
+    parameter, = late.parameters()
+    bare = Fit(replace(fit.model, effects=()), fit.parts)
+    tried = _at(bare, late(**{parameter.field: parameter.from_fit(1e-2)}))
+    power = sum(float((np.abs(jacobian) ** 2).sum()) for jacobian in tried.jacobian)
+    return bool(tried.normal[0][0, 0] < ABSORBED * power)
 
 
 def _strength_unknown(evidence: Evidence) -> bool:

@@ -1,0 +1,64 @@
+"""Maps say where model and data part, and are silent where they do not."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from microbot_ros.discovery.ladder import Ladder
+from microbot_ros.discovery.maps import _holm, residual_maps
+from microbot_ros.discovery.screen import screen
+
+
+def maps_of(session):
+    evidences, _ = screen([session])
+    return {m.against: m for m in residual_maps(Ladder(evidences).fit)}
+
+
+def test_holm_is_that_of_the_textbook():
+    assert _holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert _holm([0.9, 0.8]) == [1.0, 1.0]
+
+
+def test_statistics_are_chi_square_where_nothing_is_left(film):
+    """Pooled over groups and sessions, by their probability integral."""
+    values = []
+    for seed in range(8):
+        for name, m in maps_of(film(seed, duration=15.0)[0]).items():
+            assert not m.fires, name
+            if m.dof > 4:
+                values.append(stats.chi2.sf(m.statistic, m.dof))
+    assert len(values) > 50
+    assert stats.kstest(values, 'uniform').pvalue > 1e-3
+
+
+@pytest.mark.parametrize(('effect', 'parameters', 'against'), [
+    ('poiseuille_flow', {'speed_um_s': 1.5, 'half_width_um': 60.0}, 'position'),
+    ('speed_by_place', {'length_um': 150.0}, 'position, along the heading'),
+    ('speed_by_heading', {'depth': 0.3}, 'heading'),
+    ('lamp_change', {'time_s': 15.0, 'factor': 0.6}, 'time, along the heading'),
+    ('settling_flow', {'wx_um_s': 1.5, 'wy_um_s': 0.5, 'tau_s': 8.0}, 'time'),
+    ('alignment_lag', {'tau_s': 0.3}, 'time since switch'),
+    ('heading_wobble', {'angle_rad': 0.5, 'frequency_hz': 0.7}, 'rhythm, along the heading'),
+    ('periodic_drift', {'amplitude_um_s': 1.0, 'frequency_hz': 1.5}, 'rhythm'),
+    ('stage_jump', {'time_s': 15.0, 'x_um': 3.0, 'y_um': 1.0}, 'single steps'),
+])
+def test_maps_fire_against_what_it_depends_on(film, effect, parameters, against):
+    found = maps_of(film(20, {effect: parameters})[0])
+    assert found[against].fires
+    strongest = min(found.values(), key=lambda m: m.p_value)
+    assert strongest.p_value == pytest.approx(found[against].p_value, abs=1e-12)
+
+
+def test_neighbours_show(film):
+    session, _ = film(21, {'repulsion': {'speed_um_s': 8.0, 'range_um': 12.0}}, count=6,
+                      half_extent=50e-6)
+    assert maps_of(session)['neighbours'].fires
+
+
+def test_curves_show_the_velocity_that_is_missing(film):
+    session, _ = film(22, {'uniform_drift': {'wx_um_s': 1.0, 'wy_um_s': -0.5}}, duration=40.0)
+    m = maps_of(session)['time']
+    mean, spread = m.curves['x']
+    assert len(m.middles) == len(mean) == len(spread)
+    assert np.average(mean, weights=spread**-2) == pytest.approx(1e-6, rel=0.4)
+    assert np.average(m.curves['y'][0]) < 0

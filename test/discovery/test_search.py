@@ -1,0 +1,68 @@
+"""p-values mean what they say, scans included; far tails; swings."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from microbot_ros.discovery.chance import log_of_any, log_tail, tail
+from microbot_ros.discovery.ladder import Ladder
+from microbot_ros.discovery.periodogram import turning_parts
+from microbot_ros.discovery.screen import screen
+from microbot_ros.discovery.search import hidden_in_phi, look
+from microbot_ros.model.effects import EFFECTS
+from microbot_ros.records import Session
+from microbot_ros.virtual_rig.commands import rotating
+
+
+@pytest.mark.parametrize('dof', [1, 2, 4, 17])
+def test_tail_is_that_of_chi_square(dof):
+    for value in (0.0, 0.5, 3.0, 40.0, 600.0):
+        assert tail(value, dof) == pytest.approx(stats.chi2.sf(value, dof))
+    assert log_tail(5000.0, dof) == pytest.approx(stats.chi2.logsf(5000.0, dof), rel=1e-6) or (
+        not np.isfinite(stats.chi2.logsf(5000.0, dof)))
+    # Continuous where the series takes over, near P = 1e-280.
+    values = [log_tail(x, dof) for x in np.linspace(1270, 1400, 60)]
+    assert np.ptp(np.diff(values)) < 0.02
+
+
+def test_one_of_many_trials():
+    assert log_of_any(np.log(0.01), 1) == pytest.approx(np.log(0.01))
+    assert np.exp(log_of_any(np.log(0.01), 50)) == pytest.approx(1 - 0.99**50)
+    assert log_of_any(-500.0, 10) == pytest.approx(-500 + np.log(10))
+    assert log_of_any(0.0, 10) == 0.0
+
+
+def test_parts_that_turn_either_way():
+    times = np.sort(np.random.default_rng(0).choice(np.arange(400), 350, replace=False)) * 0.05
+    signal = 3 * np.exp(2j * np.pi * 0.5 * times + 0.3j) + 1j * np.exp(-2j * np.pi * 0.5 * times)
+    frequency, forward, back = turning_parts(times, signal, 2.0)
+    k = np.argmax(np.abs(forward))
+    assert frequency[k] == pytest.approx(0.5, abs=0.02)
+    assert np.angle(forward[k]) == pytest.approx(0.3, abs=0.15)
+    assert np.abs(forward[k]) / len(times) == pytest.approx(3, rel=0.05)
+    assert np.angle(back[np.argmax(np.abs(back))]) == pytest.approx(np.pi / 2, abs=0.3)
+    assert frequency.max() <= 2.0
+
+
+def test_scanned_effects_pay_for_the_scan(film):
+    """On nothing at all p-values are not smaller than chance makes them."""
+    found = {'hot_spot': [], 'periodic_drift': [], 'uniform_drift': []}
+    for seed in range(12):
+        evidences, _ = screen([film(seed, count=2, duration=12.0)[0]])
+        fit = Ladder(evidences).fit
+        for name, values in found.items():
+            one = look(fit, name)
+            values.append(1.0 if one is None else one.p_value)
+    for values in found.values():
+        assert stats.kstest(values, 'uniform', alternative='greater').pvalue > 1e-3
+        assert min(values) > 1e-3
+
+
+def test_a_field_that_turns_one_way_hides_a_lag_in_phi(film):
+    session, _ = film(3, duration=20.0)
+    fit = Ladder(screen([session])[0]).fit
+    assert not hidden_in_phi(fit, EFFECTS['alignment_lag'])
+    turning = Session(session.tracks, rotating(20.0, 5e-3, 5.0), session.conditions, 'turning')
+    fit = Ladder(screen([turning])[0]).fit
+    assert hidden_in_phi(fit, EFFECTS['alignment_lag'])
+    assert look(fit, 'alignment_lag') is None
