@@ -37,8 +37,8 @@ def coils(readings_csv: Path, out: Path, config: Path | None, json_path: Path | 
 
     The file has a row per reading with the columns bx_mT and by_mT, the current of each coil
     (coil_plus_x_A and so on, after the names in the rig's file), and optionally bz_mT and the
-    place of the probe x_mm, y_mm, z_mm (else the workspace centre). Drive each coil by itself, both
-    ways. coils.yaml is the section for the rig's file, with what was found.
+    place of the probe x_mm, y_mm, z_mm (else the workspace centre). Drive each coil by itself,
+    both ways. coils.yaml is the section for the rig's file, with what was found.
 
     \b
     Example:
