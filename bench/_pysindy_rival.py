@@ -16,8 +16,8 @@ from microbot_ros.model.model import Model
 from microbot_ros.model.timeline import Timeline
 from microbot_ros.records import Session
 
-THRESHOLDS = np.geomspace(1e-3, 1.0, 13)
-BLOCKS = 5
+THRESHOLDS = np.geomspace(3e-3, 1.0, 9)
+BLOCKS = 4
 
 
 def false_terms(session: Session) -> int:

@@ -152,10 +152,10 @@ def _one_core() -> None:
 def null_cases(count: int) -> list[Case]:
     """Nothing hidden, all kinds of command in turn, rollers every eighth time.
 
-    A hundred of them go to PySINDy too.
+    Sixty of them go to PySINDy too.
     """
     return [
-        Case('null', seed, COMMANDS[seed % 4], rolling=seed % 8 == 1, rival=seed < 100)
+        Case('null', seed, COMMANDS[seed % 4], rolling=seed % 8 == 1, rival=seed < 60)
         for seed in range(count)
     ]
 

@@ -60,8 +60,8 @@ def headline(found: Discovery) -> str:
         return 'Missing from the first-order model: ' + '; '.join(map(_told, established)) + '.'
     if found.verdict == 'unnamed':
         against = ', '.join(f'{m.against} (p = {number(m.p_value)})' for m in found.unexplained)
-        stand_in = ' and '.join(words(e.id) for e in found.effects)
-        rest = f' What comes nearest, {stand_in}, only stands in for it.' if stand_in else ''
+        near = ' and '.join(words(e.id) for e in found.effects)
+        rest = f' The nearest that it has, {near}, can only stand in.' if near else ''
         return ('Something is there that no effect of the library explains; it depends on '
                 f'{against}.{rest}')
     hint = ', '.join(words(e.id) for e in found.effects)

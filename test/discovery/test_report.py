@@ -90,7 +90,7 @@ def test_headlines_follow_the_verdict(drifting):
                  for m in found.maps_after)
     unnamed = headline(replace(found, verdict='unnamed', effects=proxy, maps_after=left))
     assert 'depends on position (p = 1·10⁻⁶)' in unnamed
-    assert 'only stands in' in unnamed
+    assert 'can only stand in' in unnamed
     assert 'Nothing is missing' in headline(replace(found, verdict='consistent', effects=()))
     hint = tuple(replace(e, status='suggested') for e in found.effects)
     assert 'hint of uniform drift' in headline(
