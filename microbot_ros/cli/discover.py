@@ -23,14 +23,15 @@ def command(sessions: tuple[Path, ...], out: Path, json_path: Path | None) -> No
 
     \b
     Example:
-      microbot simulate config/scenario_drift.yaml --out out/drifting
-      microbot discover out/drifting --out out/discovered
+      microbot simulate config/scenario_lag.yaml --out out/lagging
+      microbot discover out/lagging --out out/discovered
     """
     import json
 
     from rich.console import Console
 
     from microbot_ros.discovery.discover import discover
+    from microbot_ros.discovery.report import write_report
     from microbot_ros.files import output_folder, write_text
     from microbot_ros.model.model_file import write_model
     from microbot_ros.session import read_session
@@ -43,6 +44,8 @@ def command(sessions: tuple[Path, ...], out: Path, json_path: Path | None) -> No
     with output_folder(out) as folder:
         write_text(folder / 'result.json', text)
         write_model(folder / 'model.yaml', found.model, found.particles)
+        with progress.status('writing the report'):
+            write_report(folder, found, recordings, sessions)
     if json_path:
         write_text(json_path, text)
     console = Console(highlight=False)

@@ -30,3 +30,14 @@ def log_of_any(log_p: float, trials: int) -> float:
     if log_p >= 0:
         return 0.0
     return math.log(-math.expm1(trials * math.log1p(-math.exp(log_p))))
+
+
+def peak_tail(power: float, dof: int, cycles: float) -> float:
+    """P of a periodogram's highest peak, χ² of 2 or 4 at one frequency, to exceed `power`.
+
+    `cycles` is bandwidth times duration. By the rate at which so smooth a process crosses a level
+    upwards (Davies 1987; for periodograms Baluev 2008): W z^{(k−1)/2} e^{−z}/Γ(k/2), z = power/2.
+    """
+    z = power / 2
+    crossings = cycles * math.sqrt(math.pi / 3) * z ** ((dof - 1) / 2) / math.gamma(dof / 2)
+    return min(1.0, crossings * math.exp(-z) + tail(power, dof))

@@ -8,8 +8,13 @@ from functools import cached_property
 import numpy as np
 
 from microbot_ros.model.effects.alignment_lag import AlignmentLag
-from microbot_ros.model.increments import Response, as_vectors, respond
-from microbot_ros.model.model import Model
+from microbot_ros.model.increments import (
+    Response,
+    as_vectors,
+    heading_response,
+    respond,
+)
+from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.particle import Fluid, rotational_diffusion
 from microbot_ros.model.timeline import Timeline
 from microbot_ros.records import Commands, Conditions, Session
@@ -17,8 +22,11 @@ from microbot_ros.records import Commands, Conditions, Session
 FORGOTTEN = 5.0
 """Alignment times after which the heading has forgotten where it began."""
 
-UNDECIDED, ALIGNED = 0.05, 0.1
-"""Angles [rad]: of a turn from 180° within which chance decides; to the field, once aligned."""
+SPREAD, GATHERED = 0.25, 0.12
+"""Standard deviation of headings [rad] at which they are lost, and found again."""
+
+TURNING = 0.01
+"""Rotational diffusion [rad²/s] where radius and viscosity are not known: of 2.4 µm in water."""
 
 CONTACT, BLUR = 1.05, 3.0
 """How near spheres may touch between frames: in distances of contact, and in usual steps more."""
@@ -197,20 +205,24 @@ def explainable(evidence: Evidence, model: Model) -> Evidence:
     kept = evidence.since(min(start, half)) if start > 0 else evidence
     if tau == 0:
         return kept
-    lost = _lost(kept, model, tau)
+    lost = _lost(kept, model)
     return kept if lost.mean() > 0.5 else kept.cut(lost[:, None] & np.ones_like(kept.seen))
 
 
-def _lost(evidence: Evidence, model: Model, tau: float) -> np.ndarray:
-    """Frames (T,) from a turn of nearly 180° until the heading is aligned again."""
-    heading = respond(model, evidence.timeline).heading[:, 0]
-    target = model.field(evidence.commands.field_at(evidence.times - model.delay))
-    off = np.angle((target[:, 0] + 1j * target[:, 1]) * heading.conj())
-    jitter = np.sqrt((evidence.turning or 0.0) * tau)
-    lost = np.zeros(len(off), bool)
-    for k, angle in enumerate(np.abs(off)):
-        lost[k] = angle > np.pi - max(UNDECIDED, 4 * jitter) or (
-            k > 0 and lost[k - 1] and angle > ALIGNED)
+def _lost(evidence: Evidence, model: Model) -> np.ndarray:
+    """Frames (T,) in which headings may be far from where the model has them.
+
+    From when Brownian turning, amplified by every turn of nearly 180°, spreads them wider than a
+    linear filter can follow, until the field has gathered them again.
+    """
+    nobody = ParticleParameters.from_velocity(np.zeros(1, int), np.ones(1, complex))
+    kept = heading_response(model, nobody, evidence.timeline).kept[:, 0]
+    kick = 2 * (evidence.turning or TURNING) * np.diff(evidence.times)
+    lost = np.zeros(len(evidence.times), bool)
+    variance = 0.0
+    for k in range(len(kept)):
+        variance = min(kept[k] ** 2 * variance + kick[k], np.pi**2)
+        lost[k + 1] = variance > (GATHERED if lost[k] else SPREAD) ** 2
     return lost
 
 

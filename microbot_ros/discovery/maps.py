@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from microbot_ros.discovery.chance import tail
+from microbot_ros.discovery.chance import peak_tail, tail
 from microbot_ros.discovery.covariates import Group, Surroundings
 from microbot_ros.discovery.likelihood import Fit, Part, eliminate, inner
 from microbot_ros.discovery.periodogram import turning_parts
@@ -92,7 +92,7 @@ def _rhythm(fit: Fit, surroundings: list[Surroundings] | None = None) -> Residua
     if surroundings is None:
         frequency, *turned = turning_parts(p.evidence.times, p.residual.sum(axis=1), fastest)
         power = (np.abs(np.array(turned)) ** 2).sum(axis=0) / p.count
-        name, dof, trials = 'rhythm', 4, len(frequency)
+        name, dof, signals = 'rhythm', 4, 1
     else:
         direction = np.zeros_like(p.residual)
         direction[1:] = surroundings[k].body * np.abs(p.swim)
@@ -101,10 +101,9 @@ def _rhythm(fit: Fit, surroundings: list[Surroundings] | None = None) -> Residua
         parts = [turning_parts(p.evidence.times, axis, fastest) for axis in (own.real, own.imag)]
         frequency = parts[0][0]
         power = np.max([2 * np.abs(ahead) ** 2 / weight for _, ahead, _ in parts], axis=0)
-        name, dof, trials = 'rhythm, along the heading', 2, 2 * len(frequency)
+        name, dof, signals = 'rhythm, along the heading', 2, 2
     best = float(power.max())
-    # Every other of the padded frequencies counts: peaks are as wide as two of them.
-    p_value = min(1.0, trials / 2 * tail(best, dof))
+    p_value = peak_tail(best, dof, signals * fastest * float(np.ptp(p.evidence.times)))
     return ResidualMap(name, 'frequency [Hz]', best, dof, p_value, frequency, {
         'power': (power, np.zeros(len(frequency)))})
 
