@@ -38,7 +38,7 @@ def page(found: Discovery, sessions: Sequence[Session], sources: Sequence[Path])
     """The report as HTML that needs nothing else; the same data give the same page."""
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    environment.filters |= {'number': number, 'words': words, 'limit': limit}
+    environment.filters |= {'number': number, 'chance': chance, 'words': words, 'limit': limit}
     environment.globals |= {'interval': interval}
     template = environment.from_string(_TEMPLATE.read_text(encoding='utf-8'))
     prediction = predict(found, sessions[-1])
@@ -59,10 +59,12 @@ def headline(found: Discovery) -> str:
     if found.verdict == 'named':
         return 'Missing from the first-order model: ' + '; '.join(map(_told, established)) + '.'
     if found.verdict == 'unnamed':
-        against = ', '.join(f'{m.against} (p = {number(m.p_value)})' for m in found.unexplained)
+        against = '; '.join(f'{m.against} ({chance(m.p_value)})' for m in found.unexplained[:3])
+        more = len(found.unexplained) - 3
+        against += f'; and {more} more' if more > 0 else ''
         near = ' and '.join(words(e.id) for e in found.effects)
         rest = f' The nearest that it has, {near}, can only stand in.' if near else ''
-        return ('Something is there that no effect of the library explains; it depends on '
+        return ('Something is there that no effect of the library explains. It shows against '
                 f'{against}.{rest}')
     hint = ', '.join(words(e.id) for e in found.effects)
     return ('Nothing is missing: the first-order model explains these data down to the noise.'
@@ -73,7 +75,7 @@ def _told(effect: NamedEffect) -> str:
     values = ', '.join(
         f'{_bare(name)} = {interval(name, e)}' for name, e in effect.parameters.items())
     return (f'{words(effect.id)}, {values} (95 % interval; ΔBIC {effect.delta_bic:.0f}, '
-            f'p = {number(effect.p_value)})')
+            f'{chance(effect.p_value)})')
 
 
 def _bare(name: str) -> str:
@@ -88,16 +90,22 @@ def interval(name: str, estimate: Estimate) -> str:
     if not (np.isfinite(half) and half > 0):
         return f'{value:.3g} {symbol(name)}'.strip()
     digits = max(0, 1 - int(np.floor(np.log10(half))))
+    if digits > 6:
+        sign = '−' if value < 0 else ''
+        return f'{sign}{number(abs(value))} ± {number(half)} {symbol(name)}'.strip()
     return f'{value:.{digits}f} ± {half:.{digits}f} {symbol(name)}'.strip().replace('-', '−')
 
 
+def chance(p: float) -> str:
+    """A p-value as people write it: `p = 0.03`, `p < 10⁻³⁰⁰` where it can't be computed."""
+    return f'p = {number(p)}' if p > 0 else 'p < 10⁻³⁰⁰'
+
+
 def number(x: float) -> str:
-    """0.03 as it is, 4·10⁻⁹ with its power; 0 stands for less than can be computed."""
+    """0.03 as it is, 4·10⁻⁹ with its power."""
     if not np.isfinite(x):
         return 'beyond computing' if x > 0 else '–'
-    if x <= 0:
-        return '< 10⁻³⁰⁰'
-    if 0.001 <= x < 1e5:
+    if x == 0 or 0.001 <= x < 1e5:
         return f'{x:.2g}' if x < 100 else f'{x:.0f}'
     digits, exponent = f'{x:.0e}'.split('e')
     raised = str(int(exponent)).translate(str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹'))

@@ -104,11 +104,14 @@ def _p(found: ResidualMap) -> str:
     """A p-value short enough for a title."""
     if found.p_value >= 0.01:
         return f'{found.p_value:.2f}'
-    return f'{found.p_value:.0e}' if found.p_value > 0 else '< 1e−300'
+    return f'{found.p_value:.0e}' if found.p_value > 0 else '< 1e-300'
 
 
 def draw_bands(prediction: Prediction) -> Figure:
-    """Measured less predicted, both coordinates, of the first particles of a session."""
+    """Measured less predicted, both coordinates, of the first particles of a session.
+
+    Scaled to what is usual: single excursions leave the picture.
+    """
     shown = prediction.measured[:MOST_PARTICLES]
     figure = Figure(figsize=(11, 1.9 * len(shown) + 0.6), layout='constrained')
     axes = figure.subplots(len(shown), 2, sharex=True, squeeze=False)
@@ -133,8 +136,8 @@ def _band(axis: Axes, prediction: Prediction, n: int, k: int) -> None:
                       label='5–95 % of the model found')
     axis.plot(t, plain, ':', color=BEFORE, lw=1.1, label='measured − first-order model')
     axis.plot(t, found, '-', color='black', lw=0.8, label='measured − model found')
-    largest = max(float(np.nanmax(np.abs([half, np.nan_to_num(found)]))), 1e-6)
-    reach = min(max(1.6 * largest, float(np.abs(np.nan_to_num(plain)).max())), 4 * largest)
+    usual, other = (float(np.nanquantile(np.abs(left), 0.9)) for left in (found, plain))
+    reach = max(1.3 * float(np.nanmax(half)), 2 * usual, min(other, 4 * usual))
     axis.set_ylim(-reach, reach)
     axis.tick_params(labelsize=8)
     axis.spines[['top', 'right']].set_visible(False)

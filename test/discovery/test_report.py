@@ -13,6 +13,7 @@ import pytest
 
 from microbot_ros.discovery.discover import discover
 from microbot_ros.discovery.report import (
+    chance,
     digests,
     headline,
     interval,
@@ -89,7 +90,7 @@ def test_headlines_follow_the_verdict(drifting):
     left = tuple(replace(m, p_value=1e-6 if m.against == 'position' else 1.0)
                  for m in found.maps_after)
     unnamed = headline(replace(found, verdict='unnamed', effects=proxy, maps_after=left))
-    assert 'depends on position (p = 1·10⁻⁶)' in unnamed
+    assert 'shows against position (p = 1·10⁻⁶)' in unnamed
     assert 'can only stand in' in unnamed
     assert 'Nothing is missing' in headline(replace(found, verdict='consistent', effects=()))
     hint = tuple(replace(e, status='suggested') for e in found.effects)
@@ -128,11 +129,16 @@ def test_the_band_counts_from_the_last_start_and_gaps_stay_gaps(drifting):
 
 
 @pytest.mark.parametrize(('x', 'said'), [
-    (0.034, '0.034'), (1.0, '1'), (4.2e-9, '4·10⁻⁹'), (9.7e-305, '1·10⁻³⁰⁴'), (0.0, '< 10⁻³⁰⁰'),
+    (0.034, '0.034'), (1.0, '1'), (4.2e-9, '4·10⁻⁹'), (9.7e-305, '1·10⁻³⁰⁴'), (0.0, '0'),
     (123456.0, '1·10⁵'), (1234.0, '1234'), (np.inf, 'beyond computing'), (np.nan, '–'),
 ])
 def test_numbers(x, said):
     assert number(x) == said
+
+
+def test_a_chance_too_small_to_compute_is_bounded():
+    assert chance(0.0) == 'p < 10⁻³⁰⁰'
+    assert chance(0.02) == 'p = 0.02'
 
 
 @pytest.mark.parametrize(('name', 'value', 'std', 'said'), [
@@ -140,7 +146,7 @@ def test_numbers(x, said):
     ('delay_s', -0.02, 0.001, '−0.0200 ± 0.0020 s'),
     ('gain_ratio', 1.1, np.nan, '1.1'), ('tau_s', np.inf, 1.0, '–'),
     ('tau_s', 120.0, 60.0, '120 ± 118 s'),
-    ('phi_rad', 1.0, 0.0, '1 rad'),
+    ('phi_rad', 1.0, 0.0, '1 rad'), ('cut_in_hz', -2e-10, 2.6e-9, '−2·10⁻¹⁰ ± 5·10⁻⁹ Hz'),
 ])
 def test_intervals(name, value, std, said):
     assert interval(name, Estimate(value, std)) == said
