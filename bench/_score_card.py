@@ -160,11 +160,12 @@ def null_cases(count: int) -> list[Case]:
     ]
 
 
-def one_each(card: str, evidence: float, sets: int, effects: Iterable[str]) -> list[Case]:
+def one_each(card: str, evidence: float, sets: int, first: int,
+             effects: Iterable[str] = LISTED) -> list[Case]:
     """Each of the effects that many times, under commands that leave nothing undefined."""
     return [
-        Case(card, 1000 * k + seed, _wide(effect, k + seed), (effect,), evidence)
-        for k in range(sets) for seed, effect in enumerate(effects)
+        Case(card, first + 1000 * k + turn, _wide(effect, k + turn), (effect,), evidence)
+        for k in range(sets) for turn, effect in enumerate(effects)
     ]
 
 
@@ -199,7 +200,7 @@ def power_cases(sets: int) -> list[Case]:
 
 def unlisted_cases(sets: int, evidence: float) -> list[Case]:
     """Each effect that no library has."""
-    return one_each('unlisted', evidence, sets, UNLISTED)
+    return one_each('unlisted', evidence, sets, 30_000, UNLISTED)
 
 
 def _wide(effect: str, turn: int) -> str:
