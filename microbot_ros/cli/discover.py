@@ -12,9 +12,11 @@ import click
                 type=click.Path(path_type=Path))
 @click.option('--out', type=click.Path(path_type=Path), required=True, metavar='DIR',
               help='Folder for result.json, model.yaml and report.html.')
+@click.option('--jobs', type=click.IntRange(1), default=1, show_default=True, metavar='N',
+              help='Processes that share the work.')
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
               help='Also write the content of result.json here.')
-def command(sessions: tuple[Path, ...], out: Path, json_path: Path | None) -> None:
+def command(sessions: tuple[Path, ...], out: Path, jobs: int, json_path: Path | None) -> None:
     """Find where SESSION and the first-order model part, and name the effect that is missing.
 
     Several sessions of one rig are explained together. Writes result.json (verdict, effects with
@@ -39,7 +41,7 @@ def command(sessions: tuple[Path, ...], out: Path, json_path: Path | None) -> No
     progress = Console(stderr=True, highlight=False)
     with progress.status('reading') as status:
         recordings = [read_session(path) for path in sessions]
-        found = discover(recordings, status.update)
+        found = discover(recordings, status.update, jobs=jobs)
     text = json.dumps(found.as_json(), indent=1, ensure_ascii=False, allow_nan=False) + '\n'
     with output_folder(out) as folder:
         write_text(folder / 'result.json', text)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
+from functools import partial
 
 import numpy as np
 
 from microbot_ros.discovery.chance import tail
 from microbot_ros.discovery.experiment import next_experiment
 from microbot_ros.discovery.held_out import held_out_gap, log_e_value
-from microbot_ros.discovery.ladder import BACKWARD, Ladder, contribution
+from microbot_ros.discovery.ladder import FORWARD, Ladder, contribution, search
 from microbot_ros.discovery.likelihood import Fit
 from microbot_ros.discovery.maps import residual_maps
 from microbot_ros.discovery.result import (
@@ -43,15 +46,24 @@ ONE_SIDED = 1.645
 
 def discover(sessions: Sequence[Session],
              report: Callable[[str], None] = lambda _: None,
-             truth: Model | None = None) -> Discovery:
+             truth: Model | None = None, jobs: int = 1) -> Discovery:
     """Find, name and prove what the first-order model misses on sessions of one rig.
 
     Sessions share the effects; every session has its own particles and noise. `report` is told
-    what is being done; `truth`, where it is known, is only judged by its gap. Raises InputError
-    where nothing can be learnt, and says what could.
+    what is being done; `truth`, where it is known, is only judged by its gap; `jobs` processes
+    share the candidates. Raises InputError where nothing can be learnt, and says what could.
     """
     evidences, remarks = screen(sessions)
-    ladder = Ladder(evidences)
+    with ExitStack() as stack:
+        run: Callable[..., Iterable[Found | None]] = map
+        if jobs > 1:
+            run = stack.enter_context(ProcessPoolExecutor(jobs)).map
+        ladder = Ladder(evidences, partial(search, run=run))
+        return _discover(ladder, remarks, report, truth)
+
+
+def _discover(ladder: Ladder, remarks: tuple[str, ...], report: Callable[[str], None],
+              truth: Model | None) -> Discovery:
     start = ladder.fit
     report('mapping what the first-order model leaves')
     before = residual_maps(start)
@@ -104,12 +116,13 @@ def _stands_alone(own: Found, left: Sequence[ResidualMap]) -> bool:
     """Whether an effect holds although something else is left unexplained.
 
     Only for one that nothing else could stand in for, since it alone depends on the frequency;
-    its evidence is divided by what is left in excess of chance (quasi-likelihood: McCullagh 1983).
+    its evidence is divided by how much more than chance is left against the frequency
+    (quasi-likelihood: McCullagh 1983).
     """
     if own.id != 'drive_response':
         return False
-    excess = max((m.statistic / m.dof for m in left if m.dof > 4), default=1.0)
-    return tail(own.likelihood_ratio / max(excess, 1.0), own.dof) < BACKWARD
+    excess = max((m.statistic / m.dof for m in left if m.against == 'frequency'), default=1.0)
+    return tail(own.likelihood_ratio / max(excess, 1.0), own.dof) < FORWARD
 
 
 def _close(rival: Found, own: Found) -> bool:

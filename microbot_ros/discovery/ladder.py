@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 from microbot_ros.discovery.evidence import Evidence, explainable
 from microbot_ros.discovery.likelihood import Fit, Whitening, evaluate, settle
@@ -26,9 +27,13 @@ CLEARLY = 3.0
 Search = Callable[[Fit, Iterable[str]], list[Found]]
 
 
-def search(fit: Fit, names: Iterable[str]) -> list[Found]:
-    """Every candidate that the data can show, the least likely by chance first."""
-    found = [one for name in names if (one := look(fit, name)) is not None]
+def search(fit: Fit, names: Iterable[str],
+           run: Callable[..., Iterable[Found | None]] = map) -> list[Found]:
+    """Every candidate that the data can show, the least likely by chance first.
+
+    `run` is `map`, or that of an executor.
+    """
+    found = [one for one in run(partial(look, fit), names) if one is not None]
     return sorted(found, key=lambda one: one.log_p)
 
 

@@ -101,7 +101,8 @@ def _shown(fit: Fit, effect_id: str) -> bool:
         places = [p.evidence.places.reshape(-1, 2) for p in fit.parts]
         nearest = min(float(np.nanmin(np.hypot(*(p - spot).T))) for p in places)
         extent = max(float(np.nanmax(np.ptp(p[np.isfinite(p[:, 0])], axis=0))) for p in places)
-        return nearest < effect.width < extent / 4
+        within = all(p.low < value < p.high for p, value in effect.values().items())
+        return within and nearest < effect.width < extent / 4
     return True
 
 
@@ -170,8 +171,7 @@ def _starts(fit: Fit, effect: type[Effect]) -> list[Effect]:
         return _plain(fit, effect)
     starts = effect.starts(fit.parts[0].evidence.timeline)
     if effect.id == 'drive_response':
-        costs = [_at(fit, start).cost for start in starts]
-        return [starts[k] for k in np.argsort(costs)[:TRIED]]
+        return list(starts)
     scored = sorted((_strengthened(fit, start) for start in starts), key=lambda s: -s[0])
     return _promising(scored)
 
