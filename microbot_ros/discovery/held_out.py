@@ -96,9 +96,12 @@ def _errors(learned: Part, whole: Part, frames: np.ndarray, horizon: float) -> n
 def _known(learned: Part, horizon: float) -> np.ndarray:
     """Tracks (N,) of particles that were seen enough elsewhere for their v and φ to be of use."""
     power = np.trace(learned.gram[:, 1:, 1:], axis1=1, axis2=2) / 2
-    spread = horizon * np.sqrt(learned.diffusion / np.maximum(power, 1e-300))
-    known: np.ndarray = spread < 0.5 * np.sqrt(2 * learned.diffusion * horizon)
-    return known[learned.evidence.owner]
+    std = np.sqrt(learned.diffusion / np.maximum(power, 1e-300))[learned.evidence.owner]
+    step = np.diff(learned.evidence.times)[:, None]
+    own = np.abs(np.diff(learned.levels.along, axis=0)) / step
+    travelled = horizon * np.sqrt((own**2).mean(axis=0))
+    known: np.ndarray = std * travelled < 0.5 * np.sqrt(2 * learned.diffusion * horizon)
+    return known
 
 
 def _floor(fit: Fit, horizon: float) -> float:

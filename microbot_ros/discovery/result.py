@@ -13,6 +13,9 @@ from microbot_ros.model.parameter import Parameter
 from microbot_ros.units import from_si, suffix, symbol
 
 Verdict = Literal['consistent', 'named', 'unnamed']
+FIRES = 0.003
+"""Adjusted p-value below which a map says that something is left."""
+
 Status = Literal['established', 'suggested', 'proxy']
 
 
@@ -101,7 +104,7 @@ class ResidualMap:
     @property
     def fires(self) -> bool:
         """Whether there is something left."""
-        return self.p_value < 0.01
+        return self.p_value < FIRES
 
 
 @dataclass(frozen=True)

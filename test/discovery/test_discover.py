@@ -60,8 +60,7 @@ def test_lag_is_told_from_delay_and_brownian_turning(film):
 
 
 @pytest.mark.parametrize(('effect', 'parameters', 'against'), [
-    ('lamp_change', {'time_s': 15.0, 'factor': 0.6}, 'time, along the heading'),
-    ('speed_by_heading', {'depth': 0.3}, 'heading'),
+    ('speed_by_heading', {'depth': 0.15}, 'heading'),
     ('pulsing_speed', {'depth': 0.5, 'frequency_hz': 0.7}, 'rhythm, along the heading'),
     ('stage_jump', {'time_s': 15.0, 'x_um': 3.0, 'y_um': 1.0}, 'single steps'),
 ])
