@@ -66,7 +66,7 @@ class Loop:
         for name, parameters in self.effects.items():
             hide(body, name, parameters, reference_field=FIELD)
         self.world = World(body, np.random.default_rng(self.seed + 1000))
-        self._fields: deque[tuple[float, np.ndarray]] = deque([(-1.0, np.zeros(2))], maxlen=64)
+        self._fields: deque[tuple[float, np.ndarray]] = deque([(-1.0, np.zeros(2))], maxlen=256)
         self._ticks = 0
         self.spent: list[float] = []
 
@@ -110,6 +110,7 @@ class Loop:
     def _advance(self, t: float) -> None:
         rows = [row for row in self._fields if row[0] <= t]
         first = len(rows) - 1
-        rows = list(self._fields)[max(0, first - 8):]
+        # A hidden delay looks back by up to a second.
+        rows = list(self._fields)[max(0, first - 64):]
         self.world.advance(t, FieldHistory(
             np.array([row[0] for row in rows]), np.array([row[1] for row in rows])[:, None]))

@@ -200,6 +200,15 @@ def _usable(situation: Situation) -> Situation:
     return dataclasses.replace(situation, **rows)
 
 
+def _with_delay_of_model(situation: Situation) -> Situation:
+    """A delay that the model knows of adds to how long a command takes to act."""
+    model = situation.model
+    if model is None or not model.delay:
+        return situation
+    return dataclasses.replace(
+        situation, delay=situation.delay + model.delay, model=model.without('command_delay'))
+
+
 def _check(command: FieldCommand, limits: Limits) -> None:
     """ValueError unless the command is finite and within the limits."""
     strength = float(np.hypot(*np.asarray(command.field, dtype=float).reshape(2)))
