@@ -9,10 +9,10 @@ from functools import partial
 
 import numpy as np
 
-from microbot_ros.discovery.chance import tail
+from microbot_ros.discovery.drive_levels import curve_p_value
 from microbot_ros.discovery.experiment import next_experiment
 from microbot_ros.discovery.held_out import held_out_gap, log_e_value
-from microbot_ros.discovery.ladder import FORWARD, Ladder, contribution, search
+from microbot_ros.discovery.ladder import BACKWARD, Ladder, contribution, search
 from microbot_ros.discovery.likelihood import Fit
 from microbot_ros.discovery.maps import residual_maps
 from microbot_ros.discovery.result import (
@@ -106,23 +106,14 @@ def _name(ladder: Ladder, effect: Effect,
     own = contribution(ladder.fit, effect.id)
     gain = log_e_value(ladder.fit, effect.id)
     rivals = [rival for rival in ladder.rivals(effect.id) if _close(rival, own)]
-    status: Status = 'established' if gain > HELD_OUT and own.delta_bic > CLOSE else 'suggested'
-    if any(m.fires for m in left) and not _stands_alone(own, left):
+    # Nothing else could stand in for what alone depends on the frequency; and halves of a
+    # recording in which the frequency was stepped once do not predict each other.
+    alone = effect.id == 'drive_response' and curve_p_value(ladder.fit) < BACKWARD
+    sure = own.delta_bic > CLOSE and (alone or gain > HELD_OUT)
+    status: Status = 'established' if sure else 'suggested'
+    if any(m.fires for m in left) and not alone:
         status = 'proxy'
     return _entry(own, status, gain, rivals), [rival.fit.model for rival in rivals]
-
-
-def _stands_alone(own: Found, left: Sequence[ResidualMap]) -> bool:
-    """Whether an effect holds although something else is left unexplained.
-
-    Only for one that nothing else could stand in for, since it alone depends on the frequency;
-    its evidence is divided by how much more than chance is left against the frequency
-    (quasi-likelihood: McCullagh 1983).
-    """
-    if own.id != 'drive_response':
-        return False
-    excess = max((m.statistic / m.dof for m in left if m.against == 'frequency'), default=1.0)
-    return tail(own.likelihood_ratio / max(excess, 1.0), own.dof) < FORWARD
 
 
 def _close(rival: Found, own: Found) -> bool:

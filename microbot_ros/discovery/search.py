@@ -102,7 +102,7 @@ def _shown(fit: Fit, effect_id: str) -> bool:
         nearest = min(float(np.nanmin(np.hypot(*(p - spot).T))) for p in places)
         extent = max(float(np.nanmax(np.ptp(p[np.isfinite(p[:, 0])], axis=0))) for p in places)
         within = all(p.low < value < p.high for p, value in effect.values().items())
-        return within and nearest < effect.width < extent / 4
+        return within and nearest < effect.width < extent / 3
     return True
 
 
@@ -237,7 +237,11 @@ def _swings(fit: Fit) -> list[Effect]:
     for k in peaks[:TRIED]:
         # x + iy = ½ a (e^{i(α+ψ)} e^{iωt} + e^{i(α−ψ)} e^{−iωt}): the two turning parts.
         ahead, behind = np.angle(forward[k]), np.angle(back[k])
-        start = PeriodicDrift(
-            0.0, float(frequency[k]), (ahead + behind) / 2, (ahead - behind) / 2)
+        direction, phase = (ahead + behind) / 2, (ahead - behind) / 2
+        # The other way round half a period later is the same: directions are told from 0 to π.
+        turns = np.floor(direction / np.pi)
+        direction -= turns * np.pi
+        phase = (phase - turns * np.pi + np.pi) % (2 * np.pi) - np.pi
+        start = PeriodicDrift(0.0, float(frequency[k]), float(direction), float(phase))
         scored.append(_strengthened(fit, start))
     return _promising(scored)

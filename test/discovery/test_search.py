@@ -5,6 +5,7 @@ import pytest
 from scipy import stats
 
 from microbot_ros.discovery.chance import log_of_any, log_tail, tail
+from microbot_ros.discovery.drive_levels import curve_p_value, scattered
 from microbot_ros.discovery.ladder import Ladder
 from microbot_ros.discovery.periodogram import turning_parts
 from microbot_ros.discovery.screen import screen
@@ -66,3 +67,17 @@ def test_a_field_that_turns_one_way_hides_a_lag_in_phi(film):
     fit = Ladder(screen([turning])[0]).fit
     assert hidden_in_phi(fit, EFFECTS['alignment_lag'])
     assert look(fit, 'alignment_lag') is None
+
+
+def test_levels_of_the_drive_judge_its_curve(film):
+    """Gains that scatter ten times their noise: a step shows, one lucky level does not."""
+    rng = np.random.default_rng(0)
+    noise = np.full(40, 0.02)
+    step = np.where(np.arange(40) < 10, 1.0, 0.7)
+    flat, stepped = (curve + rng.normal(0, 0.1, 40) for curve in (np.ones(40), step))
+    assert scattered(stepped, noise, step) - scattered(stepped, noise, np.ones(40)) > 15
+    assert scattered(flat, noise, step) < scattered(flat, noise, np.ones(40))
+    lucky = np.where(np.arange(40) == 3, 1.3, 1.0)
+    assert scattered(lucky * flat, noise, lucky) - scattered(lucky * flat, noise, np.ones(40)) < 8
+    with pytest.raises(ValueError, match='no drive_response'):
+        curve_p_value(Ladder(screen([film(15, rolling=True)[0]])[0]).fit)

@@ -1,0 +1,66 @@
+"""Whether rollers' gain follows a curve in frequency, judged by how levels scatter about it.
+
+Real surfaces make the gain differ from one stretch of a recording to the next by more than the
+noise within it. So the gain at every level of the drive is one number, and numbers scatter about
+the curve by an amount that is fitted too (random effects: DerSimonian and Laird 1986).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from microbot_ros.discovery.chance import tail
+from microbot_ros.discovery.ladder import without
+from microbot_ros.discovery.likelihood import Fit, Part
+from microbot_ros.model.effects.drive_response import DriveResponse
+from microbot_ros.model.scene import Scene
+
+FEWEST = 10
+"""Levels from which both a curve and the scatter about it can be told."""
+
+
+def curve_p_value(fit: Fit) -> float:
+    """Chance that gains which scatter about a constant follow the fitted curve so much better."""
+    effect = fit.model.effect('drive_response')
+    if not isinstance(effect, DriveResponse):
+        raise ValueError('the fit has no drive_response')
+    rest = without(fit, 'drive_response')
+    gains = np.concatenate([_gains(p) for p in rest.parts])
+    if len(gains) < FEWEST:
+        return 1.0
+    frequency, gain, std = gains.T
+    nothing = np.zeros(len(gains))
+    scene = Scene(nothing, nothing, np.zeros((len(gains), 2)), frequency,
+                  fit.model.reference_field)
+    ratio = 2 * (scattered(gain, std, effect.speed_factor(scene))
+                 - scattered(gain, std, np.ones(len(gains))))
+    return tail(ratio, min(len(effect.parameters()), len(gains) - 1))
+
+
+def _gains(p: Part) -> np.ndarray:
+    """Frequency, gain relative to proportional rolling, its std: a row for every level."""
+    e = p.evidence
+    frequency = np.abs(e.commands.frequency_at(e.times[:-1]))
+    moves = np.diff(p.levels.moved(p.swim) - p.levels.offset, axis=0)
+    rows = []
+    for level in np.unique(frequency[frequency > 0]):
+        steps = np.where((frequency == level)[:, None], moves, 0)
+        column = np.concatenate([np.zeros((1, steps.shape[1])), steps.cumsum(axis=0)])
+        white = p.whiten(np.broadcast_to(column, e.z.shape)[..., None])[..., 0]
+        power = float((np.abs(white) ** 2).sum())
+        if power > 0:
+            found = (white.conj() * p.white[..., 0]).real.sum() / np.sqrt(p.diffusion) / power
+            rows.append((level, found, power**-0.5))
+    return np.array(rows).reshape(-1, 3)
+
+
+def scattered(gain: np.ndarray, std: np.ndarray, curve: np.ndarray) -> float:
+    """Log likelihood of gains about a multiple of a curve, with the best scatter beside noise."""
+    from scipy.optimize import minimize_scalar
+
+    def cost(log_scatter: float) -> float:
+        variance = std**2 + np.exp(2 * log_scatter)
+        scale = (curve * gain / variance).sum() / (curve**2 / variance).sum()
+        return float(0.5 * (np.log(variance) + (gain - scale * curve) ** 2 / variance).sum())
+
+    return -float(minimize_scalar(cost, bounds=(-12.0, 3.0), method='bounded').fun)
