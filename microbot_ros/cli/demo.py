@@ -30,7 +30,7 @@ LEARN_SECONDS = float(len(LEARN_DIRECTIONS_DEG))
 PIXEL_SIZE_UM = 0.45
 """Of the virtual microscope."""
 
-NODES = ('virtual_rig', 'tracker', 'model', 'controller', 'coil_driver', 'recorder')
+NODES = ('tracker', 'model', 'controller', 'coil_driver', 'recorder', 'virtual_rig')
 _FEWEST_SECONDS = 15.0
 
 
@@ -87,7 +87,10 @@ def _run(folder: Path, seconds: float, seed: int, began: float,
         graph.wait_ready(20.0)  # the log must be there before the virtual rig reads it
         for node in NODES:
             graph.start_nodes([node], rig)
-        graph.wait_ready(120.0)
+            if node == NODES[-2]:
+                # Particles swim as soon as the rig lives: everybody else is to be there by then.
+                graph.wait_ready(120.0)
+        graph.wait_ready(60.0)
         with Remote() as remote:
             watch = _Watch(remote, graph, began)
             watch.until_tracked(60.0)
