@@ -43,10 +43,13 @@ def _profile(table, harmonic, r):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, fastmath=_FAST)
 def _model(parameters, table, u, v):  # type: ignore[no-untyped-def]
-    """What a particle adds to the background at an offset (u, v) from its centre."""
+    """What a particle adds to the background at an offset (u, v) from its centre.
+
+    A neighbour whose cap has not been found yet counts as round.
+    """
     r = math.sqrt(u * u + v * v) / parameters[SIZE]
     value = _profile(table, 0, r)[0]
-    if table.shape[0] > 1 and r > 0:
+    if table.shape[0] > 1 and r > 0 and math.isfinite(parameters[THETA]):
         c = math.cos(math.atan2(v, u) - parameters[THETA])
         value += _profile(table, 1, r)[0] * c
         value += _profile(table, 2, r)[0] * (2 * c * c - 1)
