@@ -2,21 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from microbot_ros.records import Session
+
 
 @click.command()
-@click.argument('sessions', metavar='SESSION...', nargs=-1, required=True,
+@click.argument('sessions', metavar='SESSION...', nargs=-1,
                 type=click.Path(path_type=Path))
 @click.option('--out', type=click.Path(path_type=Path), required=True, metavar='DIR',
               help='Folder for result.json, model.yaml and report.html.')
 @click.option('--jobs', type=click.IntRange(1), default=1, show_default=True, metavar='N',
               help='Processes that share the work.')
+@click.option('--live', is_flag=True,
+              help='Instead of sessions: watch the running graph, or a replay, and propose.')
+@click.option('--seconds', type=click.FloatRange(10, 3600), default=60.0, show_default=True,
+              help='With --live: how much of the recent past to look at, each time.')
+@click.option('--rounds', type=click.IntRange(0), default=0, metavar='N',
+              help='With --live: end after N looks; 0 goes on until Ctrl-C.')
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
               help='Also write the content of result.json here.')
-def command(sessions: tuple[Path, ...], out: Path, jobs: int, json_path: Path | None) -> None:
+def command(sessions: tuple[Path, ...], out: Path, jobs: int, live: bool, seconds: float,
+            rounds: int, json_path: Path | None) -> None:
     """Find where SESSION and the first-order model part, and name the effect that is missing.
 
     Several sessions of one rig are explained together. Writes result.json (verdict, effects with
@@ -27,7 +41,26 @@ def command(sessions: tuple[Path, ...], out: Path, jobs: int, json_path: Path | 
     Example:
       microbot simulate config/scenario_lag.yaml --out out/lagging
       microbot discover out/lagging --out out/discovered
+      microbot discover --live --seconds 60 --out out/live
     """
+    from rich.console import Console
+
+    from microbot_ros.session import read_session
+
+    if bool(sessions) == live:
+        raise click.UsageError('expected either SESSION... or --live')
+    progress = Console(stderr=True, highlight=False)
+    if live:
+        _watch(out, seconds, rounds, jobs, json_path, progress)
+        return
+    with progress.status('reading'):
+        recordings = [read_session(path) for path in sessions]
+    _discover(recordings, sessions, out, jobs, json_path, progress)
+
+
+def _discover(recordings: Sequence[Session], sources: Sequence[Path], out: Path, jobs: int,
+              json_path: Path | None, progress: Console) -> None:
+    """Look, write what was found, say it."""
     import json
 
     from rich.console import Console
@@ -36,20 +69,47 @@ def command(sessions: tuple[Path, ...], out: Path, jobs: int, json_path: Path | 
     from microbot_ros.discovery.report import write_report
     from microbot_ros.files import output_folder, write_text
     from microbot_ros.model.model_file import write_model
-    from microbot_ros.session import read_session
 
-    progress = Console(stderr=True, highlight=False)
-    with progress.status('reading') as status:
-        recordings = [read_session(path) for path in sessions]
+    with progress.status('looking') as status:
         found = discover(recordings, status.update, jobs=jobs)
     text = json.dumps(found.as_json(), indent=1, ensure_ascii=False, allow_nan=False) + '\n'
     with output_folder(out) as folder:
         write_text(folder / 'result.json', text)
         write_model(folder / 'model.yaml', found.model, found.particles)
         with progress.status('writing the report'):
-            write_report(folder, found, recordings, sessions)
+            write_report(folder, found, recordings, sources)
     if json_path:
         write_text(json_path, text)
     console = Console(highlight=False)
     for line in found.sentences():
         console.print(line)
+
+
+def _watch(out: Path, seconds: float, rounds: int, jobs: int, json_path: Path | None,
+           progress: Console) -> None:
+    """Look at the recent past of the graph again and again, and propose what was found."""
+    from itertools import count
+
+    from microbot_ros.errors import InputError
+    from microbot_ros.files import output_folder
+    from microbot_ros.nodes.collector import Collector
+    from microbot_ros.nodes.remote import Remote
+    from microbot_ros.session import write_session
+
+    for look in count(1):
+        with Remote('discover') as remote:
+            collector = Collector(remote, seconds)
+            with progress.status(f'listening for {seconds:g} s') as status:
+                while collector.span < seconds - 0.5:
+                    remote.spin(0.5)
+                    status.update(f'listening: {collector.span:.0f} of {seconds:g} s')
+            session = collector.session()
+        with output_folder(out) as folder:
+            write_session(folder / 'session', session)
+        try:
+            _discover([session], [out / 'session'], out, jobs, json_path, progress)
+            progress.print(f'to filter with it: microbot set model model_file {out}/model.yaml')
+        except InputError as error:
+            progress.print(f'nothing to say yet: {error}')
+        if look == rounds:
+            return

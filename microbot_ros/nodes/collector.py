@@ -8,6 +8,7 @@ import numpy as np
 from geometry_msgs.msg import Vector3Stamped
 from sensor_msgs.msg import PointCloud2
 
+from microbot_ros import units
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.remote import Remote
 from microbot_ros.records import Commands, Conditions, Session, Tracks
@@ -26,12 +27,22 @@ class Collector:
         remote.node.create_subscription(PointCloud2, 'particles', self._on_particles, 200)
         remote.node.create_subscription(Vector3Stamped, 'field/command', self._on_command, 200)
 
+    def conditions(self) -> Conditions:
+        """What the model node was told of particles and fluid."""
+        told = self._remote.get('model', 'propulsion', 'radius_um', 'viscosity_mPa_s',
+                                'temperature_K', 'reference_field_mT')
+        return Conditions(
+            propulsion=told['propulsion'],
+            **{name: float(units.to_si(key, told[key])) for name, key in (
+                ('radius', 'radius_um'), ('viscosity', 'viscosity_mPa_s'),
+                ('temperature', 'temperature_K'), ('reference_field', 'reference_field_mT'))})
+
     @property
     def span(self) -> float:
         """How many seconds have been collected."""
         return self._frames[-1][0] - self._frames[0][0] if self._frames else 0.0
 
-    def session(self, conditions: Conditions) -> Session:
+    def session(self) -> Session:
         """What was collected; times [s] count from the first frame of it."""
         origin = self._frames[0][0] if self._frames else 0.0
         empty = np.empty(0, messages.PARTICLE)
@@ -42,7 +53,7 @@ class Collector:
             Tracks(t, points['id'].astype(int),
                    np.stack([points['x'], points['y']], axis=1).astype(float),
                    points['theta'].astype(float), points['sigma'].astype(float)),
-            Commands(commands[:, 0] - origin, commands[:, 1:]), conditions, 'live')
+            Commands(commands[:, 0] - origin, commands[:, 1:]), self.conditions(), 'live')
 
     def _on_particles(self, message: PointCloud2) -> None:
         t = messages.to_seconds(message.header.stamp)

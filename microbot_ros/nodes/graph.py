@@ -119,5 +119,7 @@ class Graph:
                     self._tell(name, f'did not end within {seconds:g} s: killed')
                     child.process.kill()
                     child.process.wait()
+            assert child.process.stdout is not None
             while child.process.stdout in self._selector.get_map():
                 self.pump(0.1)
+            child.process.stdout.close()

@@ -10,9 +10,9 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray
-from rcl_interfaces.srv import SetParameters
+from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.parameter import Parameter
+from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import PointCloud2
@@ -91,6 +91,13 @@ class Remote:
         for result in self._call(SetParameters, f'{node}/set_parameters', request).results:
             if not result.successful:
                 raise InputError(node, result.reason)
+
+    def get(self, node: str, *names: str) -> dict[str, Any]:
+        """Values of parameters of a node. InputError where it does not answer."""
+        request = GetParameters.Request(names=list(names))
+        answer = self._call(GetParameters, f'{node}/get_parameters', request)
+        return {name: parameter_value_to_python(value)
+                for name, value in zip(names, answer.values, strict=True)}
 
     def send_goals(self, positions: Sequence[tuple[float, float]], seconds: float = 5.0) -> None:
         """Publish where to go, in order [m], once a controller listens."""
