@@ -25,9 +25,10 @@ PARTICLE = np.dtype([
 ESTIMATE = np.dtype([
     ('id', '<u4'), ('x', '<f4'), ('y', '<f4'), ('speed', '<f4'), ('phi', '<f4'),
     ('force', '<f4'), ('x_std', '<f4'), ('y_std', '<f4'), ('speed_std', '<f4'),
-    ('phi_std', '<f4'), ('force_std', '<f4'),
+    ('phi_std', '<f4'), ('force_std', '<f4'), ('x_ahead', '<f4'), ('y_ahead', '<f4'),
+    ('ahead_std', '<f4'),
 ])
-"""A point of `model/state`: SI; NaN for what is not known yet."""
+"""A point of `model/state`: SI; NaN for what is not known yet. `*_ahead`: a horizon later."""
 
 TRUTH = np.dtype([
     ('id', '<u4'), ('x', '<f4'), ('y', '<f4'), ('theta', '<f4'), ('speed', '<f4'),

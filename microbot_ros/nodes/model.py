@@ -160,6 +160,8 @@ def _points(estimates: Estimates) -> np.ndarray:
     points['id'] = estimates.id
     points['x'], points['y'] = estimates.position.T
     points['x_std'] = points['y_std'] = estimates.position_std
+    points['x_ahead'], points['y_ahead'] = estimates.prediction.T
+    points['ahead_std'] = estimates.prediction_std
     columns: dict[str, Any] = {
         'speed': estimates.speed, 'phi': estimates.phi, 'force': estimates.force,
         'speed_std': estimates.speed_std, 'phi_std': estimates.phi_std,

@@ -56,6 +56,9 @@ def test_what_is_played_is_what_the_model_learns(ros: Any, session: Path) -> Non
     assert np.abs(last['speed'] - SPEED).max() < 4 * last['speed_std'].max()
     assert np.abs(np.angle(np.exp(1j * (last['phi'] - PHI)))).max() < 4 * last['phi_std'].max()
     assert last['speed_std'].max() < 0.2e-6
+    ahead = np.hypot(last['x_ahead'] - last['x'], last['y_ahead'] - last['y'])
+    assert ahead == pytest.approx(0.5 * last['speed'], rel=0.02)
+    assert (last['ahead_std'] > last['x_std']).all()
     drag = 6 * math.pi * 1.245e-3 * 2.3e-6
     assert last['force'] == pytest.approx(drag * last['speed'], rel=1e-4)
 
