@@ -22,10 +22,12 @@ def generate_launch_description() -> LaunchDescription:
     }
     return LaunchDescription([
         ExecuteProcess(cmd=['microbot', 'emulate', 'serial_transfer', '--link', port,
-                            '--log', log], output='screen'),
+                            '--log', log, '--full-scale-A', '2'], output='screen'),
         *(
             LifecycleNode(package='microbot_ros', executable=f'{name}_node', name=name,
-                          namespace='', parameters=[own.get(name, {})], output='screen')
+                          namespace='', parameters=[own.get(name, {})], output='screen',
+                          # Until the amplifier's port and log are there, nodes end and try again.
+                          respawn=True, respawn_delay=1.0)
             for name in ('virtual_rig', 'tracker', 'model', 'controller', 'coil_driver')
         ),
     ])
