@@ -102,8 +102,7 @@ def _begin(rig: _Rig, kind: str) -> None:
 
 
 def _drive(rig: _Rig, day: Day, fault: str, random: np.random.Generator) -> None:
-    dead = {'open': frozenset({1}), 'over_temperature': frozenset(range(4))}
-    rig.coils.kill(dead.get(fault, frozenset()), fault or 'repaired')
+    rig.coils.conduct(*rig.line.conducted(rig.now))
     wanted = random.uniform(-1.2, 1.2, 4)
     if fault == 'not a number':
         wanted[random.integers(4)] = random.choice([math.nan, math.inf, -math.inf])

@@ -59,7 +59,9 @@ def run(seconds: float) -> Tally:
 
 
 def _damaged(frame: bytes, chance: random.Random) -> bytes:
-    """A frame with up to three of: a flipped bit, a lost, doubled or foreign byte, a cut."""
+    """A frame with up to three of: a bit flipped, a byte lost, foreign bytes, a cut, a byte
+    repeated, now and then more often than a number has digits.
+    """
     data = bytearray(frame)
     for _ in range(chance.randrange(4)):
         place = chance.randrange(len(data) + 1)
@@ -69,7 +71,7 @@ def _damaged(frame: bytes, chance: random.Random) -> bytes:
             case 1:
                 del data[place:place + 1]
             case 2:
-                data[place:place] = data[place:place + 1]
+                data[place:place] = data[place:place + 1] * chance.choice((*[1] * 99, 5000))
             case 3:
                 data[place:place] = chance.randbytes(chance.randrange(1, 9))
             case 4:
@@ -112,10 +114,12 @@ def _roboclaw(chance: random.Random) -> int:
 
 
 def _modbus(chance: random.Random) -> int:
-    value = chance.randrange(-32768, 32768)
-    received = _damaged(_with_crc(struct.pack('>BBBh', 3, 3, 2, value)), chance)
-    accepted = modbus.value(3, received)
-    return accepted is not None and received != _with_crc(struct.pack('>BBBh', 3, 3, 2, accepted))
+    count = chance.choice((1, 4))
+    answer = struct.pack('>BBB', 3, 3, 2 * count) + chance.randbytes(2 * count)
+    received = _damaged(_with_crc(answer), chance)
+    if (accepted := modbus.values(3, count, received)) is None:
+        return 0
+    return received != _with_crc(struct.pack(f'>BBB{count}h', 3, 3, 2 * count, *accepted))
 
 
 def _with_crc(body: bytes) -> bytes:
@@ -125,6 +129,12 @@ def _with_crc(body: bytes) -> bytes:
         for _ in range(8):
             crc = crc >> 1 ^ (0xA001 if crc & 1 else 0)
     return body + crc.to_bytes(2, 'little')
+
+
+def _roboteq_faults(chance: random.Random) -> int:
+    received = _damaged(f'FF={chance.randrange(256)}\r'.encode(), chance)
+    accepted = roboteq.faults(received)
+    return accepted is not None and re.fullmatch(rb'FF=[0-9]+\r', received) is None
 
 
 def _roboteq(chance: random.Random) -> int:
@@ -144,7 +154,7 @@ def _scpi(chance: random.Random) -> int:
     return line is None or not math.isfinite(number) or number != float(line[1])
 
 
-_DECODERS = (_serial_transfer, _roboclaw, _modbus, _roboteq, _scpi)
+_DECODERS = (_serial_transfer, _roboclaw, _modbus, _roboteq, _roboteq_faults, _scpi)
 _FRAMES: dict[str, Callable[[random.Random], bytes]] = {
     'serial_transfer': lambda chance: serial_transfer.encode(struct.pack(
         '<17f', *(chance.choice([0.0, 0.5, -1.0, 1e9, math.nan, math.inf]) for _ in range(17)))),
@@ -166,8 +176,8 @@ def _attack(protocol: str, chance: random.Random) -> int:
         log = open(os.devnull, 'w', encoding='utf-8')  # noqa: SIM115 — for the process's life
         _devices[protocol] = make_device(protocol, Coils(FULL_SCALE_A, None, log))
     device = _devices[protocol]
-    now = time.monotonic()
-    device.receive(0, _damaged(_FRAMES[protocol](chance), chance), now)
+    received = _damaged(_FRAMES[protocol](chance), chance)
+    device.receive(chance.randrange(device.ports), received, time.monotonic())
     return not all(abs(current) <= FULL_SCALE_A * 1.0001 for current in device.coils.currents_A)
 
 

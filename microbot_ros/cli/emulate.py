@@ -49,7 +49,7 @@ def command(protocol: str, link: Path, log: Path | None, full_scale_a: float,
     A protocol with several ports gets the links PATH-1, PATH-2 and so on.
 
     Faults: drop, flip, double (probability per byte), truncate (per message), delay (ms),
-    silence, reset, wrong_reply, over_temperature, open (coil 1 to 4), unplug.
+    silence, reset, wrong_reply, over_temperature, open, reversed, half_gain (coil 1 to 4), unplug.
 
     \b
     Examples:

@@ -78,6 +78,8 @@ class Amplifier(ABC):
         if not np.all((self.full_scale_A > 0) & np.isfinite(self.full_scale_A)):
             raise InputError('full_scale_A', f'expected amperes above 0, got {full_scale_A}')
         self.counters = Counters()
+        self.fault = ''
+        """What the device said last is wrong with it; '' where it says nothing of the kind."""
         self._tolerance_A = _AGREEMENT * self.full_scale_A + self.resolution_A / 2
         self._unacknowledged: deque[Command] = deque(maxlen=64)
         self._lock = Lock()
@@ -88,6 +90,7 @@ class Amplifier(ABC):
         Raises an AmplifierError, with the port given back, where any of it fails.
         """
         self._unacknowledged.clear()
+        self.fault = ''
         try:
             self._open()
             self.zero()
@@ -117,7 +120,7 @@ class Amplifier(ABC):
     def poll(self, timeout_s: float = 0.0) -> list[Reading]:
         """The readings that arrived; waits at most `timeout_s` for the first. Moves no current.
 
-        Raises AmplifierError where the line is lost or the device reports a fault.
+        Raises AmplifierError where the line is lost.
         """
         return [self._reading(t, currents) for t, currents in self._receive(timeout_s)]
 

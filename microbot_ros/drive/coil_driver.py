@@ -12,6 +12,7 @@ import numpy as np
 from microbot_ros.drive.amplifier import Amplifier, Command, Reading
 from microbot_ros.drive.errors import AmplifierError
 from microbot_ros.drive.gate import ZERO, Currents, Gate, Limits, Reason
+from microbot_ros.drive.self_check import SelfCheck
 from microbot_ros.errors import InputError
 
 _TICK_S = 0.01
@@ -19,6 +20,7 @@ _TICK_S = 0.01
 _REFRESH_S = 0.04
 """The present output goes out again this often: a device's watchdog is fed while commands hold,
 and a zero that the line damaged is not the last word."""
+_CHECK_WAIT_S = 0.002
 _BACKOFF_S = (0.1, 2.0)
 """First and longest pause between attempts to reconnect; each is twice the one before."""
 
@@ -29,12 +31,13 @@ class CoilDriver:
     The thread lives from `start` to `stop` and does all that must happen without being asked:
     stale commands, silence and deviation end in zero, whatever hangs elsewhere in the process;
     a lost line is latched as a fault and reopened with zero, still disarmed. `on_reading` is
-    called in that thread for each reading and must not block. Raises InputError for a current
-    limit that is more than the amplifier can give.
+    called in that thread for each reading and must not block. With `self_check`, arming sends a
+    pulse through each coil first. Raises InputError for a current limit that is more than the
+    amplifier can give, and for limits that leave no room for the pulse.
     """
 
     def __init__(self, amplifier: Amplifier, limits: Limits,
-                 on_reading: Callable[[Reading], None]) -> None:
+                 on_reading: Callable[[Reading], None], *, self_check: bool = True) -> None:
         full_scale_A = float(amplifier.full_scale_A.min())
         if not limits.current_A <= full_scale_A:
             raise InputError('current_A', f'expected at most the full scale of the amplifier, '
@@ -42,6 +45,12 @@ class CoilDriver:
         self.amplifier = amplifier
         self.gate = Gate(limits)
         self.connected = False
+        self.gains: list[float] | None = None
+        """Measured over commanded current of each coil in the last self-check that passed."""
+        self._checks = self_check
+        self._check: SelfCheck | None = None
+        if self_check:
+            SelfCheck(limits)  # raises now for limits that it would raise for on arming
         self._on_reading = on_reading
         self._lock = threading.Lock()
         self._sent: Currents = ZERO
@@ -68,11 +77,32 @@ class CoilDriver:
         return self._disconnect()
 
     def arm(self) -> str | None:
-        """Let currents flow from now on; or, where that is not safe, say why not."""
+        """Let currents flow from now on; or, where that is not safe, say why not.
+
+        Returns after the self-check, some 20 ms a coil; until then commands go nowhere.
+        """
         with self._lock:
             if not self.connected:
                 return 'the amplifier is not connected'
-            return self.gate.arm(time.monotonic())
+            if self.amplifier.fault:
+                return self.amplifier.fault
+            if self.gate.armed:
+                return 'the self-check is going on' if self._check else None
+            refusal = self.gate.arm(time.monotonic())
+            if refusal or not self._checks:
+                return refusal
+            self._check = SelfCheck(self.gate.limits)
+        return self._await_check()
+
+    def _await_check(self) -> str | None:
+        """Why the self-check failed or was broken off; the gate sees to it that it ends."""
+        while self._check is not None and self.gate.armed:
+            time.sleep(_CHECK_WAIT_S)
+        with self._lock:
+            self._check = None
+            if self.gate.fault:
+                return f'{self.gate.fault.reason.value}: {self.gate.fault.detail}'
+            return None if self.gate.armed else 'disarmed meanwhile'
 
     def disarm(self) -> None:
         """Zero at once."""
@@ -83,10 +113,12 @@ class CoilDriver:
     def command(self, currents_A: Sequence[float] | np.ndarray) -> Command | None:
         """Currents [A], shape (4,), through the gate to the line at once.
 
-        The answer is what went out, zeros if the gate tripped; None where nothing did: disarmed
-        or not connected.
+        The answer is what went out, zeros if the gate tripped; None where nothing did: disarmed,
+        not connected or in the self-check.
         """
         with self._lock:
+            if self._check is not None:
+                return None
             was_armed = self.gate.armed
             self.gate.command(tuple(currents_A), time.monotonic())
             return self._write_output() if was_armed else None
@@ -129,12 +161,30 @@ class CoilDriver:
             return
         with self._lock:
             now = time.monotonic()
+            if self.amplifier.fault:
+                self.gate.trip(Reason.DEVICE, self.amplifier.fault)
             for reading in readings:
-                self.gate.measured(reading.currents_A.tolist(), now)
+                self._judge(reading, now)
+            if self._check is not None:
+                self._go_on_checking(self._check, now)
             if self.gate.tick(now) != self._sent or now - self._sent_s >= _REFRESH_S:
                 self._write_output()
         for reading in readings:
             self._on_reading(reading)
+
+    def _judge(self, reading: Reading, now: float) -> None:
+        currents: list[float] = reading.currents_A.tolist()
+        if self._check is not None:
+            # Before the gate, which would trip at the same current and could not name the coil.
+            self._check.measured(currents, now)
+            if self._check.complaint:
+                self.gate.trip(Reason.SELF_CHECK, self._check.complaint)
+        self.gate.measured(currents, now)
+
+    def _go_on_checking(self, check: SelfCheck, now: float) -> None:
+        self.gate.command(check.wanted, now)
+        if check.done:
+            self.gains, self._check = check.gains, None
 
     def _lose(self, error: AmplifierError) -> None:
         self.connected = False

@@ -59,6 +59,8 @@ class Reason(StrEnum):
     DEVIATION = 'measured current deviates'
     SILENCE = 'no measurement'
     HEAT = 'coil heat'
+    DEVICE = 'fault of the amplifier'
+    SELF_CHECK = 'self-check'
     CLOCK = 'clock went wrong'
     LINE = 'line lost'
     INTERNAL = 'internal error'

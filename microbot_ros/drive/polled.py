@@ -19,6 +19,8 @@ Reply = TypeVar('Reply')
 
 _ATTEMPTS = 2
 """All requests set or ask for absolute values, so a damaged exchange may simply be repeated."""
+_INSPECT_S = 0.5
+"""How often to ask what is wrong with the device: heat takes seconds, and lines are slow."""
 
 
 class PolledAmplifier(Amplifier):
@@ -40,7 +42,7 @@ class PolledAmplifier(Amplifier):
         self._lines: list[Port] = []
         self._exchange = threading.RLock()
         self._written = threading.Event()
-        self._due_s = 0.0
+        self._due_s = self._inspection_s = 0.0
 
     @abstractmethod
     def _identify(self) -> None:
@@ -54,7 +56,12 @@ class PolledAmplifier(Amplifier):
     def _measure(self) -> np.ndarray:
         """Ask for the currents."""
 
+    def _inspect(self) -> str:
+        """What the device says is wrong with it; '' where nothing is, or where it cannot tell."""
+        return ''
+
     def _open(self) -> None:
+        self._inspection_s = 0.0
         for url in self._urls:
             self._lines.append(Port(url, self.baud, xon_xoff=self.xon_xoff))
         self._identify()
@@ -75,6 +82,9 @@ class PolledAmplifier(Amplifier):
         self._due_s = time.monotonic() + self.period_s
         with self._exchange:
             currents = self._measure()
+            if time.monotonic() >= self._inspection_s:
+                self.fault = self._inspect()
+                self._inspection_s = time.monotonic() + _INSPECT_S
         self.counters.frames_received += 1
         return [(time.monotonic(), currents)]
 

@@ -61,6 +61,9 @@ class CoilDriverParameters:
         1.5, 'Current that a coil bears for ever.', lower=0.001, upper=100.0, read_only=True)
     thermal_s: float = setting(
         60.0, 'Thermal time constant of a coil.', lower=1.0, upper=3600.0, read_only=True)
+    self_check: bool = setting(
+        True, 'Check sign and gain of each coil with a short pulse on arming; false for an '
+        'amplifier that reads no currents back.', read_only=True)
 
 
 class CoilDriverNode(RigNode):
@@ -84,7 +87,8 @@ class CoilDriverNode(RigNode):
         self._latency = math.nan
         self._refused = 0
         amplifier = amplifier_class(values.amplifier)(values.port, values.full_scale_A)
-        self._driver = CoilDriver(amplifier, _limits(values), self._on_reading)
+        self._driver = CoilDriver(amplifier, _limits(values), self._on_reading,
+                                  self_check=values.self_check)
         self._wanted = self.publisher(JointState, 'coils/command')
         self._applied = self.publisher(JointState, 'coils/applied')
         self._measured = self.publisher(JointState, 'coils/measured')
@@ -114,7 +118,8 @@ class CoilDriverNode(RigNode):
             'armed': gate.armed, 'frames_sent': counters.frames_sent,
             'frames_received': counters.frames_received, 'crc_errors': counters.crc_errors,
             'discarded_bytes': counters.discarded_bytes, 'latency_ms': self._latency * 1e3,
-            'commands_refused': self._refused, 'hottest_coil_percent': 100 * max(gate.heat)}
+            'commands_refused': self._refused, 'hottest_coil_percent': 100 * max(gate.heat),
+            'self_check': self._self_check()}
         if gate.fault:
             sentence = f'coils at zero, {gate.fault.reason.value}: {gate.fault.detail}'
             return ERROR, sentence, values
@@ -123,6 +128,13 @@ class CoilDriverNode(RigNode):
         if not gate.armed:
             return WARN, 'coils at zero, disarmed', values
         return OK, 'driving', values
+
+    def _self_check(self) -> str:
+        if not self.settings.self_check:
+            return 'not checked: the amplifier reads no currents back'
+        if self._driver.gains is None:
+            return 'not passed yet'
+        return 'passed, gains ' + ', '.join(f'{gain:.2f}' for gain in self._driver.gains)
 
     def _on_command(self, message: Vector3Stamped) -> None:
         age = self.seconds() - messages.to_seconds(message.header.stamp)

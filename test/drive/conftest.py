@@ -76,6 +76,12 @@ def emulate(tmp_path):
         emulated.end()
 
 
+@pytest.fixture(autouse=True)
+def patient(monkeypatch):
+    """A machine that is busy with other tests may pause for longer than a line may."""
+    monkeypatch.setattr('microbot_ros.drive.transport._WRITE_TIMEOUT_S', 5.0)
+
+
 class Script:
     """Lines that expect exact bytes, answer as written, and let nothing be left over."""
 

@@ -40,7 +40,8 @@ def board(emulate):
 
 @pytest.fixture
 def driver(board):
-    driver = CoilDriver(SerialTransferAmplifier(board.url, FULL_SCALE_A), LIMITS, lambda _: None)
+    driver = CoilDriver(SerialTransferAmplifier(board.url, FULL_SCALE_A), LIMITS, lambda _: None,
+                        self_check=False)
     driver.start()
     yield driver
     driver.stop()

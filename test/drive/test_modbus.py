@@ -42,16 +42,16 @@ def test_a_duty_outside_is_refused(duty):
 
 def test_an_answer_passes_whole_undamaged_and_from_the_slave_asked_only():
     whole = frame('01 03 02 fa24')
-    assert codec.value(1, whole) == -1500
+    assert codec.values(1, 1, whole) == (-1500,)
     for length in range(len(whole)):
-        assert codec.value(1, whole[:length]) is None
+        assert codec.values(1, 1, whole[:length]) is None
     for bit in range(8 * len(whole)):
         damaged = bytearray(whole)
         damaged[bit // 8] ^= 1 << bit % 8
-        assert codec.value(1, bytes(damaged)) is None
+        assert codec.values(1, 1, bytes(damaged)) is None
     for other in (frame('02 03 02 fa24'), frame('01 83 02'), frame('01 03 04 fa24 0000'),
                   frame('01 06 0001 ffce'), whole + b'\0'):
-        assert codec.value(1, other) is None
+        assert codec.values(1, 1, other) is None
 
 
 def test_a_write_is_confirmed_by_its_echo_only():
@@ -76,9 +76,24 @@ IDENTIFYING = [exchange for slave in range(4) for exchange in (
     setting('0001', *ZERO)[slave], setting('0000', *('0001',) * 4)[slave])]
 
 
+def inspecting(*values: str) -> list[tuple[str, bytes, bytes]]:
+    return [('line', frame(f'0{slave} 03 0007 0004'), frame(f'0{slave} 03 08 {value}'))
+            for slave, value in enumerate(values, 1)]
+
+
+COOL, HOT = '0dac 0dac 2134 0dac', '0dac 0dac 0dac 2135'
+
+
+def test_a_bridge_that_is_too_hot_says_so(scripted):
+    scripted([*IDENTIFYING, *setting('0001', *ZERO), *measuring(*ZERO), *inspecting(COOL, HOT)])
+    amplifier = ModbusAmplifier('line', 2.0)
+    amplifier.connect()
+    assert amplifier.fault == 'slave 2 is too hot: 85.01 °C, at most 85'
+
+
 def test_the_transcript_of_a_session(scripted):
     scripted([
-        *IDENTIFYING, *setting('0001', *ZERO), *measuring(*ZERO),
+        *IDENTIFYING, *setting('0001', *ZERO), *measuring(*ZERO), *inspecting(*(COOL,) * 4),
         *setting('0001', '0064', 'ffce', '0000', '0019'),
         *measuring('07d0', 'fc18', '0000', '01f4'),
         *setting('0001', *ZERO), *measuring(*ZERO), *setting('0000', *ZERO)])

@@ -53,6 +53,7 @@ def test_a_duty_outside_is_refused(duty):
 
 @pytest.mark.parametrize(('parse', 'data', 'value'), [
     (codec.timeout, b'\x05', 0.5), (codec.version, VERSION, 'USB Roboclaw 2x15a v4.1.34'),
+    (codec.temperature, b'\x01\x5e', 35.0),
     (codec.currents, bytes.fromhex('0096ff6a'), (1.5, -1.5)),
 ])
 def test_an_answer_passes_whole_and_undamaged_only(parse, data, value):
@@ -76,7 +77,8 @@ def connecting(timeout: bytes = b'\x01') -> list[tuple[str, bytes, bytes]]:
             ('line', packet(address + '22 0000 0000'), b'\xff'),
             ('line', packet(address + '0e 01'), b'\xff'),
             ('line', *answer(address + '0f', timeout))]
-    return [*exchanges, *driving('0000 0000', '0000 0000'), *measuring(b'\0\0\0\0', b'\0\0\0\0')]
+    return [*exchanges, *driving('0000 0000', '0000 0000'), *measuring(b'\0\0\0\0', b'\0\0\0\0'),
+            *inspecting('015e', '015e')]
 
 
 def driving(first: str, second: str) -> list[tuple[str, bytes, bytes]]:
@@ -86,6 +88,18 @@ def driving(first: str, second: str) -> list[tuple[str, bytes, bytes]]:
 
 def measuring(first: bytes, second: bytes) -> list[tuple[str, bytes, bytes]]:
     return [('line', *answer('80 31', first)), ('line', *answer('81 31', second))]
+
+
+def inspecting(first: str, second: str) -> list[tuple[str, bytes, bytes]]:
+    return [('line', *answer('80 52', bytes.fromhex(first))),
+            ('line', *answer('81 52', bytes.fromhex(second)))]
+
+
+def test_a_controller_that_is_too_hot_says_so(scripted):
+    scripted([*connecting()[:-1], *inspecting('0352', '0353')[1:]])
+    amplifier = RoboclawAmplifier('line', 2.0)
+    amplifier.connect()
+    assert amplifier.fault == 'controller 0x81 is too hot: 85.1 °C, at most 85'
 
 
 def test_the_transcript_of_a_session(scripted):

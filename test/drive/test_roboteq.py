@@ -25,9 +25,19 @@ def test_a_command_outside_is_refused(share):
     (b'A=15:-15', None), (b'A=15\r', None), (b'A=15:-15:3\r', None), (b'V=15:-15\r', None),
     (b'A=1.5:2\r', None), (b'A=:2\r', None), (b'+\rA=1:2\r', None), (b'A=1:2\r+\r', None),
     (b'A=\xff1:2\r', None), (b'', None), (b'A=--1:2\r', None),
+    (b'A=' + 5000 * b'1' + b':2\r', None),
 ])
 def test_currents_pass_whole_and_alone_only(answer, currents):
     assert codec.currents(answer) == (None if currents is None else pytest.approx(currents))
+
+
+@pytest.mark.parametrize(('answer', 'faults'), [
+    (b'FF=0\r', ()), (b'FF=1\r', ('overheat',)), (b'FF=18\r', ('overvoltage', 'emergency stop')),
+    (b'FF=128\r', ()), (b'FF=1', None), (b'FF=-1\r', None), (b'FF=\r', None), (b'', None),
+    (b'A=1\r', None), (b'FF=' + 5000 * b'1' + b'\r', None), (b'FF=\xb2\r', None),
+])
+def test_faults_pass_whole_and_alone_only(answer, faults):
+    assert codec.faults(answer) == faults
 
 
 def test_each_command_must_be_accepted():
@@ -42,13 +52,15 @@ def on_both(request: bytes, *answers: bytes) -> list[tuple[str, bytes, bytes]]:
 
 
 ZEROING = [*on_both(b'!G 1 0\r!G 2 0\r', b'+\r+\r'), *on_both(b'?A\r', b'A=0:0\r')]
-IDENTIFYING = [*on_both(b'\r^ECHOF 1\r', b''), *on_both(b'?FID\r', b'FID=Roboteq v2.1 SDC2130\r'),
+INSPECTING = on_both(b'?FF\r', b'FF=0\r')
+IDENTIFYING = [*on_both(b'\r^ECHOF 1\r', b'\r^ECHOF 1\r+\r'),
+               *on_both(b'?FID\r', b'FID=Roboteq v2.1 SDC2130\r'),
                *ZEROING[:2], *on_both(b'^RWD 100\r', b'+\r'), *on_both(b'~RWD\r', b'RWD=100\r')]
 
 
 def test_the_transcript_of_a_session(scripted):
     scripted([
-        *IDENTIFYING, *ZEROING,
+        *IDENTIFYING, *ZEROING, *INSPECTING,
         ('a', b'!G 1 1000\r!G 2 -500\r', b'+\r+\r'), ('b', b'!G 1 0\r!G 2 250\r', b'+\r+\r'),
         *on_both(b'?A\r', b'A=20:-10\r', b'A=0:5\r'), *ZEROING])
     amplifier = RoboteqAmplifier('a,b', 2.0)
@@ -58,6 +70,13 @@ def test_the_transcript_of_a_session(scripted):
     assert reading.currents_A == pytest.approx([2.0, -1.0, 0.0, 0.5])
     assert reading.acknowledges is command
     assert amplifier.close()
+
+
+def test_the_device_says_what_is_wrong(scripted):
+    scripted([*IDENTIFYING, *ZEROING, *on_both(b'?FF\r', b'FF=0\r', b'FF=5\r')])
+    amplifier = RoboteqAmplifier('a,b', 2.0)
+    amplifier.connect()
+    assert amplifier.fault == 'b: overheat, undervoltage'
 
 
 def test_another_model_is_refused(scripted):

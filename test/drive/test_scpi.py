@@ -14,7 +14,7 @@ LINES = ('a', 'b', 'c', 'd')
     (b'2.71E1\n', 27.1), (b'-1.0000E-1\r\n', -0.1), (b'\r\n 0\n', 0.0), (b'+3.\r', 3.0),
     (b'2.71E1', None), (b'', None), (b'nan\n', None), (b'inf\n', None), (b'1E400\n', None),
     (b'1_0\n', None), (b'2.71E1\x80\n', None), (b'1 2\n', None), (b'\n', None),
-    (b'1.0\n2.0\n', None), (b'1.0\r\n', 1.0),
+    (b'1.0\n2.0\n', None), (400 * b'9' + b'\n', None), (b'1.0\r\n', 1.0),
 ])
 def test_numbers_pass_whole_and_finite_only(answer, value):
     assert codec.number(answer) == value
@@ -54,7 +54,7 @@ ZEROING = [*on_each(b'CURR 0.0000E+00\n', b''), *on_each(b'MEAS:CURR?\n', b'0.00
 
 def test_the_transcript_of_a_session(scripted):
     scripted([
-        *CONNECTING, *ZEROING,
+        *CONNECTING, *ZEROING, *on_each(b'STAT:QUES:COND?\n', b'0\n'),
         ('a', b'CURR 1.0000E+00\n', b''), ('b', b'CURR -5.0000E-01\n', b''),
         ('c', b'CURR 0.0000E+00\n', b''), ('d', b'CURR 2.0000E+00\n', b''),
         *on_each(b'MEAS:CURR?\n', b'1.00E0\n', b'-5.01E-1\n', b'0.00E0\n', b'1.99E0\n'),
@@ -66,6 +66,18 @@ def test_the_transcript_of_a_session(scripted):
     assert reading.currents_A == pytest.approx([1.0, -0.501, 0.0, 1.99])
     assert reading.acknowledges is command
     assert amplifier.close()
+
+
+@pytest.mark.parametrize(('condition', 'fault'), [
+    (0, ''), (3, ''), (8, 'questionable condition 8, over-temperature'),
+    (17, 'questionable condition 16, over-temperature'), (1024, 'questionable condition 1024'),
+])
+def test_the_supply_says_what_is_wrong(scripted, condition, fault):
+    answers = [b'0\n', b'0\n', f'{condition}\n'.encode(), b'0\n']
+    scripted([*CONNECTING, *ZEROING, *on_each(b'STAT:QUES:COND?\n', *answers)])
+    amplifier = ScpiAmplifier('a,b,c,d', 2.0)
+    amplifier.connect()
+    assert amplifier.fault == (fault and f'c: {fault}')
 
 
 def test_another_maker_is_refused(scripted):

@@ -24,7 +24,7 @@ class Coils:
         self.currents_A: tuple[float, ...] = ()
         """What flows, and is measured."""
         self._wanted: list[float] = [0.0] * 4
-        self._dead: frozenset[int] = frozenset()
+        self._shares: tuple[float, ...] = (1.0,) * 4
         self._log = log
         self._clock = clock
         self._deadline_s = math.inf
@@ -49,10 +49,12 @@ class Coils:
         self._wanted = [0.0] * 4
         self._settle(cause)
 
-    def kill(self, dead: frozenset[int], cause: str) -> None:
-        """No current flows in these coils, by index, until told otherwise."""
-        if dead != self._dead:
-            self._dead = dead
+    def conduct(self, shares: tuple[float, ...], cause: str) -> None:
+        """Let each coil carry this share of its current until told otherwise: 0 where its wire is
+        broken, −1 where it is reversed.
+        """
+        if shares != self._shares:
+            self._shares = shares
             self._settle(cause)
 
     def due_s(self) -> float:
@@ -65,8 +67,9 @@ class Coils:
             self.zero('watchdog')
 
     def _settle(self, cause: str) -> None:
-        currents = tuple(0.0 if coil in self._dead else wanted
-                         for coil, wanted in enumerate(self._wanted))
+        # Adding zero makes −0, which a log should not show, 0.
+        currents = tuple(share * wanted + 0.0
+                         for share, wanted in zip(self._shares, self._wanted, strict=True))
         if currents == self.currents_A:
             return
         self.currents_A = currents

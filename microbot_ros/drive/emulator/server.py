@@ -82,13 +82,7 @@ class Server:
             device.reset()
         device.impostor = faults.value('wrong_reply', now_s) is not None
         device.hot = faults.value('over_temperature', now_s) is not None
-        broken = faults.value('open', now_s)
-        if device.hot:
-            device.coils.kill(frozenset(range(4)), 'over_temperature')
-        elif broken is not None:
-            device.coils.kill(frozenset({int(broken) - 1}), 'coil_open')
-        else:
-            device.coils.kill(frozenset(), 'repaired')
+        device.coils.conduct(*faults.conducted(now_s))
         unplugged = faults.value('unplug', now_s) is not None
         for line in self._lines:
             if unplugged:

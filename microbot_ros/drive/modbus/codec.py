@@ -16,14 +16,16 @@ from pymodbus.pdu.register_message import (
 )
 
 ENABLE, DUTY_PERCENT, CURRENT_MA = 0, 1, 5
+TEMPERATURES = range(7, 11)
+"""Registers of the bridge's temperatures, in steps of 0.01 °C."""
 
 _framer = FramerRTU(DecodePDU(is_server=False))
 Message = TypeVar('Message', bound=ModbusPDU)
 
 
-def read(slave: int, register: int) -> bytes:
-    """Asks a slave for one register."""
-    request = ReadHoldingRegistersRequest(address=register, count=1, dev_id=slave)
+def read(slave: int, register: int, count: int = 1) -> bytes:
+    """Asks a slave for one register, or for some in a row."""
+    request = ReadHoldingRegistersRequest(address=register, count=count, dev_id=slave)
     return _framer.buildFrame(request)
 
 
@@ -41,13 +43,14 @@ def duty_percent(duty: float) -> int:
     return round(100 * duty)
 
 
-def value(slave: int, received: bytes) -> int | None:
-    """The signed value that a slave answered; None where incomplete, damaged or another's."""
+def values(slave: int, count: int, received: bytes) -> tuple[int, ...] | None:
+    """The signed values of that many registers in a slave's answer; None where incomplete,
+    damaged or another's.
+    """
     message = _message(slave, received, ReadHoldingRegistersResponse)
-    if message is None or len(message.registers) != 1:
+    if message is None or len(message.registers) != count:
         return None
-    signed: int = struct.unpack('>h', message.registers[0].to_bytes(2, 'big'))[0]
-    return signed
+    return struct.unpack(f'>{count}h', struct.pack(f'>{count}H', *message.registers))
 
 
 def written(slave: int, request: bytes, received: bytes) -> bool | None:

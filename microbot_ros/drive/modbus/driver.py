@@ -13,6 +13,8 @@ from microbot_ros.drive.modbus import codec
 from microbot_ros.drive.polled import PolledAmplifier
 
 SLAVES = (1, 2, 3, 4)
+_HOTTEST_C = 85.0
+"""What electronics of the industrial grade are made for."""
 
 
 class ModbusAmplifier(PolledAmplifier):
@@ -32,14 +34,25 @@ class ModbusAmplifier(PolledAmplifier):
             self._set(slave, codec.DUTY_PERCENT, codec.duty_percent(duty))
 
     def _measure(self) -> np.ndarray:
-        currents_mA = [self._ask([codec.read(slave, codec.CURRENT_MA)],
-                                 partial(codec.value, slave), f'the current of slave {slave}')[0]
-                       for slave in SLAVES]
-        return np.array(currents_mA) * 1e-3
+        return np.ravel([self._get(slave, range(codec.CURRENT_MA, codec.CURRENT_MA + 1))
+                         for slave in SLAVES]) * 1e-3
+
+    def _inspect(self) -> str:
+        for slave in SLAVES:
+            hottest = max(self._get(slave, codec.TEMPERATURES)) * 1e-2
+            if not hottest <= _HOTTEST_C:
+                return f'slave {slave} is too hot: {hottest:g} °C, at most {_HOTTEST_C:g}'
+        return ''
 
     def _disable(self) -> None:
         for slave in SLAVES if self._lines else ():
             self._set(slave, codec.ENABLE, 0)
+
+    def _get(self, slave: int, registers: range) -> tuple[int, ...]:
+        count = len(registers)
+        return self._ask([codec.read(slave, registers.start, count)],
+                         partial(codec.values, slave, count),
+                         f'registers {registers} of slave {slave}')[0]
 
     def _set(self, slave: int, register: int, value: int) -> None:
         request = codec.write(slave, register, value)

@@ -21,7 +21,6 @@ from microbot_ros.drive.modbus.driver import SLAVES
 _GAP_S = 0.00175
 """Above 19 200 baud a silence of 1.75 ms ends a frame (Modbus over serial line, 2.5.1.1)."""
 _REGISTERS = 11
-_TEMPERATURES = range(7, 11)
 _COOL, _HOT = 3500, 9500
 _ILLEGAL_ADDRESS = 2
 
@@ -63,7 +62,7 @@ class Bridges(Device):
         if isinstance(request, ReadHoldingRegistersRequest) and end <= _REGISTERS:
             current = self.coils.currents_A[SLAVES.index(request.dev_id)]
             values[codec.CURRENT_MA] = round(current * 1e3) & 0xFFFF
-            for register in _TEMPERATURES:
+            for register in codec.TEMPERATURES:
                 values[register] = _HOT if self.hot else _COOL
             return ReadHoldingRegistersResponse(registers=values[request.address:end])
         if isinstance(request, WriteSingleRegisterRequest) and end <= _REGISTERS:

@@ -9,9 +9,10 @@ ACKNOWLEDGED = b'\xff'
 FULL_DUTY = 32767
 
 SET_TIMEOUT, GET_TIMEOUT, GET_VERSION = 14, 15, 21
-DRIVE, GET_CURRENTS = 34, 49
+DRIVE, GET_CURRENTS, GET_TEMPERATURE = 34, 49, 82
 TIMEOUT_STEP_S = 0.1
 CURRENT_STEP_A = 0.01
+TEMPERATURE_STEP_C = 0.1
 _LONGEST_VERSION = 48
 
 
@@ -52,6 +53,11 @@ def ask_currents(address: int) -> bytes:
     return bytes((address, GET_CURRENTS))
 
 
+def ask_temperature(address: int) -> bytes:
+    """Asks for the temperature of the board."""
+    return bytes((address, GET_TEMPERATURE))
+
+
 def answer(question: bytes, data: bytes) -> bytes:
     """What a controller answers: data and the CRC of question and data together."""
     return data + crc_hqx(question + data, 0).to_bytes(2, 'big')
@@ -70,6 +76,12 @@ def currents(question: bytes, received: bytes) -> tuple[float, float] | None:
         return None
     first, second = struct.unpack('>hh', data)
     return first * CURRENT_STEP_A, second * CURRENT_STEP_A
+
+
+def temperature(question: bytes, received: bytes) -> float | None:
+    """The temperature [°C] in an answer; None where it is incomplete or damaged."""
+    data = _data(question, received, 2)
+    return None if data is None else int.from_bytes(data, 'big') * TEMPERATURE_STEP_C
 
 
 def version(question: bytes, received: bytes) -> str | None:

@@ -14,6 +14,9 @@ from microbot_ros.drive.roboclaw import codec
 ADDRESSES = (0x80, 0x81)
 _WATCHDOG_S = 0.1
 _MODEL = 'roboclaw'
+_HOTTEST_C = 85.0
+"""Above this the controller gives less current than it is told (user manual, temperature
+limits)."""
 
 
 class RoboclawAmplifier(PolledAmplifier):
@@ -41,6 +44,14 @@ class RoboclawAmplifier(PolledAmplifier):
     def _measure(self) -> np.ndarray:
         return np.array([self._query(codec.ask_currents(address), codec.currents, 'currents')
                          for address in ADDRESSES]).ravel()
+
+    def _inspect(self) -> str:
+        for address in ADDRESSES:
+            found = self._query(codec.ask_temperature(address), codec.temperature, 'a temperature')
+            if not found <= _HOTTEST_C:
+                return (f'controller {address:#x} is too hot: {found:.1f} °C, '
+                        f'at most {_HOTTEST_C:g}')
+        return ''
 
     def _order(self, packet: bytes) -> None:
         self._ask([packet], lambda received: received == codec.ACKNOWLEDGED or None, 'FF')

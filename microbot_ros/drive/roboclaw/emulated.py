@@ -9,8 +9,9 @@ from microbot_ros.drive.roboclaw import codec
 from microbot_ros.drive.roboclaw.driver import ADDRESSES
 
 _GAP_S = 0.01
+_COOL, _HOT = 350, 1005  # steps of 0.1 °C; at 100 °C it switches its outputs off
 _LENGTHS = {codec.SET_TIMEOUT: 5, codec.GET_TIMEOUT: 2, codec.GET_VERSION: 2, codec.DRIVE: 8,
-            codec.GET_CURRENTS: 2}
+            codec.GET_CURRENTS: 2, codec.GET_TEMPERATURE: 2}
 """Command → bytes of a whole packet; questions are address and command only."""
 
 
@@ -61,6 +62,8 @@ class Controllers(Device):
             return b'Sabertooth 2x32\n\0' if self.impostor else b'USB Roboclaw 2x15a v4.1.34\n\0'
         if command == codec.GET_TIMEOUT:
             return bytes((self._timeouts[address],))
+        if command == codec.GET_TEMPERATURE:
+            return (_HOT if self.hot else _COOL).to_bytes(2, 'big')
         return struct.pack('>hh', *(round(self.coils.currents_A[coil] / codec.CURRENT_STEP_A)
                                     for coil in _coils(address)))
 

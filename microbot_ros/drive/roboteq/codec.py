@@ -8,7 +8,12 @@ FULL_COMMAND = 1000
 CURRENT_STEP_A = 0.1
 END = b'\r'
 
-_VALUES = re.compile(rb'(-?\d+):(-?\d+)')
+_FAULTS = ('overheat', 'overvoltage', 'undervoltage', 'short circuit', 'emergency stop',
+           'sensor or setup fault', 'MOSFET failure')
+"""Bits of the fault flags, the lowest first (user manual, query FF); bit 7 tells that the default
+configuration was loaded, and those above it differ between models."""
+_FLAGS = re.compile(rb'\d{1,5}')
+_VALUES = re.compile(rb'(-?\d{1,5}):(-?\d{1,5})')
 
 
 def drive(first: float, second: float) -> bytes:
@@ -36,6 +41,14 @@ def text(name: str, received: bytes) -> str | None:
     if not end or rest or not content.startswith(prefix):
         return None
     return content.removeprefix(prefix).decode('ascii', 'replace')
+
+
+def faults(received: bytes) -> tuple[str, ...] | None:
+    """What an answer to `?FF` says is wrong; None where the answer is incomplete or damaged."""
+    content = text('FF', received)
+    if content is None or not _FLAGS.fullmatch(content.encode()):
+        return None
+    return tuple(name for bit, name in enumerate(_FAULTS) if int(content) >> bit & 1)
 
 
 def currents(received: bytes) -> tuple[float, float] | None:

@@ -24,8 +24,9 @@ class RoboteqAmplifier(PolledAmplifier):
     resolution_A = codec.CURRENT_STEP_A
 
     def _identify(self) -> None:
-        for port in self._lines:
-            port.send(codec.END + codec.line('^ECHOF 1'))
+        # Once more than needed: the echo of what switches it off comes before the answer.
+        self._ask([codec.END + codec.line('^ECHOF 1')] * 2,
+                  lambda received: received.endswith(b'+' + codec.END) or None, 'no more echo')
         names = self._ask([codec.line('?FID')] * 2, partial(codec.text, 'FID'), 'a firmware name')
         for port, name in zip(self._lines, names, strict=True):
             if not name.startswith(_MODEL):
@@ -41,6 +42,11 @@ class RoboteqAmplifier(PolledAmplifier):
         first, second, third, fourth = (currents_A / self.full_scale_A).tolist()
         self._ask([codec.drive(first, second), codec.drive(third, fourth)],
                   partial(codec.accepted, 2), 'a command accepted')
+
+    def _inspect(self) -> str:
+        found = self._ask([codec.line('?FF')] * 2, codec.faults, 'fault flags')
+        return '; '.join(f'{port.url}: {", ".join(faults)}'
+                         for port, faults in zip(self._lines, found, strict=True) if faults)
 
     def _measure(self) -> np.ndarray:
         return np.array(self._ask([codec.line('?A')] * 2, codec.currents, 'currents')).ravel()

@@ -47,9 +47,11 @@ class Controllers(Device):
                 tenths = [round(current / codec.CURRENT_STEP_A)
                           for current in self.coils.currents_A[2 * port:2 * port + 2]]
                 return f'A={tenths[0]}:{tenths[1]}'
+            case ['?FF']:
+                return f'FF={int(self.hot)}'
             case ['~RWD']:
                 return f'RWD={self._watchdog_ms}'
-            case ['^RWD', value] if value.isascii() and value.isdigit():
+            case ['^RWD', value] if re.fullmatch('[0-9]{1,5}', value):
                 self._watchdog_ms = int(value)
                 self.coils.watchdog_s = self._watchdog_ms * 1e-3 if self._watchdog_ms else None
                 return '+'

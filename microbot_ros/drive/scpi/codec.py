@@ -9,7 +9,9 @@ CLEAR_INPUT = b'\x1b'
 LONGEST_LINE = 253
 """More characters than this in a line overflow the supply's buffer."""
 
-_NUMBER = re.compile(rb'[+-]?\d+(\.\d*)?(E[+-]?\d{1,2})?')
+_OVER_TEMPERATURE = 0b11000
+"""Bit 3 in Kepco's BIT 232 interface, bit 4 in SCPI-1999."""
+_NUMBER = re.compile(rb'[+-]?\d{1,30}(\.\d*)?(E[+-]?\d{1,2})?')
 
 
 def line(*commands: str) -> bytes:
@@ -33,6 +35,16 @@ def text(answer: bytes) -> str | None:
     if not end or rest.strip(b'\n') or not all(0x20 <= byte < 0x7F for byte in content):
         return None
     return content.decode('ascii')
+
+
+def fault(condition: float) -> str:
+    """What the questionable condition register says is wrong; '' where nothing is.
+
+    Bits 0 and 1 say that voltage or current is not where it was set, as while it settles.
+    """
+    bits = int(condition) & ~0b11
+    hot = ', over-temperature' if bits & _OVER_TEMPERATURE else ''
+    return f'questionable condition {bits}{hot}' if bits else ''
 
 
 def number(answer: bytes) -> float | None:

@@ -51,6 +51,12 @@ class ScpiAmplifier(PolledAmplifier):
     def _measure(self) -> np.ndarray:
         return np.array(self._ask_all('MEAS:CURR?', codec.number, 'a measured current'))
 
+    def _inspect(self) -> str:
+        found = self._ask_all('STAT:QUES:COND?', codec.number, 'the questionable condition')
+        return '; '.join(f'{port.url}: {fault}' for port, condition
+                         in zip(self._lines, found, strict=True)
+                         if (fault := codec.fault(condition)))
+
     def _disable(self) -> None:
         for port in self._lines:
             port.send(codec.line('OUTP OFF'))

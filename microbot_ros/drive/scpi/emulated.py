@@ -6,6 +6,8 @@ from microbot_ros.drive.emulator.coils import Coils
 from microbot_ros.drive.emulator.device import Device
 from microbot_ros.drive.scpi import codec
 
+_OVERTEMPERATURE = 8  # of the BIT 232 interface
+
 
 class Supplies(Device):
     """Each line is one supply: outputs off at power-up, no watchdog whatever the host does."""
@@ -40,6 +42,8 @@ class Supplies(Device):
                 return f'{self._wanted[port]:.2E}'
             case ['MEAS:CURR?']:
                 return f'{self.coils.currents_A[port]:.4E}'
+            case ['STAT:QUES:COND?']:
+                return str(_OVERTEMPERATURE if self.hot else 0)
             case ['CURR:PROT:LIM?']:
                 return f'{self._limits[port]:.4E}'
             case ['CURR', text]:

@@ -1,0 +1,82 @@
+"""Sign and gain of each coil, from a short pulse in one after the other; pure, as the gate is.
+
+The pulses are commands like any other and pass the gate. What they tell is what the amplifier
+measures: that each channel drives its own coil, the right way round and as much as it is told.
+A coil whose two leads are swapped conducts as it should, and only its field shows it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from microbot_ros.drive.amplifier import COILS
+from microbot_ros.drive.gate import ZERO, Currents, Limits
+from microbot_ros.errors import InputError
+
+_PULSE = 3
+"""The pulse is so many times what a reading may deviate by; half a gain is then off by 1.5 of
+these, an open coil by 3 and a reversed one by 6."""
+
+
+class SelfCheck:
+    """One pass over the four coils. `wanted` is the command of the moment, `done` comes with the
+    last zero, `complaint` names the first coil that is not right; `gains` (4) are measured over
+    commanded currents.
+
+    A reading agrees within the gate's `deviation_A` and has its `settling_s` to get there; one
+    that no settling leads through is judged at once. Raises InputError for limits that leave no
+    room for a pulse in which half a gain would show.
+    """
+
+    def __init__(self, limits: Limits) -> None:
+        largest = min(limits.current_A, limits.step_A)
+        if not largest > 2 * limits.deviation_A:
+            raise InputError('deviation_A', f'expected less than half of {largest:g} A, the '
+                             'largest step, so that the self-check can tell half a gain; received '
+                             f'{limits.deviation_A:g} A')
+        self.pulse_A = min(_PULSE * limits.deviation_A, largest)
+        self.wanted: Currents = ZERO
+        self.gains: list[float] = []
+        self.done = False
+        self.complaint = ''
+        self._limits = limits
+        self._pulsed_s = 0.0
+
+    def measured(self, currents_A: Sequence[float], now_s: float) -> None:
+        """Take measured currents [A] and go on as they allow."""
+        coil, margin = len(self.gains), self._limits.deviation_A
+        if all(abs(current - wanted) <= margin
+               for current, wanted in zip(currents_A, self.wanted, strict=True)):
+            self._agreed(coil, currents_A, now_s)
+        elif self.wanted != ZERO:
+            settling = all(min(wanted, 0.0) - margin <= current <= max(wanted, 0.0) + margin
+                           for current, wanted in zip(currents_A, self.wanted, strict=True))
+            if not settling or now_s - self._pulsed_s >= self._limits.settling_s:
+                self.complaint = self._diagnosis(coil, currents_A)
+
+    def _agreed(self, coil: int, currents_A: Sequence[float], now_s: float) -> None:
+        if self.wanted != ZERO:
+            self.gains.append(currents_A[coil] / self.pulse_A)
+            self.wanted = ZERO
+        elif coil == len(COILS):
+            self.done = True
+        else:
+            pulse = [0.0] * len(COILS)
+            pulse[coil] = self.pulse_A
+            self.wanted = (pulse[0], pulse[1], pulse[2], pulse[3])
+            self._pulsed_s = now_s
+
+    def _diagnosis(self, coil: int, currents_A: Sequence[float]) -> str:
+        margin, found = self._limits.deviation_A, currents_A[coil]
+        others = [COILS[other] for other, current in enumerate(currents_A)
+                  if other != coil and not abs(current) <= margin]
+        if others:
+            problem = f'drives {" and ".join(others)}: channels are swapped or joined'
+        elif abs(found) <= margin:
+            problem = 'is open: no current flows'
+        elif found < 0:
+            problem = 'is reversed'
+        else:
+            problem = f'has a gain of {found / self.pulse_A:.2g}'
+        return (f'{COILS[coil]} {problem} ({found:.2g} A measured where {self.pulse_A:.2g} A was '
+                'sent)')

@@ -1,0 +1,195 @@
+"""The self-check: over coils of arithmetic, and at every amplifier that there is."""
+
+import math
+import threading
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from microbot_ros.drive.amplifier import COILS, amplifier_class
+from microbot_ros.drive.coil_driver import CoilDriver
+from microbot_ros.drive.emulator.process import DEVICES
+from microbot_ros.drive.gate import ZERO, Limits, Reason
+from microbot_ros.drive.self_check import SelfCheck
+from microbot_ros.errors import InputError
+
+FULL_SCALE_A = 2.0
+LIMITS = Limits(
+    current_A=FULL_SCALE_A, step_A=2 * FULL_SCALE_A, slew_A_per_s=1e4, stale_s=0.8,
+    deviation_A=0.2, settling_s=0.5, silence_s=0.8, continuous_A=1.5, thermal_s=60.0)
+PULSE_A = 3 * LIMITS.deviation_A
+RATE_S = 0.02
+
+
+def run(respond, limits=LIMITS):
+    """Reads every 20 ms what `respond(wanted, age of the command)` says; what was commanded."""
+    check, now, since, sent = SelfCheck(limits), 0.0, 0.0, [ZERO]
+    while not (check.done or check.complaint or now > 60.0):
+        now += RATE_S
+        check.measured(respond(sent[-1], now - since), now)
+        if check.wanted != sent[-1]:
+            sent.append(check.wanted)
+            since = now
+    return check, sent
+
+
+def conducting(shares):
+    return lambda wanted, _: [share * current if current else 0.0
+                              for share, current in zip(shares, wanted, strict=True)]
+
+
+@settings(max_examples=50)
+@given(st.lists(st.floats(0.7, 1.3), min_size=4, max_size=4))
+def test_coils_that_are_right_pass_one_after_the_other(shares):
+    check, sent = run(conducting(shares))
+    assert check.done
+    assert check.complaint == ''
+    assert check.gains == pytest.approx(shares)
+    pulses = [tuple(PULSE_A if i == k else 0.0 for i in range(4)) for k in range(4)]
+    assert sent == [ZERO, *(one for pulse in pulses for one in (pulse, ZERO))]
+
+
+@pytest.mark.parametrize('coil', range(4))
+@pytest.mark.parametrize(('share', 'sentence'), [
+    (0.0, 'is open'), (-1.0, 'is reversed'), (-0.6, 'is reversed'), (0.5, 'has a gain of 0.5'),
+    (0.66, 'has a gain of 0.66'), (1.34, 'has a gain of 1.3'), (2.0, 'has a gain of 2'),
+    (math.nan, 'has a gain of nan'), (math.inf, 'has a gain of inf'),
+])
+def test_the_coil_that_is_wrong_is_named(coil, share, sentence):
+    shares = [1.0] * 4
+    shares[coil] = share
+    check, sent = run(conducting(shares))
+    assert check.complaint.startswith(f'{COILS[coil]} {sentence}')
+    assert not check.done
+    assert len(check.gains) == coil
+    assert len(sent) == 2 * (coil + 1)
+
+
+def test_channels_that_are_swapped_or_joined_are_named():
+    swapped, _ = run(lambda wanted, _: [wanted[1], wanted[0], wanted[2], wanted[3]])
+    assert 'coil_plus_y drives coil_plus_x: channels are swapped' in swapped.complaint
+    joined, _ = run(lambda wanted, _: [wanted[0], wanted[1], wanted[2], wanted[3] + wanted[1]])
+    assert 'coil_plus_x drives coil_minus_x' in joined.complaint
+
+
+def test_a_coil_may_take_its_time_but_not_more():
+    def rising(time_constant):
+        def respond(wanted, age):
+            part = 1 - math.exp(-age / time_constant)
+            return [part * current for current in wanted]
+        return respond
+    assert run(rising(0.1))[0].done
+    slow, _ = run(rising(2.0))
+    assert 'coil_plus_y has a gain' in slow.complaint or 'is open' in slow.complaint
+
+
+def test_a_current_that_stays_holds_the_next_pulse():
+    pulsed = []
+
+    def respond(wanted, _):
+        pulsed.append(any(wanted) or any(pulsed))
+        return [PULSE_A if pulsed[-1] else 0.0, 0.0, 0.0, 0.0]
+
+    check, sent = run(respond)
+    assert not check.done
+    assert len(sent) == 3
+
+
+@pytest.mark.parametrize('change', [
+    {'deviation_A': 1.0}, {'deviation_A': 0.5, 'step_A': 1.0}, {'current_A': 0.4},
+])
+def test_limits_without_room_for_a_pulse_are_refused(change):
+    limits = Limits(**{**vars(LIMITS), **change})
+    with pytest.raises(InputError, match='deviation_A: expected less than half'):
+        SelfCheck(limits)
+    amplifier = amplifier_class('serial_transfer')('nowhere', FULL_SCALE_A)
+    with pytest.raises(InputError, match='self-check'):
+        CoilDriver(amplifier, limits, print)
+    CoilDriver(amplifier, limits, print, self_check=False)
+
+
+def test_the_pulse_stays_within_the_limits():
+    limits = Limits(**{**vars(LIMITS), 'current_A': 0.5})
+    assert SelfCheck(limits).pulse_A == 0.5
+
+
+@pytest.fixture
+def fault():
+    return ''
+
+
+@pytest.fixture
+def device(emulate, protocol, fault):
+    return emulate(protocol, *(('--fault', fault) if fault else ()))
+
+
+@pytest.fixture
+def driver(device, protocol):
+    amplifier = amplifier_class(protocol)(device.url, FULL_SCALE_A)
+    amplifier.reply_s = amplifier._boot_s = 2.0  # a loaded machine is slower than a device
+    measured = threading.Event()
+    driver = CoilDriver(amplifier, LIMITS, lambda _: measured.set())
+    driver.start()
+    assert measured.wait(20.0)
+    yield driver
+    driver.stop()
+
+
+every_amplifier = pytest.mark.parametrize('protocol', sorted(DEVICES))
+
+
+@every_amplifier
+def test_each_coil_gets_one_pulse_before_anything_else(driver, device):
+    assert driver.command([1.0, 0.0, 0.0, 0.0]) is None
+    assert driver.arm() is None
+    assert driver.gains == pytest.approx([1.0] * 4, abs=0.1)
+    flowed = [tuple(entry['currents_A']) for entry in device.entries()
+              if any(entry['currents_A'])]
+    assert [[abs(current) > 0.1 for current in currents] for currents in flowed] == [
+        [coil == pulsed for coil in range(4)] for pulsed in range(4)]
+    assert driver.arm() is None
+    assert len([1 for entry in device.entries() if any(entry['currents_A'])]) == 4
+    assert driver.command([1.0, 0.0, 0.0, 0.0]) is not None
+
+
+@every_amplifier
+@pytest.mark.parametrize(('fault', 'sentence'), [
+    ('open=1', 'coil_plus_y is open'), ('reversed=3', 'coil_minus_y is reversed'),
+    ('half_gain=4', 'coil_minus_x has a gain of 0.5'),
+])
+def test_a_coil_that_is_wrong_refuses_arming(driver, device, sentence):
+    refusal = driver.arm()
+    assert refusal.startswith(f'self-check: {sentence}')
+    assert driver.gate.fault.reason is Reason.SELF_CHECK
+    assert not driver.gate.armed
+    assert driver.gains is None
+    assert driver.command([1.0, 0.0, 0.0, 0.0]) is None
+    device.eventually_at(ZERO)
+
+
+@pytest.mark.parametrize('protocol', sorted({*DEVICES} - {'serial_transfer'}))
+def test_a_device_that_is_too_hot_is_a_fault_and_cannot_be_armed(driver, device):
+    device.fault('over_temperature')
+    found = device.until(lambda: driver.gate.fault)
+    assert found.reason is Reason.DEVICE
+    assert any(word in found.detail for word in ('hot', 'heat', 'temperature'))
+    assert driver.arm() == found.detail
+
+
+@pytest.mark.parametrize('protocol', ['serial_transfer'])
+@pytest.mark.parametrize(('sudden', 'reason'), [
+    ('silence', Reason.SILENCE), ('unplug+0.2', Reason.LINE)])
+def test_a_check_that_cannot_go_on_ends(driver, device, sudden, reason, monkeypatch):
+    go_on = driver._go_on_checking
+
+    def break_off(check, now):
+        if len(check.gains) == 1 and check.measured.__name__ == 'measured':
+            device.fault(sudden)
+            check.measured = lambda *_: None  # the pulse lasts until the line is gone
+        go_on(check, now)
+
+    monkeypatch.setattr(driver, '_go_on_checking', break_off)
+    assert driver.arm().startswith(reason.value)
+    assert driver.gate.fault.reason is reason
+    device.eventually_at(ZERO)
