@@ -1,22 +1,27 @@
-"""The pictures of the report: the gap, the maps, tracks inside the predicted band."""
+"""The pictures of the report: gap, maps, places, tracks inside the predicted band."""
 
 from __future__ import annotations
 
 import base64
 import io
 from collections.abc import Sequence
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from microbot_ros.discovery.report_prediction import Prediction
+from microbot_ros.discovery.report_residual import Residual, by_place
+from microbot_ros.discovery.report_words import chance, number
 from microbot_ros.discovery.result import Gap, ResidualMap
 
 # Okabe and Ito's colours, told apart by colour-blind readers; markers and lines say the same.
 BEFORE, AFTER, FLOOR = '#D55E00', '#0072B2', '#999999'
-COMPONENTS = ('o', 's', '^')
+COMPONENTS: tuple[dict[str, Any], ...] = (
+    {'marker': 'o', 'ls': '-'}, {'marker': 's', 'ls': '--'})
 COLUMNS = 4
 MOST_PARTICLES = 4
 MOST_POINTS = 500
@@ -61,35 +66,35 @@ def draw_maps(before: Sequence[ResidualMap], after: Sequence[ResidualMap]) -> Fi
         _map(axis, first, later.get(first.against, first))
     for axis in axes[len(drawn):]:
         axis.set_visible(False)
-    keys = [
-        mpl.lines.Line2D([], [], color=BEFORE, marker='o', mfc='white', ls=':', label='before'),
-        mpl.lines.Line2D([], [], color=AFTER, marker='o', ls='-', label='after'),
-    ]
+    keys = [mpl.lines.Line2D([], [], color=colour, lw=2, label=label) for colour, label in (
+        (BEFORE, 'before: first-order model'), (AFTER, 'after: model found'))]
     figure.legend(handles=keys, loc='outside upper right', ncols=2, frameon=False)
     return figure
 
 
 def _map(axis: Axes, before: ResidualMap, after: ResidualMap) -> None:
-    """Circles are the first component, squares the second; open before, filled after."""
+    """The first component is filled and solid, the second open and dashed."""
     axis.axhline(0, color='#bbbbbb', lw=0.8)
-    for found, colour, style, fill in (
-        (before, BEFORE, ':', 'white'), (after, AFTER, '-', AFTER),
-    ):
-        for marker, (name, (mean, error)) in zip(COMPONENTS, found.curves.items(), strict=False):
+    for found, colour in ((before, BEFORE), (after, AFTER)):
+        for style, (name, (mean, error)) in zip(COMPONENTS, found.curves.items(), strict=False):
             if name == 'power':
-                axis.plot(*_peaks(found.middles, mean), style, color=colour, lw=0.8)
+                axis.plot(*_peaks(found.middles, mean), color=colour, lw=0.8)
                 axis.set_ylabel('power (χ²)', fontsize=8)
                 continue
-            axis.errorbar(
-                found.middles, mean * 1e6, error * 1e6, fmt=marker, ls=style, lw=0.9, ms=3.5,
-                color=colour, mfc=fill, elinewidth=0.7)
-            names = ', '.join(f'{m} {n}' for m, n in zip('○□△', found.curves, strict=False))
-            axis.set_ylabel(f'left over (µm/s)  {names}', fontsize=8)
-    axis.set_title(f'{before.against}\np {_p(before)} → {_p(after)}', fontsize=9,
+            axis.errorbar(found.middles, mean * 1e6, error * 1e6, lw=0.9, ms=3.5, elinewidth=0.7,
+                          color=colour, **style, mfc=colour if style['ls'] == '-' else 'white')
+            axis.set_ylabel('left over (µm/s)', fontsize=8)
+    if 'power' not in before.curves:
+        names = ', '.join(f'{m} {n}' for m, n in zip('●□', before.curves, strict=False))
+        axis.text(0.02, 0.98, names, transform=axis.transAxes, fontsize=7, va='top')
+    axis.set_title(f'{before.against}\n{_p(before)} → {_p(after)}', fontsize=9,
                    fontweight='bold' if after.fires else 'normal',
                    color=BEFORE if after.fires else 'black')
-    axis.set_xlabel(before.label, fontsize=8)
+    if before.label == 'particle':
+        axis.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axis.set_xlabel(before.label.replace('[', '(').replace(']', ')'), fontsize=8)
     axis.tick_params(labelsize=7)
+    axis.margins(y=0.15)
     axis.spines[['top', 'right']].set_visible(False)
 
 
@@ -102,9 +107,8 @@ def _peaks(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _p(found: ResidualMap) -> str:
     """A p-value short enough for a title."""
-    if found.p_value >= 0.01:
-        return f'{found.p_value:.2f}'
-    return f'{found.p_value:.0e}' if found.p_value > 0 else '< 1e-300'
+    return (f'{found.p_value:.2f}' if found.p_value >= 0.01
+            else chance(found.p_value).removeprefix('p ').removeprefix('= '))
 
 
 def draw_bands(prediction: Prediction) -> Figure:
@@ -129,9 +133,11 @@ def draw_bands(prediction: Prediction) -> Figure:
 def _band(axis: Axes, prediction: Prediction, n: int, k: int) -> None:
     every = slice(None, None, -(-len(prediction.times) // MOST_POINTS))
     t, half = prediction.times[every], prediction.band[n, every] * 1e6
-    found, plain = (
-        np.where(prediction.restarts[n, every], np.nan, left[n, every, k]) * 1e6
-        for left in (prediction.measured, prediction.without))
+    # Lines break where a prediction starts anew.
+    fresh = np.diff(prediction.elapsed[n, every], prepend=np.inf) < 0
+    half[fresh] = np.nan
+    found, plain = (np.where(fresh, np.nan, left[n, every, k]) * 1e6
+                    for left in (prediction.measured, prediction.without))
     axis.fill_between(t, -half, half, color=AFTER, alpha=0.22, lw=0,
                       label='5–95 % of the model found')
     axis.plot(t, plain, ':', color=BEFORE, lw=1.1, label='measured − first-order model')
@@ -141,3 +147,31 @@ def _band(axis: Axes, prediction: Prediction, n: int, k: int) -> None:
     axis.set_ylim(-reach, reach)
     axis.tick_params(labelsize=8)
     axis.spines[['top', 'right']].set_visible(False)
+
+
+def draw_places(left: Residual, diffusion: float) -> Figure | None:
+    """Mean residual velocity by place, before and after; None where no place was seen enough.
+
+    Arrows beyond three standard errors, √(2D/time spent there), are dark.
+    """
+    figure = Figure(figsize=(11, 4.6), layout='constrained')
+    axes = figure.subplots(1, 2, sharex=True, sharey=True)
+    for axis, title, positions in zip(
+            axes, ('before: first-order model', 'after: model found'), (left.plain, left.found),
+            strict=True):
+        place, velocity, time = by_place(left, positions)
+        if not len(place):
+            return None
+        sure = np.hypot(*velocity.T) > 3 * np.sqrt(2 * diffusion / time)
+        arrows = axis.quiver(
+            *(place.T * 1e6), *(velocity.T * 1e6), angles='xy', width=0.004,
+            color=np.where(sure, BEFORE if positions is left.plain else AFTER, '#bbbbbb'))
+        typical = number(float(np.quantile(np.hypot(*velocity.T), 0.8)) * 1e6)
+        axis.quiverkey(arrows, 0.85, 1.03, float(typical), f'{typical} µm/s', labelpos='E',
+                       fontproperties={'size': 9}, color='black')
+        axis.set_title(title, fontsize=10, loc='left')
+        axis.set_xlabel('x (µm)')
+        axis.set_aspect('equal')
+        axis.margins(0.15)
+    axes[0].set_ylabel('y (µm)')
+    return figure

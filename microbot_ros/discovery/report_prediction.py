@@ -6,12 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from microbot_ros.discovery.report_residual import Residual
 from microbot_ros.discovery.result import Discovery
-from microbot_ros.estimation.noise import GainLikelihood
-from microbot_ros.model.increments import increments
-from microbot_ros.model.model import Model, ParticleParameters
-from microbot_ros.model.timeline import Timeline
-from microbot_ros.records import Session
 
 SHORTEST, MOST = 10.0, 12
 """Predictions start anew from the measured place after this long [s], but not more often."""
@@ -26,8 +22,8 @@ class Prediction:
 
     `times` (T,) [s]; `names` of the N particles; `measured` and `without` (N, T, 2) [m] are
     against the model found and the first-order model, NaN for gaps; the model found expects nine
-    in ten coordinates within ± `band` (N, T) [m], by diffusion and localisation. `restarts`
-    (N, T) says where it starts anew, until the particle is seen.
+    in ten coordinates within ± `band` (N, T) [m]; `elapsed` (N, T) [s] since the place that a
+    prediction started from, NaN until the particle is seen.
     """
 
     times: np.ndarray
@@ -35,71 +31,53 @@ class Prediction:
     measured: np.ndarray
     without: np.ndarray
     band: np.ndarray
-    restarts: np.ndarray
+    elapsed: np.ndarray
 
     @property
     def inside(self) -> float:
-        """The fraction of all measured coordinates within the band, restarts left out."""
-        known = np.isfinite(self.measured) & ~self.restarts[..., None]
+        """The fraction of all measured coordinates within the band, starts left out."""
+        known = np.isfinite(self.measured) & (self.elapsed > 0)[..., None]
         within = np.abs(self.measured) <= self.band[..., None]
         return float(within[known].mean()) if known.any() else float('nan')
 
 
-def predict(found: Discovery, session: Session) -> Prediction:
-    """The check of the session that `found.particles` belong to: the last one."""
-    start = session.commands.t[np.hypot(*session.commands.field.T) > 0][0]
-    times, positions = session.tracks.grid()
-    rows = (times >= start).nonzero()[0]
-    columns = np.isin(session.tracks.particles, found.particles.ids)
-    times, positions = times[rows], positions[rows][:, columns]
-    timeline = Timeline(session.commands, times, _filled(positions))
-    plain = Model.baseline(session.conditions, session.commands)
-    moved = _moved(found.model, found.particles, timeline)
-    rest = _moved(plain, _refitted(plain, found, timeline, positions), timeline)
-    block = ((times - times[0]) / max(SHORTEST, float(np.ptp(times)) / MOST)).astype(int)
-    measured, elapsed = _restarted(positions - moved, times, block)
-    without, _ = _restarted(positions - rest, times, block)
-    variance = 2 * found.diffusion.value * elapsed + 2 * found.localisation.value**2
-    return Prediction(
-        times, tuple(str(i) for i in found.particles.ids), measured, without,
-        EDGE * np.sqrt(variance), elapsed == 0)
+def predict(found: Discovery, left: Residual) -> Prediction:
+    """The check of the session that `found.particles` belong to.
+
+    The band is wide by diffusion, by two readings, and by how well v and φ are known: their
+    error carries a particle off in proportion to the way it has swum.
+    """
+    starts = _starts(left)
+    measured, without, swum = (_since(x, starts) for x in (left.found, left.plain, left.path))
+    elapsed = np.take(left.times, starts).T
+    elapsed = np.where(starts.T >= 0, left.times - elapsed, np.nan)
+    swim_std = np.array([p.speed.std for p in found.baseline[-len(left.names):]])[:, None]
+    variance = (2 * found.diffusion.value * elapsed + 2 * found.localisation.value**2
+                + swim_std**2 * (swum**2).sum(axis=-1))
+    return Prediction(left.times, left.names, measured, without, EDGE * np.sqrt(variance),
+                      elapsed)
 
 
-def _filled(positions: np.ndarray) -> np.ndarray:
-    """The last known place (T, N, 2) where a particle is not seen; NaN before the first."""
-    seen = np.isfinite(positions[..., 0])
-    last = np.maximum.accumulate(np.where(seen, np.arange(len(seen))[:, None], 0), axis=0)
-    return np.take_along_axis(positions, last[..., None], axis=0)
+def _starts(left: Residual) -> np.ndarray:
+    """The frame (T, N) from which each place is predicted; −1 until a particle is seen.
+
+    A stretch ends after a while, and where a particle jumps: no model follows that.
+    """
+    span = float(np.ptp(left.times))
+    block = ((left.times - left.times[0]) / max(SHORTEST, span / MOST)).astype(int)
+    stretch = block[:, None] + np.cumsum(left.jumps, axis=0)
+    seen = np.isfinite(left.found[..., 0])
+    starts = np.full(seen.shape, -1)
+    for n in range(seen.shape[1]):
+        for part in np.unique(stretch[:, n]):
+            rows = np.flatnonzero(stretch[:, n] == part)
+            first = rows[seen[rows, n]][:1]
+            if first.size:
+                starts[rows[rows >= first[0]], n] = first[0]
+    return starts
 
 
-def _moved(model: Model, particles: ParticleParameters, timeline: Timeline) -> np.ndarray:
-    """Displacements (T, N, 2) [m] that a model expects since the first frame."""
-    steps = np.nan_to_num(increments(model, particles, timeline))
-    return np.concatenate([np.zeros((1, *steps.shape[1:])), np.cumsum(steps, axis=0)])
-
-
-def _refitted(plain: Model, found: Discovery, timeline: Timeline,
-              positions: np.ndarray) -> ParticleParameters:
-    """The particles as the first-order model alone sees them, under the same noise."""
-    unit = ParticleParameters(found.particles.ids, np.ones(positions.shape[1]),
-                              np.zeros(positions.shape[1]))
-    path = _moved(plain, unit, timeline) @ np.array([1, 1j])
-    z = positions @ np.array([1, 1j])
-    ratio = max(found.localisation.value**2 / found.diffusion.value, 1e-6)
-    gain = GainLikelihood(timeline.times, z, path).at(ratio).gain
-    return ParticleParameters.from_velocity(found.particles.ids, gain)
-
-
-def _restarted(left: np.ndarray, times: np.ndarray,
-               block: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Differences (N, T, 2) counted from the first one in every block, and the time since."""
-    left = np.moveaxis(left, 0, 1).copy()
-    elapsed = np.full(left.shape[:2], np.nan)
-    for n, of_particle in enumerate(left):
-        for b in range(block[-1] + 1):
-            rows = np.flatnonzero(block == b)
-            seen = rows[np.isfinite(of_particle[rows, 0])]
-            if seen.size:
-                of_particle[rows] -= of_particle[seen[0]].copy()
-                elapsed[n, rows] = np.maximum(times[rows] - times[seen[0]], 0.0)
-    return left, elapsed
+def _since(values: np.ndarray, starts: np.ndarray) -> np.ndarray:
+    """Values (T, N, 2) less those at the start of each stretch: (N, T, 2)."""
+    base = np.take_along_axis(values, np.maximum(starts, 0)[..., None], axis=0)
+    return np.moveaxis(np.where(starts[..., None] >= 0, values - base, np.nan), 0, 1)

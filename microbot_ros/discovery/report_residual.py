@@ -1,0 +1,99 @@
+"""What the model found, and the first-order one, leave of a session frame by frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from microbot_ros.discovery.evidence import JUMP, first_field
+from microbot_ros.discovery.result import Discovery
+from microbot_ros.estimation.noise import GainLikelihood
+from microbot_ros.model.increments import respond
+from microbot_ros.model.model import Model, ParticleParameters
+from microbot_ros.model.timeline import Timeline
+from microbot_ros.records import Session
+
+PLACES = 10
+"""Squares along the longer side of what the tracks cover."""
+
+
+@dataclass(frozen=True)
+class Residual:
+    """Measured positions less what models expect of N particles in T frames.
+
+    `times` (T,) [s]; `places` (T, N, 2) [m]: where last seen; `found` and `plain` (T, N, 2) [m]:
+    positions less the displacement since the first frame by the model found and by the
+    first-order model, NaN for gaps; `path` (T, N, 2) [s], for rollers [s·Hz]: what a particle of
+    unit speed and φ = 0 would have moved; `jumps` (T, N) bool: steps beyond any motion.
+    """
+
+    times: np.ndarray
+    names: tuple[str, ...]
+    places: np.ndarray
+    found: np.ndarray
+    plain: np.ndarray
+    path: np.ndarray
+    jumps: np.ndarray
+
+
+def residual(found: Discovery, session: Session) -> Residual:
+    """Of the session that `found.particles` belong to: the last one."""
+    times, positions = session.tracks.grid()
+    rows = (times >= first_field(session.commands)).nonzero()[0]
+    columns = np.isin(session.tracks.particles, found.particles.ids)
+    times, positions = times[rows], positions[rows][:, columns]
+    places = _filled(positions)
+    timeline = Timeline(session.commands, times, places)
+    plain = Model.baseline(session.conditions, session.commands)
+    unit = ParticleParameters(found.particles.ids, np.ones(len(found.particles.ids)),
+                              np.zeros(len(found.particles.ids)))
+    path = _moved(plain, unit, timeline)
+    swum = _moved(plain, _refitted(found, times, positions, path), timeline)
+    steps = np.hypot(*np.moveaxis(np.diff(positions, axis=0, prepend=np.nan), -1, 0))
+    return Residual(
+        times, tuple(str(i) for i in found.particles.ids), places,
+        positions - _moved(found.model, found.particles, timeline), positions - swum, path,
+        np.nan_to_num(steps) > JUMP * np.nanquantile(steps, 0.99))
+
+
+def by_place(left: Residual, positions: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Middles (P, 2) [m], mean residual velocities (P, 2) [m/s] and times (P,) [s] of places.
+
+    `positions` are `left.found` or `left.plain`; places are squares that were visited for a
+    fifth of the usual time or longer.
+    """
+    step, span = np.diff(positions, axis=0), np.diff(left.times)[:, None]
+    used = np.isfinite(step[..., 0]) & ~left.jumps[1:]
+    where, step, span = left.places[:-1][used], step[used], np.broadcast_to(span, used.shape)[used]
+    low, size = where.min(axis=0), max(float(np.ptp(where, axis=0).max()), 1e-9) / PLACES
+    cell = ((where - low) / size).astype(int) @ np.array([1, PLACES + 1])
+    cells, which = np.unique(cell, return_inverse=True)
+    time = np.bincount(which, span)
+    place, velocity = (
+        np.stack([np.bincount(which, x[:, k]) for k in (0, 1)], axis=1) for x in (where, step))
+    enough = time > 0.2 * time.sum() / len(cells)
+    count = np.bincount(which)[:, None]
+    return (place / count)[enough], (velocity / time[:, None])[enough], time[enough]
+
+
+def _filled(positions: np.ndarray) -> np.ndarray:
+    """The last known place (T, N, 2) where a particle is not seen; NaN before the first."""
+    seen = np.isfinite(positions[..., 0])
+    last = np.maximum.accumulate(np.where(seen, np.arange(len(seen))[:, None], 0), axis=0)
+    return np.take_along_axis(positions, last[..., None], axis=0)
+
+
+def _moved(model: Model, particles: ParticleParameters, timeline: Timeline) -> np.ndarray:
+    """Displacements (T, N, 2) [m] that a model expects since the first frame."""
+    steps = np.nan_to_num(respond(model, timeline).increments(particles))
+    return np.concatenate([np.zeros((1, *steps.shape[1:])), np.cumsum(steps, axis=0)])
+
+
+def _refitted(found: Discovery, times: np.ndarray, positions: np.ndarray,
+              path: np.ndarray) -> ParticleParameters:
+    """The particles as the first-order model alone sees them, under the same noise."""
+    ratio = max(found.localisation.value**2 / found.diffusion.value, 1e-6)
+    z, swum = (x @ np.array([1, 1j]) for x in (positions, path))
+    return ParticleParameters.from_velocity(
+        found.particles.ids, GainLikelihood(times, z, swum).at(ratio).gain)
