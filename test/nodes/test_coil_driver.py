@@ -15,8 +15,8 @@ from std_srvs.srv import SetBool
 from microbot_ros.nodes import messages
 
 
-def _start(emulator: Any, ros: Any) -> Any:
-    graph = ros({'coil_driver': {'port': str(emulator.port), 'full_scale_A': 2.0}})
+def _start(emulator: Any, ros: Any, **parameters: Any) -> Any:
+    graph = ros({'coil_driver': {'port': str(emulator.port), 'full_scale_A': 2.0, **parameters}})
     assert graph.add('coil_driver').active
     graph.commands = graph.probe.create_publisher(Vector3Stamped, 'field/command', 10)
     graph.until(lambda: graph.commands.get_subscription_count() == 1)
@@ -51,6 +51,8 @@ def test_a_field_that_is_commanded_is_read_back(emulator: Any, ros: Any) -> None
     assert plus_x == pytest.approx(-minus_x, rel=1e-3)
     assert plus_y == pytest.approx(-minus_y, rel=1e-3)
     assert plus_x > 0 > plus_y
+    checked = graph.nodes['coil_driver'].health()[2]['self_check']
+    assert checked == 'passed, gains 1.00, 1.00, 1.00, 1.00'
 
 
 def test_nothing_flows_before_arming(emulator: Any, ros: Any) -> None:
@@ -133,8 +135,33 @@ def test_the_line_may_go_and_come_back_but_stays_disarmed(
         again.end()
 
 
+def test_a_coil_that_is_reversed_cannot_be_armed_and_is_named(
+        emulator: Any, ros: Any, tmp_path: Any) -> None:
+    emulator.end()
+    reversed_coil = type(emulator)(tmp_path, '--fault', 'reversed=2')
+    try:
+        graph = _start(reversed_coil, ros)
+        health = graph.nodes['coil_driver'].health
+        assert health()[2]['self_check'] == 'not passed yet'
+        graph.until(lambda: 'self-check: coil_plus_x is reversed' in _arm(graph).message)
+        level, sentence, values = health()
+        assert level == b'\x02'
+        assert sentence.startswith('coils at zero, self-check: coil_plus_x is reversed')
+        assert values['self_check'] == 'not passed yet'
+    finally:
+        reversed_coil.end()
+
+
+def test_without_a_self_check_the_diagnostics_say_so(emulator: Any, ros: Any) -> None:
+    graph = _start(emulator, ros, self_check=False)
+    graph.until(lambda: _arm(graph).success)
+    assert not any(any(entry['currents_A']) for entry in emulator.entries())
+    assert graph.nodes['coil_driver'].health()[2]['self_check'].startswith('not checked: ')
+
+
 @pytest.mark.parametrize(('parameters', 'expected'), [
     ({}, 'expected a parameter port'),
+    ({'port': 'x', 'deviation_A': 1.0}, 'self-check'),
     ({'port': '/nowhere/tty'}, '/nowhere/tty'),
     ({'port': 'x', 'amplifier': 'steam'}, "received 'steam'"),
     ({'port': 'x', 'coils_file': '/nowhere/coils.yaml'}, '/nowhere/coils.yaml'),
