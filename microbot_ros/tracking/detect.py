@@ -71,7 +71,6 @@ class RoundDetector:
         self._filter = MatchedFilter(appearance)
         self._spacing = max(4, int(np.ceil(appearance.diameter_px)))
         self._lattice = None if appearance.capped else Lattice(appearance)
-        self._working_space = np.zeros((0, 0), np.float32)
         radii = np.arange(appearance.table.shape[1]) * TABLE_STEP
         self._energy = 2 * np.pi * TABLE_STEP * float(np.sum(radii * appearance.table[0] ** 2))
 
@@ -127,8 +126,7 @@ class RoundDetector:
     ) -> np.ndarray:
         """Fit the active rows in place; a cap's direction needs the fit pixel by pixel."""
         if self._lattice is not None:
-            return self._lattice.fit(
-                image, grid, self._spacing, rows, active, self._model(image), _SWEEPS)
+            return self._lattice.fit(image, grid, self._spacing, rows, active)
         return fit(
             image, grid, self._spacing, rows, active, self.appearance.table,
             self.appearance.reach_px, _ITERATIONS, _SWEEPS)
@@ -147,11 +145,6 @@ class RoundDetector:
         rows[disturbed] = _starts(peaks[disturbed[:len(peaks)]])
         again = self._fit(image, grid, rows, disturbed)
         errors[disturbed] = again[disturbed]
-
-    def _model(self, image: np.ndarray) -> np.ndarray:
-        if self._working_space.shape != image.shape:
-            self._working_space = np.zeros(image.shape, np.float32)
-        return self._working_space
 
     def _acceptable(self, rows: np.ndarray, errors: np.ndarray, noise: float) -> np.ndarray:
         """Whether each fit is a particle: contrast, size, sharpness, and no other on top of it."""

@@ -2,13 +2,14 @@
 
 For a particle near the centre of one cell of a sub-pixel lattice, the picture is linear in
 contrast, offset and small changes of position and size. The least-squares solution is then a
-fixed set of filters per cell, computed once. Each turn moves a particle to its nearest cell, so
-after two turns what is left to the linear step is a sixteenth of a pixel.
+fixed set of overlaps per cell, computed once. Each turn moves a particle to its nearest cell;
+when that step is so short that the picture is linear over it, the fit is done.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -25,68 +26,92 @@ from microbot_ros.tracking.fit import (
     background_at,
 )
 
-_CELLS = 6
+_CELLS = 4
 """Cells per pixel and axis."""
 
-_SETTLED = 0.125
+_EXACT = 0.003
+"""Pixels: error of the linear step that is nothing beside any noise."""
+
 _SETTLED_AMONG_OTHERS = 0.04
-"""Pixels: after a smaller move another turn would give the same; neighbours need more turns."""
+"""Pixels: after a smaller move another turn would give the same, neighbours included."""
+
+_TURNS, _TURNS_AMONG_OTHERS = 3, 6
 
 _FAST = {'reassoc', 'contract', 'arcp', 'nsz'}
-_UNKNOWNS = (CONTRAST, X, Y, SIZE, OFFSET)
 _LARGEST_CHANGE = 0.75
 
 
+class _Tables(NamedTuple):
+    """Per cell (row, column): the design D (5, h·w), the picture (h, w), (DᵀD)⁻¹, pixels.
+
+    The rows of D are the changes of the picture with contrast, x, y, size and offset, nothing
+    beyond the fitted disc; so the last one is the disc itself.
+    """
+
+    design: np.ndarray
+    picture: np.ndarray
+    covariance: np.ndarray
+    pixels: np.ndarray
+
+
 class Lattice:
-    """Filters of every sub-pixel cell for one appearance."""
+    """The pictures and their changes at every sub-pixel cell, for one appearance."""
 
     def __init__(self, appearance: Appearance) -> None:
+        self._near = appearance.reach_px + 0.25 * appearance.diameter_px
         half = int(np.ceil(appearance.reach_px + 0.5))
         # Rows of whole vectors are several times faster; what is too much weighs nothing.
         across = -(-(2 * half + 1) // 4) * 4
         v, u = np.mgrid[-half:half + 1, -half:across - half].astype(float)
-        self._near = appearance.reach_px + 0.25 * appearance.diameter_px
-        shape = (_CELLS, _CELLS)
-        self._filters = np.zeros((*shape, 5, *u.shape), np.float32)
-        self._picture = np.zeros((*shape, *u.shape), np.float32)
-        self._disc = np.zeros((*shape, *u.shape), np.float32)
-        self._normal = np.zeros((*shape, 5, 5))
-        self._covariance = np.zeros((*shape, 5, 5))
+        self._tables = _Tables(*(
+            np.zeros((_CELLS, _CELLS, *shape), kind) for shape, kind in
+            (((5, u.size), np.float32), (u.shape, np.float32), ((5, 5), float), ((), float))))
         for j in range(_CELLS):
             for i in range(_CELLS):
                 x, y = (np.array([i, j]) + 0.5) / _CELLS - 0.5
-                self._fill(j, i, u - x, v - y, appearance)
-
-    def _fill(
-        self, j: int, i: int, u: np.ndarray, v: np.ndarray, appearance: Appearance
-    ) -> None:
-        radii = np.arange(appearance.table.shape[1]) * TABLE_STEP
-        profile = appearance.table[0]
-        r = np.maximum(np.hypot(u, v), 1e-9)
-        slope = np.interp(r, radii, np.gradient(profile, TABLE_STEP), right=0.0)
-        picture = np.interp(r, radii, profile, right=0.0)
-        disc = r <= appearance.reach_px
-        columns = [picture, -slope * u / r, -slope * v / r, -slope * r, np.ones_like(r)]
-        design = np.array([(column * disc).ravel() for column in columns])
-        normal = design @ design.T
-        covariance = np.linalg.inv(normal)
-        self._normal[j, i], self._covariance[j, i] = normal, covariance
-        self._filters[j, i] = (covariance @ design).reshape(5, *r.shape)
-        self._picture[j, i] = picture * (r <= appearance.reach_px + 1)
-        self._disc[j, i] = disc
+                design, picture = _draw_cell(appearance, u - x, v - y)
+                for table, value in zip(self._tables, (
+                        design, picture, np.linalg.inv(design @ design.T), design[-1].sum()),
+                        strict=True):
+                    table[j, i] = value
+        self._settled = _longest_linear_step(appearance, u, v)
 
     def fit(
         self, image: np.ndarray, grid: np.ndarray, spacing: int, parameters: np.ndarray,
-        active: np.ndarray, model: np.ndarray, turns: int,
+        active: np.ndarray,
     ) -> np.ndarray:
         """Fit particles in place; see `fit.fit` for what goes in and out.
 
-        `model` (H, W) float32 zeros: working space, zero again afterwards. Beyond the edge of
-        the picture its last pixels are repeated.
+        Beyond the edge of the picture its last pixels are repeated.
         """
         return _fit(
-            image, grid, spacing, parameters, active, model, turns, self._near, self._filters,
-            self._picture, self._disc, self._normal, self._covariance)
+            image, grid, spacing, parameters, active, self._near, self._settled, self._tables)
+
+
+def _draw_cell(
+    appearance: Appearance, u: np.ndarray, v: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The design (5, h·w) and the picture (h, w) at offsets u, v [px] from the centre."""
+    radii = np.arange(appearance.table.shape[1]) * TABLE_STEP
+    profile = appearance.table[0]
+    r = np.maximum(np.hypot(u, v), 1e-9)
+    slope = np.interp(r, radii, np.gradient(profile, TABLE_STEP), right=0.0)
+    picture = np.interp(r, radii, profile, right=0.0)
+    columns = [picture, -slope * u / r, -slope * v / r, -slope * r, np.ones_like(r)]
+    design = np.array(columns) * (r <= appearance.reach_px)
+    return design.reshape(5, -1), picture * (r <= appearance.reach_px + 1)
+
+
+def _longest_linear_step(appearance: Appearance, u: np.ndarray, v: np.ndarray) -> float:
+    """The longest step along an axis [px] that one turn makes with an error within `_EXACT`."""
+    design, _ = _draw_cell(appearance, u, v)
+    steps = np.arange(0.08, 0.5, 0.02)
+    for step in steps:
+        moved = _draw_cell(appearance, u - step, v)[1].ravel() * design[-1]
+        solution = np.linalg.lstsq(design.T, moved, rcond=None)[0]
+        if not abs(solution[1] / solution[0] - step) <= _EXACT:
+            return float(step)
+    return float(steps[-1])
 
 
 @numba.njit(cache=True, inline='always')
@@ -99,68 +124,78 @@ def _place(row):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, fastmath=_FAST)
-def _draw(model, row, scale, pictures):  # type: ignore[no-untyped-def]
-    """Add `scale` times the particle to the model."""
-    x, y, i, j = _place(row)
-    picture = pictures[j, i]
-    half = picture.shape[0] // 2
-    contrast = np.float32(scale * row[CONTRAST])
-    left, right = max(x - half, 0), min(x - half + picture.shape[1], model.shape[1])
-    columns = numba.uintp(right - left)
-    from_x, to_x = numba.uintp(left - x + half), numba.uintp(left)
-    for py in range(max(y - half, 0), min(y + half + 1, model.shape[0])):
-        from_y, to_y = numba.uintp(py - y + half), numba.uintp(py)
-        for k in range(columns):
-            model[to_y, to_x + k] += contrast * picture[from_y, from_x + k]
-
-
-@numba.njit(cache=True, fastmath=_FAST)
-def _gather(image, grid, spacing, model, x, y, window):  # type: ignore[no-untyped-def]
-    """Fill a window with what light and neighbours leave."""
+def _gather(image, grid, spacing, x, y, window):  # type: ignore[no-untyped-def]
+    """Fill a window, its middle at the pixel (x, y), with what the light leaves."""
     rows, columns = window.shape
     half = rows // 2
     height, width = image.shape
-    light = background_at(grid, spacing, float(x), float(y))
-    slope_x = (background_at(grid, spacing, float(x + half), float(y))
-               - background_at(grid, spacing, float(x - half), float(y))) / (2 * half)
-    slope_y = (background_at(grid, spacing, float(x), float(y + half))
-               - background_at(grid, spacing, float(x), float(y - half))) / (2 * half)
-    step = np.float32(slope_x)
+    left = background_at(grid, spacing, float(x - half), float(y))
+    right = background_at(grid, spacing, float(x + half), float(y))
+    above = background_at(grid, spacing, float(x), float(y - half))
+    below = background_at(grid, spacing, float(x), float(y + half))
+    step_x, step_y = np.float32((right - left) / (2 * half)), (below - above) / (2 * half)
+    start = (left + right + above + below) / 4 - (step_x + step_y) * half
     if half <= x < width - columns + half and half <= y < height - half:
         # Unsigned indices can't wrap around, which lets the compiler use vectors.
-        left = numba.uintp(x - half)
+        from_x = numba.uintp(x - half)
         for dy in range(rows):
-            start = np.float32(light + slope_y * (dy - half) - slope_x * half)
+            light = np.float32(start + step_y * dy)
             py, wy = numba.uintp(y - half + dy), numba.uintp(dy)
             for k in range(numba.uintp(columns)):
-                rest = np.float32(image[py, left + k]) - model[py, left + k]
-                window[wy, k] = rest - start - step * np.float32(k)
+                grey = np.float32(image[py, from_x + k])
+                window[wy, k] = grey - light - step_x * np.float32(k)
         return
     for dy in range(rows):
         py = min(max(y - half + dy, 0), height - 1)
         for k in range(columns):
-            px = min(max(x - half + k, 0), width - 1)
-            light_here = light + slope_y * (dy - half) + slope_x * (k - half)
-            window[dy, k] = image[py, px] - model[py, px] - light_here
+            grey = image[py, min(max(x - half + k, 0), width - 1)]
+            window[dy, k] = grey - start - step_y * dy - step_x * k
 
 
 @numba.njit(cache=True, fastmath=_FAST)
-def _project(window, filters, disc, solution):  # type: ignore[no-untyped-def]
-    """The linear solution; returns the window's sum of squares in the disc."""
-    rest, weight = window.ravel(), disc.ravel()
-    f0, f1, f2 = filters[0].ravel(), filters[1].ravel(), filters[2].ravel()
-    f3, f4 = filters[3].ravel(), filters[4].ravel()
+def _take_away(window, x, y, other, pictures):  # type: ignore[no-untyped-def]
+    """Take another particle out of the window whose middle is the pixel (x, y)."""
+    other_x, other_y, i, j = _place(other)
+    picture = pictures[j, i]
+    rows, columns = picture.shape
+    dx, dy = x - other_x, y - other_y
+    contrast = np.float32(other[CONTRAST])
+    first, last = max(0, -dx), min(columns, columns - dx)
+    from_x, to_x = numba.uintp(first + dx), numba.uintp(first)
+    for row in range(max(0, -dy), min(rows, rows - dy)):
+        from_y, to_y = numba.uintp(row + dy), numba.uintp(row)
+        for k in range(numba.uintp(max(last - first, 0))):
+            window[to_y, to_x + k] -= contrast * picture[from_y, from_x + k]
+
+
+@numba.njit(cache=True, fastmath=_FAST)
+def _project(window, design, overlap):  # type: ignore[no-untyped-def]
+    """Overlaps of the window with the rows of the design; returns its sum of squares."""
+    f0, f1, f2, f3, disc = design[0], design[1], design[2], design[3], design[4]
     a = b = c = d = e = squares = np.float32(0.0)
-    for m in range(rest.size):
-        value = rest[m]
+    for m in range(window.size):
+        value = window[m] * disc[m]
         a += f0[m] * value
         b += f1[m] * value
         c += f2[m] * value
         d += f3[m] * value
-        e += f4[m] * value
-        squares += weight[m] * value * value
-    solution[0], solution[1], solution[2], solution[3], solution[4] = a, b, c, d, e
+        e += value
+        squares += value * value
+    overlap[0], overlap[1], overlap[2], overlap[3], overlap[4] = a, b, c, d, e
     return squares
+
+
+@numba.njit(cache=True, fastmath=_FAST)
+def _solve(covariance, overlap, solution):  # type: ignore[no-untyped-def]
+    """The linear solution (5,); returns the sum of squares that it explains."""
+    explained = 0.0
+    for m in range(5):
+        total = 0.0
+        for n in range(5):
+            total += covariance[m, n] * overlap[n]
+        solution[m] = total
+        explained += total * overlap[m]
+    return explained
 
 
 @numba.njit(cache=True, fastmath=_FAST)
@@ -181,12 +216,8 @@ def _update(row, solution, i, j, x, y):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, fastmath=_FAST)
-def _conclude(row, errors, squares, solution, normal, covariance, pixels):  # type: ignore[no-untyped-def]
-    explained = 0.0
-    for m in range(5):
-        for n in range(5):
-            explained += solution[m] * normal[m, n] * solution[n]
-    variance = max(squares - explained, 0.0) / (pixels - 5)
+def _conclude(row, squares, pixels, covariance, errors):  # type: ignore[no-untyped-def]
+    variance = squares / (pixels - 5)
     contrast = max(abs(row[CONTRAST]), 1e-6)
     errors[CONTRAST] = math.sqrt(variance * covariance[0, 0])
     errors[X] = math.sqrt(variance * covariance[1, 1]) / contrast
@@ -199,58 +230,73 @@ def _conclude(row, errors, squares, solution, normal, covariance, pixels):  # ty
 
 @numba.njit(cache=True)
 def _neighbours(parameters, near):  # type: ignore[no-untyped-def]
-    """Whether each particle has another within `near` px in x and y."""
-    close = np.zeros(len(parameters), np.bool_)
+    """Who lies within `near` px of each particle: those of n are other[first[n]:first[n + 1]]."""
+    pairs = []
     order = np.argsort(parameters[:, Y])
     for m in range(len(order)):
         i = order[m]
         for n in range(m + 1, len(order)):
             j = order[n]
-            if parameters[j, Y] - parameters[i, Y] >= near:
+            dx, dy = parameters[j, X] - parameters[i, X], parameters[j, Y] - parameters[i, Y]
+            if not dy < near:
                 break
-            if abs(parameters[j, X] - parameters[i, X]) < near:
-                close[i] = close[j] = True
-    return close
+            if dx * dx + dy * dy < near * near:
+                pairs.append((i, j))
+                pairs.append((j, i))
+    first = np.zeros(len(parameters) + 1, np.int64)
+    for i, _ in pairs:
+        first[i + 1] += 1
+    first = np.cumsum(first)
+    other, free = np.empty(len(pairs), np.int64), first.copy()
+    for i, j in pairs:
+        other[free[i]] = j
+        free[i] += 1
+    return first, other
 
 
 @numba.njit(cache=True)
-def _turn(image, grid, spacing, row, error, model, shared, window, solution, filters, pictures, discs, normals, covariances):  # type: ignore[no-untyped-def]  # noqa: E501
-    """Refit one particle about its present cell; returns how far it moved, −1 if out of view."""
-    if shared:
-        _draw(model, row, -1.0, pictures)
-    x, y, i, j = _place(row)
-    before_x, before_y = row[X], row[Y]
-    _gather(image, grid, spacing, model, x, y, window)
-    squares = _project(window, filters[j, i], discs[j, i], solution)
-    _update(row, solution, i, j, x, y)
-    if not (-0.5 <= row[X] < image.shape[1] - 0.5 and -0.5 <= row[Y] < image.shape[0] - 0.5):
-        row[X], row[Y], row[CONTRAST] = x, y, 0.0
-        error[:] = np.nan
-        return -1.0
-    if shared:
-        _draw(model, row, 1.0, pictures)
-    normal = normals[j, i]
-    _conclude(row, error, squares, solution, normal, covariances[j, i], normal[4, 4])
-    return max(abs(row[X] - before_x), abs(row[Y] - before_y))
+def _sweep(image, grid, spacing, parameters, waiting, first, other, settled, tables, squares):  # type: ignore[no-untyped-def]
+    """Refit each particle that waits about its present cell; it waits on if it moved far.
+
+    `squares` (N,) receives the residual sums of squares, −1 for what has left the picture.
+    """
+    height, width = image.shape
+    window = np.empty(tables.picture.shape[2:], np.float32)
+    flat, overlap, solution = window.reshape(-1), np.empty(5), np.empty(5)
+    for n in range(len(parameters)):
+        if not waiting[n]:
+            continue
+        row = parameters[n]
+        before_x, before_y = row[X], row[Y]
+        x, y, i, j = _place(row)
+        _gather(image, grid, spacing, x, y, window)
+        for k in range(first[n], first[n + 1]):
+            _take_away(window, x, y, parameters[other[k]], tables.picture)
+        total = _project(flat, tables.design[j, i], overlap)
+        squares[n] = max(total - _solve(tables.covariance[j, i], overlap, solution), 0.0)
+        _update(row, solution, i, j, x, y)
+        if -0.5 <= row[X] < width - 0.5 and -0.5 <= row[Y] < height - 0.5:
+            moved = max(abs(row[X] - before_x), abs(row[Y] - before_y))
+            alone = first[n] == first[n + 1]
+            waiting[n] = moved > (settled if alone else _SETTLED_AMONG_OTHERS)
+        else:
+            row[X], row[Y], row[CONTRAST] = x, y, 0.0
+            waiting[n], squares[n] = False, -1.0
 
 
 @numba.njit(cache=True)
-def _fit(image, grid, spacing, parameters, active, model, turns, near, filters, pictures, discs, normals, covariances):  # type: ignore[no-untyped-def]  # noqa: E501
+def _fit(image, grid, spacing, parameters, active, near, settled, tables):  # type: ignore[no-untyped-def]
     count = parameters.shape[0]
     errors = np.full((count, PARAMETERS + 2), np.nan)
-    window = np.empty(pictures.shape[2:], np.float32)
-    solution = np.empty(5)
-    waiting = active.copy()
-    shared = _neighbours(parameters, near)
+    squares, waiting = np.full(count, -1.0), active.copy()
+    first, other = _neighbours(parameters, near)
+    for turn in range(_TURNS_AMONG_OTHERS):
+        _sweep(image, grid, spacing, parameters, waiting, first, other, settled, tables, squares)
+        if turn + 1 == _TURNS:
+            waiting &= first[1:] > first[:-1]
     for n in range(count):
-        if shared[n]:
-            _draw(model, parameters[n], 1.0, pictures)
-    for _ in range(turns):
-        for n in range(count):
-            if waiting[n]:
-                moved = _turn(
-                    image, grid, spacing, parameters[n], errors[n], model, shared[n], window,
-                    solution, filters, pictures, discs, normals, covariances)
-                waiting[n] = moved > (_SETTLED_AMONG_OTHERS if shared[n] else _SETTLED)
-    model[:] = 0
+        if squares[n] >= 0:
+            _, _, i, j = _place(parameters[n])
+            _conclude(parameters[n], squares[n], tables.pixels[j, i], tables.covariance[j, i],
+                      errors[n])
     return errors

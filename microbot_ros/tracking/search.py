@@ -13,7 +13,11 @@ _LEAST_NOISE = 0.3
 """Grey levels: rounding to whole levels has a standard deviation of 1/√12."""
 
 
-@numba.njit(cache=True)
+_FAST = {'reassoc', 'contract', 'arcp', 'nsz'}
+"""All liberties of fast arithmetic but one: NaN and infinity keep their meaning."""
+
+
+@numba.njit(cache=True, fastmath=_FAST)
 def block_mean(image, size):  # type: ignore[no-untyped-def]
     """Means (H // size, W // size) float32 over square blocks; a rest at the edge is left out."""
     rows, columns = image.shape[0] // size, image.shape[1] // size
@@ -26,6 +30,11 @@ def block_mean(image, size):  # type: ignore[no-untyped-def]
             source = image[j * size + dy, :columns * size]
             for i in range(source.size):
                 line[i] += source[i]
+        if size == 2:
+            # The usual case: a known stride lets the compiler use vectors.
+            for i in range(numba.uintp(columns)):
+                mean[j, i] = (line[2 * i] + line[2 * i + 1]) * scale
+            continue
         for i in range(columns):
             total = np.float32(0.0)
             for dx in range(size):
@@ -52,21 +61,12 @@ def peaks(response, least, separation):  # type: ignore[no-untyped-def]
     """Rows (N, 3) of x, y, value: maxima above `least` within ±`separation` cells, sub-cell."""
     height, width = response.shape
     found = []
+    crest = np.empty(width, np.uint8)
     for y in range(1, height - 1):
+        _crests(response[y - 1], response[y], response[y + 1], least, crest)
         for x in range(1, width - 1):
-            value = response[y, x]
-            if not value > least:
-                continue
-            highest = True
-            for dy in range(max(-separation, -y), min(separation, height - 1 - y) + 1):
-                for dx in range(max(-separation, -x), min(separation, width - 1 - x) + 1):
-                    other = response[y + dy, x + dx]
-                    if other > value or (other == value and (dy, dx) < (0, 0)):
-                        highest = False
-                        break
-                if not highest:
-                    break
-            if highest:
+            if crest[x] and _highest(response, x, y, separation):
+                value = response[y, x]
                 bend_x = response[y, x + 1] - 2 * value + response[y, x - 1]
                 bend_y = response[y + 1, x] - 2 * value + response[y - 1, x]
                 ox = (response[y, x - 1] - response[y, x + 1]) / 2 / min(bend_x, -1e-9)
@@ -76,6 +76,28 @@ def peaks(response, least, separation):  # type: ignore[no-untyped-def]
     for k in range(len(found)):
         rows[k, 0], rows[k, 1], rows[k, 2] = found[k]
     return rows
+
+
+@numba.njit(cache=True)
+def _crests(above, line, below, least, crest):  # type: ignore[no-untyped-def]
+    """Whether each cell of a line is above `least` and no lower than its four neighbours."""
+    for x in range(numba.uintp(1), numba.uintp(line.size - 1)):
+        value = line[x]
+        crest[x] = ((value > least) & (value >= line[x - 1]) & (value >= line[x + 1])
+                    & (value >= above[x]) & (value >= below[x]))
+
+
+@numba.njit(cache=True)
+def _highest(response, x, y, separation):  # type: ignore[no-untyped-def]
+    """Whether no cell within ±`separation` is higher; of equals, the first counts."""
+    height, width = response.shape
+    value = response[y, x]
+    for dy in range(max(-separation, -y), min(separation, height - 1 - y) + 1):
+        for dx in range(max(-separation, -x), min(separation, width - 1 - x) + 1):
+            other = response[y + dy, x + dx]
+            if other > value or (other == value and (dy, dx) < (0, 0)):
+                return False
+    return True
 
 
 def spread(response: np.ndarray) -> float:
@@ -91,15 +113,26 @@ def pixel_noise(image: np.ndarray) -> float:
     What varies slower than from pixel to pixel drops out (J. Immerkær, Computer Vision and Image
     Understanding 64, 300, 1996); the median makes edges of particles drop out too.
     """
-    rows, columns = max(1, image.shape[0] // 48), max(1, image.shape[1] // 48)
-    part = [
-        image[j:image.shape[0] - 2 + j:rows, i:image.shape[1] - 2 + i:columns].astype(np.float32)
-        for j in range(3) for i in range(3)
-    ]
-    corners = part[0] + part[2] + part[6] + part[8]
-    sides = part[1] + part[3] + part[5] + part[7]
-    difference = np.abs(corners - 2 * sides + 4 * part[4])
+    difference = _second_differences(image, *(max(1, length // 48) for length in image.shape))
     return max(1.4826 * float(np.median(difference)) / 6, _LEAST_NOISE)
+
+
+@numba.njit(cache=True)
+def _second_differences(image, rows, columns):  # type: ignore[no-untyped-def]
+    """Their magnitudes about every so many pixels, as a flat array."""
+    height, width = image.shape
+    down, across = (height - 3) // rows + 1, (width - 3) // columns + 1
+    difference = np.empty(down * across, np.float32)
+    for m in range(down):
+        y = m * rows + 1
+        for n in range(across):
+            x = n * columns + 1
+            corners, sides = 0.0, 0.0
+            for dy in (-1, 1):
+                corners += float(image[y + dy, x - 1]) + float(image[y + dy, x + 1])
+                sides += float(image[y + dy, x]) + float(image[y, x + dy])
+            difference[m * across + n] = abs(corners - 2 * sides + 4 * float(image[y, x]))
+    return difference
 
 
 _ENOUGH = 0.97
@@ -115,7 +148,7 @@ class MatchedFilter:
     """
 
     def __init__(self, appearance: Appearance) -> None:
-        self.shrink = max(1, int(appearance.diameter_px / 2.5))
+        self.shrink = max(1, int(appearance.diameter_px / 2.4))
         reach = int(np.ceil(appearance.reach_px / self.shrink))
         offsets = np.arange(-reach, reach + 1) * float(self.shrink)
         template = appearance.draw_round(offsets[None, :], offsets[:, None])
