@@ -11,6 +11,7 @@ import click
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from microbot_ros.discovery.result import Discovery
     from microbot_ros.records import Session
 
 
@@ -18,7 +19,8 @@ if TYPE_CHECKING:
 @click.argument('sessions', metavar='SESSION...', nargs=-1,
                 type=click.Path(path_type=Path))
 @click.option('--out', type=click.Path(path_type=Path), required=True, metavar='DIR',
-              help='Folder for result.json, model.yaml and report.html.')
+              help='Folder for result.json, model.yaml and report.html; with --live, of the '
+              'folders look-1, look-2, ... that hold them.')
 @click.option('--jobs', type=click.IntRange(1), default=1, show_default=True, metavar='N',
               help='Processes that share the work.')
 @click.option('--live', is_flag=True,
@@ -59,7 +61,7 @@ def command(sessions: tuple[Path, ...], out: Path, jobs: int, live: bool, second
 
 
 def _discover(recordings: Sequence[Session], sources: Sequence[Path], out: Path, jobs: int,
-              json_path: Path | None, progress: Console) -> None:
+              json_path: Path | None, progress: Console) -> Discovery:
     """Look, write what was found, say it."""
     import json
 
@@ -83,33 +85,57 @@ def _discover(recordings: Sequence[Session], sources: Sequence[Path], out: Path,
     console = Console(highlight=False)
     for line in found.sentences():
         console.print(line)
+    return found
 
 
 def _watch(out: Path, seconds: float, rounds: int, jobs: int, json_path: Path | None,
            progress: Console) -> None:
-    """Look at the recent past of the graph again and again, and propose what was found."""
+    """Look at the recent past of the graph again and again, each time into a folder of its own.
+
+    A node that uses the model of one look goes on with it while the next is written.
+    """
     from itertools import count
 
     from microbot_ros.errors import InputError
     from microbot_ros.files import output_folder
-    from microbot_ros.nodes.collector import Collector
-    from microbot_ros.nodes.remote import Remote
     from microbot_ros.session import write_session
 
     for look in count(1):
-        with Remote('discover') as remote:
-            collector = Collector(remote, seconds)
-            with progress.status(f'listening for {seconds:g} s') as status:
-                while collector.span < seconds - 0.5:
-                    remote.spin(0.5)
-                    status.update(f'listening: {collector.span:.0f} of {seconds:g} s')
-            session = collector.session()
-        with output_folder(out) as folder:
+        session = _listen(seconds, progress)
+        place = out.resolve() / f'look-{look}'
+        with output_folder(place) as folder:
             write_session(folder / 'session', session)
         try:
-            _discover([session], [out / 'session'], out, jobs, json_path, progress)
-            progress.print(f'to filter with it: microbot set model model_file {out}/model.yaml')
+            found = _discover([session], [place / 'session'], place, jobs, json_path, progress)
+            if found.model.effects:
+                _propose(place / 'model.yaml', found.model.steady, progress)
         except InputError as error:
+            if look == rounds:
+                raise
             progress.print(f'nothing to say yet: {error}')
         if look == rounds:
             return
+
+
+def _propose(file: Path, steady: bool, progress: Console) -> None:
+    """How a running graph takes the model."""
+    for node in ('model', 'controller'):
+        progress.print(f'to use it: microbot set {node} model_file {file}', soft_wrap=True)
+    if not steady:
+        progress.print('! It has an effect that counts time: here from the first frame heard, '
+                       'in a node from its start.')
+
+
+def _listen(seconds: float, progress: Console) -> Session:
+    """What a graph, or a replay, says for so long."""
+    from microbot_ros.nodes.collector import Collector
+    from microbot_ros.nodes.remote import Remote
+
+    with Remote('discover') as remote, progress.status('no particles yet: is a graph running, '
+                                                       'or a replay?') as status:
+        collector = Collector(remote, seconds)
+        while collector.span < seconds - 0.5:
+            remote.spin(0.5)
+            if collector.span:
+                status.update(f'listening: {collector.span:.0f} of {seconds:g} s')
+        return collector.session()

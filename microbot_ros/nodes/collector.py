@@ -2,30 +2,43 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Vector3Stamped
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import JointState, PointCloud2
 
 from microbot_ros import units
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.remote import Remote
-from microbot_ros.records import Commands, Conditions, Session, Tracks
+from microbot_ros.records import Conditions, Session, Tracks
+from microbot_ros.session.from_recording import commands_of
 
 _LIVE_SECONDS = 1.0
 
 
 class Collector:
-    """Keeps the last `seconds` of `particles` and `field/command` of a graph."""
+    """Keeps the last `seconds` of a graph: `particles`, the commanded field, how fast it rolls,
+    and whether the gate let it through.
+    """
 
     def __init__(self, remote: Remote, seconds: float) -> None:
         self._seconds = seconds
         self._frames: deque[tuple[float, np.ndarray]] = deque()
-        self._commands: deque[tuple[float, float, float]] = deque()
+        self._commands: dict[str, deque[tuple[float, ...]]] = {}
         self._remote = remote
-        remote.node.create_subscription(PointCloud2, 'particles', self._on_particles, 200)
-        remote.node.create_subscription(Vector3Stamped, 'field/command', self._on_command, 200)
+        subscribe = remote.node.create_subscription
+        subscribe(PointCloud2, 'particles', self._on_particles, 200)
+        for topic, kind, value in (
+            ('field/command', Vector3Stamped, lambda m: (m.vector.x, m.vector.y)),
+            ('field/rotation', Vector3Stamped,
+             lambda m: (math.hypot(m.vector.x, m.vector.y) / math.tau,)),
+            ('coils/applied', JointState, lambda m: (float(any(m.effort)),)),
+        ):
+            subscribe(kind, topic, self._taker(topic, value), 200)
 
     def conditions(self) -> Conditions:
         """What the model node was told of particles and fluid."""
@@ -48,29 +61,41 @@ class Collector:
         empty = np.empty(0, messages.PARTICLE)
         points = np.concatenate([empty, *(frame for _, frame in self._frames)])
         t = np.repeat([t - origin for t, _ in self._frames], [len(f) for _, f in self._frames])
-        commands = np.array(self._commands).reshape(-1, 3)
+        series = {topic: np.array(rows) for topic, rows in self._commands.items() if rows}
         return Session(
             Tracks(t, points['id'].astype(int),
                    np.stack([points['x'], points['y']], axis=1).astype(float),
                    points['theta'].astype(float), points['sigma'].astype(float)),
-            Commands(commands[:, 0] - origin, commands[:, 1:]), self.conditions(), 'live')
+            commands_of({topic: (rows[:, 0] - origin, rows[:, 1:])
+                         for topic, rows in series.items()}),
+            self.conditions(), 'live')
 
     def _on_particles(self, message: PointCloud2) -> None:
         t = messages.to_seconds(message.header.stamp)
         if self._frames and t <= self._frames[-1][0]:
-            return
+            if self._frames[-1][0] - t < _LIVE_SECONDS:
+                return
+            # A replay begins again.
+            self._frames.clear()
+            for rows in self._commands.values():
+                rows.clear()
         self._frames.append((t, messages.points(message, messages.PARTICLE)))
         while self._frames[-1][0] - self._frames[0][0] > self._seconds:
             self._frames.popleft()
         # The last command before the first frame still holds there.
-        while len(self._commands) > 1 and self._commands[1][0] < self._frames[0][0]:
-            self._commands.popleft()
+        for rows in self._commands.values():
+            while len(rows) > 1 and rows[1][0] < self._frames[0][0]:
+                rows.popleft()
 
-    def _on_command(self, message: Vector3Stamped) -> None:
-        # A command acts when it arrives; its stamp is the exposure that it answers. In a replay
-        # the clock of this machine says nothing, and the stamp is the best there is.
-        t = messages.to_seconds(message.header.stamp)
-        now = messages.to_seconds(self._remote.node.get_clock().now().to_msg())
-        t = now if abs(now - t) < _LIVE_SECONDS else t
-        if not self._commands or t > self._commands[-1][0]:
-            self._commands.append((t, message.vector.x, message.vector.y))
+    def _taker(self, topic: str, value: Callable[[Any], tuple[float, ...]]) -> Callable[..., None]:
+        rows = self._commands[topic] = deque()
+
+        def take(message: Any) -> None:
+            # A command acts when it arrives; its stamp is the exposure that it answers. In a
+            # replay the clock of this machine says nothing, and the stamp is the best there is.
+            t = messages.to_seconds(message.header.stamp)
+            now = messages.to_seconds(self._remote.node.get_clock().now().to_msg())
+            t = now if abs(now - t) < _LIVE_SECONDS else t
+            if not rows or t > rows[-1][0]:
+                rows.append((t, *value(message)))
+        return take

@@ -45,7 +45,7 @@ def session_of(recording: Recording) -> Session:
             sightings.add(message.t_ns, content)
         else:
             by_topic[message.topic].add(message.t_ns, content)
-    commands = _commands({one.name: one.arrays(recording) for one in series})
+    commands = commands_of({one.name: one.arrays(recording) for one in series})
     conditions = _conditions(recording, commands.frequency is not None)
     return Session(sightings.tracks(), commands, conditions, recording.path.resolve().stem)
 
@@ -125,7 +125,13 @@ def _find_series(recording: Recording, name: str) -> _Series | None:
     return _Series(name, topic, value)
 
 
-def _commands(series: dict[str, tuple[np.ndarray, np.ndarray]]) -> Commands:
+def commands_of(series: dict[str, tuple[np.ndarray, np.ndarray]]) -> Commands:
+    """The commands that topics tell together, each as times (K,) [s] and values (K, n).
+
+    `field/command` (K, 2) [T] is what matters, `field/rotation` (K, 1) [Hz] turns it, and
+    `coils/applied` (K, 1) says whether any current flowed; without `field/command`,
+    `field/applied` (K, 2) [T] stands in.
+    """
     if 'field/command' not in series:
         nothing = np.empty(0), np.empty((0, 2))
         return changes(*series.get('field/applied', nothing), None)

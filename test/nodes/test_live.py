@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,8 @@ import numpy as np
 import pytest
 import yaml
 
+from microbot_ros.discovery.discover import discover
+from microbot_ros.model.model_file import read_model
 from microbot_ros.nodes.collector import Collector
 from microbot_ros.nodes.graph import Graph
 from microbot_ros.nodes.remote import Remote
@@ -19,32 +22,45 @@ from microbot_ros.session import write_session
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(120)]
 
 
-@pytest.fixture
-def parameters(tmp_path: Path) -> Path:
-    """A session of 20 s with a drift of 1 µm/s, and a graph that plays it in a loop."""
+FREQUENCIES = np.array([1.0, 2.0, 4.0])
+
+
+def _film(rolling: bool) -> Session:
+    """20 s of one particle that turns every 1.5 s, carried along at 1 µm/s."""
     rng = np.random.default_rng(5)
     t = np.arange(600) / 30
-    angle = rng.uniform(-np.pi, np.pi, 14)[np.minimum(t // 1.5, 13).astype(int)]
-    swim = 4e-6 / 30 * np.exp(1j * (angle + 0.7)) + 1e-6 / 30
+    leg = np.minimum(t // 1.5, 13).astype(int)
+    angle = rng.uniform(-np.pi, np.pi, 14)[leg]
+    frequency = rng.choice(FREQUENCIES, 14)[leg] if rolling else None
+    speed = 4e-6 if frequency is None else 2e-6 * frequency
+    swim = speed / 30 * np.exp(1j * (angle + 0.7)) + 1e-6 / 30
     walk = rng.normal(0, np.sqrt(2 * 0.05e-12 / 30), (2, 600))
     path = np.cumsum(swim + walk[0] + 1j * walk[1])
     path = path + rng.normal(0, 3e-8, 600) + 1j * rng.normal(0, 3e-8, 600)
     tracks = Tracks(t, np.zeros(600, int), np.stack([path.real, path.imag], axis=1),
                     np.full(600, np.nan), np.full(600, 3e-8))
-    commands = Commands(t - 1 / 30, 5e-3 * np.stack([np.cos(angle), np.sin(angle)], axis=1))
-    write_session(tmp_path / 'session', Session(tracks, commands, Conditions()))
-    file = tmp_path / 'graph.yaml'
+    field = 5e-3 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return Session(tracks, Commands(t - 1 / 30, field, frequency),
+                   Conditions('rolling' if rolling else 'catalytic'))
+
+
+def _graph(folder: Path, rolling: bool) -> Path:
+    """Parameters of a graph that plays the film four times as fast."""
+    write_session(folder / 'session', _film(rolling))
+    file = folder / 'graph.yaml'
     file.write_text(yaml.safe_dump({
-        'model': {'ros__parameters': {'radius_um': 2.0}},
-        'player': {'ros__parameters': {'session': str(tmp_path / 'session'), 'rate': 4.0}}}))
+        'model': {'ros__parameters': {
+            'radius_um': 2.0, 'propulsion': 'rolling' if rolling else 'catalytic'}},
+        'player': {'ros__parameters': {'session': str(folder / 'session'), 'rate': 4.0}}}))
     return file
 
 
-def test_the_recent_past_becomes_a_session(parameters: Path) -> None:
+@pytest.mark.parametrize('rolling', [False, True])
+def test_the_recent_past_becomes_a_session(tmp_path: Path, rolling: bool) -> None:
     with Graph(lambda *_: None) as graph, Remote('test') as remote:
         collector = Collector(remote, 10.0)
         for node in ('model', 'player'):
-            graph.start_nodes([node], parameters)
+            graph.start_nodes([node], _graph(tmp_path, rolling))
         for _ in range(600):
             remote.spin(0.1)
             if collector.span > 9.9:
@@ -55,17 +71,35 @@ def test_the_recent_past_becomes_a_session(parameters: Path) -> None:
     assert session.conditions.radius == pytest.approx(2e-6)
     assert session.commands.t[0] <= session.tracks.t[0] + 0.1
     assert np.hypot(*session.commands.field.T) == pytest.approx(5e-3)
+    if rolling:
+        assert session.conditions.propulsion == 'rolling'
+        nearest = np.abs(session.commands.frequency[:, None] - FREQUENCIES).min(axis=1)
+        assert nearest.max() < 1e-6
+    assert [effect.id for effect in discover([session]).effects] == ['uniform_drift']
 
 
-def test_discover_watches_and_proposes(parameters: Path, tmp_path: Path) -> None:
+def _microbot(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, '-m', 'microbot_ros.cli', *arguments],
+                          capture_output=True, text=True, timeout=100)
+
+
+def test_discover_watches_and_what_it_proposes_is_used_while_running(tmp_path: Path) -> None:
+    parameters = _graph(tmp_path, rolling=False)
     with Graph(lambda *_: None) as graph:
-        for node in ('model', 'player'):
+        for node in ('model', 'controller', 'player'):
             graph.start_nodes([node], parameters)
-        done = subprocess.run(
-            [sys.executable, '-m', 'microbot_ros.cli', 'discover', '--live', '--seconds', '14',
-             '--rounds', '1', '--out', str(tmp_path / 'live')],
-            capture_output=True, text=True, timeout=100)
-    assert done.returncode == 0, done.stderr
-    assert 'uniform_drift' in done.stdout
-    assert (tmp_path / 'live' / 'model.yaml').is_file()
-    assert (tmp_path / 'live' / 'report.html').is_file()
+        done = _microbot('discover', '--live', '--seconds', '14', '--rounds', '1', '--out',
+                         str(tmp_path / 'live'))
+        assert done.returncode == 0, done.stderr
+        assert 'uniform_drift' in done.stdout
+        proposed = re.findall(r'to use it: microbot (.*)', done.stderr)
+        assert len(proposed) == 2
+        for line in proposed:
+            taken = _microbot(*line.split())
+            assert taken.returncode == 0, taken.stderr
+        with Remote('test') as remote:
+            files = {remote.get(node, 'model_file')['model_file']
+                     for node in ('model', 'controller')}
+    assert files == {str(tmp_path / 'live' / 'look-1' / 'model.yaml')}
+    assert read_model(files.pop())[0].effect('uniform_drift') is not None
+    assert (tmp_path / 'live' / 'look-1' / 'report.html').is_file()
