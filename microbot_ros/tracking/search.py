@@ -138,23 +138,49 @@ def _second_differences(image, rows, columns):  # type: ignore[no-untyped-def]
 _ENOUGH = 0.97
 """Share of the filter's energy that the separable parts must have."""
 
+_STILL_SHOWN = 0.6
+"""Share of a particle's energy that a shrunk picture must keep."""
+
+_LEAST_WIDTH = 2.4
+"""Coarse pixels that a particle must be wide, or two side by side look like one."""
+
+
+def _shrunk(appearance: Appearance, shrink: int, off: float = 0.0) -> np.ndarray:
+    """The round picture less its mean, (K, K), in blocks of `shrink` px, the centre `off` px."""
+    blocks = 2 * int(np.ceil((appearance.reach_px + off) / shrink - 0.5)) + 1
+    fine = np.arange(0.5, blocks * shrink) - blocks * shrink / 2 - off
+    u, v = fine[None, :], fine[:, None]
+    disc = np.hypot(u, v) <= appearance.reach_px + 0.5
+    picture = appearance.draw_round(u, v)
+    picture = np.where(disc, picture - np.mean(picture[disc]), 0.0)
+    return picture.reshape(blocks, shrink, blocks, shrink).mean(axis=(1, 3))
+
+
+def _farthest_shrink(appearance: Appearance) -> int:
+    """The factor at which a particle keeps enough of its energy in the worst position."""
+    whole = np.sum(_shrunk(appearance, 1) ** 2)
+    shrink = 1
+    while shrink + 1 <= appearance.diameter_px / _LEAST_WIDTH:
+        kept = min(
+            np.sum(_shrunk(appearance, shrink + 1, off) ** 2) * (shrink + 1) ** 2
+            for off in (0.0, (shrink + 1) / 2))
+        if kept < _STILL_SHOWN * whole:
+            break
+        shrink += 1
+    return shrink
+
 
 class MatchedFilter:
     """Search with the learned picture itself, the optimal linear filter for white noise.
 
     The filter sums to zero and is symmetric, so uniform light and slopes leave no response. It
-    is applied as a few separable ones (its singular vectors), on a picture shrunk so that a
-    particle is some three pixels wide.
+    is applied as a few separable ones (its singular vectors), on a picture shrunk as far as that
+    still shows the particle, wherever it lies between the coarse pixels.
     """
 
     def __init__(self, appearance: Appearance) -> None:
-        self.shrink = max(1, int(appearance.diameter_px / 2.4))
-        reach = int(np.ceil(appearance.reach_px / self.shrink))
-        offsets = np.arange(-reach, reach + 1) * float(self.shrink)
-        template = appearance.draw_round(offsets[None, :], offsets[:, None])
-        disc = offsets[None, :] ** 2 + offsets[:, None] ** 2 <= (appearance.reach_px + 0.5) ** 2
-        template = np.where(disc, template, 0.0)
-        template = np.where(disc, template - template.sum() / disc.sum(), 0.0)
+        self.shrink = _farthest_shrink(appearance)
+        template = _shrunk(appearance, self.shrink)
         left, weight, right = np.linalg.svd(template)
         rank = int(np.searchsorted(np.cumsum(weight**2) / np.sum(weight**2), _ENOUGH)) + 1
         sums = left[:, :rank].sum(axis=0) * right[:rank].sum(axis=1)
