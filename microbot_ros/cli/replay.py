@@ -1,36 +1,69 @@
-"""`microbot replay`: a recording through topics."""
+"""`microbot replay`: a recording through topics, or through today's nodes to see what changed."""
 
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
 import click
 
+from microbot_ros.errors import InputError
+
 
 @click.command()
-@click.argument('session')
+@click.argument('session', type=click.Path(path_type=Path))
 @click.option('--rate', default=1.0, show_default=True,
               help='Times real time; 0 is as fast as it goes.')
 @click.option('--start', default=0.0, show_default=True, help='Where to begin [s].')
+@click.option('--end', default=0.0, help='Where to end [s]; 0 plays to the end.')
 @click.option('--loop', is_flag=True, help='Begin again at the end.')
 @click.option('--topic', 'topics', multiple=True,
               help='Play only this topic; may be given several times.')
-def command(session: str, rate: float, start: float, loop: bool, topics: tuple[str, ...]) -> None:
+@click.option('--check', is_flag=True,
+              help="Put it through today's nodes in lock-step, and compare with what was "
+                   'recorded.')
+@click.option('--node', 'nodes', multiple=True,
+              type=click.Choice(['tracker', 'model', 'controller']),
+              help='With --check: only this node; may be given several times.')
+@click.option('--config', type=click.Path(path_type=Path),
+              help='With --check: parameters in place of those in the recording.')
+@click.option('--out', type=click.Path(path_type=Path),
+              help='With --check: keep what the nodes answered, as a recording.')
+@click.option('--json', 'json_path', type=click.Path(path_type=Path),
+              help='With --check: also write the differences as JSON.')
+def command(
+    session: Path, rate: float, start: float, end: float, loop: bool, topics: tuple[str, ...],
+    check: bool, nodes: tuple[str, ...], config: Path | None, out: Path | None,
+    json_path: Path | None,
+) -> None:
     """Play SESSION, a folder or an MCAP recording, through its topics, with /clock.
 
-    Nodes that are to follow its time run with use_sim_time. Ctrl-C ends it.
+    Nodes that are to follow its time run with use_sim_time. Ctrl-C ends it. While it plays,
+    `microbot set player rate 5` and `seek_s 12.5` change where and how fast, and the services
+    player/pause and player/step hold it and go on by a message.
+
+    With --check nothing is played to the outside. Every node whose input was recorded is started
+    with the parameters it had, shown each frame when all have answered the one before, and its
+    answers are compared field by field; exit status 1 where they differ.
 
     \b
-    Example, recorded tracks through today's model at ten times the speed:
+    Examples, recorded tracks through today's model at ten times the speed; what did my change do?
       microbot replay out/demo/recording --rate 10 --topic particles --topic field/applied
+      microbot replay out/demo/recording --check --node model
     """
+    if check:
+        from microbot_ros.cli.replay_check import run_check
+
+        sys.exit(run_check(session, nodes, config, out, json_path))
+    if nodes or config or out or json_path:
+        raise InputError('--node, --config, --out, --json', 'expected only with --check')
     from microbot_ros.nodes.process import run
 
-    parameters = {'session': session, 'rate': float(rate), 'start_s': float(start), 'loop': loop}
+    parameters = {'session': session, 'rate': rate, 'start_s': start, 'end_s': end,
+                  'loop': str(loop).lower()}
     arguments = ['--ros-args']
     for name, value in parameters.items():
-        text = str(value).lower() if isinstance(value, bool) else str(value)
-        arguments += ['-p', f'{name}:={text}']
+        arguments += ['-p', f'{name}:={value}']
     if topics:
         arguments += ['-p', f'topics:=[{",".join(topics)}]']
     sys.exit(run(['player'], arguments))

@@ -9,17 +9,28 @@ import time
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from builtin_interfaces.msg import Time
+from lifecycle_msgs.srv import GetState
+from rcl_interfaces.msg import ParameterEvent
+from rcl_interfaces.srv import SetParameters
+from rclpy.client import Client
 from rclpy.publisher import Publisher
+from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool, Trigger
 
 from microbot_ros.errors import InputError
-from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import OK, RigNode
+from microbot_ros.nodes.topics import CHANGES, TOPICS
+from microbot_ros.session.lockstep import LockStep, frame_topic, header_stamp_ns
 from microbot_ros.session.playback import Playback, open_source
+from microbot_ros.session.recording import Message
+from microbot_ros.session.turns import InTurn
 from microbot_ros.settings import setting
 
 _CLOCK_SECONDS = 0.01
+_TURN_SECONDS = 0.1
+"""After this a node that has not answered is asked whether it has nothing to say."""
 
 
 @dataclass(frozen=True)
@@ -36,10 +47,20 @@ class PlayerParameters:
     loop: bool = setting(False, 'Begin again at the end.', read_only=True)
     topics: list[str] = setting([], 'What to play; empty plays all there is.', read_only=True)
     seek_s: float = setting(0.0, 'Set it to go to that time.', lower=0.0, upper=1e6)
+    answers: list[str] = setting(
+        [], 'Lock-step: topics on which a frame must be answered, with its stamp, before the next '
+        'is sent, in the order of the nodes. Empty plays by time alone.', read_only=True)
+    patience_s: float = setting(
+        20.0, 'Lock-step: how long an answer may take before the replay is given up.',
+        lower=0.1, upper=3600.0, read_only=True)
 
 
 class PlayerNode(RigNode):
-    """Publishes the recorded bytes as they are; `~/pause` and `~/step` hold and advance it."""
+    """Publishes the recorded bytes as they are; `~/pause` and `~/step` hold and advance it.
+
+    In lock-step the clock stands while a frame is worked on, and recorded changes of parameters
+    are made again at their place among the frames.
+    """
 
     Parameters: ClassVar[type] = PlayerParameters
 
@@ -50,18 +71,28 @@ class PlayerNode(RigNode):
         self._open = contextlib.ExitStack()
         self._source = self._open.enter_context(open_source(values.session))
         self._outlets = self._make_publishers(set(values.topics))
+        self._answers = [self._hear(topic) for topic in values.answers]
         self._time = self.publisher(Clock, '/clock')
         self._applied = values
         self._sent = 0
+        self._done = False
+        self._callable: dict[str, Client] = {}
+        self._asked_after = ('', 0)
         self.service(SetBool, '~/pause', self._on_pause)
         self.service(Trigger, '~/step', self._on_step)
         self.every(_CLOCK_SECONDS, self._play)
 
     def start(self) -> None:
         values: PlayerParameters = self.settings
+        source, topics, frame = self._source, [*self._outlets], frame_topic(self._outlets)
+        if self._answers:
+            source = InTurn(source, frame, self._answers[-1])
+            topics += {CHANGES} & set(source.topics)
+        self._asked = time.monotonic()
         self._playback = Playback(
-            self._source, time.monotonic(), rate=values.rate or math.inf, start=values.start_s,
-            end=values.end_s or None, loop=values.loop, topics=list(self._outlets))
+            source, self._asked, rate=values.rate or math.inf, start=values.start_s,
+            end=values.end_s or None, loop=values.loop, topics=topics)
+        self._lockstep = LockStep(self._playback, frame, self._answers)
 
     def teardown(self) -> None:
         if hasattr(self, '_open'):
@@ -69,11 +100,11 @@ class PlayerNode(RigNode):
 
     @property
     def finished(self) -> bool:
-        """Whether all has been played."""
-        return self.active and self._playback.finished
+        """Whether all has been played and answered, or given up."""
+        return self._done or bool(self.fault)
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
-        state = ('finished' if self._playback.finished else
+        state = ('finished' if self._lockstep.finished else
                  'paused' if self._playback.paused else 'playing')
         return OK, f'{state} {self.settings.session}', {'messages_sent': self._sent}
 
@@ -85,17 +116,34 @@ class PlayerNode(RigNode):
             raise InputError(self.settings.session, f'no topic {sorted(unknown)[0]}; has {there}')
         return {
             name: self.publisher(_message_class(topic.type), name)
-            for name, topic in self._source.topics.items() if not names or name in names}
+            for name, topic in self._source.topics.items()
+            if name != CHANGES and (not names or name in names)}
 
     def _play(self) -> None:
         now = time.monotonic()
         self._follow_parameters(now)
-        while (message := self._playback.take(now)) is not None:
+        # Told a turn of the executor later, so that who heard the last answer too has taken it.
+        self._done = self._lockstep.finished
+        late = now - self._asked > self.settings.patience_s
+        if unheard := self._unheard():
+            if late:
+                self._give_up(f'nobody takes or gives {unheard[0]}')
+        elif self._lockstep.missing:
+            if late:
+                self._give_up(self._who_is_late())
+            elif now - self._asked > _TURN_SECONDS:
+                self._ask_after()
+        else:
+            self._send_due(now)
+
+    def _send_due(self, now: float) -> None:
+        for message in self._lockstep.take(now):
             self._send(message)
             # A bounded slice, so that services are answered at any rate.
             if time.monotonic() - now > 5 * _CLOCK_SECONDS:
                 break
-        self._tell_time(now)
+        if not self._answers:
+            self._tell_time(self._playback.clock_ns(now))
 
     def _follow_parameters(self, now: float) -> None:
         values, before = self.settings, self._applied
@@ -107,12 +155,18 @@ class PlayerNode(RigNode):
         if values.seek_s != before.seek_s:
             self._playback.seek(values.seek_s, now)
 
-    def _send(self, message: Any) -> None:
-        self._outlets[message.topic].publish(bytes(message.data))
+    def _send(self, message: Message) -> None:
         self._sent += 1
+        if self._answers:
+            self._asked = time.monotonic()
+            self._tell_time(message.t_ns)
+        if message.topic == CHANGES:
+            self._change_again(message.data)
+        else:
+            self._outlets[message.topic].publish(bytes(message.data))
 
-    def _tell_time(self, now: float) -> None:
-        stamp = messages.to_stamp(self._playback.clock_ns(now) * 1e-9)
+    def _tell_time(self, t_ns: int) -> None:
+        stamp = Time(sec=t_ns // 1_000_000_000, nanosec=t_ns % 1_000_000_000)
         self._time.publish(Clock(clock=stamp))
 
     def _on_pause(self, request: Any, response: Any) -> Any:
@@ -124,12 +178,81 @@ class PlayerNode(RigNode):
     def _on_step(self, _: Any, response: Any) -> Any:
         now = time.monotonic()
         count = 0
-        for message in self._playback.step(now):
+        for message in self._lockstep.step(now):
             self._send(message)
             count += 1
-        self._tell_time(now)
+        if not self._answers:
+            self._tell_time(self._playback.clock_ns(now))
         response.success, response.message = count > 0, f'{count} messages'
         return response
+
+    # Lock-step ------------------------------------------------------------------------------
+
+    def _hear(self, name: str) -> str:
+        """Listen to the answers on a topic, and go on when the last to a frame is there."""
+        if name not in TOPICS:
+            raise InputError(self.get_name(), f'answers: expected topics of the graph, got {name}')
+        topic = self.resolve_topic_name(name)
+
+        def take(data: bytes) -> None:
+            self._lockstep.answer(topic, header_stamp_ns(data))
+            if not self._lockstep.missing:
+                self._send_due(time.monotonic())
+        self.subscribe(TOPICS[name][0], topic, take, raw=True)
+        return topic
+
+    def _unheard(self) -> list[str]:
+        """Topics of a lock-step that nobody takes, or on which nobody answers, so far."""
+        if not self._answers or self._sent:
+            return []
+        return [
+            *(topic for topic, outlet in self._outlets.items()
+              if not outlet.get_subscription_count()),
+            *(topic for topic in self._answers if not self.count_publishers(topic))]
+
+    def _ask_after(self) -> None:
+        """A node that has had its turn and said nothing, because poses were too old, has answered.
+
+        It serves one after the other: what it is asked now it replies to after its turn.
+        """
+        topic, stamp_ns = next(iter(self._lockstep.missing.items()))
+        asked = topic, stamp_ns
+        if asked != self._asked_after:
+            self._asked_after = asked
+            for node in self._answering(topic):
+                self._call(GetState, f'{node}/get_state', GetState.Request(), *asked)
+
+    def _change_again(self, data: bytes) -> None:
+        """Give a node the parameters that it was given then, and wait until it has taken them."""
+        event = deserialize_message(data, ParameterEvent)
+        if event.changed_parameters and event.node in self._answering(*self._answers):
+            name = f'{event.node}/set_parameters'
+            self._lockstep.expect(name, 0)
+            request = SetParameters.Request(parameters=event.changed_parameters)
+            self._call(SetParameters, name, request, name, 0)
+
+    def _call(self, kind: type, name: str, request: Any, topic: str, stamp_ns: int) -> None:
+        """Call a service; its reply counts as an answer."""
+        if name not in self._callable:
+            self._callable[name] = self.client(kind, name)
+            self._callable[name].wait_for_service(self.settings.patience_s)
+        self._callable[name].call_async(request).add_done_callback(
+            lambda _: self._lockstep.answer(topic, stamp_ns))
+
+    def _answering(self, *topics: str) -> set[str]:
+        """The nodes that publish on some topics, by their full names."""
+        return {
+            f'{info.node_namespace.rstrip("/")}/{info.node_name}'
+            for topic in topics for info in self.get_publishers_info_by_topic(topic)}
+
+    def _who_is_late(self) -> str:
+        topic, stamp_ns = next(iter(self._lockstep.missing.items()))
+        who = ', '.join(self._answering(topic)) or 'nobody'
+        at = (stamp_ns - self._source.start_ns) / 1e9
+        return f'{who} did not answer the frame at {at:.3f} s on {topic}'
+
+    def _give_up(self, reason: str) -> None:
+        self.fault = f'{reason} within {self.settings.patience_s:g} s'
 
 
 def _message_class(type_name: str) -> type:

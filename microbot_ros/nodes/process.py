@@ -67,7 +67,10 @@ def run(names: list[str], arguments: list[str] | None = None) -> int:
         while not (stopping or any(node.finished for node in nodes)) and (
                 not parent or os.getppid() == parent):
             executor.spin_once(timeout_sec=_SPIN_SECONDS)
-        return 0
+        faults = [node.fault for node in nodes if node.finished and node.fault]
+        for fault in faults:
+            print(f'microbot: {fault}', file=sys.stderr)
+        return 1 if faults else 0
     except InputError as error:
         print(f'microbot: {error}', file=sys.stderr)
         return 2

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import array
+import contextlib
+import platform
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,120 +13,79 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, ClassVar
 
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseArray, PoseStamped, Vector3Stamped
-from nav_msgs.msg import Path as PathMessage
-from rcl_interfaces.srv import GetParameters
+import yaml
+from rcl_interfaces.msg import ParameterEvent
 from rclpy.parameter import parameter_value_to_python
-from rclpy.qos import QoSProfile
-from sensor_msgs.msg import Image, JointState, MagneticField, PointCloud2, TimeReference
-from visualization_msgs.msg import MarkerArray
+from rclpy.serialization import deserialize_message
+from std_srvs.srv import SetBool
 
 from microbot_ros.errors import InputError
-from microbot_ros.nodes.lifecycle import IMAGES_IN, OK, WARN, RigNode
+from microbot_ros.nodes.lifecycle import OK, WARN, RigNode
+from microbot_ros.nodes.snapshot import Snapshot
+from microbot_ros.nodes.topics import CHANGES, TOPICS
 from microbot_ros.session import RecordingWriter
 from microbot_ros.settings import setting
 
-_DEEP = QoSProfile(depth=100)
-
-TOPICS: dict[str, tuple[type, QoSProfile]] = {
-    'camera/image_raw': (Image, IMAGES_IN),
-    'overlay/image_raw': (Image, IMAGES_IN),
-    'particles': (PointCloud2, _DEEP),
-    'particles/poses': (PoseArray, _DEEP),
-    'model/state': (PointCloud2, _DEEP),
-    'goal_pose': (PoseStamped, _DEEP),
-    'goals': (PoseArray, _DEEP),
-    'path': (PathMessage, _DEEP),
-    'field/command': (Vector3Stamped, _DEEP),
-    'field/rotation': (Vector3Stamped, _DEEP),
-    'field/applied': (MagneticField, _DEEP),
-    'coils/command': (JointState, _DEEP),
-    'coils/applied': (JointState, _DEEP),
-    'coils/measured': (JointState, _DEEP),
-    'coil_driver/latency': (TimeReference, _DEEP),
-    'virtual_rig/truth': (PointCloud2, _DEEP),
-    'markers': (MarkerArray, _DEEP),
-    '/diagnostics': (DiagnosticArray, _DEEP),
-}
-"""What is recorded, where it is published at all."""
-
-_FRAMES = 'camera/image_raw'
-_CONDITIONS = ('propulsion', 'radius_um', 'viscosity_mPa_s', 'temperature_K')
+_FRAMES, _OVERLAY = 'camera/image_raw', 'overlay/image_raw'
+_CONDITIONS = (
+    'propulsion', 'radius_um', 'viscosity_mPa_s', 'temperature_K', 'reference_field_mT')
 """Parameters of the node `model` that a session keeps."""
+_LIBRARIES = ('microbot_ros', 'ros-jazzy-rclpy', 'numpy', 'scipy', 'numba',
+              'opencv-python-headless')
 
 
 @dataclass(frozen=True)
 class RecorderParameters:
     """Parameters of the node `recorder`."""
 
+    recording: bool = setting(
+        True, 'Record from the start; without, once `~/record` is called.', read_only=True)
     folder: str = setting(
-        '', 'Folder of the recording; empty makes one in ./recordings named after the time.',
-        read_only=True)
+        '', 'Folder of the next recording; empty makes one in ./recordings named after the time.')
     frame_every: int = setting(
         1, 'Record every n-th camera frame; 0 records none.', lower=0, upper=1000)
     record_overlay: bool = setting(False, 'Record `overlay/image_raw` too.', read_only=True)
-    title: str = setting('', 'One line on what the recording is of.', read_only=True)
+    title: str = setting('', 'One line on what the next recording is of.')
+    notes: str = setting('', 'Whatever else is worth knowing of it.')
     attachments: list[str] = setting(
-        [], 'Files kept inside the recording: rig, model, protocol.', read_only=True)
+        [], 'Files kept inside the recording: protocol, photographs, calibrations.',
+        read_only=True)
 
 
 class RecorderNode(RigNode):
-    """Hands serialised messages to the writer, whose own thread compresses and writes."""
+    """Hands serialised messages to the writer, whose own thread compresses and writes.
+
+    `~/record` (std_srvs/SetBool) begins and ends a recording of the title and notes that the
+    parameters hold then. Kept inside are the parameters of every node, the files that they
+    name, versions, and how the clocks lie to each other.
+    """
 
     Parameters: ClassVar[type] = RecorderParameters
 
     def setup(self) -> None:
         self._writer: RecordingWriter | None = None
-        self._attachments = {}
-        for name in self.settings.attachments:
-            try:
-                self._attachments[Path(name).name] = Path(name).read_bytes()
-            except OSError as error:
-                raise InputError(name, f'expected a file to attach ({error.strerror})') from None
-        for topic, (kind, qos) in TOPICS.items():
-            if topic != 'overlay/image_raw' or self.settings.record_overlay:
-                self.subscribe(kind, topic, self._taker(topic, kind), qos, raw=True)
+        self._attachments = {
+            Path(name).name: _content(name) for name in self.settings.attachments}
+        for topic in TOPICS:
+            if topic != _OVERLAY or self.settings.record_overlay:
+                self.subscribe(TOPICS[topic][0], topic, self._taker(topic), TOPICS[topic][1],
+                               raw=True)
+        self.service(SetBool, '~/record', self._on_record)
+        self.every(0.5, self._look_around)
 
     def start(self) -> None:
-        folder = self.settings.folder or f'recordings/{datetime.now():%Y-%m-%d_%H-%M-%S}'
-        Path(folder).parent.mkdir(parents=True, exist_ok=True)
-        self._folder = folder
-        self._seen_frames = 0
-        self._writer = RecordingWriter(folder)
-        offset = self.get_clock().now().nanoseconds - time.monotonic_ns()
-        self._writer.describe('recording', {
-            'title': self.settings.title, 'ros_minus_monotonic_ns': str(offset)})
-        self._writer.describe('versions', {
-            name: metadata.version(name) for name in ('microbot_ros', 'numpy')})
-        for name, content in self._attachments.items():
-            self._writer.attach(name, content)
-        self._described = False
-        self._model = self.client(GetParameters, 'model/get_parameters')
-        self.every(0.5, self._ask_for_conditions)
-
-    def _ask_for_conditions(self) -> None:
-        """Once the model node is there: what it was told of particles and fluid."""
-        if self._described or not self._model.service_is_ready():
-            return
-        self._described = True
-        asked = self._model.call_async(GetParameters.Request(names=list(_CONDITIONS)))
-        asked.add_done_callback(self._describe)
-
-    def _describe(self, answered: Any) -> None:
-        values = [parameter_value_to_python(value) for value in answered.result().values]
-        if self._writer is not None:
-            self._writer.describe('session', {
-                name: str(value) for name, value in zip(_CONDITIONS, values, strict=True)})
+        if self.settings.recording:
+            self._begin()
 
     def stop(self) -> None:
-        if getattr(self, '_writer', None):
-            writer, self._writer = self._writer, None
-            assert writer is not None
+        writer, self._writer = getattr(self, '_writer', None), None
+        if writer is not None:
+            writer.describe('clocks at the end', self._clocks())
             writer.close()
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
-        assert self._writer is not None
+        if self._writer is None:
+            return OK, 'not recording', {}
         status = self._writer.status()
         values: dict[str, object] = {
             'messages': sum(status.counts.values()), 'dropped': sum(status.dropped.values()),
@@ -133,19 +95,101 @@ class RecorderNode(RigNode):
             return WARN, status.problem, values
         return OK, f'recording to {self._folder}', values
 
-    def _taker(self, topic: str, kind: type) -> Callable[[bytes], None]:
+    def _on_record(self, request: Any, response: Any) -> Any:
+        response.success = self.active and request.data != (self._writer is not None)
+        if not response.success:
+            response.message = ('already recording' if self._writer else 'not recording')
+        elif request.data:
+            try:
+                self._begin()
+                response.message = f'recording to {self._folder}'
+            except InputError as error:
+                response.success, response.message = False, str(error)
+        else:
+            self.stop()
+            response.message = f'recorded {self._folder}'
+        return response
+
+    def _begin(self) -> None:
+        values: RecorderParameters = self.settings
+        folder = values.folder or f'recordings/{datetime.now():%Y-%m-%d_%H-%M-%S}'
+        writer = RecordingWriter(folder)
+        writer.describe('recording', {'title': values.title, 'notes': values.notes})
+        writer.describe('clocks', self._clocks())
+        writer.describe('versions', _versions())
+        for name, content in self._attachments.items():
+            writer.attach(name, content)
+        self._folder, self._writer = folder, writer
+        self._seen_frames = 0
+        self._kept: set[str] = set()
+        self._snapshot = Snapshot(self, self._keep_parameters)
+
+    def _clocks(self) -> dict[str, str]:
+        """What to add to the machine's monotonic clock to have the time of ROS and of day."""
+        monotonic = time.monotonic_ns()
+        return {'ros_minus_monotonic_ns': str(self.get_clock().now().nanoseconds - monotonic),
+                'utc_minus_monotonic_ns': str(time.time_ns() - monotonic)}
+
+    def _look_around(self) -> None:
+        if self._writer is not None:
+            self._snapshot.look()
+
+    def _keep_parameters(self, node: str, values: dict[str, Any]) -> None:
+        """A ROS parameter file of each node, and the files that it names."""
+        if self._writer is None:
+            return
+        plain = {name: value.tolist() if isinstance(value, array.array) else value
+                 for name, value in values.items()}
+        text = yaml.safe_dump({node: {'ros__parameters': plain}}, allow_unicode=True)
+        self._writer.attach(f'parameters/{node}.yaml', text)
+        self._keep_files(plain)
+        if node == 'model':
+            self._writer.describe('session', {name: str(plain[name]) for name in _CONDITIONS})
+
+    def _keep_files(self, values: dict[str, Any]) -> None:
+        """Attach, under the name that the parameter holds, every file that a parameter names."""
+        for name, value in values.items():
+            if name.endswith('_file') and value and value not in self._kept:
+                self._kept.add(value)
+                with contextlib.suppress(InputError):  # the node itself has said what is wrong
+                    assert self._writer is not None
+                    self._writer.attach(value, _content(value))
+
+    def _taker(self, topic: str) -> Callable[[bytes], None]:
+        kind = TOPICS[topic][0]
         name = self.resolve_topic_name(topic)
-        package = kind.__module__.partition('.')[0]
-        type_name = f'{package}/msg/{kind.__name__}'
+        type_name = f'{kind.__module__.partition(".")[0]}/msg/{kind.__name__}'
 
         def take(data: bytes) -> None:
-            assert self._writer is not None
+            now = self.get_clock().now().nanoseconds
+            # Simulated time is 0 until its clock is there.
+            if self._writer is None or not now:
+                return
             if topic == _FRAMES and not self._wants_frame():
                 return
-            self._writer.write(name, type_name, self.get_clock().now().nanoseconds, data)
+            self._writer.write(name, type_name, now, data)
+            if topic == CHANGES:
+                event = deserialize_message(data, ParameterEvent)
+                self._keep_files({one.name: parameter_value_to_python(one.value)
+                                  for one in event.changed_parameters})
         return take
 
     def _wants_frame(self) -> bool:
         self._seen_frames += 1
         every = self.settings.frame_every
         return every > 0 and self._seen_frames % every == 0
+
+
+def _content(name: str) -> bytes:
+    try:
+        return Path(name).read_bytes()
+    except OSError as error:
+        raise InputError(name, f'expected a file to attach ({error.strerror})') from None
+
+
+def _versions() -> dict[str, str]:
+    found = {'python': platform.python_version()}
+    for name in _LIBRARIES:
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            found[name] = metadata.version(name)
+    return found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Collection, Hashable, Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +13,9 @@ import numpy as np
 from microbot_ros.session.cloud import cloud_table, is_cloud
 from microbot_ros.session.from_recording import stamp_ns
 from microbot_ros.session.recording import Recording
+
+_Key = tuple[int, int]
+"""What pairs two messages: their stamp [ns], and which of those with that stamp."""
 
 
 @dataclass(frozen=True)
@@ -49,23 +52,30 @@ class TopicDifference:
 
 def compare(
     a: Recording, b: Recording, topics: Collection[str] | None = None,
+    stamps: Collection[int] | None = None,
 ) -> list[TopicDifference]:
     """Every topic of either recording (or those chosen), compared field by field.
+
+    With `stamps` [ns] only messages whose header bears one of them count.
 
     Messages with a header are paired by its stamp, others by their order; times of receipt do
     not count, and serialised bytes are never compared, since their padding is arbitrary. NaN
     equals NaN.
     """
     names = sorted({*a.topics, *b.topics} if topics is None else topics)
-    return [_compare_topic(a, b, name) for name in names]
+    return [_compare_topic(a, b, name, stamps) for name in names]
 
 
-def _compare_topic(a: Recording, b: Recording, topic: str) -> TopicDifference:
+def _compare_topic(
+    a: Recording, b: Recording, topic: str, stamps: Collection[int] | None,
+) -> TopicDifference:
     pairs = unequal = 0
     first: Parting | None = None
     largest: dict[str, float] = {}
-    unpaired: list[dict[Hashable, tuple[int, dict[str, Any]]]] = [{}, {}]
+    unpaired: list[dict[_Key, tuple[int, dict[str, Any]]]] = [{}, {}]
     for side, key, item in _keyed(a, b, topic):
+        if stamps is not None and key[0] not in stamps:
+            continue
         unpaired[side][key] = item
         if key not in unpaired[1 - side]:
             continue
@@ -84,7 +94,7 @@ def _compare_topic(a: Recording, b: Recording, topic: str) -> TopicDifference:
 
 def _keyed(
     a: Recording, b: Recording, topic: str,
-) -> Iterator[tuple[int, Hashable, tuple[int, dict[str, Any]]]]:
+) -> Iterator[tuple[int, _Key, tuple[int, dict[str, Any]]]]:
     """The messages of a topic of both in turn: (0 or 1, key to pair them, (time, fields))."""
     streams = {0: _entries(a, topic), 1: _entries(b, topic)}
     while streams:
@@ -98,7 +108,7 @@ def _keyed(
 
 def _entries(
     recording: Recording, topic: str,
-) -> Iterator[tuple[Hashable, tuple[int, dict[str, Any]]]]:
+) -> Iterator[tuple[_Key, tuple[int, dict[str, Any]]]]:
     seen: Counter[int] = Counter()
     if topic not in recording.topics:
         return

@@ -62,7 +62,7 @@ def test_the_conditions_that_the_model_knows_are_in_the_recording(
     assert graph.add('model').active
     recorder = graph.add('recorder')
     particles = graph.probe.create_publisher(PointCloud2, 'particles', 10)
-    graph.until(lambda: recorder._described)
+    graph.until(lambda: 'model' in recorder._snapshot.answered)
     graph.until(lambda: particles.get_subscription_count() == 2)
     particles.publish(messages.cloud(
         np.zeros(1, messages.PARTICLE), messages.to_stamp(recorder.seconds())))

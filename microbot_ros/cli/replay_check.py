@@ -1,0 +1,95 @@
+"""`microbot replay --check`: do today's nodes answer as they did when it was recorded?"""
+
+from __future__ import annotations
+
+import json
+import math
+import tempfile
+from collections.abc import Collection
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+
+from microbot_ros.errors import InputError
+from microbot_ros.files import write_text
+from microbot_ros.session import is_recording, open_recording
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from microbot_ros.session.compare import TopicDifference
+
+
+def run_check(session: Path, nodes: Collection[str], config: Path | None, out: Path | None,
+              json_path: Path | None) -> int:
+    """Replay, compare, tell: 0 where every answer is the same, 1 where some differ."""
+    console = Console(highlight=False, width=None if Console().is_terminal else 150)
+    if session.exists() and not is_recording(session):
+        raise InputError(session, 'expected a recording to check, found a folder of CSV files')
+    with tempfile.TemporaryDirectory() as name:
+        found, failure = _replay(session, nodes, config, out or Path(name) / 'replayed',
+                                 Path(name))
+    if failure:
+        Console(stderr=True, highlight=False).print(f'{session}: {failure}')
+        return 1
+    console.print(_table(found))
+    same = all(topic.same for topic in found)
+    console.print(f'{session}: ' + ('every answer is the same' if same else 'answers differ'))
+    if json_path:
+        entries = {'same': same, 'topics': [_entry(topic) for topic in found]}
+        write_text(json_path, json.dumps(entries, indent=1, allow_nan=False) + '\n')
+    return 0 if same else 1
+
+
+def _replay(session: Path, nodes: Collection[str], config: Path | None, out: Path,
+            scratch: Path) -> tuple[list[TopicDifference], str]:
+    """The differences, and why the replay was given up, or ''."""
+    from microbot_ros.nodes.configuration import read_rig
+    from microbot_ros.nodes.rerun import cast, recorded_parameters, rerun
+    from microbot_ros.session.compare import compare
+    from microbot_ros.session.lockstep import header_stamp_ns
+
+    progress = Console(stderr=True, highlight=False)
+    with open_recording(session) as recorded:
+        players = cast(recorded, session, nodes)
+        parameters = read_rig(config) if config else recorded_parameters(
+            recorded, players.nodes, scratch)
+        length = (recorded.end_ns - recorded.start_ns) / 1e9
+        with progress.status(f'{length:.0f} s through {", ".join(players.nodes)}'):
+            if failure := rerun(session, out, players, parameters):
+                return [], failure
+        stamps = {header_stamp_ns(message.data) for message in recorded.messages([players.frame])}
+        with open_recording(out) as replayed:
+            there = {*recorded.topics, *replayed.topics}
+            topics = [topic for topic in players.outputs if topic in there]
+            return compare(recorded, replayed, topics, stamps), ''
+
+
+def _table(found: list[TopicDifference]) -> Table:
+    from rich.table import Table
+
+    table = Table('topic', 'compared', 'differ', 'only recorded', 'only replayed',
+                  'first difference', 'largest', box=None)
+    for topic in found:
+        first = topic.first
+        where = '' if first is None else (
+            f'{first.t_s:.3f} s, {first.field}: {first.a} → {first.b}')
+        field, size = max(topic.largest.items(), key=lambda entry: entry[1], default=('', 0.0))
+        largest = '' if not size else f'{field} by {size:.3g}'
+        table.add_row(topic.topic, str(topic.pairs), str(topic.unequal), str(topic.only_a),
+                      str(topic.only_b), where, largest)
+    return table
+
+
+def _entry(topic: TopicDifference) -> dict[str, Any]:
+    """A topic for JSON; what is no matter of numbers has no size."""
+    first = topic.first
+    return {
+        'topic': topic.topic, 'compared': topic.pairs, 'differ': topic.unequal,
+        'only_recorded': topic.only_a, 'only_replayed': topic.only_b,
+        'first': None if first is None else {
+            't_s': first.t_s, 'field': first.field, 'recorded': first.a, 'replayed': first.b},
+        'largest': {field: size if math.isfinite(size) else None
+                    for field, size in topic.largest.items()},
+    }

@@ -1,0 +1,69 @@
+"""What a running graph was told: the parameters of its nodes, asked for once each."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rcl_interfaces.msg import ParameterValue
+from rcl_interfaces.srv import GetParameters, ListParameters
+from rclpy.client import Client
+from rclpy.parameter import parameter_value_to_python
+from rclpy.task import Future
+
+from microbot_ros.nodes.lifecycle import RigNode
+from microbot_ros.nodes.process import NODES
+
+_PATIENCE = 5.0
+"""After this [s] without an answer it is asked again: a node that is just starting may have heard
+the question before its answer could reach anybody."""
+
+
+class Snapshot:
+    """Asks the nodes of a rig for their parameters as they come; `told(node, values)` each time.
+
+    Without waiting: answers arrive by the executor of the node that asks.
+    """
+
+    def __init__(self, node: RigNode, told: Callable[[str, dict[str, Any]], None]) -> None:
+        self._node = node
+        self._told = told
+        self._again: dict[str, float] = {}
+        self._clients: dict[str, tuple[Client, Client]] = {}
+
+    @property
+    def answered(self) -> set[str]:
+        """The nodes that have told theirs."""
+        return {name for name, again in self._again.items() if again == math.inf}
+
+    def look(self) -> None:
+        """Ask those that are there and have not answered yet."""
+        here = self._node.get_namespace()
+        for name, namespace in self._node.get_node_names_and_namespaces():
+            if name not in NODES or namespace != here or (
+                    time.monotonic() < self._again.get(name, 0.0)):
+                continue
+            if name not in self._clients:
+                self._clients[name] = (
+                    self._node.client(ListParameters, f'{name}/list_parameters'),
+                    self._node.client(GetParameters, f'{name}/get_parameters'))
+            if all(client.service_is_ready() for client in self._clients[name]):
+                self._again[name] = time.monotonic() + _PATIENCE
+                self._ask(name)
+
+    def _ask(self, node: str) -> None:
+        lister, getter = self._clients[node]
+
+        def listed(answer: Future) -> None:
+            names = list(answer.result().result.names)
+            getter.call_async(GetParameters.Request(names=names)).add_done_callback(
+                lambda got: self._answered(node, names, got.result().values))
+        lister.call_async(ListParameters.Request()).add_done_callback(listed)
+
+    def _answered(self, node: str, names: list[str], values: list[ParameterValue]) -> None:
+        if self._again.get(node) != math.inf:
+            self._again[node] = math.inf
+            self._told(node, {name: parameter_value_to_python(value)
+                              for name, value in zip(names, values, strict=True)})
