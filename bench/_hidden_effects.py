@@ -47,12 +47,14 @@ class Hideout:
 @dataclass(frozen=True)
 class Kind:
     """An effect: `shaped(hideout)` fixes its shape and returns parameters as a function of
-    strength; `guess` is a strength from which to search. `pairs`: needs neighbours close by;
-    `levels`: shows only under several field strengths.
+    strength; `guess` is a strength from which to search, `most` the largest that a rig may have:
+    what would take more to show is not hidden there. `pairs`: needs neighbours close by; `levels`:
+    shows only under several field strengths.
     """
 
     shaped: Callable[[Hideout], Callable[[float], Parameters]]
     guess: float
+    most: float
     pairs: bool = False
     levels: bool = False
 
@@ -124,42 +126,42 @@ def _stage_jump(at: Hideout) -> Callable[[float], Parameters]:
 
 
 LISTED: dict[str, Kind] = {
-    'uniform_drift': Kind(_vector('wx_um_s', 'wy_um_s'), 0.2),
-    'linear_flow': Kind(_linear_flow, 0.005),
-    'alignment_lag': Kind(_plain('tau_s'), 0.1),
-    'background_field': Kind(_vector('bx_mT', 'by_mT'), 0.3),
-    'coil_gain_mismatch': Kind(_signed('gain_ratio', 1.0), 0.1),
-    'coil_misalignment': Kind(_signed('skew_rad'), 0.1),
-    'speed_decay': Kind(lambda at: lambda s: {'tau_s': at.duration / s}, 0.3),
-    'command_delay': Kind(_plain('delay_s'), 0.1),
-    'heading_slip': Kind(_signed('rate_rad_s'), 0.005),
-    'dipole_interaction': Kind(_plain('strength_um5_s'), 3e4, pairs=True),
-    'hydrodynamic_slowdown': Kind(_plain('length_um'), 1.0, pairs=True),
-    'hot_spot': Kind(_hot_spot, 1.0),
-    'periodic_drift': Kind(_periodic_drift, 0.3),
-    'amplifier_deadband': Kind(_plain('deadband_mT'), 0.3),
-    'pixel_anisotropy': Kind(_signed('aspect', 1.0), 0.05),
-    'gradient_force': Kind(_signed('rate_per_s_mT'), 0.001, levels=True),
-    'incomplete_alignment': Kind(_plain('field_scale_mT'), 0.2, levels=True),
-    'drive_response': Kind(_drive_response, 0.3),
+    'uniform_drift': Kind(_vector('wx_um_s', 'wy_um_s'), 0.2, 5.0),
+    'linear_flow': Kind(_linear_flow, 0.005, 0.1),
+    'alignment_lag': Kind(_plain('tau_s'), 0.1, 2.0),
+    'background_field': Kind(_vector('bx_mT', 'by_mT'), 0.3, 2.0),
+    'coil_gain_mismatch': Kind(_signed('gain_ratio', 1.0), 0.1, 0.5),
+    'coil_misalignment': Kind(_signed('skew_rad'), 0.1, 0.5),
+    'speed_decay': Kind(lambda at: lambda s: {'tau_s': at.duration / s}, 0.3, 10.0),
+    'command_delay': Kind(_plain('delay_s'), 0.1, 1.0),
+    'heading_slip': Kind(_signed('rate_rad_s'), 0.005, 0.2),
+    'dipole_interaction': Kind(_plain('strength_um5_s'), 3e4, 1e6, pairs=True),
+    'hydrodynamic_slowdown': Kind(_plain('length_um'), 1.0, 10.0, pairs=True),
+    'hot_spot': Kind(_hot_spot, 1.0, 10.0),
+    'periodic_drift': Kind(_periodic_drift, 0.3, 10.0),
+    'amplifier_deadband': Kind(_plain('deadband_mT'), 0.3, 0.8),
+    'pixel_anisotropy': Kind(_signed('aspect', 1.0), 0.05, 0.25),
+    'gradient_force': Kind(_signed('rate_per_s_mT'), 0.001, 0.1, levels=True),
+    'incomplete_alignment': Kind(_plain('field_scale_mT'), 0.2, 5.0, levels=True),
+    'drive_response': Kind(_drive_response, 0.3, 5.0),
 }
 """Effects of the library under their ids."""
 
 UNLISTED: dict[str, Kind] = {
     'poiseuille_flow': Kind(
-        lambda at: lambda s: {'speed_um_s': s, 'half_width_um': 1.5 * at.extent}, 1.0),
-    'speed_by_place': Kind(lambda at: lambda s: {'length_um': at.extent / s}, 0.2),
-    'pulsing_speed': Kind(_oscillating('depth'), 0.2),
-    'speed_by_heading': Kind(_plain('depth'), 0.2),
-    'lamp_change': Kind(_lamp_change, 0.2),
-    'stage_jump': Kind(_stage_jump, 1.0),
-    'heading_wobble': Kind(_oscillating('angle_rad'), 0.2),
+        lambda at: lambda s: {'speed_um_s': s, 'half_width_um': 1.5 * at.extent}, 1.0, 20.0),
+    'speed_by_place': Kind(lambda at: lambda s: {'length_um': at.extent / s}, 0.2, 1.5),
+    'pulsing_speed': Kind(_oscillating('depth'), 0.2, 0.9),
+    'speed_by_heading': Kind(_plain('depth'), 0.2, 0.9),
+    'lamp_change': Kind(_lamp_change, 0.2, 0.9),
+    'stage_jump': Kind(_stage_jump, 1.0, 30.0),
+    'heading_wobble': Kind(_oscillating('angle_rad'), 0.2, 1.0),
     'settling_flow': Kind(
-        lambda at: _vector('wx_um_s', 'wy_um_s', tau_s=at.duration / 4)(at), 1.0),
-    'trap': Kind(lambda at: lambda s: {'speed_um_s': s, 'length_um': 0.7 * at.extent}, 1.0),
+        lambda at: _vector('wx_um_s', 'wy_um_s', tau_s=at.duration / 4)(at), 1.0, 20.0),
+    'trap': Kind(lambda at: lambda s: {'speed_um_s': s, 'length_um': 0.7 * at.extent}, 1.0, 20.0),
     'repulsion': Kind(
-        lambda _: lambda s: {'speed_um_s': s, 'range_um': 8.0}, 5.0, pairs=True),
-    'swimmer_flow': Kind(_plain('strength_um3_s'), 100.0, pairs=True),
+        lambda _: lambda s: {'speed_um_s': s, 'range_um': 8.0}, 5.0, 20.0, pairs=True),
+    'swimmer_flow': Kind(_plain('strength_um3_s'), 100.0, 2000.0, pairs=True),
 }
 """Effects in no library. (Chirality is not among them: a field that aligns absorbs it in φ.)"""
 

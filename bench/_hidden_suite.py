@@ -33,6 +33,9 @@ from microbot_ros.virtual_rig.world import World
 
 FIELD = 5e-3
 FLUID = Fluid(1.245e-3)
+CLOSE = 0.15
+"""How near to the wanted evidence a filmed session must come."""
+
 _ROLLS_ALWAYS = {'cut_in_hz': 0.0, 'step_out_hz': math.inf}
 COMMANDS = ('paper', 'fast', 'closed_loop', 'narrow')
 """Legs of 2 to 6 s; of 0.3 to 1 s; feedback from every frame; legs within ±20°."""
@@ -104,7 +107,7 @@ def blind(
     Drawn are the particles (1 to 20, unless `count` says), their size and thereby diffusion in
     place and angle, frame rate, shutter, localisation error, gaps, and whether the rig knows its
     fluid. An experiment in which spheres touch is drawn again, since contact is an effect of its
-    own; so is one in which the evidence can't be reached.
+    own; so is one in which the evidence can't be reached with an effect that a rig may have.
     """
     for attempt in range(200):
         rng = np.random.default_rng([seed, attempt])
@@ -112,21 +115,37 @@ def blind(
         session, path = experiment.film({})
         if not experiment.apart(path):
             continue
-        hidden: dict[str, Parameters] = {}
-        for effect in effects:
-            shaped = KINDS[effect].shaped(Hideout(rng, extent * 1e6, duration))
-            yardstick = Yardstick(experiment, session.commands, path)
-            strength = yardstick.strength(effect, shaped, evidence)
-            if strength is not None:
-                hidden[effect] = shaped(strength)
-        if len(hidden) < len(effects):
-            continue
-        if effects:
-            session, path = experiment.film(hidden)
-        if experiment.apart(path):
+        place = Hideout(rng, extent * 1e6, duration)
+        shaped = {effect: KINDS[effect].shaped(place) for effect in effects}
+        filmed = _film(experiment, shaped, evidence, session.commands, path)
+        if filmed is not None and experiment.apart(filmed[1]):
+            session, path, hidden = filmed
             named = replace(session, name=f'blind-{seed}')
             return Blind(named, path, seed, commands, hidden, evidence)
     raise RuntimeError(f'seed {seed}: {effects} under {commands} commands always ends in contact')
+
+
+def _film(
+    experiment: Experiment, shaped: dict[str, Callable[[float], Parameters]], evidence: float,
+    commands: Commands, path: Path,
+) -> tuple[Session, Path, dict[str, Parameters]] | None:
+    """Session, path and what was hidden, at evidence as wanted; None where there is no strength.
+
+    An effect changes where particles go, and with feedback what is commanded: strengths are set
+    on the path without it first, and then on the paths with it.
+    """
+    for _ in range(5):
+        yardstick = Yardstick(experiment, commands, path)
+        strengths = {e: yardstick.strength(e, shape, evidence) for e, shape in shaped.items()}
+        hidden = {e: shaped[e](s) for e, s in strengths.items() if s is not None}
+        if len(hidden) < len(shaped):
+            return None
+        session, path = experiment.film(hidden)
+        commands = session.commands
+        there = Yardstick(experiment, commands, path)
+        if all(abs(there.evidence(e, hidden[e]) / evidence - 1) < CLOSE for e in hidden):
+            return session, path, hidden
+    return None
 
 
 def _draw(
@@ -190,9 +209,11 @@ class Yardstick:
     def strength(
         self, effect: str, shaped: Callable[[float], Parameters], wanted: float,
     ) -> float | None:
-        """The strength at which the evidence is as wanted within 3 %, None where none is."""
+        """The strength at which the evidence is as wanted within 3 %, None where no rig has it."""
         strength = KINDS[effect].guess
         for _ in range(20):
+            if strength > KINDS[effect].most:
+                return None
             reached = self.evidence(effect, shaped(strength))
             if not reached > 1e-4 * wanted:
                 return None
