@@ -100,7 +100,7 @@ class ControllerNode(RigNode):
     def setup(self) -> None:
         self._goals, self._path, self._joystick = Goals(), np.empty((0, 2)), np.zeros(2)
         self._seen: dict[int, np.void] = {}
-        self._last_t, self._last_tick = -math.inf, math.nan
+        self._last_t = -math.inf
         self._driving = self._rolling = False
         self._outcome = Outcome(None, Result.STALE, 'no poses yet')
         self._model: tuple[str, Model | None] = ('', None)
@@ -181,14 +181,19 @@ class ControllerNode(RigNode):
             self._outcome = Outcome(None, Result.STALE, f'poses are {age:.2f} s old')
 
     def _situation(self, points: np.ndarray, stamp: float) -> Situation:
+        """All at the moment of exposure: the same poses give the same command, live or replayed.
+
+        When they arrive decides only whether they are too old for any.
+        """
         values: ControllerParameters = self.settings
-        now = self.seconds()
-        dt = now - self._last_tick if math.isfinite(self._last_tick) else 0.0
-        self._last_t, self._last_tick = stamp, now
+        dt = stamp - self._last_t if math.isfinite(self._last_t) else 0.0
+        age = self.seconds() - stamp
+        fresh = abs(age) <= values.stale_ms * 1e-3
+        self._last_t = stamp
         seen = [self._seen.get(int(i)) for i in points['id']]
         known = np.isfinite(points['speed_std'])
         return Situation(
-            t=now, dt=dt, age=now - stamp, ids=points['id'].astype(int),
+            t=stamp, dt=dt, age=0.0 if fresh else age, ids=points['id'].astype(int),
             position=np.stack([points['x'], points['y']], axis=1).astype(float),
             sigma=points['x_std'].astype(float),
             theta=np.array([math.nan if p is None else p['theta'] for p in seen], float),
