@@ -30,7 +30,7 @@ LEARN_SECONDS = float(len(LEARN_DIRECTIONS_DEG))
 PIXEL_SIZE_UM = 0.45
 """Of the virtual microscope."""
 
-NODES = ('tracker', 'model', 'controller', 'coil_driver', 'recorder', 'virtual_rig')
+NODES = ('recorder', 'tracker', 'model', 'controller', 'coil_driver', 'virtual_rig')
 _FEWEST_SECONDS = 15.0
 
 

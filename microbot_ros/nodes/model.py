@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -59,6 +60,7 @@ class ModelNode(RigNode):
         self._first_order = self._estimator.model
         self._model_file = ''
         self._origin: float | None = None
+        self._early: deque[tuple[float, np.ndarray, float | None]] = deque(maxlen=256)
         self._estimates: Estimates | None = None
         self._state = self.publisher(PointCloud2, 'model/state')
         self.subscribe(PointCloud2, 'particles', self._on_particles)
@@ -104,37 +106,47 @@ class ModelNode(RigNode):
 
     def _on_applied(self, message: MagneticField) -> None:
         field = message.magnetic_field
-        self._estimator.command(
-            self._time(message.header.stamp), np.array([field.x, field.y]))
+        self._command(message.header.stamp, np.array([field.x, field.y]))
 
     def _on_command(self, message: Vector3Stamped) -> None:
         # Its stamp is the exposure it answers; what passes until the field turns is a delay, and
         # that is estimated.
         field = np.array([message.vector.x, message.vector.y])
-        self._estimator.command(self._time(message.header.stamp), field)
+        self._command(message.header.stamp, field)
 
     def _on_rotation(self, message: Vector3Stamped) -> None:
         """A field that turns with ω rolls particles along ω̂ × ẑ."""
         x, y = message.vector.x, message.vector.y
         rate = math.hypot(x, y)
         direction = np.array([y, -x]) / (rate or 1.0)
-        self._estimator.command(self._time(message.header.stamp), direction, rate / math.tau)
+        self._command(message.header.stamp, direction, rate / math.tau)
 
     def _on_particles(self, message: PointCloud2) -> None:
         self._follow_model_file()
         found = messages.points(message, messages.PARTICLE)
         position = np.stack([found['x'], found['y']], axis=1).astype(float)
         self._estimates = estimates = self._estimator.update(
-            self._time(message.header.stamp), found['id'].astype(int), position,
+            self._exposed(message.header.stamp), found['id'].astype(int), position,
             found['sigma'].astype(float))
         self._state.publish(messages.cloud(_points(estimates), message.header.stamp))
 
-    def _time(self, stamp: Time) -> float:
-        """Seconds since the first message: effects such as fuel decay count from the start."""
+    def _command(self, stamp: Time, field: np.ndarray, frequency: float | None = None) -> None:
+        self._early.append((messages.to_seconds(stamp), field, frequency))
+        if self._origin is not None:
+            self._take_commands(self._origin)
+
+    def _exposed(self, stamp: Time) -> float:
+        """Seconds since the first frame: effects such as fuel decay count from the start."""
         t = messages.to_seconds(stamp)
         if self._origin is None:
             self._origin = t
+            self._take_commands(t)
         return t - self._origin
+
+    def _take_commands(self, origin: float) -> None:
+        while self._early:
+            t, field, frequency = self._early.popleft()
+            self._estimator.command(t - origin, field, frequency)
 
     def _follow_model_file(self) -> None:
         file = self.settings.model_file
