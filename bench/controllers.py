@@ -3,27 +3,20 @@
 from __future__ import annotations
 
 import cmath
-import logging
 import math
-import os
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
 
 import numpy as np
 
-from bench._closed_loop import FIELD, VIEW, Loop
+from bench._closed_loop import FIELD, Loop
+from bench._swaps import swapped
 from bench.figure import Figure
-from microbot_ros.control.contract import Controller, FieldCommand, Goals, Limits, Situation
+from microbot_ros.control.contract import Controller, Goals, Situation
 from microbot_ros.control.drift_observer import DriftObserver
 from microbot_ros.control.ensemble import Ensemble
 from microbot_ros.control.path_following import PathFollowing
 from microbot_ros.control.predictive import Predictive, PredictiveParameters
-from microbot_ros.control.registry import controller_classes
 from microbot_ros.control.route import Route
 from microbot_ros.control.shared import as_complex, best_displacement, floor
-from microbot_ros.control.switchboard import Switchboard
-from microbot_ros.control.testkit import situation
 from microbot_ros.control.waypoint import Waypoint
 from microbot_ros.model.model import Model
 
@@ -186,90 +179,16 @@ def _predictive() -> list[Figure]:
 
 # Swaps ---------------------------------------------------------------------------------------
 
-class _Faulty(Controller):
-    interface_version = 1
-    summary = 'Faulty on purpose.'
-
-    def __init__(self, act: Callable[[], FieldCommand]) -> None:
-        super().__init__()
-        self._act = act
-
-    def compute(self, situation: Situation) -> FieldCommand:
-        return self._act()
-
-
-def _raise() -> FieldCommand:
-    raise RuntimeError('on purpose')
-
-
-def _faults() -> dict[str, Callable[[], Controller]]:
-    acts: dict[str, Callable[[], FieldCommand]] = {
-        'raises': _raise,
-        'nan': lambda: FieldCommand(np.full(2, np.nan)),
-        'too_strong': lambda: FieldCommand(np.array([1.0, 0.0])),
-        'sleeps': lambda: time.sleep(0.05) or FieldCommand(np.zeros(2)),
-    }
-
-    def make(name: str, act: Callable[[], FieldCommand]) -> Callable[[], Controller]:
-        return type(name, (_Faulty,), {'__init__': lambda self: _Faulty.__init__(self, act)})
-
-    return {name: make(name, act) for name, act in acts.items()}
-
-
-@contextmanager
-def _undisturbed() -> Iterator[None]:
-    """Real-time priority, where that is allowed: other programs' load is not what is measured."""
-    policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
-    with suppress(PermissionError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
-    try:
-        yield
-    finally:
-        with suppress(PermissionError):
-            os.sched_setscheduler(0, policy, parameters)
-
-
 def _swaps() -> list[Figure]:
     """1,000 swaps in a loop at 100 Hz, two ticks each, among all controllers and faulty ones."""
-    with _undisturbed():
-        missed, steepest, strongest = _swapping()
+    found = swapped()
     tolerance = 1 + 1e-9
+    stood = f'besides {found.stalled} while the machine stood still' if found.stalled else ''
     return [
-        Figure(ISSUE, '1,000 swaps at 100 Hz: ticks missed', missed, '', '0',
-               'at real-time priority, where allowed', missed == 0),
-        Figure(ISSUE, '1,000 swaps: steepest step', steepest, '×', '≤ 1', 'the declared slew',
-               steepest <= tolerance),
-        Figure(ISSUE, '1,000 swaps: strongest command', strongest, '×', '≤ 1', 'the limit',
-               strongest <= tolerance),
+        Figure(ISSUE, '1,000 swaps at 100 Hz: ticks missed', found.missed, '', '0', stood,
+               found.missed == 0),
+        Figure(ISSUE, '1,000 swaps: steepest step', found.steepest, '×', '≤ 1',
+               'the declared slew', found.steepest <= tolerance),
+        Figure(ISSUE, '1,000 swaps: strongest command', found.strongest, '×', '≤ 1', 'the limit',
+               found.strongest <= tolerance),
     ]
-
-
-def _swapping() -> tuple[int, float, float]:
-    """Ticks missed, steepest step over the slew, strongest field over the limit."""
-    kinds = controller_classes() | _faults()
-    controllers = {name: kind() for name, kind in kinds.items()}
-    for controller in controllers.values():
-        controller.configure(controller.parameters)
-    controllers['predictive'].configure(PredictiveParameters(budget_ms=2.0))
-    limits = Limits(FIELD, 0.3, 50.0)
-    board = Switchboard(controllers, 'hold', deadline=0.005, patience=0.1)
-    rng, names, period = np.random.default_rng(0), list(kinds), 0.01
-    goals = Goals(np.array([[30e-6, 0], [0, 30e-6], [-30e-6, 0]]))
-    logging.getLogger('microbot_ros.control').setLevel(logging.CRITICAL)
-    missed, steepest, strongest, before = 0, 0.0, 0.0, np.zeros(2)
-    begun, slot = time.monotonic(), 0
-    for tick in range(2000):
-        time.sleep(max(0.0, begun + slot * period - time.monotonic()))
-        if tick % 2 == 0:
-            board.swap(names[rng.integers(len(names))])
-        outcome = board.tick(situation(
-            t=tick * period, dt=period, limits=limits, workspace=VIEW, goals=goals,
-            path=EIGHT_PATH, joystick=rng.uniform(-1, 1, 2), model=Model(FIELD)))
-        late = max(0, int((time.monotonic() - begun) / period) - slot)
-        missed, slot = missed + late, slot + 1 + late
-        field = np.full(2, np.nan) if outcome.command is None else outcome.command.field
-        steepest = max(steepest, float(np.hypot(*(field - before))) / (limits.slew * period))
-        strongest = max(strongest, float(np.hypot(*field)) / limits.field)
-        before = field
-    board.close()
-    return missed, steepest, strongest

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +20,8 @@ from microbot_ros.control.contract import (
     no_field,
 )
 from microbot_ros.control.forecast import FieldRecord, look_ahead
-from microbot_ros.control.worker import HungError, LateError, Worker
+from microbot_ros.control.runner import Runner, reason
+from microbot_ros.control.worker import LateError
 
 _log = logging.getLogger(__name__)
 
@@ -59,14 +59,12 @@ class Switchboard:
         self, controllers: dict[str, Controller], active: str, *,
         deadline: float = 0.01, patience: float = 0.5, stale_after: float = 0.2,
     ) -> None:
-        self._controllers = controllers
+        self._runners = {name: Runner(name, it, patience) for name, it in controllers.items()}
         self._active = active
         self._deadline = deadline
         self._stale_after = stale_after
-        self._worker = Worker(patience)
         self._record = FieldRecord()
         self._field = np.zeros(2)
-        self._activated = False
         self._fault = ''
         self._last: Situation | None = None
 
@@ -82,45 +80,40 @@ class Switchboard:
 
     def configure(self, name: str, parameters: Any) -> Answer:
         """Give one controller new parameters, whether it drives or not; all or nothing."""
-        controller = self._controllers[name]
-        before = controller.parameters
         try:
-            controller.configure(parameters)
+            self._runners[name].configure(parameters)
         except Exception as error:
-            controller.parameters = before
-            return Answer(False, f'{name}: {_reason(error)}')
+            return Answer(False, f'{name}: {reason(error)}')
         return Answer(True)
 
     def swap(self, name: str) -> Answer:
         """Let another controller drive from the next tick on; if it can't, nothing changes.
 
-        It is activated here, within the deadline, against the situation of the last tick and the
-        present field. Naming the controller that drives restarts it, after a fault too.
+        It is activated here against the situation of the last tick and the present field, and the
+        one before deactivated, each within half of the deadline. Naming the controller that
+        drives restarts it, after a fault too.
         """
-        if name not in self._controllers:
-            known = ', '.join(self._controllers)
+        if name not in self._runners:
+            known = ', '.join(self._runners)
             return Answer(False, f"no controller '{name}'; there are: {known}")
-        worker = Worker(math.inf)
+        before, after = self._runners[self._active], self._runners[name]
+        if after is before:
+            before.deactivate(self._deadline / 2)
         try:
             if self._last is not None:
                 situation = dataclasses.replace(self._last, field=self._field.copy())
-                worker.call(lambda: self._controllers[name].activate(situation), self._deadline)
+                after.activate(situation, self._deadline / 2)
         except Exception as error:
-            if isinstance(error, LateError):
-                self._renew(name)
-            return Answer(False, f'{name}: {_reason(error)}')
-        finally:
-            worker.leave_behind()
-        self._retire(self._active)
+            return Answer(False, f'{name}: {reason(error)}')
+        if after is not before:
+            before.deactivate(self._deadline / 2)
         self._active, self._fault = name, ''
-        self._activated = self._last is not None
         return Answer(True, f'{name} drives')
 
     def reset(self) -> None:
         """Every controller forgets what it learned and did."""
-        for name in self._controllers:
-            self._renew(name)
-        self._activated = False
+        for runner in self._runners.values():
+            runner.renew()
 
     def tick(self, situation: Situation) -> Outcome:
         """The command of this tick, or None where poses are too old to give one.
@@ -131,7 +124,8 @@ class Switchboard:
             self._field = np.zeros(2)
             self._record.clear()
             return Outcome(None, Result.STALE, f'poses are {situation.age:.2f} s old')
-        situation = dataclasses.replace(_usable(situation), field=self._field.copy())
+        situation = _with_delay_of_model(_usable(situation))
+        situation = dataclasses.replace(situation, field=self._field.copy())
         self._last = situation = look_ahead(situation, self._record)
         command, result, message = self._ask(situation)
         field = _approach(self._field, command.field, situation)
@@ -141,55 +135,27 @@ class Switchboard:
 
     def close(self) -> None:
         """Let the active controller go; nothing may be asked afterwards."""
-        self._retire(self._active)
-        self._worker.leave_behind()
+        self._runners[self._active].deactivate(self._deadline)
+        for runner in self._runners.values():
+            runner.close()
 
     def _ask(self, situation: Situation) -> tuple[FieldCommand, Result, str]:
         """What the controller answers, or zero field with the reason why not that."""
         if self._fault:
             return no_field(self._fault), Result.FAULT, self._fault
         try:
-            command = self._worker.call(lambda: self._run(situation), self._deadline)
+            command = self._runners[self._active].compute(situation, self._deadline)
             _check(command, situation.limits)
             return command, Result.OK, command.progress.message
         except ControllerError as error:
-            result, reason = error.result, str(error)
+            result, why = error.result, str(error)
         except LateError as error:
-            result, reason = Result.FAULT, f'{self._active}: {error}'
+            result, why = Result.FAULT, f'{self._active}: {error}'
         except Exception as error:
-            if isinstance(error, HungError):
-                self._renew(self._active)
             result = Result.FAULT
-            self._fault = reason = f'{self._active}: {_reason(error)}'
-            _log.error('%s; the field is let go', reason)
-        return no_field(reason), result, reason
-
-    def _run(self, situation: Situation) -> FieldCommand:
-        controller = self._controllers[self._active]
-        if not self._activated:
-            controller.activate(situation)
-            self._activated = True
-        return controller.compute(situation)
-
-    def _retire(self, name: str) -> None:
-        if not self._activated:
-            return
-        try:
-            self._worker.call(self._controllers[name].deactivate, self._deadline)
-        except (LateError, HungError):
-            self._worker.leave_behind()
-            self._renew(name)
-        except Exception as error:
-            _log.warning('%s: deactivating: %s', name, _reason(error))
-
-    def _renew(self, name: str) -> None:
-        """A fresh controller in place of one whose state can't be trusted or is to be forgotten.
-
-        What was configured stays; a call that still runs works on the old one.
-        """
-        old = self._controllers[name]
-        fresh = self._controllers[name] = type(old)()
-        fresh.configure(old.parameters)
+            self._fault = why = f'{self._active}: {reason(error)}'
+            _log.error('%s; the field is let go', why)
+        return no_field(why), result, why
 
 
 def _usable(situation: Situation) -> Situation:
@@ -224,8 +190,3 @@ def _approach(now: np.ndarray, wanted: np.ndarray, situation: Situation) -> np.n
     step = np.asarray(wanted, dtype=float) - now
     length, longest = float(np.hypot(*step)), situation.limits.slew * dt
     return now + step * (longest / length) if length > longest else now + step
-
-
-def _reason(error: Exception) -> str:
-    named = isinstance(error, ControllerError | LateError | HungError | ValueError)
-    return str(error) if named else f'{type(error).__name__}: {error}'

@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Generic, TypeVar
 
 T = TypeVar('T')
@@ -24,7 +25,9 @@ class HungError(Exception):
     """A call has not returned for so long that it was left behind."""
 
 
-class _Call(Generic[T]):
+class Call(Generic[T]):
+    """A call, when it was made and what came of it."""
+
     def __init__(self, function: Callable[[], T]) -> None:
         self.function = function
         self.begun = time.monotonic()
@@ -54,9 +57,10 @@ class Worker:
         # Python's default of 5 ms would come on top of every deadline.
         sys.setswitchinterval(min(sys.getswitchinterval(), SWITCH_INTERVAL))
         self._patience = patience
-        self._calls: queue.SimpleQueue[_Call | None] = queue.SimpleQueue()
+        self._calls: queue.SimpleQueue[Call | None] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
-        self._last: _Call | None = None
+        self._waited_for: Call | None = None
+        self._newest: Call | None = None
 
     def call(self, function: Callable[[], T], deadline: float) -> T:
         """The value of `function()`, or what it raises.
@@ -65,12 +69,7 @@ class Worker:
         when that one has now been left behind.
         """
         self._check_last()
-        if self._thread is None:
-            self._calls = queue.SimpleQueue()
-            self._thread = threading.Thread(target=_serve, args=(self._calls,), daemon=True)
-            self._thread.start()
-        self._last = call = _Call(function)
-        self._calls.put(call)
+        self._waited_for = call = self.post(function)
         if not call.returned.wait(deadline):
             raise LateError(f'took longer than {deadline * 1e3:g} ms')
         if isinstance(call.error, Exception):
@@ -79,25 +78,37 @@ class Worker:
             raise RuntimeError(f'raised {type(call.error).__name__}') from call.error
         return call.value
 
+    def post(self, function: Callable[[], T]) -> Call[T]:
+        """A call for which nobody waits; those made later come after it."""
+        if self._thread is None:
+            self._calls = queue.SimpleQueue()
+            self._thread = threading.Thread(target=_serve, args=(self._calls,), daemon=True)
+            self._thread.start()
+        self._newest = call = Call(function)
+        self._calls.put(call)
+        return call
+
     def leave_behind(self) -> None:
         """Let go of the thread: if idle it ends at once, otherwise when its call lets it."""
-        busy = self._last is not None and not self._last.returned.is_set()
+        busy = self._newest is not None and not self._newest.returned.is_set()
         if busy and self._thread is not None and self._thread.ident is not None:
             identity = ctypes.c_ulong(self._thread.ident)
             ctypes.pythonapi.PyThreadState_SetAsyncExc(identity, ctypes.py_object(SystemExit))
         self._calls.put(None)
-        self._thread = self._last = None
+        self._thread = self._waited_for = self._newest = None
 
     def _check_last(self) -> None:
-        if self._last is None or self._last.returned.is_set():
+        last = self._waited_for
+        if last is None or last.returned.is_set():
             return
-        waited = time.monotonic() - self._last.begun
+        waited = time.monotonic() - last.begun
         if waited > self._patience:
             self.leave_behind()
             raise HungError(f'did not return for {waited:.1f} s')
         raise LateError('has not returned from the tick before')
 
 
-def _serve(calls: queue.SimpleQueue[_Call | None]) -> None:
-    while (call := calls.get()) is not None:
-        call.run()
+def _serve(calls: queue.SimpleQueue[Call | None]) -> None:
+    with suppress(SystemExit):  # it may be told to end on the way into a call
+        while (call := calls.get()) is not None:
+            call.run()

@@ -1,6 +1,7 @@
 """Nothing unsafe leaves the switchboard, whatever a controller does."""
 
 import threading
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from microbot_ros.control.open_loop import OpenLoop, OpenLoopParameters
 from microbot_ros.control.registry import controller_classes
 from microbot_ros.control.switchboard import Switchboard
 from microbot_ros.control.testkit import situation
+from microbot_ros.model.effects.command_delay import CommandDelay
 from microbot_ros.model.model import Model
 
 LIMITS = Limits(field=5e-3, slew=0.1)
@@ -77,6 +79,24 @@ class Waits(East):
     def compute(self, situation):
         self.gate.wait()
         return no_field('')
+
+
+class SpinsInTurn(East):
+    """Hangs in what its class is told to; made anew, in nothing."""
+
+    @dataclass(frozen=True)
+    class Parameters:
+        hangs_in: str = ''
+
+    def _maybe(self, where):
+        while self.parameters.hangs_in == where:
+            pass
+
+    def activate(self, situation):
+        self._maybe('activate')
+
+    def deactivate(self):
+        self._maybe('deactivate')
 
 
 def look(t, **changes):
@@ -181,7 +201,7 @@ def test_a_controller_that_only_cant_act_now_is_asked_again():
 def test_a_controller_that_spins_is_late_then_given_up_and_a_fresh_one_can_return():
     board = Switchboard({'hold': Hold(), 'spins': Spins()}, 'spins', deadline=0.02, patience=0.05)
     assert run(board, 1)[0].result is Result.FAULT
-    spinning = board._worker._thread
+    spinning = board._runners['spins']._worker._thread
     while not board.fault:
         board.tick(look(1.0))
     assert 'spins' in board.fault
@@ -195,10 +215,10 @@ def test_a_late_answer_is_not_used_and_not_a_lasting_fault():
     waits = Waits()
     waits.gate = threading.Event()
     board = Switchboard({'waits': waits}, 'waits', deadline=0.02, patience=60)
-    assert 'longer than 20 ms' in run(board, 1)[0].message
+    assert 'took longer than' in run(board, 1)[0].message
     assert 'tick before' in run(board, 1)[0].message
     waits.gate.set()
-    assert board._worker._last.returned.wait(10)
+    assert board._runners['waits']._worker._newest.returned.wait(10)
     assert run(board, 1)[0].result is Result.OK
     assert board.fault == ''
 
@@ -211,6 +231,65 @@ def test_swapping_away_from_a_controller_that_hangs():
     assert board.swap('hold').ok
     assert run(board, 1)[0].result is Result.OK
     waits.gate.set()
+
+
+@pytest.mark.parametrize('where', ['activate', 'deactivate'])
+def test_what_hangs_in_a_swap_costs_a_deadline_and_a_fresh_one_stands_in(where):
+    it = SpinsInTurn()
+    board = Switchboard({'hold': Hold(), 'it': it}, 'hold', deadline=0.04, patience=0.1)
+    run(board, 1)
+    assert board.configure('it', SpinsInTurn.Parameters(where)).ok
+    thread = board._runners['it']._worker._thread
+    assert board.swap('it').ok == (where == 'deactivate')
+    assert board.swap('hold').ok
+    assert run(board, 1)[0].result is Result.OK
+    thread.join(30)
+    assert not thread.is_alive()
+    assert board.configure('it', SpinsInTurn.Parameters()).ok
+    assert board.swap('it').ok
+    assert run(board, 1)[0].result is Result.OK
+    assert board._runners['it']._controller is not it
+
+
+def test_a_fresh_one_that_can_not_be_configured_does_not_take_over(tmp_path):
+    """The file has gone meanwhile: rather no controller than one with other parameters."""
+    file = tmp_path / 'commands.csv'
+    file.write_text('t_s,bx_mT,by_mT\n0,1,0\n9,0,0\n')
+    board = Switchboard({'hold': Hold(), 'open_loop': OpenLoop()}, 'hold', deadline=2.0)
+    run(board, 1)
+    played = OpenLoopParameters(file=str(file))
+    assert board.configure('open_loop', played).ok
+    file.unlink()
+    board.reset()
+    refused = board.swap('open_loop')
+    assert not refused.ok
+    assert 'commands.csv' in refused.message
+    assert board.active == 'hold'
+    file.write_text('t_s,bx_mT,by_mT\n0,1,0\n9,0,0\n')
+    assert board.configure('open_loop', played).ok
+    assert board.swap('open_loop').ok
+
+
+def test_naming_the_one_that_drives_restarts_it():
+    east = East()
+    board = make(east=east)
+    run(board, 1)
+    board.swap('east')
+    run(board, 1)
+    assert board.swap('east').ok
+    assert east.calls == ['activate', 'compute', 'deactivate', 'activate']
+
+
+def test_a_delay_that_the_model_knows_adds_to_that_of_the_rig():
+    class Looks(East):
+        def compute(self, situation):
+            self.seen = situation.delay, situation.model.delay
+            return super().compute(situation)
+
+    looks = Looks()
+    board = Switchboard({'looks': looks}, 'looks', deadline=0.2)
+    board.tick(look(0.0, delay=0.03, model=Model(5e-3, effects=(CommandDelay(0.2),))))
+    assert looks.seen == (pytest.approx(0.23), 0)
 
 
 @pytest.mark.parametrize('age', [0.21, np.nan, np.inf, -np.inf, -0.3, 1e9])

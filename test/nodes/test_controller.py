@@ -151,5 +151,4 @@ def test_each_keeps_its_parameters(ros: Any) -> None:
     assert loop.set(controller='hold').successful
     answer = loop.set(waypoint__arrival_um=3.0)
     assert answer.successful
-    waypoint = loop.node._switchboard._controllers['waypoint']
-    assert waypoint.parameters.arrival_um == 3.0
+    assert loop.node._switchboard._runners['waypoint']._parameters.arrival_um == 3.0

@@ -1,0 +1,103 @@
+"""One controller and the thread it runs in."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from typing import Any
+
+from microbot_ros.control.contract import Controller, ControllerError, FieldCommand, Situation
+from microbot_ros.control.worker import Call, HungError, LateError, Worker
+
+CONFIGURING = 30.0
+"""How long [s] taking new parameters may last: files are read and code is compiled meanwhile."""
+
+_log = logging.getLogger(__name__)
+
+
+class Runner:
+    """Calls a controller, in order and each with a deadline, from a thread of its own.
+
+    A call that does not return in `patience` [s] is left behind, and the controller is replaced
+    by a fresh one with the same parameters.
+    """
+
+    def __init__(self, name: str, controller: Controller, patience: float) -> None:
+        self._name = name
+        self._controller = controller
+        self._parameters = controller.parameters
+        self._worker = Worker(patience)
+        self._configured: Call | None = None
+        self._active = False
+
+    def configure(self, parameters: Any) -> None:
+        """Give it other parameters; if it raises, it keeps those it has."""
+        controller = self._controller
+        try:
+            self._call(lambda: controller.configure(parameters), CONFIGURING)
+        except Exception:
+            controller.parameters = self._parameters
+            raise
+        self._parameters, self._configured = parameters, None
+
+    def activate(self, situation: Situation, deadline: float) -> None:
+        """Let it get ready. Where that is late it is replaced: what it did is not known."""
+        controller, configured = self._controller, self._configured
+
+        def run() -> None:
+            if configured is not None and configured.error is not None:
+                raise configured.error
+            controller.activate(situation)
+
+        self._call(run, deadline, replace_late=True)
+        self._active = True
+
+    def compute(self, situation: Situation, deadline: float) -> FieldCommand:
+        """Its command. Where it has not been activated, that comes first, in half of the time."""
+        if not self._active:
+            deadline /= 2
+            self.activate(situation, deadline)
+        controller = self._controller
+        command: FieldCommand = self._call(lambda: controller.compute(situation), deadline)
+        return command
+
+    def deactivate(self, deadline: float) -> None:
+        """Let it go. One that still works on its last tick is replaced."""
+        if not self._active:
+            return
+        self._active = False
+        try:
+            self._call(self._controller.deactivate, deadline, replace_late=True)
+        except Exception as error:
+            _log.warning('%s: deactivating: %s', self._name, reason(error))
+
+    def renew(self) -> None:
+        """A fresh controller in place of one whose state can't be trusted or is to be forgotten.
+
+        What was configured stays; a call that still runs works on the old one.
+        """
+        self.close()
+        fresh = self._controller = type(self._controller)()
+        parameters = self._parameters
+        # Nobody waits: it may read a file, which takes longer than a tick.
+        self._configured = self._worker.post(lambda: fresh.configure(parameters))
+
+    def close(self) -> None:
+        """Let its thread go."""
+        self._worker.leave_behind()
+        self._active = False
+
+    def _call(self, function: Callable[[], Any], deadline: float, *,
+              replace_late: bool = False) -> Any:
+        try:
+            return self._worker.call(function, deadline)
+        except (LateError, HungError) as error:
+            if replace_late or isinstance(error, HungError):
+                self.renew()
+            raise
+
+
+def reason(error: Exception) -> str:
+    """The exception in words for people."""
+    named = isinstance(error, ControllerError | LateError | HungError | ValueError)
+    return str(error) if named else f'{type(error).__name__}: {error}'
