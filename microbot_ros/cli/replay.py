@@ -54,7 +54,9 @@ def command(
     if check:
         from microbot_ros.cli.replay_check import run_check
 
-        sys.exit(run_check(session, nodes, config, out, json_path))
+        if rate != 1.0 or start or loop or topics:
+            raise InputError('--rate, --start, --loop, --topic', 'expected only without --check')
+        sys.exit(run_check(session, nodes, end, config, out, json_path))
     if nodes or config or out or json_path:
         raise InputError('--node, --config, --out, --json', 'expected only with --check')
     from microbot_ros.nodes.process import run

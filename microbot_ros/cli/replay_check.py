@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from microbot_ros.session.compare import TopicDifference
 
 
-def run_check(session: Path, nodes: Collection[str], config: Path | None, out: Path | None,
-              json_path: Path | None) -> int:
+def run_check(session: Path, nodes: Collection[str], end: float, config: Path | None,
+              out: Path | None, json_path: Path | None) -> int:
     """Replay, compare, tell: 0 where every answer is the same, 1 where some differ."""
     console = Console(highlight=False, width=None if Console().is_terminal else 150)
     if session.exists() and not is_recording(session):
         raise InputError(session, 'expected a recording to check, found a folder of CSV files')
     with tempfile.TemporaryDirectory() as name:
-        found, failure = _replay(session, nodes, config, out or Path(name) / 'replayed',
+        found, failure = _replay(session, nodes, end, config, out or Path(name) / 'replayed',
                                  Path(name))
     if failure:
         Console(stderr=True, highlight=False).print(f'{session}: {failure}')
@@ -42,7 +42,7 @@ def run_check(session: Path, nodes: Collection[str], config: Path | None, out: P
     return 0 if same else 1
 
 
-def _replay(session: Path, nodes: Collection[str], config: Path | None, out: Path,
+def _replay(session: Path, nodes: Collection[str], end: float, config: Path | None, out: Path,
             scratch: Path) -> tuple[list[TopicDifference], str]:
     """The differences, and why the replay was given up, or ''."""
     from microbot_ros.nodes.configuration import read_rig
@@ -55,11 +55,12 @@ def _replay(session: Path, nodes: Collection[str], config: Path | None, out: Pat
         players = cast(recorded, session, nodes)
         parameters = read_rig(config) if config else recorded_parameters(
             recorded, players.nodes, scratch)
-        length = (recorded.end_ns - recorded.start_ns) / 1e9
+        length = end or (recorded.end_ns - recorded.start_ns) / 1e9
         with progress.status(f'{length:.0f} s through {", ".join(players.nodes)}'):
-            if failure := rerun(session, out, players, parameters):
+            if failure := rerun(session, out, players, parameters, end):
                 return [], failure
-        stamps = {header_stamp_ns(message.data) for message in recorded.messages([players.frame])}
+        stamps = {header_stamp_ns(message.data) for message in recorded.messages(
+            [players.frame], end_ns=recorded.start_ns + round(length * 1e9) + 1)}
         with open_recording(out) as replayed:
             there = {*recorded.topics, *replayed.topics}
             topics = [topic for topic in players.outputs if topic in there]

@@ -42,9 +42,11 @@ class RecorderParameters:
         True, 'Record from the start; without, once `~/record` is called.', read_only=True)
     folder: str = setting(
         '', 'Folder of the next recording; empty makes one in ./recordings named after the time.')
+    topics: list[str] = setting(
+        [], 'What to record; empty records every topic of the graph but `overlay/image_raw`.',
+        read_only=True)
     frame_every: int = setting(
         1, 'Record every n-th camera frame; 0 records none.', lower=0, upper=1000)
-    record_overlay: bool = setting(False, 'Record `overlay/image_raw` too.', read_only=True)
     title: str = setting('', 'One line on what the next recording is of.')
     notes: str = setting('', 'Whatever else is worth knowing of it.')
     attachments: list[str] = setting(
@@ -66,10 +68,12 @@ class RecorderNode(RigNode):
         self._writer: RecordingWriter | None = None
         self._attachments = {
             Path(name).name: _content(name) for name in self.settings.attachments}
-        for topic in TOPICS:
-            if topic != _OVERLAY or self.settings.record_overlay:
-                self.subscribe(TOPICS[topic][0], topic, self._taker(topic), TOPICS[topic][1],
-                               raw=True)
+        for topic in self.settings.topics or set(TOPICS) - {_OVERLAY}:
+            if topic not in TOPICS:
+                known = ', '.join(TOPICS)
+                raise InputError(self.get_name(), f'no topic {topic} to record; known: {known}')
+            kind, qos = TOPICS[topic]
+            self.subscribe(kind, topic, self._taker(topic), qos, raw=True)
         self.service(SetBool, '~/record', self._on_record)
         self.every(0.5, self._look_around)
 
@@ -123,6 +127,7 @@ class RecorderNode(RigNode):
         self._seen_frames = 0
         self._kept: set[str] = set()
         self._snapshot = Snapshot(self, self._keep_parameters)
+        self._snapshot.look()
 
     def _clocks(self) -> dict[str, str]:
         """What to add to the machine's monotonic clock to have the time of ROS and of day."""

@@ -117,18 +117,20 @@ def recorded_parameters(recording: Recording, nodes: Collection[str], folder: Pa
     return found
 
 
-def rerun(session: Path, out: Path, players: Cast, parameters: dict[str, dict[str, Any]], *,
-          frames: bool = False) -> str:
-    """Play `session` to the nodes in lock-step and record what they say to `out`.
+def rerun(session: Path, out: Path, players: Cast, parameters: dict[str, dict[str, Any]],
+          end_s: float = 0.0) -> str:
+    """Play `session` to the nodes in lock-step, and record that to `out`.
 
-    All nodes share a process that nobody else on the network sees or is seen by. With `frames`
-    camera frames are recorded again too. Returns why the replay was given up, or ''.
+    Up to `end_s`, or to the end if that is 0. All nodes share a process that nobody else on the
+    network sees or is seen by. Returns why the replay was given up, or ''.
     """
     nodes = {node: {**parameters.get(node, {}), **_NO_DEADLINES.get(node, {})}
              for node in players.nodes}
-    nodes['recorder'] = {'folder': str(out), 'frame_every': int(frames)}
+    heard = [topic.removeprefix(f'{players.namespace}/')
+             for topic in (*players.played, *players.outputs)]
+    nodes['recorder'] = {'folder': str(out), 'topics': [*heard, '/parameter_events']}
     nodes['player'] = {
-        'session': str(session), 'rate': 0.0, 'topics': list(players.played),
+        'session': str(session), 'rate': 0.0, 'end_s': end_s, 'topics': list(players.played),
         'answers': [stage.answer for stage in players.stages]}
     with tempfile.NamedTemporaryFile('w', suffix='.yaml') as file:
         yaml.safe_dump({f'/**/{node}': {'ros__parameters': {**values, 'use_sim_time': True}}
