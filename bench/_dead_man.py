@@ -1,166 +1,235 @@
-"""How long the coils outlive the last good command, by the emulated amplifier's own log."""
+"""How long the coils outlive the last good command, by the emulated amplifier's own log.
+
+The nodes are the real ones, a process each, over a real middleware and a pseudo-terminal. They are
+forked from a server that has imported everything, which makes a killed one return within a second.
+"""
 
 from __future__ import annotations
 
 import json
-import mmap
+import multiprocessing as mp
 import os
 import random
 import signal
-import struct
 import subprocess
 import sys
 import tempfile
-import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
+from multiprocessing.process import BaseProcess
 from pathlib import Path
+from typing import Any
 
-from microbot_ros.drive.coil_driver import CoilDriver
-from microbot_ros.drive.gate import Limits
-from microbot_ros.drive.serial_transfer.driver import SerialTransferAmplifier
+import cv2
+import numpy as np
+import yaml
+from geometry_msgs.msg import Vector3Stamped
+from std_srvs.srv import SetBool
+
+from microbot_ros.nodes.remote import Remote
+from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 
 FULL_SCALE_A = 2.0
-_CURRENTS = [1.0, -1.0, 0.5, 0.0]
-_LIMITS = Limits(current_A=FULL_SCALE_A, step_A=4.0, slew_A_per_s=1e4, stale_s=0.08,
-                 deviation_A=0.2, settling_s=0.1, silence_s=0.2, continuous_A=1.9, thermal_s=60.0)
-_DEADLINE_S = 10.0
+NODES = ('camera', 'tracker', 'model', 'controller', 'coil_driver')
+_FORKING = mp.get_context('forkserver')
+_FRAME_RATE_HZ = 30.0
+_HEARD_S = 0.06
+_DEADLINE_S = 60.0
 
 
-class _Host:
-    """A forked process that drives, and two numbers shared with it: the time of its last command
-    and whether its controller is to hang.
-    """
+class Amplifier:
+    """An emulated coil board in a process of its own, with faults on command."""
 
-    def __init__(self, url: str) -> None:
-        self._shared = mmap.mmap(-1, 16)
-        self.id = os.fork()
-        if self.id == 0:
-            try:
-                self._drive(url)
-            finally:
-                os._exit(1)
-
-    def _drive(self, url: str) -> None:
-        driver = CoilDriver(SerialTransferAmplifier(url, FULL_SCALE_A), _LIMITS, lambda _: None,
-                            self_check=False)
-        driver.start()
-        while driver.arm():
-            time.sleep(0.005)
-        while True:
-            hanging, = struct.unpack_from('d', self._shared, 8)
-            if not hanging and (command := driver.command(_CURRENTS)):
-                struct.pack_into('d', self._shared, 0, command.t_monotonic_s)
-            time.sleep(0.01)
-
-    def hang(self) -> None:
-        struct.pack_into('d', self._shared, 8, 1.0)
-
-    def last_command_s(self) -> float:
-        return float(struct.unpack_from('d', self._shared, 0)[0])
-
-    def end(self) -> None:
-        os.kill(self.id, signal.SIGKILL)
-        os.waitpid(self.id, 0)
-
-
-class _Amplifier:
     def __init__(self, folder: Path) -> None:
-        self.link, self._log = folder / 'coils', folder / 'log.jsonl'
+        self.link = folder / 'coils'
+        log = folder / 'log.jsonl'
         self._process = subprocess.Popen(
             [sys.executable, '-m', 'microbot_ros.cli', 'emulate', 'serial_transfer', '--link',
-             self.link, '--log', self._log, '--full-scale-A', str(FULL_SCALE_A), '--fault', '-'],
+             self.link, '--log', log, '--full-scale-A', str(FULL_SCALE_A), '--fault', '-'],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._faults = self._process.stdin
         self._process.stdout.readline()
+        self._log = log.open()
+        self._unfinished = ''
+        self.changes: list[tuple[float, bool]] = []
+        """When the currents changed [s, monotonic], and whether all were zero from then on."""
+
+    def read(self) -> None:
+        """Bring `changes` up to date."""
+        *lines, self._unfinished = (self._unfinished + self._log.read()).split('\n')
+        for entry in map(json.loads, lines):
+            self.changes.append((entry['t_monotonic_s'], not any(entry['currents_A'])))
 
     def unplug(self) -> None:
-        self._faults.write('unplug+0.3\n')
+        """Take the line away for a moment."""
+        self._faults.write('unplug+0.2\n')
         self._faults.flush()
 
-    def zeroed_s(self, zero: bool) -> float:
-        """Waits until the coils are at zero (or are not); when that came about."""
-        deadline = time.monotonic() + _DEADLINE_S
-        while time.monotonic() < deadline:
-            last = self._log.read_text().rpartition('\n')[0].rpartition('\n')[2]
-            entry = json.loads(last)
-            if any(entry['currents_A']) != zero:
-                return float(entry['t_monotonic_s'])
-            time.sleep(0.002)
-        raise TimeoutError('the emulated amplifier never got there')
-
     def end(self) -> None:
+        """Switch off."""
         self._process.terminate()
         self._process.communicate()
+        self._log.close()
 
 
 @contextmanager
-def _amplifier() -> Iterator[_Amplifier]:
+def amplifier() -> Iterator[Amplifier]:
+    """An amplifier that is switched off at the end."""
     with tempfile.TemporaryDirectory() as folder:
-        amplifier = _Amplifier(Path(folder))
+        made = Amplifier(Path(folder))
         try:
-            yield amplifier
+            yield made
         finally:
-            amplifier.end()
+            made.end()
 
 
-_ENDS: dict[str, Callable[[_Host, _Amplifier], None]] = {
-    'kill -9 of the host': lambda host, _: os.kill(host.id, signal.SIGKILL),
-    'a stopped host': lambda host, _: os.kill(host.id, signal.SIGSTOP),
-    'an unplugged line': lambda _, amplifier: amplifier.unplug(),
-    'a hung controller': lambda host, _: host.hang(),
-}
+class _Rig:
+    """Five nodes that drive the amplifier; what was ended is started again by `drive`."""
+
+    def __init__(self, folder: Path, board: Amplifier, remote: Remote) -> None:
+        self.board = board
+        self._parameters = _parameters(folder, board)
+        self._remote = remote
+        self._nodes: dict[str, BaseProcess] = {}
+        self._commands: deque[float] = deque(maxlen=100)
+        self._offset_s = time.time() - time.monotonic()
+        self._arming = remote.node.create_client(SetBool, 'coil_driver/arm')
+        remote.node.create_subscription(
+            Vector3Stamped, 'field/command', self._on_command, 50)
+
+    def _on_command(self, message: Vector3Stamped, info: dict[str, Any]) -> None:
+        if message.vector.x or message.vector.y:
+            self._commands.append(info['source_timestamp'] * 1e-9 - self._offset_s)
+
+    def drive(self) -> None:
+        """Make sure that every node runs, and that currents flow by command and go on to."""
+        for name in NODES:
+            if (node := self._nodes.get(name)) is None or not node.is_alive():
+                if node is not None and node.exitcode != -signal.SIGKILL:
+                    raise RuntimeError(f'{name} ended by itself, status {node.exitcode}')
+                self._nodes[name] = _FORKING.Process(
+                    target=_run_node, args=(name, self._parameters), daemon=True)
+                self._nodes[name].start()
+        deadline = time.monotonic() + _DEADLINE_S
+        while True:
+            try:
+                self._arm()
+                self._await(self._driving, 1.0)
+                self._remote.spin(random.uniform(0.02, 0.06))
+                self._await(self._driving, 0.0)
+                return
+            except TimeoutError:
+                if time.monotonic() > deadline:
+                    raise
+                self._remote.spin(0.02)
+
+    def _driving(self) -> bool:
+        """Whether currents flow and we hear the commands, as the driver does."""
+        heard = bool(self._commands) and time.monotonic() - self._commands[-1] < _HEARD_S
+        return heard and not self.board.changes[-1][1]
+
+    def _arm(self) -> None:
+        # Not `Remote.arm`, which would wait long for an answer of a driver that was killed.
+        armed = self._arming.call_async(SetBool.Request(data=True))
+        self._await(lambda: armed.done() and armed.result().success, 1.0)
+
+    def spent_s(self, end: Callable[[], None], deaf: bool) -> float:
+        """From the last good command to zero, when `end` happens now.
+
+        Where the end leaves nobody who takes commands, those that come later are not good.
+        """
+        ended = time.monotonic()
+        end()
+        self._await(lambda: self.board.changes[-1][1], _DEADLINE_S)
+        zeroed = next(t for t, zero in self.board.changes if zero and t > ended)
+        self._remote.spin(0.02)
+        last = ended if deaf else zeroed
+        return zeroed - max(t for t in self._commands if t < last)
+
+    def _await(self, true: Callable[[], bool], seconds: float) -> None:
+        deadline = time.monotonic() + seconds
+        while self.board.read() or not true():
+            if time.monotonic() > deadline:
+                raise TimeoutError('the emulated amplifier never got there')
+            self._remote.spin(0.002)
+
+    def send(self, name: str, number: int) -> None:
+        """Send a signal to a node."""
+        node = self._nodes[name]
+        assert node.pid is not None
+        os.kill(node.pid, number)
+        if number == signal.SIGKILL:
+            node.join()
+
+    def end(self) -> None:
+        """Leave nothing running."""
+        for node in self._nodes.values():
+            node.kill()
+            node.join()
 
 
-def worst_s(tries: int) -> dict[str, float]:
-    """For each way to end, the longest time from the last good command to zero [s]."""
-    chance = random.Random(2)
-    worst = dict.fromkeys(_ENDS, 0.0)
-    with _amplifier() as amplifier:
-        for name, end in _ENDS.items():
-            for _ in range(tries):
-                host = _Host(str(amplifier.link))
-                try:
-                    amplifier.zeroed_s(False)
-                    time.sleep(chance.uniform(0.02, 0.08))
-                    end(host, amplifier)
-                    zeroed = amplifier.zeroed_s(True)
-                    worst[name] = max(worst[name], zeroed - host.last_command_s())
-                finally:
-                    host.end()
-                _await(amplifier.link)
-    return worst
+def _run_node(name: str, parameters: Path) -> None:
+    """In a process of its own: a node until its end or that of the server it came from."""
+    from microbot_ros.nodes.graph import PARENT
+    from microbot_ros.nodes.process import run
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    os.dup2(1, 2)
+    os.environ[PARENT] = str(os.getppid())
+    sys.exit(run([name], ['--ros-args', '--params-file', str(parameters)]))
 
 
-def _await(link: Path) -> None:
-    """After an unplug the line comes back under a new name; until then there is no link."""
-    deadline = time.monotonic() + _DEADLINE_S
-    while not link.exists() and time.monotonic() < deadline:
-        time.sleep(0.01)
+def _parameters(folder: Path, board: Amplifier) -> Path:
+    """A film of three particles that rest, and a controller that drives one way."""
+    scope = Microscope(MicroscopeSettings(), seed=3)
+    place = np.array([[-60.0, 20.0], [10.0, -40.0], [70.0, 30.0]]) * 1e-6
+    for frame in range(30):
+        picture = scope.render(place, np.array([0.3, 1.0, 2.0]), frame / _FRAME_RATE_HZ)
+        cv2.imwrite(str(folder / f'{frame:03d}.png'), picture)
+    nodes: dict[str, dict[str, Any]] = {
+        'camera': {'source': str(folder / '*.png'), 'frame_rate_hz': _FRAME_RATE_HZ, 'loop': True},
+        'tracker': {'pixel_size_um': 0.45}, 'model': {},
+        'controller': {'controller': 'open_loop', 'open_loop.durations_s': [3600.0],
+                       'open_loop.directions_deg': [45.0]},
+        'coil_driver': {'port': str(board.link), 'full_scale_A': FULL_SCALE_A}}
+    path = folder / 'parameters.yaml'
+    path.write_text(yaml.safe_dump(
+        {node: {'ros__parameters': values} for node, values in nodes.items()}))
+    return path
 
 
-def left_over(sessions: int = 30) -> int:
-    """Threads and open descriptors left by sessions in which the line is unplugged."""
-    with _amplifier() as amplifier:
-        before = _open_things()
-        for _ in range(sessions):
-            driver = CoilDriver(SerialTransferAmplifier(str(amplifier.link), FULL_SCALE_A),
-                                _LIMITS, lambda _: None, self_check=False)
-            driver.start()
-            while driver.arm():
-                time.sleep(0.005)
-            driver.command(_CURRENTS)
-            amplifier.unplug()
-            while driver.gate.armed:
-                time.sleep(0.005)
-            driver.stop()
-            _await(amplifier.link)
-            amplifier.zeroed_s(True)
-        return _open_things() - before
+def _ends(rig: _Rig) -> dict[str, tuple[Callable[[], None], Callable[[], None], bool]]:
+    """What ends it, what mends that, and whether commands that come later go nowhere."""
+    def nothing() -> None: ...
+
+    ends: dict[str, tuple[Callable[[], None], Callable[[], None], bool]] = {
+        f'kill -9 of {name}': (partial(rig.send, name, signal.SIGKILL), nothing,
+                               name == 'coil_driver') for name in NODES}
+    for what, name in (('a stopped driver', 'coil_driver'), ('a hung controller', 'controller')):
+        ends[what] = (partial(rig.send, name, signal.SIGSTOP),
+                      partial(rig.send, name, signal.SIGCONT), name == 'coil_driver')
+    return {**ends, 'an unplugged line': (rig.board.unplug, nothing, True)}
 
 
-def _open_things() -> int:
-    return threading.active_count() + len(os.listdir('/proc/self/fd'))
+def spent_s(tries: int) -> dict[str, list[float]]:
+    """For each way to end, the times from the last good command to zero [s]."""
+    os.environ.setdefault('ROS_DOMAIN_ID', str(215 + os.getpid() % 17))  # nobody else's graph
+    _FORKING.set_forkserver_preload([
+        'microbot_ros.nodes.process', *(f'microbot_ros.nodes.{name}' for name in NODES)])
+    random.seed(2)
+    spent: dict[str, list[float]] = {}
+    with tempfile.TemporaryDirectory() as folder, amplifier() as board, Remote('bench') as remote:
+        rig = _Rig(Path(folder), board, remote)
+        try:
+            for name, (end, mend, deaf) in _ends(rig).items():
+                for _ in range(tries):
+                    rig.drive()
+                    spent.setdefault(name, []).append(rig.spent_s(end, deaf))
+                    mend()
+        finally:
+            rig.end()
+    return spent

@@ -15,7 +15,7 @@ from microbot_ros.drive.gate import ZERO, Currents, Gate, Limits, Reason
 from microbot_ros.drive.self_check import SelfCheck
 from microbot_ros.errors import InputError
 
-_TICK_S = 0.01
+_TICK_S = 0.005
 """How late the dead-man can be, beside the gate's own times."""
 _REFRESH_S = 0.04
 """The present output goes out again this often: a device's watchdog is fed while commands hold,

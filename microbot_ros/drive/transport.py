@@ -12,7 +12,7 @@ import serial
 
 from microbot_ros.drive.errors import PortBusyError, PortLostError, PortMissingError
 
-_SLICE_S = 0.01
+_SLICE_S = 0.005
 """Longest uninterrupted wait in the kernel: how long `close` from another thread can take."""
 _WRITE_TIMEOUT_S = 0.1
 _MOST_AT_ONCE = 4096
@@ -44,7 +44,7 @@ class Port:
             self._serial.write(data)
 
     def receive(self, timeout_s: float = 0.0) -> bytes:
-        """What has arrived; waits for the first byte at most `timeout_s` (+ 10 ms), then b''."""
+        """What has arrived; waits for the first byte at most `timeout_s` (+ 5 ms), then b''."""
         deadline = time.monotonic() + timeout_s
         with self._named():
             data = self._waiting()

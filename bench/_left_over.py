@@ -1,0 +1,46 @@
+"""What sessions of the driver leave behind in which the line is unplugged."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable
+
+from bench._dead_man import FULL_SCALE_A, amplifier
+from microbot_ros.drive.coil_driver import CoilDriver
+from microbot_ros.drive.gate import Limits
+from microbot_ros.drive.serial_transfer.driver import SerialTransferAmplifier
+
+_LIMITS = Limits(current_A=FULL_SCALE_A, step_A=4.0, slew_A_per_s=1e4, stale_s=0.08,
+                 deviation_A=0.2, settling_s=0.1, silence_s=0.2, continuous_A=1.9, thermal_s=60.0)
+_DEADLINE_S = 20.0
+
+
+def left_over(sessions: int = 30) -> int:
+    """Threads and open descriptors that are there afterwards and were not before."""
+    with amplifier() as board:
+        before = _open_things()
+        for _ in range(sessions):
+            _await(board.link.exists)
+            driver = CoilDriver(SerialTransferAmplifier(str(board.link), FULL_SCALE_A), _LIMITS,
+                                lambda _: None)
+            driver.start()
+            _await(lambda: driver.arm() is None)  # noqa: B023 — called before the next is made
+            driver.command([1.0, -1.0, 0.5, 0.0])
+            board.unplug()
+            _await(lambda: not driver.gate.armed)  # noqa: B023
+            driver.stop()
+        return _open_things() - before
+
+
+def _await(true: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + _DEADLINE_S
+    while not true():
+        if time.monotonic() > deadline:
+            raise TimeoutError('what was awaited did not happen')
+        time.sleep(0.005)
+
+
+def _open_things() -> int:
+    return threading.active_count() + len(os.listdir('/proc/self/fd'))
