@@ -166,8 +166,8 @@ def draw_places(left: Residual, diffusion: float) -> Figure | None:
         arrows = axis.quiver(
             *(place.T * 1e6), *(velocity.T * 1e6), angles='xy', width=0.004,
             color=np.where(sure, BEFORE if positions is left.plain else AFTER, '#bbbbbb'))
-        typical = number(float(np.quantile(np.hypot(*velocity.T), 0.8)) * 1e6)
-        axis.quiverkey(arrows, 0.85, 1.03, float(typical), f'{typical} µm/s', labelpos='E',
+        typical = float(f'{np.quantile(np.hypot(*velocity.T), 0.8) * 1e6:.1g}')
+        axis.quiverkey(arrows, 0.85, 1.03, typical, f'{number(typical)} µm/s', labelpos='E',
                        fontproperties={'size': 9}, color='black')
         axis.set_title(title, fontsize=10, loc='left')
         axis.set_xlabel('x (µm)')

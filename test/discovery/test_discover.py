@@ -1,6 +1,7 @@
 """From hidden effect to verdict: named, unnamed, consistent, and what is written."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -113,7 +114,29 @@ def test_command_writes_a_model_that_can_be_loaded(film, tmp_path):
     assert len(particles.ids) == 3
 
 
-def test_bad_input_leaves_nothing_behind(film, tmp_path):
+@pytest.mark.parametrize(('part', 'name', 'change', 'said'), [
+    ('tracks', 'position', lambda x: 1000 * x, 'positions in µm'),
+    ('tracks', 'position', lambda x: 0 * x, 'particles that move'),
+    ('tracks', 't', lambda t: 1000 * t, 'times in s'),
+    ('commands', 'field', lambda b: 0 * b, 'a field that is not zero'),
+    ('commands', 't', lambda t: t + 4.0, 'at least 50 frames'),
+    ('commands', 't', lambda t: t + 1000, 'before the tracks end'),
+])
+def test_bad_files_are_told_in_one_line_and_leave_nothing_behind(
+        film, tmp_path, part, name, change, said):
+    session, _ = film(19, duration=5.0)
+    of = getattr(session, part)
+    write_session(tmp_path / 'session', replace(
+        session, **{part: replace(of, **{name: change(getattr(of, name))})}))
+    with pytest.raises(InputError, match=said) as told:
+        CliRunner().invoke(command, [
+            str(tmp_path / 'session'), '--out', str(tmp_path / 'out')], catch_exceptions=False)
+    assert 'session' in str(told.value)
+    assert '\n' not in str(told.value)
+    assert not (tmp_path / 'out').exists()
+
+
+def test_a_session_given_twice_leaves_nothing_behind(film, tmp_path):
     session, _ = film(19)
     write_session(tmp_path / 'session', session)
     with pytest.raises(InputError, match='different sessions'):

@@ -39,15 +39,110 @@ def test_units_a_thousand_times_too_large(film):
         screen([moved(session, lambda p: 1e3 * p)])
 
 
-def test_the_same_session_twice(film):
+def test_units_a_million_times_too_small(film):
     session, _ = film(0, duration=5.0)
+    with pytest.raises(InputError, match='which no microscope resolves: metres'):
+        screen([moved(session, lambda p: 1e-6 * p)])
+
+
+@pytest.mark.parametrize('factor', [1000.0, 1 / 3600])
+def test_times_in_another_unit(film, factor):
+    session, _ = film(0, duration=5.0)
+    late = replace(
+        session, tracks=replace(session.tracks, t=session.tracks.t * factor),
+        commands=replace(session.commands, t=session.commands.t * factor))
+    with pytest.raises(InputError, match='expected times in s'):
+        screen([late])
+
+
+def shaken(session, particles, seed=1):
+    """Some particles lie where they are, read with an error of 0.1 µm."""
+    rng = np.random.default_rng(seed)
+    tracks = session.tracks
+
+    def lie(position):
+        for n in particles:
+            rows = tracks.particle == n
+            position[rows] = position[rows][0] + rng.normal(0, 1e-7, (rows.sum(), 2))
+        return position
+    return moved(session, lie)
+
+
+def test_particles_that_are_stuck(film):
+    session, _ = film(0, duration=10.0)
+    with pytest.raises(InputError, match=r'within 0\.3 µm of where they were'):
+        screen([shaken(session, (0, 1, 2))])
+    _, remarks = screen([shaken(session, (1,))])
+    assert [r for r in remarks if 'stuck' in r] == [
+        'film-0: stuck, since it goes nowhere: particle 1. It denies what carries the others; '
+        'better left out.']
+
+
+def test_particles_that_follow_no_command(film):
+    session, _ = film(0, duration=10.0)
+    rng = np.random.default_rng(2)
+
+    def wander(position):
+        for n in session.tracks.particles:
+            rows = session.tracks.particle == n
+            position[rows] = rng.normal(0, 1e-7, (rows.sum(), 2)).cumsum(axis=0) + 5e-5 * n
+        return position
+    _, remarks = screen([moved(session, wander)])
+    assert any('no particle follows the commands' in remark for remark in remarks)
+
+
+def test_fields_in_tesla_and_commands_on_another_clock_are_remarked(film):
+    session, _ = film(0, duration=10.0)
+    commands = session.commands
+    weak = replace(commands, field=1e-3 * commands.field)
+    _, remarks = screen([replace(session, commands=weak)])
+    assert any('are the commands in mT?' in remark for remark in remarks)
+    _, remarks = screen([replace(session, commands=replace(commands, t=commands.t - 1000))])
+    assert any('are both on one clock?' in remark for remark in remarks)
+
+
+@pytest.mark.parametrize('change', [
+    lambda tracks: tracks,
+    lambda tracks: replace(tracks, position=tracks.position + np.array([1e-5, -3e-6])),
+    lambda tracks: replace(tracks, t=tracks.t + 3.0),
+    lambda tracks: replace(tracks, **{
+        name: getattr(tracks, name)[tracks.t > 3] for name in (
+            't', 'particle', 'position', 'theta', 'sigma')}),
+], ids=['same', 'elsewhere', 'later', 'part'])
+def test_the_same_session_twice(film, change):
+    session, _ = film(0, duration=6.0)
+    again = replace(session, tracks=change(session.tracks))
     with pytest.raises(InputError, match='counted twice'):
-        screen([session, session])
+        screen([session, again])
+
+
+def test_sessions_whose_steps_are_alike_by_chance_are_different(film):
+    """A tracker that rounds to 0.1 µm."""
+    rounded = [moved(film(seed, duration=6.0)[0], lambda p: np.round(p, 7)) for seed in (0, 1)]
+    assert len(screen(rounded)[0]) == 2
 
 
 def test_two_kinds_of_propulsion(film):
-    with pytest.raises(InputError, match='one kind of propulsion'):
+    with pytest.raises(InputError, match='rolling beside catalytic in film-0: look at each'):
         screen([film(0, duration=5.0)[0], film(1, duration=5.0, rolling=True)[0]])
+
+
+@pytest.mark.parametrize('rolling', [False, True])
+def test_commands_for_another_kind_of_propulsion(film, rolling):
+    session, _ = film(0, duration=5.0, rolling=rolling)
+    other = replace(
+        session.conditions, propulsion='catalytic' if rolling else 'rolling')
+    with pytest.raises(InputError, match='expected commands of'):
+        screen([replace(session, conditions=other)])
+
+
+def test_different_reference_fields_are_remarked(film):
+    sessions = [film(seed, duration=5.0)[0] for seed in (0, 1)]
+    assert screen(sessions)[1] == ()
+    sessions[1] = replace(
+        sessions[1], conditions=replace(sessions[1].conditions, reference_field=2.5e-3))
+    remark, = screen(sessions)[1]
+    assert remark.endswith('(5 mT, 2.5 mT); alignment times are those at 5 mT.')
 
 
 def test_one_particle_and_a_constant_command_are_remarked(film):
@@ -70,7 +165,9 @@ def test_confused_tracks_are_cut_and_told(film):
     assert evidence.jumps == 2
     assert evidence.z.shape[1] == 4
     assert list(evidence.owner) == [0, 0, 1, 1]
-    assert any('longer than any motion' in remark for remark in remarks)
+    assert any('2 steps are longer than any motion' in remark for remark in remarks)
+    told, = (remark for remark in remarks if 'swapped' in remark)
+    assert 'particles 0 and 1 exchange places at 5.05 s' in told
 
 
 def test_frames_before_the_first_field_are_left_out(film):
