@@ -16,6 +16,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from microbot_ros.control.field_record import FieldRecord
 from microbot_ros.model.model import Model
 
 INTERFACE_VERSION = 1
@@ -127,8 +128,8 @@ class Situation:
     (N,) (NaN where unknown). Estimates: `speed` (N,) [m/s, or m/s/Hz of rollers] and `phi` (N,)
     with standard deviations (inf: nothing is known). `expected` (N, 2) is where the particles
     will be when a command given now takes effect, `delay` [s] later, as far as that is known.
-    `field` (2,) and `frequency` are the command before. `joystick` (2,), within the unit circle,
-    is a person's hand. `path` (P, 2).
+    `field` (2,) and `frequency` are the command before, `record` those of the last seconds.
+    `joystick` (2,), within the unit circle, is a person's hand. `path` (P, 2).
     """
 
     t: float
@@ -152,6 +153,7 @@ class Situation:
     joystick: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(2))
     model: Model | None = None
     expected: np.ndarray = dataclasses.field(default_factory=NO_PLACES.copy)
+    record: FieldRecord = dataclasses.field(default_factory=FieldRecord)
 
     def index(self, particle: int) -> int:
         """The row of a particle; ParticleLostError where it is not seen."""
@@ -180,11 +182,15 @@ class Progress:
 
 @dataclass(frozen=True)
 class FieldCommand:
-    """One tick's answer: the wanted `field` (2,) [T] and, for rollers, its `frequency` [Hz]."""
+    """One tick's answer: the wanted `field` (2,) [T] and, for rollers, its `frequency` [Hz].
+
+    `particles` (K,) are the ids of those it is meant for, which are kept in view; None: all.
+    """
 
     field: np.ndarray
     frequency: float = 0.0
     progress: Progress = dataclasses.field(default_factory=Progress)
+    particles: np.ndarray | None = None
 
 
 def no_field(message: str, done: bool = False) -> FieldCommand:

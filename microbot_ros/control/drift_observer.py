@@ -34,6 +34,14 @@ class DriftObserver:
         self._state = state + gain * (measured - state[0])
         self._covariance = P - np.outer(gain, P[0])
 
+    def jump(self, dt: float, measured: complex, sigma: float) -> None:
+        """The same, where it is not known what the field did in between."""
+        self._state[0] = measured
+        kept = self._covariance + np.diag(self.WANDER * dt)
+        kept[0, :] = kept[:, 0] = 0
+        kept[0, 0] = sigma**2
+        self._covariance = kept
+
     @property
     def answer(self) -> complex:
         """c = v e^{iφ} [m/s]."""

@@ -125,7 +125,7 @@ class SharedField(Controller):
                    f'{aim.floor * 1e6:.1f} µm at best')
         progress = Progress(message, abs(shared) <= 2 * hold, aim.distance)
         return FieldCommand(field_along(situation, approach(shared, hold), strength),
-                            progress=progress)
+                            progress=progress, particles=situation.ids[rows])
 
 
 class Ensemble(SharedField):

@@ -53,13 +53,13 @@ class Itinerary:
             self.particle = int(situation.ids[np.argmin(away)])
         return situation.index(self.particle)
 
-    def offset(self, position: np.ndarray, arrival: float) -> complex:
-        """The way [m] from `position` (2,) to the present goal; those within `arrival` are done.
+    def offset(self, place: complex, arrival: float) -> complex:
+        """The way [m] from a place to the present goal; those within `arrival` [m] are done.
 
         After the last one, the way to that.
         """
         while True:
-            offset = complex(*(self._position[self._next] - position).tolist())
+            offset = complex(*self._position[self._next].tolist()) - place
             last = self._next == len(self) - 1
             if abs(offset) > arrival or last:
                 self.done |= last and abs(offset) <= arrival

@@ -19,14 +19,10 @@ from microbot_ros.control.contract import (
     Situation,
     no_field,
 )
-from microbot_ros.control.drift_observer import DriftObserver
-from microbot_ros.control.forecast import FieldRecord
+from microbot_ros.control.pilot import Pilot
 from microbot_ros.control.route import Route
-from microbot_ros.control.steering import Excitation, approach, field_along
+from microbot_ros.control.steering import Excitation, approach
 from microbot_ros.settings import setting
-
-UNKNOWN_SPEED = 10e-6
-"""Prior standard deviation of the answer to the field [m/s] where nothing is known."""
 
 
 @dataclass(frozen=True)
@@ -38,8 +34,6 @@ class PathFollowingParameters:
     field_mT: float = setting(5.0, 'Strength of the field.', lower=0.01, upper=100.0)
     lookahead_um: float = setting(
         1.0, 'Cross-track error is undone within about this length.', lower=0.1, upper=1000.0)
-    drift_um_s: float = setting(
-        1.0, 'The drift that may be expected.', lower=0.0, upper=100.0)
     hold_radius_um: float = setting(
         1.0, 'Radius of the circle around the end of an open path.', lower=0.1, upper=100.0)
     learn_leg_s: float = setting(
@@ -50,9 +44,8 @@ class PathFollowingParameters:
 class PathFollowing(Controller):
     """Line of sight with integral action: course = the path's direction − atan(e/Δ), crabbed.
 
-    e is the cross-track error, to the left, Δ the lookahead. The crab angle that makes up for
-    the drift, and the particle's own speed and φ, come from a filter that runs along; estimates
-    in the situation only start it. A closed path is followed round and round; at the end of an
+    e is the cross-track error, to the left, Δ the lookahead. What it crabs against is learned on
+    the way (`pilot`). A closed path is followed round and round; at the end of an
     open one the particle circles. A new path starts at its nearest point.
     """
 
@@ -70,34 +63,31 @@ class PathFollowing(Controller):
         self._route: Route | None = None
         self._along: float | None = None
         self._particle = -1
-        self._forget()
-
-    def _forget(self) -> None:
-        self._observer: DriftObserver | None = None
-        self._record = FieldRecord()
-        self._seen = self._asked = -math.inf
+        self._pilot = Pilot()
         self._excitation = Excitation()
 
     def activate(self, situation: Situation) -> None:
         """ParticleLostError where the particle asked for is not seen."""
         if self.parameters.particle >= 0:
             situation.index(self.parameters.particle)
-        self._forget()
+        self._excitation.stop()
+        self._along = None
 
     def compute(self, situation: Situation) -> FieldCommand:
         """Along the path, or a triangle until the particle's answer to the field is known."""
         self._take_path(situation)
         if self._route is None:
             return no_field('waits for a path')
-        place, observer = self._observe(situation, self._choose(situation, self._route))
-        strength = units.to_si('field_mT', self.parameters.field_mT)
-        if not observer.answer_std <= 0.2 * abs(observer.answer):
-            return self._excitation.command(situation, self.parameters.learn_leg_s, strength)
+        p, pilot = self.parameters, self._pilot
+        row = self._choose(situation, self._route)
+        place = pilot.look(situation, row)
+        strength = units.to_si('field_mT', p.field_mT)
+        if not pilot.ready:
+            return self._excitation.command(situation, p.learn_leg_s, strength)
+        self._excitation.stop()
         course, progress = self._course(place, self._route)
-        crab = -(observer.drift * cmath.exp(-1j * course)).imag / abs(observer.answer)
-        course += math.asin(min(max(crab, -1.0), 1.0))
-        field = field_along(situation, course - cmath.phase(observer.answer), strength)
-        return FieldCommand(field, progress=progress)
+        field = pilot.steer(situation, course, strength)
+        return FieldCommand(field, progress=progress, particles=situation.ids[row:row + 1])
 
     def _take_path(self, situation: Situation) -> None:
         if np.array_equal(situation.path, self._path):
@@ -125,27 +115,7 @@ class PathFollowing(Controller):
         row = situation.index(particle)
         if particle != self._particle:
             self._particle, self._along = particle, None
-            self._forget()
         return row
-
-    def _observe(self, situation: Situation, row: int) -> tuple[complex, DriftObserver]:
-        """Where the particle will be when the command acts, and what is known of it."""
-        exposed = situation.t - situation.age
-        measured = complex(*situation.position[row].tolist())
-        self._record.note(self._asked + situation.delay, situation.field, situation.frequency)
-        self._asked = situation.t
-        observer = self._observer
-        if observer is None:
-            observer = self._observer = _start(situation, row, measured, self.parameters)
-            self._seen = exposed
-        elif exposed > self._seen:
-            shared = self._record.shared(self._seen, exposed)
-            sigma = float(situation.sigma[row])
-            observer.update(shared, exposed - self._seen, measured,
-                            sigma if sigma > 0 else 1e-7)
-            self._seen = exposed
-        acts = situation.t + situation.delay
-        return observer.ahead(self._record.shared(self._seen, acts), acts - self._seen), observer
 
     def _course(self, place: complex, route: Route) -> tuple[float, Progress]:
         lookahead = units.to_si('lookahead_um', self.parameters.lookahead_um)
@@ -159,13 +129,3 @@ class PathFollowing(Controller):
             return approach(route.end - place, hold), Progress(message, True, to_go)
         course = cmath.phase(way) - math.atan(left / lookahead)
         return course, Progress(message, False, math.nan if route.closed else to_go)
-
-
-def _start(situation: Situation, row: int, measured: complex,
-           parameters: PathFollowingParameters) -> DriftObserver:
-    drift_std = units.to_si('drift_um_s', parameters.drift_um_s)
-    speed, phi = float(situation.speed[row]), float(situation.phi[row])
-    std = math.hypot(float(situation.speed_std[row]), speed * float(situation.phi_std[row]))
-    if std <= UNKNOWN_SPEED and math.isfinite(phi):
-        return DriftObserver(measured, cmath.rect(speed, phi), std, drift_std)
-    return DriftObserver(measured, 0j, UNKNOWN_SPEED, drift_std)

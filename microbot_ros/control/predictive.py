@@ -134,7 +134,8 @@ class Predictive(Ensemble):
         distance = float(np.sqrt(np.mean(np.abs(swarm.position - task.goal) ** 2)))
         message = (f'{len(task.goal)} particles {distance * 1e6:.1f} µm from their goals, '
                    f'{error * 1e6:.1f} µm in {plan.length:.1f} s')
-        return FieldCommand(plan.field[0], progress=Progress(message, False, distance))
+        return FieldCommand(plan.field[0], progress=Progress(message, False, distance),
+                            particles=self._ids)
 
     def _refine(self, swarm: Swarm, task: Task, plan: Plan, end: float) -> tuple[Plan, Rollout]:
         """Step by step, while a step like those before would be through by `end` [s]."""

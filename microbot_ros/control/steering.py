@@ -55,21 +55,6 @@ def goals_in_reach(situation: Situation) -> np.ndarray:
     return position
 
 
-def turned_inwards(situation: Situation, row: int, course: float, margin: float) -> float:
-    """The course [rad] of the particle in a row, without its part that leads out of the view.
-
-    Applies within `margin` [m] of a border; there at least a little inwards.
-    """
-    way = [math.cos(course), math.sin(course)]
-    place = situation.expected[row]
-    for axis in (0, 1):
-        if place[axis] > situation.workspace.high[axis] - margin:
-            way[axis] = min(way[axis], -0.2)
-        elif place[axis] < situation.workspace.low[axis] + margin:
-            way[axis] = max(way[axis], 0.2)
-    return math.atan2(way[1], way[0])
-
-
 class Excitation:
     """The course of the field while it is not known how particles answer: a triangle.
 

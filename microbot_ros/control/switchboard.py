@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from microbot_ros.control.border import kept_in_view
 from microbot_ros.control.contract import (
     PER_PARTICLE,
     Controller,
@@ -19,7 +20,8 @@ from microbot_ros.control.contract import (
     Situation,
     no_field,
 )
-from microbot_ros.control.forecast import FieldRecord, look_ahead
+from microbot_ros.control.field_record import FieldRecord
+from microbot_ros.control.forecast import look_ahead
 from microbot_ros.control.runner import Runner, reason
 from microbot_ros.control.worker import LateError
 
@@ -51,18 +53,21 @@ class Switchboard:
 
     `controllers` by name, `active` the first to drive. A tick waits at most `deadline` [s] for
     its controller and gives it up after `patience` [s]. Poses older than `stale_after` [s] mean
-    no command. Whatever goes wrong, the field falls to zero at the allowed slew, and the outcome
+    no command. Particles that would be out of the workspace within `border` [s] turn the field;
+    0: never. Whatever goes wrong, the field falls to zero at the allowed slew, and the outcome
     says why. After a fault the controller is not asked again before the next successful swap.
     """
 
     def __init__(
         self, controllers: dict[str, Controller], active: str, *,
         deadline: float = 0.01, patience: float = 0.5, stale_after: float = 0.2,
+        border: float = 0.5,
     ) -> None:
         self._runners = {name: Runner(name, it, patience) for name, it in controllers.items()}
         self._active = active
         self._deadline = deadline
         self._stale_after = stale_after
+        self._border = border
         self._record = FieldRecord()
         self._field = np.zeros(2)
         self._fault = ''
@@ -125,8 +130,9 @@ class Switchboard:
             self._record.clear()
             return Outcome(None, Result.STALE, f'poses are {situation.age:.2f} s old')
         situation = _with_delay_of_model(_usable(situation))
-        situation = dataclasses.replace(situation, field=self._field.copy())
-        self._last = situation = look_ahead(situation, self._record)
+        situation = dataclasses.replace(
+            situation, field=self._field.copy(), record=self._record)
+        self._last = situation = look_ahead(situation)
         command, result, message = self._ask(situation)
         field = _approach(self._field, command.field, situation)
         self._field = field
@@ -146,6 +152,8 @@ class Switchboard:
         try:
             command = self._runners[self._active].compute(situation, self._deadline)
             _check(command, situation.limits)
+            if self._border > 0:
+                command = kept_in_view(situation, command, self._border)
             return command, Result.OK, command.progress.message
         except ControllerError as error:
             result, why = error.result, str(error)

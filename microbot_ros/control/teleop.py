@@ -14,7 +14,7 @@ from microbot_ros.control.contract import (
     Situation,
     no_field,
 )
-from microbot_ros.control.steering import field_along, turned_inwards
+from microbot_ros.control.steering import field_along
 from microbot_ros.settings import setting
 
 
@@ -30,16 +30,10 @@ class TeleopParameters:
         0.0, 'Rotation frequency for rollers at full deflection.', lower=0.0, upper=1000.0)
     dead_zone: float = setting(
         0.15, 'Deflection that counts as none, of 1.', lower=0.0, upper=0.9)
-    margin_um: float = setting(
-        5.0, 'This close to the border a chosen particle is turned inwards.',
-        lower=0.0, upper=1000.0)
 
 
 class Teleop(Controller):
-    """The field, or the particle chosen, follows the joystick; without deflection no field.
-
-    A chosen particle that is about to leave the view is turned along the border.
-    """
+    """The field, or the particle chosen, follows the joystick; without deflection no field."""
 
     interface_version = 1
     summary = 'By joystick.'
@@ -57,14 +51,16 @@ class Teleop(Controller):
         if not deflection > p.dead_zone:
             return no_field('the stick is at rest')
         angle = math.atan2(situation.joystick[1], situation.joystick[0])
+        particles = None
         if p.particle >= 0:
             row = situation.index(p.particle)
             if not math.isfinite(situation.phi[row]):
                 raise NotLearnedError(f'how particle {p.particle} answers is not known yet')
-            margin = units.to_si('margin_um', p.margin_um)
-            angle = turned_inwards(situation, row, angle, margin) - float(situation.phi[row])
+            angle -= float(situation.phi[row])
+            particles = situation.ids[row:row + 1]
         strength = units.to_si('field_mT', p.field_mT)
         pace = (deflection - p.dead_zone) / (1 - p.dead_zone)
         frequency = min(p.frequency_hz * pace, situation.limits.frequency)
         progress = Progress(f'steered to {math.degrees(angle):.0f}°')
-        return FieldCommand(field_along(situation, angle, strength), frequency, progress)
+        return FieldCommand(field_along(situation, angle, strength), frequency, progress,
+                            particles)

@@ -28,8 +28,9 @@ DT = 1 / 60
 SQUARE = np.array([[20e-6, 20e-6], [-20e-6, 20e-6], [-20e-6, -20e-6]])
 
 
-def drive(controller, goals, seconds, *, answer, rolling=False, learned_after=0.0, delay=2):
-    """A particle that obeys the first-order model `delay` ticks late; places and outcomes."""
+def drive(controller, goals, seconds, *, answer, rolling=False, learned_after=0.0, drift=0j):
+    """A particle that obeys the first-order model two ticks late; places and outcomes."""
+    delay = 2
     board = Switchboard({'it': controller}, 'it', deadline=5.0)
     rng, place, queue = np.random.default_rng(1), 0j, [(0j, 0.0)] * delay
     places, outcomes = [], []
@@ -46,7 +47,7 @@ def drive(controller, goals, seconds, *, answer, rolling=False, learned_after=0.
         queue.append((complex(*outcome.command.field), outcome.command.frequency))
         field, frequency = queue.pop(0)
         pace = frequency if rolling else 1.0
-        place += (answer * pace * field / abs(field) if field else 0) * DT
+        place += ((answer * pace * field / abs(field) if field else 0) + drift) * DT
         places.append(place)
         outcomes.append(outcome)
     return np.array(places), outcomes
@@ -65,13 +66,31 @@ def test_waypoint_visits_all_and_circles_the_last():
     assert arrival <= 1.05 * straight / 4e-6
 
 
-def test_waypoint_learns_first_then_goes():
+def test_waypoint_learns_by_itself_then_goes():
     places, outcomes = drive(
-        Waypoint(), SQUARE[:1], 15, answer=cmath.rect(4e-6, -2), learned_after=3.0)
-    assert 'learns' in outcomes[100].message
-    # Three sides of 4 µm, each one 120° from the last, end where they began.
-    assert abs(places[180]) < 0.5e-6
-    assert abs(places[-1] - complex(*SQUARE[0])) < 2e-6
+        Waypoint(), SQUARE[:1], 15, answer=cmath.rect(4e-6, -2), learned_after=np.inf)
+    assert 'learns' in outcomes[50].message
+    assert outcomes[-1].command.progress.done
+    last = np.abs(places[-300:] - complex(*SQUARE[0]))
+    assert last.mean() == pytest.approx(1e-6, abs=0.3e-6)
+
+
+@pytest.mark.parametrize('drift', [0.8e-6, -0.8e-6j])
+def test_waypoint_goes_straight_and_circles_evenly_in_a_drift(drift):
+    goal = SQUARE[:1]
+    places, _ = drive(Waypoint(), goal, 25, answer=cmath.rect(4e-6, 2.5), drift=drift)
+    to_goal = complex(*goal[0])
+    on_the_way = places[180:np.argmax(np.abs(places - to_goal) < 3e-6)]
+    off = (on_the_way - on_the_way[0]) * np.conj(to_goal - on_the_way[0])
+    assert np.abs(off.imag / abs(to_goal)).max() < 1.2e-6
+    last = np.abs(places[-480:] - to_goal)
+    assert last.max() < 1.7e-6
+
+
+def test_roller_holds_still_against_a_drift():
+    places, _ = drive(Roller(), SQUARE[:1], 25, answer=cmath.rect(2e-6, 0.7), rolling=True,
+                      drift=0.7e-6)
+    assert np.abs(places[-600:] - complex(*SQUARE[0])).max() < 0.8e-6
 
 
 def test_waypoint_cancels_and_reports_what_is_wrong():
@@ -131,14 +150,6 @@ def test_stick_steers_the_field_or_a_particle():
     teleop.configure(TeleopParameters(particle=5))
     with pytest.raises(ParticleLostError):
         teleop.activate(shown)
-
-
-def test_a_steered_particle_does_not_leave_the_view():
-    teleop = Teleop()
-    teleop.configure(TeleopParameters(particle=0))
-    shown = situation(1, joystick=np.array([1.0, 0.0]), phi=np.zeros(1),
-                      expected=np.array([[142e-6, 0]]))
-    assert teleop.compute(shown).field[0] < 0
 
 
 def play(controller, times, **changes):
