@@ -10,6 +10,9 @@ import numpy as np
 from microbot_ros.tracking.search import block_mean, peaks, spread
 from microbot_ros.tracking.settings import TrackerSettings
 
+LEAST_DIAMETER = 3.0
+"""Pixels: anything smaller is not resolved."""
+
 _LADDER = 2.0 ** np.arange(2, 6.6, 0.5)
 """Diameters [px] tried: 4 to 76."""
 
@@ -66,6 +69,37 @@ def guess_at(frames: list[np.ndarray], diameter: float, sign: float) -> Guess | 
     if not any(map(len, everywhere)):
         return None
     return Guess(diameter, sign, everywhere)
+
+
+def outer_diameter(frames: list[np.ndarray], guess: Guess) -> float:
+    """Width [px] at which the typical spot falls to half its contrast, seen from outside.
+
+    Typical is the median over the spots of their grey values at each distance, each spot
+    weighted by its energy: so neither rings, nor what lies beside some of them, nor many small
+    specks mislead it. 0 where no spot lies wholly in view.
+    """
+    profiles = []
+    for frame, spots in zip(frames, guess.spots, strict=True):
+        radius, grey = _patches(frame, spots, 1.25 * guess.diameter + 2)
+        for r, values in zip(np.rint(radius).astype(int), grey, strict=True):
+            profiles.append(np.bincount(r, values) / np.bincount(r))
+    if not profiles:
+        return 0.0
+    contrast = np.array(profiles)
+    contrast -= np.median(contrast[:, -max(2, contrast.shape[1] // 6):], axis=1, keepdims=True)
+    energy = contrast**2 @ np.arange(contrast.shape[1])
+    share = np.abs(_weighted_median(contrast, energy))
+    share /= max(np.max(share), 1e-9)
+    last = np.flatnonzero(share[:-1] >= 0.5)[-1]
+    return float(2 * (last + (share[last] - 0.5) / (share[last] - share[last + 1])))
+
+
+def _weighted_median(rows: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """The median (K,) of rows (N, K) that count by `weight` (N,)."""
+    order = np.argsort(rows, axis=0)
+    below = np.cumsum(weight[order], axis=0)
+    middle = np.argmax(below >= 0.5 * below[-1], axis=0)
+    return rows[order[middle, np.arange(rows.shape[1])], np.arange(rows.shape[1])]
 
 
 def _spots(frame: np.ndarray, diameter: float, sign: float) -> np.ndarray:

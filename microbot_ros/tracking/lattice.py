@@ -29,7 +29,7 @@ from microbot_ros.tracking.fit import (
 _CELLS = 4
 """Cells per pixel and axis."""
 
-_EXACT = 0.003
+_EXACT = 0.0005
 """Pixels: error of the linear step that is nothing beside any noise."""
 
 _SETTLED_AMONG_OTHERS = 0.04
@@ -105,7 +105,7 @@ def _draw_cell(
 def _longest_linear_step(appearance: Appearance, u: np.ndarray, v: np.ndarray) -> float:
     """The longest step along an axis [px] that one turn makes with an error within `_EXACT`."""
     design, _ = _draw_cell(appearance, u, v)
-    steps = np.arange(0.08, 0.5, 0.02)
+    steps = np.arange(0.08, 0.42, 0.02)
     for step in steps:
         moved = _draw_cell(appearance, u - step, v)[1].ravel() * design[-1]
         solution = np.linalg.lstsq(design.T, moved, rcond=None)[0]

@@ -21,7 +21,13 @@ from microbot_ros.tracking.fit import (
     Y,
     fit,
 )
-from microbot_ros.tracking.guess import Guess, best_guess, guess_at
+from microbot_ros.tracking.guess import (
+    LEAST_DIAMETER,
+    Guess,
+    best_guess,
+    guess_at,
+    outer_diameter,
+)
 from microbot_ros.tracking.outline import OutlineDetector
 from microbot_ros.tracking.profiles import RadialBasis, Samples, samples
 from microbot_ros.tracking.search import background, pixel_noise
@@ -30,11 +36,8 @@ from microbot_ros.tracking.settings import TrackerSettings
 _MOST_FRAMES = 6
 
 _MOST_RESCALINGS = 4
-_NEAR = 0.3
-"""A guess within this of the found size, as a difference of logarithms, is good enough."""
-
-_FAR = 2.45
-"""Ratio of sizes beyond which a blob does not fit at all."""
+_NEAR = 0.25
+"""A guess within this share of the found diameter is good enough."""
 
 _LEAST_OUTLINE = 8.0
 """Pixels: a smaller particle has no outline to speak of."""
@@ -64,22 +67,19 @@ def learning(
     step = max(1, len(frames) // _MOST_FRAMES)
     frames = frames[::step][:_MOST_FRAMES]
     guess = yield from best_guess(frames, settings)
-    for turn in range(_MOST_RESCALINGS):
+    # A wide window collects the energy of debris and halos too: look again at the size of what
+    # was found, or the fits would run into the limits of their size.
+    for _ in range(_MOST_RESCALINGS):
         if guess is None:
             return None
-        learner = _Learner(frames, guess, settings)
-        yield
-        scale = learner.scale()
-        if settings.diameter_px is not None or abs(math.log(scale)) < _NEAR:
+        diameter = outer_diameter(frames, guess)
+        if settings.diameter_px is not None or abs(diameter - guess.diameter) < _NEAR * diameter:
             break
-        if turn > 0 and not 1 / _FAR < scale < _FAR:
-            # A ring, say: no blob of any size fits it, but its picture will be learned.
-            break
-        # A wide window collects the energy of debris and halos too: look again at the size of
-        # what was found, or the fits would run into the limits of their size.
-        guess = guess_at(frames, guess.diameter * scale, guess.sign)
+        guess = guess_at(frames, max(diameter, LEAST_DIAMETER), guess.sign)
         yield
-    return (yield from learner.appearance())
+    if guess is None:
+        return None
+    return (yield from _Learner(frames, guess, settings).appearance())
 
 
 class _Learner:
@@ -94,18 +94,8 @@ class _Learner:
         self._parameters = [_start(spots) for spots in guess.spots]
         self._radii = np.arange(0, 2.2 * self._reach, TABLE_STEP)
         self._basis = RadialBasis(self._reach, self._radii)
-        width = 0.42 * guess.diameter
-        self._table = guess.sign * np.exp(-0.5 * (self._radii / width) ** 2)[None]
+        self._table = self._basis.fit(self._samples(), harmonics=[0])
         self._misfit = math.inf
-
-    def scale(self) -> float:
-        """How large the spots are, in the median, as a part of the guessed diameter."""
-        sizes = []
-        for k, rows in enumerate(self._parameters):
-            fitted = rows.copy()
-            self._refit(k, fitted)
-            sizes += fitted[np.isfinite(fitted[:, SIZE]), SIZE].tolist()
-        return float(np.median(sizes)) if sizes else 1.0
 
     def appearance(self) -> Generator[None, None, Appearance | None]:
         """The result, in portions."""
