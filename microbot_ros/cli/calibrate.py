@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import click
 import pydantic
-import yaml
 
-from microbot_ros.files import output_folder, read_yaml, write_text
 from microbot_ros.magnetics.settings import CoilSettings
 
 
@@ -19,46 +20,98 @@ class _Rig(pydantic.BaseModel):
     coils: CoilSettings = CoilSettings()
 
 
+@dataclass(frozen=True)
+class _Found:
+    """The corrected coils, what was found as JSON and as lines for people, and its picture."""
+
+    settings: CoilSettings
+    summary: dict[str, Any]
+    lines: list[str]
+    draw: Callable[[Path], None]
+
+
 @click.group()
 def command() -> None:
     """Find constants of the rig from measurements."""
 
 
 @command.command()
-@click.argument('readings_csv', metavar='READINGS.csv', type=click.Path(path_type=Path))
+@click.argument('source', metavar='READINGS.csv|SESSION', type=click.Path(path_type=Path))
 @click.option('--out', type=click.Path(path_type=Path), required=True, metavar='DIR',
               help='Folder for coils.yaml, calibration.json and calibration.png.')
 @click.option('--config', type=click.Path(path_type=Path),
               help="Rig's YAML with the geometry in its section coils (else the default rig).")
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
               help='Also write the result here.')
-def coils(readings_csv: Path, out: Path, config: Path | None, json_path: Path | None) -> None:
-    """Fit gain and sign of each coil, and the background field, to gaussmeter readings.
+def coils(source: Path, out: Path, config: Path | None, json_path: Path | None) -> None:
+    """Fit the coils to gaussmeter readings, or to the tracks of a session.
 
-    The file has a row per reading with the columns bx_mT and by_mT, the current of each coil
+    READINGS.csv has a row per reading with the columns bx_mT and by_mT, the current of each coil
     (coil_plus_x_A and so on, after the names in the rig's file), and optionally bz_mT and the
     place of the probe x_mm, y_mm, z_mm (else the workspace centre). Drive each coil by itself,
-    both ways. coils.yaml is the section for the rig's file, with what was found.
+    both ways. It gives gain and sign of each coil and the background field.
+
+    SESSION, a folder or a recording, has catalytic particles under known commands in directions
+    all round, given through the coils in --config. Which way they swim gives the gain of the y
+    pair over the x pair, its lean and the background field; it cannot give the strength of all
+    coils together, a turn common to all, or one coil of a pair by itself.
+
+    coils.yaml is the section for the rig's file, with what was found.
 
     \b
-    Example:
+    Examples:
       microbot calibrate coils readings.csv --config config/rig.yaml --out out/coils
+      microbot calibrate coils recordings/monday --out out/coils
     """
-    from microbot_ros.magnetics.calibration import calibrate, read_readings
-    from microbot_ros.magnetics.plots import draw_calibration
+    import yaml
+
+    from microbot_ros.files import output_folder, read_yaml, write_text
     settings = (read_yaml(config, _Rig) if config else _Rig()).coils
-    readings = read_readings(readings_csv, settings)
-    calibration = calibrate(readings, settings, readings_csv)
-    section = calibration.applied_to(settings).model_dump(mode='json', exclude_none=True)
-    summary = calibration.summary()
-    result = json.dumps(summary, indent=1) + '\n'
+    tracks = source.is_dir() or source.suffix == '.mcap'
+    found = (_from_tracks if tracks else _from_readings)(source, settings)
+    section = found.settings.model_dump(mode='json', exclude_none=True)
+    result = json.dumps(found.summary, indent=1, ensure_ascii=False) + '\n'
     with output_folder(out) as folder:
         write_text(folder / 'coils.yaml', yaml.safe_dump({'coils': section}, sort_keys=False))
         write_text(folder / 'calibration.json', result)
-        draw_calibration(calibration, readings, folder / 'calibration.png')
+        found.draw(folder / 'calibration.png')
     if json_path:
         write_text(json_path, result)
-    for name, found in summary['coils'].items():
-        gain = f'gain {found["gain"]:.4f} ± {found["gain_std"]:.4f}'
-        click.echo(f'{name}: {gain}, sign {found["sign"]:+d}')
-    click.echo(f'residual {summary["residual_rms_mT"]:.3g} mT rms; written to {out}')
+    for line in [*found.lines, f'written to {out}']:
+        click.echo(line)
+
+
+def _from_readings(source: Path, settings: CoilSettings) -> _Found:
+    from microbot_ros.magnetics.calibration import calibrate, read_readings
+    from microbot_ros.magnetics.plots import draw_calibration
+    readings = read_readings(source, settings)
+    calibration = calibrate(readings, settings, source)
+    summary = calibration.summary()
+    lines = [f'{name}: gain {found["gain"]:.4f} ± {found["gain_std"]:.4f}, '
+             f'sign {found["sign"]:+d}' for name, found in summary['coils'].items()]
+    lines.append(f'residual {summary["residual_rms_mT"]:.3g} mT rms')
+    return _Found(calibration.applied_to(settings), summary, lines,
+                  lambda path: draw_calibration(calibration, readings, path))
+
+
+def _from_tracks(source: Path, settings: CoilSettings) -> _Found:
+    from microbot_ros.cli.calibrate_figure import draw_deviations
+    from microbot_ros.discovery.coil_map import coil_map
+    from microbot_ros.magnetics.pairs import with_pairs
+    from microbot_ros.session import read_session
+    found = coil_map(read_session(source))
+    corrected = with_pairs(settings, found.gain_ratio.value, found.skew.value, found.matrix,
+                           found.offset)
+    coils = {winding.name: {'gain': winding.gain, 'sign': winding.sign}
+             for winding in corrected.windings}
+    summary = {'coils': coils, **found.summary()}
+    (bx, by), (bx_std, by_std) = 1e3 * found.offset, 1e3 * found.offset_std
+    lines = [
+        f'y coils over x coils: gain {found.gain_ratio.value:.4f} ± {found.gain_ratio.std:.4f}',
+        f'y coils lean {found.skew.value:.4f} ± {found.skew.std:.4f} rad towards +x',
+        f'background {bx:.3g} ± {bx_std:.2g}, {by:.3g} ± {by_std:.2g} mT beyond the file’s',
+        'not told by tracks: strength of all coils, a common turn, each coil of a pair']
+    if found.unexplained:
+        lines.append(f'! something else is left, against {", ".join(found.unexplained)}: see '
+                     'microbot discover')
+    return _Found(corrected, summary, lines, lambda path: draw_deviations(found, path))
