@@ -2,6 +2,7 @@
 
 from microbot_ros.tracking.appearance import Appearance
 from microbot_ros.tracking.camera import ImageToWorkspace
+from microbot_ros.tracking.drive import Drive
 from microbot_ros.tracking.learn import learn
 from microbot_ros.tracking.settings import TrackerSettings
 from microbot_ros.tracking.source import DeviceSource, Frame, Source, grey, open_source
@@ -9,7 +10,6 @@ from microbot_ros.tracking.tracker import FrameError, Poses, Tracker
 from microbot_ros.tracking.warm import warm_up
 
 __all__ = [
-    'Appearance', 'DeviceSource', 'Frame', 'FrameError', 'ImageToWorkspace', 'Poses', 'Source',
-    'Tracker', 'TrackerSettings', 'grey', 'learn', 'open_source',
-    'warm_up',
+    'Appearance', 'DeviceSource', 'Drive', 'Frame', 'FrameError', 'ImageToWorkspace', 'Poses',
+    'Source', 'Tracker', 'TrackerSettings', 'grey', 'learn', 'open_source', 'warm_up',
 ]

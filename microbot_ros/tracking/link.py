@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 
 import numpy as np
 
 from microbot_ros.tracking.appearance import Appearance
 from microbot_ros.tracking.assign import assign
 from microbot_ros.tracking.detect import Detections
+from microbot_ros.tracking.jump import common_jump
 from microbot_ros.tracking.motion import Motion
 from microbot_ros.tracking.settings import TrackerSettings
+from microbot_ros.tracking.states import (
+    LEAST_SIGMA,
+    PLACE,
+    RESPONSE,
+    UNNAMED,
+    TrackStates,
+    born,
+    phasor,
+    planar,
+)
 
 _MISS_RATE = 0.02
 """Probability that a particle in view is not detected in a frame."""
@@ -18,14 +29,8 @@ _MISS_RATE = 0.02
 _BIRTHS = (0.5, 0.02)
 """New particles per frame: the first guess, and the least that is reckoned with."""
 
-_SURPRISE = 9.0
-"""Squared innovation, in its variance, from which a particle is taken to have changed course."""
-
 _LOOKS_SPREAD = 0.25
 """Standard deviation of ln(contrast) and ln(radius) of one particle from frame to frame."""
-
-_LEAST_SIGMA = 0.05
-"""Pixels: no prediction is better than this, whatever the formulas say."""
 
 _OVERLAP = 1.0
 """Diameters: particles nearer than this overlap in the picture."""
@@ -33,50 +38,11 @@ _OVERLAP = 1.0
 _TOUCHED, _HIDDEN = 0.1, 0.35
 """Diameters: error of a position where two particles overlap, and where one is seen for two."""
 
+_JUMPED = 0.5
+"""Diameters: when most particles are off by more, the picture may have jumped."""
+
 _EXPECTED_FOR = 5
 """Frames for which an unseen particle is still looked for at its prediction."""
-
-_UNNAMED = -1
-
-
-@dataclass
-class TrackStates:
-    """The particles being followed, arrays of equal length N; px, s, rad.
-
-    `xy` and `velocity` (N, 2); `covariance` (N, 3): variances of position, of both together, of
-    velocity, per coordinate; `step` the last measured displacement, NaN after a gap; `hits` the
-    frames seen, `missed` the frames since; `host` the identity of the particle that it has merged
-    with, −1 where it is on its own.
-    """
-
-    id: np.ndarray
-    xy: np.ndarray
-    velocity: np.ndarray
-    covariance: np.ndarray
-    measured: np.ndarray
-    step: np.ndarray
-    sigma: np.ndarray
-    theta: np.ndarray
-    contrast: np.ndarray
-    radius: np.ndarray
-    hits: np.ndarray
-    missed: np.ndarray
-    host: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.id)
-
-    def take(self, rows: np.ndarray) -> TrackStates:
-        """Some of the particles."""
-        return TrackStates(*(getattr(self, part.name)[rows] for part in fields(self)))
-
-    def join(self, other: TrackStates) -> TrackStates:
-        """These and others."""
-        return TrackStates(*(
-            np.concatenate([getattr(self, part.name), getattr(other, part.name)])
-            for part in fields(self)
-        ))
-
 
 class Linker:
     """Follows particles from frame to frame. Identities count up from 0 and are never reused."""
@@ -94,40 +60,50 @@ class Linker:
         self._birth_rate = _BIRTHS[0]
         self._next_id = 0
         self._interval: float | None = None
-        self._shift = np.zeros(2)
+        self._drive_rate = 0.0
+        self._jump: np.ndarray | None = None
+        self._expected_step = np.empty((0, 2))
         self.states = _none()
 
-    def predict(self, dt: float, shift: np.ndarray) -> None:
-        """Move all to where they should be `dt` [s] later; `shift` (2,) [px] is known of all."""
+    @property
+    def jump(self) -> float:
+        """How far the whole picture jumped in the last frame [px]; 0 where it did not."""
+        return 0.0 if self._jump is None else float(np.linalg.norm(self._jump))
+
+    def predict(self, dt: float, drive: complex) -> None:
+        """Move all to where they should be `dt` [s] later, after so much drive."""
         self._interval = dt if self._interval is None else 0.95 * self._interval + 0.05 * dt
-        frames = dt / self._interval
-        states, keep = self.states, self._motion.keep(frames)
-        states.xy = states.xy + states.velocity * dt + shift
-        states.velocity = states.velocity * keep
-        place, both, speed = states.covariance.T
-        change = self._motion.velocity_step / self._interval**2 * (1 - keep**2)
-        states.covariance = np.column_stack([
-            place + 2 * dt * both + dt**2 * speed + self._motion.random_step * frames,
-            keep * (both + dt * speed),
-            keep**2 * speed + change,
-        ])
-        self._shift = shift
+        states = self.states
+        if self._drive_rate == 0.0 and drive:
+            self._drive_rate = abs(drive) / dt
+            states.covariance[:, RESPONSE, RESPONSE] = self._response_variance
+        self._expected_step = planar(drive * states.motion[:, RESPONSE])
+        states.predict(dt, self._interval, drive, self._motion, self._response_variance)
+
+    @property
+    def _response_variance(self) -> float:
+        """What is reckoned with before a particle's response is known."""
+        if self._drive_rate == 0.0 or self._interval is None:
+            return 0.0
+        return (self._max_step / 4 / (self._drive_rate * self._interval)) ** 2
 
     def expected(self) -> np.ndarray:
         """Positions (M, 2) [px] at which named particles are to be looked for."""
         states = self.states
-        near = (states.id != _UNNAMED) & (states.missed < _EXPECTED_FOR)
+        near = (states.id != UNNAMED) & (states.missed < _EXPECTED_FOR)
         return states.xy[near]
 
     def update(self, found: Detections) -> None:
         """Give each detection to a particle, or to a new one; drop who was unseen too long."""
         states = self.states
+        offset = self._jumped(found)
         found, noise = self._doubted(found)
-        track, detection = self._associate(found, noise)
+        track, detection = self._associate(found, noise, offset)
         if self._merging:
             track = self._merge(track, found, detection)
         self._learn(track, found, detection)
-        self._correct(track, found, detection, noise[detection])
+        states.correct(track, found.xy[detection], noise[detection])
+        self._describe(track, found, detection)
         states.missed = states.missed + 1
         states.missed[track] = 0
         states.hits[track] += 1
@@ -143,6 +119,24 @@ class Linker:
             self._birth_rate = max(self._birth_rate, _BIRTHS[1])
         self.states = self.states.join(self._born(found[fresh]))
 
+    def _jumped(self, found: Detections) -> np.ndarray:
+        """Where to look beside the predictions (2,) [px], if the whole picture moved.
+
+        A jump is no velocity: the states take it as their new place. What goes on in the next
+        frame is motion in common, and is left to the filter.
+        """
+        states = self.states
+        tolerance = _JUMPED * self._diameter
+        seen = states.xy[(states.id != UNNAMED) & (states.missed == 0)]
+        before, self._jump = self._jump, common_jump(seen, found.xy, tolerance, self._size)
+        if self._jump is None:
+            return np.zeros(2)
+        if before is not None and np.linalg.norm(self._jump - before) < tolerance:
+            return self._jump
+        states.motion[:, PLACE] += phasor(self._jump)
+        self._expected_step = self._expected_step + self._jump
+        return np.zeros(2)
+
     def _doubted(self, found: Detections) -> tuple[Detections, np.ndarray]:
         """Detections with larger σ where one is seen for two; the variance (N,) to link with.
 
@@ -150,25 +144,25 @@ class Linker:
         position may be off by more, and must not bend the prediction.
         """
         if self._merging or len(found) == 0:
-            return found, found.sigma**2 + _LEAST_SIGMA**2
-        named = self.states.xy[self.states.id != _UNNAMED]
+            return found, found.sigma**2 + LEAST_SIGMA**2
+        named = self.states.xy[self.states.id != UNNAMED]
         detections = _within(found.xy, found.xy, _OVERLAP * self._diameter)
         expected = _within(found.xy, named, _OVERLAP * self._diameter)
         hidden = np.where(expected > detections, _HIDDEN * self._diameter, 0.0)
         touched = np.where(detections > 1, _TOUCHED * self._diameter, 0.0)
         found = replace(found, sigma=np.hypot(found.sigma, hidden))
-        return found, found.sigma**2 + touched**2 + _LEAST_SIGMA**2
+        return found, found.sigma**2 + touched**2 + LEAST_SIGMA**2
 
     def _associate(
-        self, found: Detections, noise: np.ndarray
+        self, found: Detections, noise: np.ndarray, offset: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         states = self.states
         alone = states.host < 0
         wider = np.where(alone, np.sqrt(1.0 + states.missed), 1.0)
-        reach = self._max_step * wider + np.where(alone, 0.0, np.sqrt(states.covariance[:, 0]))
+        reach = self._max_step * wider + np.where(alone, 0.0, np.sqrt(states.variance))
         rate = _MISS_RATE * self._birth_rate / (self._size[0] * self._size[1])
         return assign(
-            states.xy, states.covariance[:, 0], reach, _looks(states),
+            states.xy + offset, states.variance, reach, _looks(states),
             found.xy, noise, _looks(found), _LOOKS_SPREAD, rate)
 
     def _merge(
@@ -179,7 +173,7 @@ class Linker:
         The older of the two keeps the outline. Returns the tracks of the detections.
         """
         states, track = self.states, track.copy()
-        lost = np.setdiff1d(np.flatnonzero((states.id != _UNNAMED) & (states.host < 0)), track)
+        lost = np.setdiff1d(np.flatnonzero((states.id != UNNAMED) & (states.host < 0)), track)
         for i in lost[np.argsort(-states.hits[lost])]:
             offset = np.linalg.norm(found.xy[detection] - states.xy[i], axis=1)
             inside = offset - found.radius[detection] - states.radius[i] / 2
@@ -187,7 +181,7 @@ class Linker:
                 continue
             k = int(np.argmin(inside))
             other = track[k]
-            if states.id[other] == _UNNAMED:
+            if states.id[other] == UNNAMED:
                 continue
             if states.hits[i] > states.hits[other]:
                 track[k], other, i = i, i, other
@@ -198,7 +192,7 @@ class Linker:
         """Merged particles are where their host is, give or take its radius."""
         states = self.states
         states.host[states.missed == 0] = -1
-        row = {int(name): k for k, name in enumerate(states.id) if name != _UNNAMED}
+        row = {int(name): k for k, name in enumerate(states.id) if name != UNNAMED}
         for i in np.flatnonzero(states.host >= 0):
             host = row.get(int(states.host[i]))
             while host is not None and states.host[host] >= 0 and host != i:
@@ -208,33 +202,21 @@ class Linker:
                 states.missed[i] = 1
                 continue
             states.host[i] = states.id[host]
-            states.xy[i], states.velocity[i] = states.xy[host], states.velocity[host]
-            states.covariance[i, :2] = states.radius[host] ** 2, 0.0
+            states.motion[i, :RESPONSE] = states.motion[host, :RESPONSE]
+            states.covariance[i, PLACE] = states.covariance[i, :, PLACE] = 0.0
+            states.covariance[i, PLACE, PLACE] = states.radius[host] ** 2
 
     def _learn(self, track: np.ndarray, found: Detections, detection: np.ndarray) -> None:
         states = self.states
-        step = found.xy[detection] - states.measured[track] - self._shift
+        step = found.xy[detection] - states.measured[track] - self._expected_step[track]
         again = (states.missed[track] == 0) & np.isfinite(states.step[track, 0])
         again &= found.sigma[detection] < _TOUCHED * self._diameter
         self._motion.learn(step[again], states.step[track][again], found.sigma[detection][again])
         states.step[track] = np.where((states.missed[track] == 0)[:, None], step, np.nan)
 
-    def _correct(
-        self, track: np.ndarray, found: Detections, detection: np.ndarray, noise: np.ndarray
-    ) -> None:
-        """Kalman update per coordinate; what is published is the measurement itself."""
+    def _describe(self, track: np.ndarray, found: Detections, detection: np.ndarray) -> None:
+        """Take over how the particles look; what is published is the measurement itself."""
         states = self.states
-        innovation = found.xy[detection] - states.xy[track]
-        surprise = np.mean(innovation**2, axis=1) / (states.covariance[track, 0] + noise)
-        # A particle that starts, stops or turns has outrun its covariance; let that catch up.
-        doubt = np.maximum(surprise / _SURPRISE, 1.0)[:, None]
-        place, both, speed = (states.covariance[track] * doubt).T
-        total = place + noise
-        gain_place, gain_speed = place / total, both / total
-        states.xy[track] += gain_place[:, None] * innovation
-        states.velocity[track] += gain_speed[:, None] * innovation
-        states.covariance[track] = np.column_stack([
-            (1 - gain_place) * place, (1 - gain_place) * both, speed - gain_speed * both])
         states.measured[track] = found.xy[detection]
         states.sigma[track] = found.sigma[detection]
         states.theta[track] = found.theta[detection]
@@ -246,7 +228,7 @@ class Linker:
 
     def _bury(self) -> None:
         states = self.states
-        patience = np.where(states.id == _UNNAMED, 0, self._settings.coast_frames)
+        patience = np.where(states.id == UNNAMED, 0, self._settings.coast_frames)
         height, width = self._size
         x, y = states.xy.T
         inside = (x > -0.5) & (y > -0.5) & (x < width - 0.5) & (y < height - 0.5)
@@ -256,22 +238,15 @@ class Linker:
     def _christen(self) -> None:
         states = self.states
         often = states.hits >= self._settings.confirm_frames
-        due = np.flatnonzero((states.id == _UNNAMED) & often)
+        due = np.flatnonzero((states.id == UNNAMED) & often)
         states.id[due] = self._next_id + np.arange(len(due))
         self._next_id += len(due)
 
     def _born(self, found: Detections) -> TrackStates:
-        count = len(found)
-        dt = self._interval or 1.0
-        speed = max(self._motion.velocity_step, (self._max_step / 4) ** 2) / dt**2
-        return TrackStates(
-            id=np.full(count, _UNNAMED), xy=found.xy.copy(), velocity=np.zeros((count, 2)),
-            covariance=np.column_stack([
-                found.sigma**2 + _LEAST_SIGMA**2, np.zeros(count), np.full(count, speed)]),
-            measured=found.xy.copy(), step=np.full((count, 2), np.nan), sigma=found.sigma.copy(),
-            theta=found.theta.copy(), contrast=found.contrast.copy(), radius=found.radius.copy(),
-            hits=np.ones(count, int), missed=np.zeros(count, int), host=np.full(count, -1),
-        )
+        speed = max(self._motion.velocity_step, (self._max_step / 4) ** 2)
+        return born(
+            found.xy, found.sigma, found.theta, found.contrast, found.radius,
+            speed / (self._interval or 1.0) ** 2, self._response_variance)
 
 
 def _within(places: np.ndarray, others: np.ndarray, distance: float) -> np.ndarray:
@@ -291,9 +266,4 @@ def _looks(of: TrackStates | Detections) -> np.ndarray:
 
 def _none() -> TrackStates:
     empty = np.empty(0)
-    return TrackStates(
-        id=np.empty(0, int), xy=np.empty((0, 2)), velocity=np.empty((0, 2)),
-        covariance=np.empty((0, 3)), measured=np.empty((0, 2)), step=np.empty((0, 2)),
-        sigma=empty, theta=empty, contrast=empty, radius=empty, hits=np.empty(0, int),
-        missed=np.empty(0, int), host=np.empty(0, int),
-    )
+    return born(np.empty((0, 2)), empty, empty, empty, empty, 0.0, 0.0)

@@ -12,11 +12,10 @@ from microbot_ros.errors import InputError
 from microbot_ros.tracking.appearance import Appearance
 from microbot_ros.tracking.detect import RoundDetector
 from microbot_ros.tracking.learn import learning
-from microbot_ros.tracking.link import Linker, TrackStates
+from microbot_ros.tracking.link import Linker
 from microbot_ros.tracking.outline import OutlineDetector
 from microbot_ros.tracking.settings import TrackerSettings
-
-_NO_SHIFT = np.zeros(2)
+from microbot_ros.tracking.states import TrackStates
 
 
 class FrameError(InputError):
@@ -85,39 +84,44 @@ class Tracker:
         self._learning: Generator[None, None, Appearance | None] | None = None
         self._last = -math.inf
         self._refused = -math.inf
-        self._shift_rate = _NO_SHIFT
 
     @property
     def ready(self) -> bool:
         """Whether the appearance of the particles is known."""
         return self.appearance is not None
 
+    @property
+    def jump_px(self) -> float:
+        """How far the picture as a whole jumped in the last frame; 0 where it did not."""
+        return 0.0 if self._linker is None else self._linker.jump
+
     def update(
-        self, image: np.ndarray, t: float, predicted_shift_px: np.ndarray | None = None
+        self, image: np.ndarray, t: float, drive: np.ndarray | None = None
     ) -> Poses:
         """The poses at time `t` [s], from a frame (H, W) of uint8 or uint16.
 
-        `predicted_shift_px` (2,) is how far all particles are expected to have moved since the
-        last frame because of the command; what it leaves is predicted from each one's velocity.
+        `drive` (2,) is the direction in which the field drives particles, in image axes, summed
+        over the time since the last frame (`Drive.between`); what it does to each of them, how
+        fast and at which angle, is learned.
         Raises FrameError, with the tracker as it was, for a frame of another kind than the first
         or a time that isn't later. Where the clock was set back for good, the next frame goes on
         from there, identities kept.
         """
-        self._check(image, predicted_shift_px)
+        self._check(image, drive)
         dt = self._interval(t)
         if self.appearance is None:
             self._learn(image)
-            return _poses(t, None, _NO_SHIFT)
+            return _poses(t, None, 0j)
         if self._linker is None or self._detector is None:
             self._detector = make_detector(self.appearance, self.settings)
             self._linker = Linker(self.settings, self.appearance, image.shape)
-        shift = _NO_SHIFT if predicted_shift_px is None else np.asarray(predicted_shift_px, float)
+        pushed = 0j if drive is None else complex(*drive)
         if dt is not None:
-            self._linker.predict(dt, shift)
+            self._linker.predict(dt, pushed)
         self._linker.update(self._detector.detect(image, self._linker.expected()))
-        return _poses(t, self._linker.states, shift / dt if dt else _NO_SHIFT)
+        return _poses(t, self._linker.states, pushed / dt if dt else 0j)
 
-    def _check(self, image: np.ndarray, shift: np.ndarray | None) -> None:
+    def _check(self, image: np.ndarray, drive: np.ndarray | None) -> None:
         if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16) or image.size == 0:
             raise FrameError(
                 f'expected (H, W) grey uint8 or uint16, got {image.shape} {image.dtype}')
@@ -127,8 +131,8 @@ class Tracker:
             raise FrameError(
                 f'expected {self.size[1]}×{self.size[0]} {self._dtype} as before, '
                 f'got {image.shape[1]}×{image.shape[0]} {image.dtype}')
-        if shift is not None and not (np.shape(shift) == (2,) and np.all(np.isfinite(shift))):
-            raise FrameError(f'expected a finite predicted shift (2,) [px], got {shift}')
+        if drive is not None and not (np.shape(drive) == (2,) and np.all(np.isfinite(drive))):
+            raise FrameError(f'expected a finite drive (2,), got {drive}')
 
     def _interval(self, t: float) -> float | None:
         """Time since the last frame [s]; None for the first."""
@@ -168,7 +172,7 @@ def make_detector(
     return kind(appearance, settings)
 
 
-def _poses(t: float, states: TrackStates | None, drift: np.ndarray) -> Poses:
+def _poses(t: float, states: TrackStates | None, drive_rate: complex) -> Poses:
     if states is None:
         none = np.empty(0)
         return Poses(
@@ -176,8 +180,8 @@ def _poses(t: float, states: TrackStates | None, drift: np.ndarray) -> Poses:
     states = states.take(states.id >= 0)
     seen = states.missed == 0
     xy = np.where(seen[:, None], states.measured, states.xy)
-    velocity = states.velocity + drift
-    sigma = np.where(seen, states.sigma, np.sqrt(states.covariance[:, 0]))
+    velocity = states.velocity(drive_rate)
+    sigma = np.where(seen, states.sigma, np.sqrt(states.variance))
     return Poses(
         t, states.id, xy[:, 0], xy[:, 1], states.theta, velocity[:, 0], velocity[:, 1], sigma,
         seen)

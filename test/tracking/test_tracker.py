@@ -101,24 +101,27 @@ def test_a_clock_set_back_for_good_is_followed(still: list[np.ndarray]) -> None:
     assert tracker.update(still[4], 3.0).seen.all()
 
 
-@pytest.mark.parametrize('shift', [[math.nan, 0.0], [math.inf, 0.0], [1.0], 3.0])
-def test_a_predicted_shift_is_two_finite_numbers(shift: object, still: list[np.ndarray]) -> None:
-    with pytest.raises(FrameError, match='predicted shift'):
-        _tracker(still).update(still[0], 0.0, np.array(shift))
+@pytest.mark.parametrize('drive', [[math.nan, 0.0], [math.inf, 0.0], [1.0], 3.0])
+def test_a_drive_is_two_finite_numbers(drive: object, still: list[np.ndarray]) -> None:
+    with pytest.raises(FrameError, match='finite drive'):
+        _tracker(still).update(still[0], 0.0, np.array(drive))
 
 
-def test_a_commanded_shift_is_expected(still: list[np.ndarray]) -> None:
-    """A jump of most of the spacing links rightly only if it was announced."""
+def test_a_jump_of_the_picture_keeps_identities_and_is_told(still: list[np.ndarray]) -> None:
+    """Somebody touches the table: all move by two diameters at once."""
     whole = scene('disc', -60, 15, seed=9, frames=6).frames
     jump = np.array([20.0, 14.0])
     tracker = _tracker(still)
     for t in range(4):
         before = tracker.update(whole[t][:240, :320], t / 60)
-    poses = tracker.update(whole[4][14:254, 20:340], 4 / 60, -jump)
+    assert tracker.jump_px == 0
+    poses = tracker.update(whole[4][14:254, 20:340], 4 / 60)
     old = {int(name): place for name, place in zip(before.id, before.xy, strict=True)}
     kept = [(old[int(n)], p) for n, p in zip(poses.id, poses.xy, strict=True) if int(n) in old]
     assert len(kept) > 20
     np.testing.assert_allclose([p - o for o, p in kept], np.tile(-jump, (len(kept), 1)), atol=1)
+    assert tracker.jump_px == pytest.approx(np.linalg.norm(jump), abs=0.2)
+    assert np.abs(poses.velocity[poses.seen]).max() < 100
 
 
 def test_noise_and_a_flickering_lamp_invent_nothing(still: list[np.ndarray]) -> None:

@@ -1,0 +1,46 @@
+"""Which way the field drives the particles, and what that sums up to between two frames."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+
+_MOST = 10_000
+"""Commands kept while no frame comes."""
+
+
+class Drive:
+    """The drive over time: each command holds until the next; before the first there is none.
+
+    A drive is the direction in which the field would move a particle with φ = 0: of length one
+    for swimmers, who go at their own speed, and the rotation frequency [Hz] for rollers.
+    """
+
+    def __init__(self) -> None:
+        self._commands: deque[tuple[float, complex]] = deque(maxlen=_MOST)
+
+    def command(self, t: float, drive: np.ndarray) -> None:
+        """From `t` [s] on the drive is (2,). What is not finite is not taken.
+
+        A time before the last one replaces what was known from there on.
+        """
+        x, y = map(float, drive)
+        if not all(map(math.isfinite, (t, x, y))):
+            return
+        while self._commands and self._commands[-1][0] >= t:
+            self._commands.pop()
+        self._commands.append((t, complex(x, y)))
+
+    def between(self, start: float, end: float) -> np.ndarray:
+        """The drive (2,) summed from `start` to `end` [s]; what came before is forgotten."""
+        while len(self._commands) > 1 and self._commands[1][0] <= start:
+            self._commands.popleft()
+        total, until = 0j, end
+        for t, drive in reversed(self._commands):
+            since = max(t, start)
+            if since < until:
+                total += drive * (until - since)
+                until = since
+        return np.array([total.real, total.imag])

@@ -1,0 +1,131 @@
+"""The particles being followed: what is known of each, and the filter that keeps it so."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from microbot_ros.tracking.motion import Motion
+
+PLACE, VELOCITY, RESPONSE = range(3)
+"""Columns of `TrackStates.motion`, and rows and columns of its covariance."""
+
+UNNAMED = -1
+"""Identity of a particle that has not been seen often enough to have one."""
+
+LEAST_SIGMA = 0.05
+"""Pixels: no prediction is better than this, whatever the formulas say."""
+
+_SURPRISE = 9.0
+"""Squared innovation, in its variance, from which a particle is taken to have changed course."""
+
+_RESPONSE_LASTS = 1000.0
+"""Frames over which a particle's response to the drive is expected to change."""
+
+
+@dataclass
+class TrackStates:
+    """The particles being followed, arrays of equal length N; px, s, rad.
+
+    `motion` (N, 3) complex, x + iy: place [px], velocity of its own [px/s], response to the drive
+    [px per unit of it]: speed times e^{iφ}, the same at every direction of the drive.
+    `covariance` (N, 3, 3) Hermitian, of these, per coordinate. `measured` (N, 2) the last
+    measurement; `step` (N, 2) the displacement to it that neither drive nor jump explains, NaN
+    after a gap; `hits` the frames seen, `missed` the frames since; `host` the identity of the
+    particle that it has merged with, −1 where it is on its own.
+    """
+
+    id: np.ndarray
+    motion: np.ndarray
+    covariance: np.ndarray
+    measured: np.ndarray
+    step: np.ndarray
+    sigma: np.ndarray
+    theta: np.ndarray
+    contrast: np.ndarray
+    radius: np.ndarray
+    hits: np.ndarray
+    missed: np.ndarray
+    host: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+    @property
+    def xy(self) -> np.ndarray:
+        """Where the particles are taken to be, (N, 2) [px]."""
+        return planar(self.motion[:, PLACE])
+
+    @property
+    def variance(self) -> np.ndarray:
+        """Variance (N,) of each coordinate of the place [px²]."""
+        return self.covariance[:, PLACE, PLACE].real
+
+    def velocity(self, drive_rate: complex) -> np.ndarray:
+        """Velocity (N, 2) [px/s] under a drive of so much per second."""
+        return planar(self.motion[:, VELOCITY] + drive_rate * self.motion[:, RESPONSE])
+
+    def take(self, rows: np.ndarray) -> TrackStates:
+        """Some of the particles."""
+        return TrackStates(*(getattr(self, part.name)[rows] for part in fields(self)))
+
+    def join(self, other: TrackStates) -> TrackStates:
+        """These and others."""
+        return TrackStates(*(
+            np.concatenate([getattr(self, part.name), getattr(other, part.name)])
+            for part in fields(self)
+        ))
+
+    def predict(self, dt: float, interval: float, drive: complex, motion: Motion,
+                response_variance: float) -> None:
+        """Move all on by `dt` [s], where frames usually come every `interval`, under `drive`."""
+        frames = dt / interval
+        keep = motion.keep(frames)
+        step = np.array([[1, dt, drive], [0, keep, 0], [0, 0, 1]])
+        self.motion = self.motion @ step.T
+        self.covariance = step @ self.covariance @ step.conj().T
+        self.covariance += np.diag([
+            motion.random_step * frames,
+            motion.velocity_step / interval**2 * (1 - keep**2),
+            response_variance * frames / _RESPONSE_LASTS])
+
+    def correct(self, rows: np.ndarray, found: np.ndarray, noise: np.ndarray) -> None:
+        """Kalman update of some particles by measured places (K, 2) of variance `noise` (K,)."""
+        innovation = phasor(found) - self.motion[rows, PLACE]
+        covariance = self.covariance[rows]
+        surprise = np.abs(innovation) ** 2 / 2 / (covariance[:, PLACE, PLACE].real + noise)
+        # A particle that starts, stops or turns has outrun its covariance; let that catch up.
+        covariance = covariance * np.maximum(surprise / _SURPRISE, 1.0)[:, None, None]
+        gain = covariance[:, :, PLACE] / (covariance[:, PLACE, PLACE].real + noise)[:, None]
+        self.motion[rows] += gain * innovation[:, None]
+        self.covariance[rows] = covariance - gain[:, :, None] * covariance[:, None, PLACE]
+
+
+def born(
+    xy: np.ndarray, sigma: np.ndarray, theta: np.ndarray, contrast: np.ndarray,
+    radius: np.ndarray, velocity_variance: float, response_variance: float,
+) -> TrackStates:
+    """States of particles seen for the first time: xy (N, 2), the others (N,)."""
+    count = len(xy)
+    motion = np.zeros((count, 3), complex)
+    motion[:, PLACE] = phasor(xy)
+    covariance = np.zeros((count, 3, 3), complex)
+    covariance[:, PLACE, PLACE] = sigma**2 + LEAST_SIGMA**2
+    covariance[:, VELOCITY, VELOCITY] = velocity_variance
+    covariance[:, RESPONSE, RESPONSE] = response_variance
+    return TrackStates(
+        id=np.full(count, UNNAMED), motion=motion, covariance=covariance, measured=xy.copy(),
+        step=np.full((count, 2), np.nan), sigma=sigma.copy(), theta=theta.copy(),
+        contrast=contrast.copy(), radius=radius.copy(), hits=np.ones(count, int),
+        missed=np.zeros(count, int), host=np.full(count, -1))
+
+
+def phasor(xy: np.ndarray) -> np.ndarray:
+    """Vectors (..., 2) as x + iy (...)."""
+    return xy[..., 0] + 1j * xy[..., 1]
+
+
+def planar(z: np.ndarray) -> np.ndarray:
+    """x + iy (...) as vectors (..., 2)."""
+    return np.stack([z.real, z.imag], axis=-1)
