@@ -10,7 +10,7 @@ ros_from_pypi = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
 development = [
     'catkin_pkg', 'colcon-common-extensions', 'coverage', 'hypothesis', 'import-linter',
     'magpylib', 'mypy', 'psutil', 'pysindy', 'pytest', 'pytest-timeout', 'pytest-xdist', 'ruff',
-    'trackpy', 'types-PyYAML', 'types-pyserial',
+    'StochasticForceInference', 'trackpy', 'types-PyYAML', 'types-pyserial',
 ]
 
 nodes = [
