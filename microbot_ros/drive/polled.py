@@ -82,11 +82,13 @@ class PolledAmplifier(Amplifier):
         self._due_s = time.monotonic() + self.period_s
         with self._exchange:
             currents = self._measure()
-            if time.monotonic() >= self._inspection_s:
+        measured_s = time.monotonic()
+        if measured_s >= self._inspection_s:
+            with self._exchange:
                 self.fault = self._inspect()
-                self._inspection_s = time.monotonic() + _INSPECT_S
+            self._inspection_s = measured_s + _INSPECT_S
         self.counters.frames_received += 1
-        return [(time.monotonic(), currents)]
+        return [(measured_s, currents)]
 
     def _release(self) -> None:
         with self._exchange:

@@ -1,7 +1,6 @@
-"""The self-check: over coils of arithmetic, and at every amplifier that there is."""
+"""The self-check over coils of arithmetic."""
 
 import math
-import threading
 
 import pytest
 from hypothesis import given, settings
@@ -9,8 +8,7 @@ from hypothesis import strategies as st
 
 from microbot_ros.drive.amplifier import COILS, amplifier_class
 from microbot_ros.drive.coil_driver import CoilDriver
-from microbot_ros.drive.emulator.process import DEVICES
-from microbot_ros.drive.gate import ZERO, Limits, Reason
+from microbot_ros.drive.gate import ZERO, Limits
 from microbot_ros.drive.self_check import SelfCheck
 from microbot_ros.errors import InputError
 
@@ -112,84 +110,3 @@ def test_limits_without_room_for_a_pulse_are_refused(change):
 def test_the_pulse_stays_within_the_limits():
     limits = Limits(**{**vars(LIMITS), 'current_A': 0.5})
     assert SelfCheck(limits).pulse_A == 0.5
-
-
-@pytest.fixture
-def fault():
-    return ''
-
-
-@pytest.fixture
-def device(emulate, protocol, fault):
-    return emulate(protocol, *(('--fault', fault) if fault else ()))
-
-
-@pytest.fixture
-def driver(device, protocol):
-    amplifier = amplifier_class(protocol)(device.url, FULL_SCALE_A)
-    amplifier.reply_s = amplifier._boot_s = 2.0  # a loaded machine is slower than a device
-    measured = threading.Event()
-    driver = CoilDriver(amplifier, LIMITS, lambda _: measured.set())
-    driver.start()
-    assert measured.wait(20.0)
-    yield driver
-    driver.stop()
-
-
-every_amplifier = pytest.mark.parametrize('protocol', sorted(DEVICES))
-
-
-@every_amplifier
-def test_each_coil_gets_one_pulse_before_anything_else(driver, device):
-    assert driver.command([1.0, 0.0, 0.0, 0.0]) is None
-    assert driver.arm() is None
-    assert driver.gains == pytest.approx([1.0] * 4, abs=0.1)
-    flowed = [tuple(entry['currents_A']) for entry in device.entries()
-              if any(entry['currents_A'])]
-    assert [[abs(current) > 0.1 for current in currents] for currents in flowed] == [
-        [coil == pulsed for coil in range(4)] for pulsed in range(4)]
-    assert driver.arm() is None
-    assert len([1 for entry in device.entries() if any(entry['currents_A'])]) == 4
-    assert driver.command([1.0, 0.0, 0.0, 0.0]) is not None
-
-
-@every_amplifier
-@pytest.mark.parametrize(('fault', 'sentence'), [
-    ('open=1', 'coil_plus_y is open'), ('reversed=3', 'coil_minus_y is reversed'),
-    ('half_gain=4', 'coil_minus_x has a gain of 0.5'),
-])
-def test_a_coil_that_is_wrong_refuses_arming(driver, device, sentence):
-    refusal = driver.arm()
-    assert refusal.startswith(f'self-check: {sentence}')
-    assert driver.gate.fault.reason is Reason.SELF_CHECK
-    assert not driver.gate.armed
-    assert driver.gains is None
-    assert driver.command([1.0, 0.0, 0.0, 0.0]) is None
-    device.eventually_at(ZERO)
-
-
-@pytest.mark.parametrize('protocol', sorted({*DEVICES} - {'serial_transfer'}))
-def test_a_device_that_is_too_hot_is_a_fault_and_cannot_be_armed(driver, device):
-    device.fault('over_temperature')
-    found = device.until(lambda: driver.gate.fault)
-    assert found.reason is Reason.DEVICE
-    assert any(word in found.detail for word in ('hot', 'heat', 'temperature'))
-    assert driver.arm() == found.detail
-
-
-@pytest.mark.parametrize('protocol', ['serial_transfer'])
-@pytest.mark.parametrize(('sudden', 'reason'), [
-    ('silence', Reason.SILENCE), ('unplug+0.2', Reason.LINE)])
-def test_a_check_that_cannot_go_on_ends(driver, device, sudden, reason, monkeypatch):
-    go_on = driver._go_on_checking
-
-    def break_off(check, now):
-        if len(check.gains) == 1 and check.measured.__name__ == 'measured':
-            device.fault(sudden)
-            check.measured = lambda *_: None  # the pulse lasts until the line is gone
-        go_on(check, now)
-
-    monkeypatch.setattr(driver, '_go_on_checking', break_off)
-    assert driver.arm().startswith(reason.value)
-    assert driver.gate.fault.reason is reason
-    device.eventually_at(ZERO)
