@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -12,7 +13,7 @@ import numpy as np
 from microbot_ros.discovery.drive_levels import curve_p_value
 from microbot_ros.discovery.experiment import next_experiment
 from microbot_ros.discovery.held_out import held_out_gap, log_e_value
-from microbot_ros.discovery.ladder import BACKWARD, Ladder, contribution, search
+from microbot_ros.discovery.ladder import BACKWARD, FORWARD, Ladder, search, without
 from microbot_ros.discovery.likelihood import Fit
 from microbot_ros.discovery.maps import residual_maps
 from microbot_ros.discovery.result import (
@@ -26,9 +27,8 @@ from microbot_ros.discovery.result import (
     Verdict,
 )
 from microbot_ros.discovery.screen import screen
-from microbot_ros.discovery.search import LATE, Found, hidden_in_phi
+from microbot_ros.discovery.search import LATE, Found, found_in, hidden_in_phi
 from microbot_ros.estimation.phasor import polar
-from microbot_ros.model.effect import Effect
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.parameter import Parameter
@@ -40,6 +40,9 @@ CLOSE = 6.0
 
 HELD_OUT = float(np.log(20))
 """Logarithm of the e-value that an established effect has to reach."""
+
+BETTER = 2.0
+"""Gain in log p by which a map has to explain more than an effect, to make it a stand-in."""
 
 ONE_SIDED = 1.645
 
@@ -70,18 +73,18 @@ def _discover(ladder: Ladder, remarks: tuple[str, ...], report: Callable[[str], 
     ladder.climb(report)
     report('mapping what is left')
     after = residual_maps(ladder.fit) if ladder.fit.model.effects else before
-    clean = not any(m.fires for m in after)
     report('comparing with what could stand in')
-    named = [_name(ladder, effect, after) for effect in ladder.fit.model.effects]
-    effects = tuple(effect for effect, _ in named)
-    rivals = [rival for _, models in named for rival in models]
+    cases = [_Case.of(ladder, effect.id) for effect in ladder.fit.model.effects]
+    unexplained = _worst([m for m in after if m.fires] + [m for c in cases for m in c.better])
+    effects = [_name(ladder, case, bool(unexplained)) for case in cases]
+    rivals = [rival.fit.model for case in cases for rival in case.rivals]
     report('predicting what was held out')
     fit = ladder.fit
     return Discovery(
-        verdict=_verdict(effects, clean),
-        effects=tuple(sorted(effects, key=lambda e: -e.delta_bic)),
+        verdict=_verdict(effects, unexplained),
+        effects=tuple(sorted(effects, key=lambda e: (e.p_value, -e.delta_bic))),
         gap=held_out_gap(start, fit, truth),
-        maps_before=before, maps_after=after, ladder=tuple(ladder.rungs),
+        maps_before=before, maps_after=after, unexplained=unexplained, ladder=tuple(ladder.rungs),
         limits=tuple(limit for found in ladder.open for limit in _limits(found)),
         baseline=_particles(fit),
         diffusion=_mean([Estimate(p.diffusion, p.diffusion * np.sqrt(2 / p.freedom))
@@ -94,32 +97,62 @@ def _discover(ladder: Ladder, remarks: tuple[str, ...], report: Callable[[str], 
     )
 
 
-def _verdict(effects: Sequence[NamedEffect], clean: bool) -> Verdict:
-    if not clean:
+def _verdict(effects: Sequence[NamedEffect], unexplained: Sequence[ResidualMap]) -> Verdict:
+    if unexplained:
         return 'unnamed'
     return 'named' if any(e.status == 'established' for e in effects) else 'consistent'
 
 
-def _name(ladder: Ladder, effect: Effect,
-          left: Sequence[ResidualMap]) -> tuple[NamedEffect, list[Model]]:
-    """An effect of the final model with its evidence, and the models with its rivals instead."""
-    own = contribution(ladder.fit, effect.id)
-    gain = log_e_value(ladder.fit, effect.id)
-    rivals = [rival for rival in ladder.rivals(effect.id) if _close(rival, own)]
+@dataclass(frozen=True)
+class _Case:
+    """What speaks for an effect of the final model, and what against it.
+
+    `own` is what it brings beside the others, `rivals` the effects that explain as much in its
+    place, `better` the maps which say that something smooth that is in no library explains more.
+    """
+
+    own: Found
+    rivals: list[Found]
+    better: list[ResidualMap]
+
+    @classmethod
+    def of(cls, ladder: Ladder, name: str) -> _Case:
+        """The case of one effect of the ladder's model."""
+        rest = without(ladder.fit, name)
+        own = found_in(ladder.fit, rest, name)
+        chance = own.log_p + np.log(len(EFFECTS))
+        return cls(
+            own, [rival for rival in ladder.rivals(name) if _close(rival, own)],
+            [m for m in residual_maps(rest) if m.fires and m.log_p < chance - BETTER])
+
+
+def _worst(maps: Iterable[ResidualMap]) -> tuple[ResidualMap, ...]:
+    """One map against each covariate, the least likely by chance first."""
+    found: dict[str, ResidualMap] = {}
+    for one in sorted(maps, key=lambda m: m.p_value):
+        found.setdefault(one.against, one)
+    return tuple(found.values())
+
+
+def _name(ladder: Ladder, case: _Case, incomplete: bool) -> NamedEffect:
+    """An effect with its evidence; `incomplete`: whether the final model leaves something."""
+    own = case.own
+    gain = log_e_value(ladder.fit, own.id)
     # Nothing else could stand in for what alone depends on the frequency; and halves of a
     # recording in which the frequency was stepped once do not predict each other.
-    alone = effect.id == 'drive_response' and curve_p_value(ladder.fit) < BACKWARD
+    alone = own.id == 'drive_response' and curve_p_value(ladder.fit) < BACKWARD
     sure = own.delta_bic > CLOSE and (alone or gain > HELD_OUT)
     status: Status = 'established' if sure else 'suggested'
-    if any(m.fires for m in left) and not alone:
+    if incomplete and not alone:
         status = 'proxy'
-    return _entry(own, status, gain, rivals), [rival.fit.model for rival in rivals]
+    return _entry(own, status, gain, case.rivals)
 
 
 def _close(rival: Found, own: Found) -> bool:
-    """Whether a rival explains about as much, as BIC or as likelihood has it."""
-    return (rival.delta_bic > own.delta_bic - CLOSE
-            or rival.likelihood_ratio > own.likelihood_ratio - CLOSE)
+    """Whether a rival that is worth a name explains about as much, as BIC or likelihood has it."""
+    return rival.p_value < FORWARD and (
+        rival.delta_bic > own.delta_bic - CLOSE
+        or rival.likelihood_ratio > own.likelihood_ratio - CLOSE)
 
 
 def _entry(found: Found, status: Status, gain: float, rivals: list[Found]) -> NamedEffect:

@@ -102,6 +102,11 @@ class ResidualMap:
     curves: dict[str, tuple[np.ndarray, np.ndarray]]
 
     @property
+    def log_p(self) -> float:
+        """Logarithm of the p-value, as far as numbers go."""
+        return float(np.log(max(self.p_value, 1e-300)))
+
+    @property
     def fires(self) -> bool:
         """Whether there is something left."""
         return self.p_value < FIRES
@@ -157,13 +162,18 @@ class NextExperiment:
 
 @dataclass(frozen=True)
 class Discovery:
-    """The whole result. `model` and `particles` (those of the last session) make `model.yaml`."""
+    """The whole result. `model` and `particles` (those of the last session) make `model.yaml`.
+
+    `unexplained` are maps that fire with the final model, and maps of it less one effect that
+    explain more than this effect does: the worst first.
+    """
 
     verdict: Verdict
     effects: tuple[NamedEffect, ...]
     gap: Gap
     maps_before: tuple[ResidualMap, ...]
     maps_after: tuple[ResidualMap, ...]
+    unexplained: tuple[ResidualMap, ...]
     ladder: tuple[Rung, ...]
     limits: tuple[Limit, ...]
     baseline: tuple[Particle, ...]
@@ -173,11 +183,6 @@ class Discovery:
     model: Model
     particles: ParticleParameters
     remarks: tuple[str, ...] = ()
-
-    @property
-    def unexplained(self) -> tuple[ResidualMap, ...]:
-        """The maps that still fire, worst first."""
-        return tuple(sorted((m for m in self.maps_after if m.fires), key=lambda m: m.p_value))
 
     def sentences(self) -> list[str]:
         """The verdict for people, the effects, the gap, remarks."""

@@ -15,6 +15,7 @@ from microbot_ros.discovery.chance import log_of_any, log_tail
 from microbot_ros.discovery.evidence import Evidence, levels
 from microbot_ros.discovery.likelihood import Fit, evaluate, maximise, settle
 from microbot_ros.discovery.periodogram import turning_parts
+from microbot_ros.discovery.spots import likely_spots
 from microbot_ros.model.effect import Effect
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.effects.hot_spot import HotSpot
@@ -97,12 +98,10 @@ def _shown(fit: Fit, effect_id: str) -> bool:
     if isinstance(effect, PeriodicDrift):
         return effect.frequency * _duration(fit) >= PERIODS
     if isinstance(effect, HotSpot):
-        spot = np.array([effect.x, effect.y])
-        places = [p.evidence.places.reshape(-1, 2) for p in fit.parts]
-        nearest = min(float(np.nanmin(np.hypot(*(p - spot).T))) for p in places)
-        extent = max(float(np.nanmax(np.ptp(p[np.isfinite(p[:, 0])], axis=0))) for p in places)
         within = all(p.low < value < p.high for p, value in effect.values().items())
-        return within and nearest < effect.width < extent / 3
+        std = {p.name: p.scale * s for (e, p), s in zip(
+            fit.model.parameters, np.sqrt(np.diag(fit.covariance)), strict=True) if e == effect_id}
+        return within and 3 * std['width_um'] < effect.width > max(std['x_um'], std['y_um'])
     return True
 
 
@@ -169,11 +168,12 @@ def _starts(fit: Fit, effect: type[Effect]) -> list[Effect]:
         return _swings(fit)
     if not any(p.shape for p in effect.parameters()):
         return _plain(fit, effect)
-    starts = effect.starts(fit.parts[0].evidence.timeline)
-    if effect.id == 'drive_response':
-        return list(starts)
-    scored = sorted((_strengthened(fit, start) for start in starts), key=lambda s: -s[0])
-    return _promising(scored)
+    timeline = fit.parts[0].evidence.timeline
+    if issubclass(effect, HotSpot):
+        spots = likely_spots(fit, effect.starts(timeline), TRIED)
+        return _promising(sorted((_strengthened(fit, spot) for spot in spots),
+                                 key=lambda scored: -scored[0]))
+    return list(effect.starts(timeline))
 
 
 def _promising(scored: list[tuple[float, Effect]]) -> list[Effect]:

@@ -80,14 +80,13 @@ def test_headlines_follow_the_verdict(drifting):
     assert '±' in named
     assert 'ΔBIC' in named
     proxy = tuple(replace(e, status='proxy') for e in found.effects)
-    left = tuple(replace(m, p_value=1e-6 if m.against == 'position' else 1.0)
-                 for m in found.maps_after)
-    unnamed = headline(replace(found, verdict='unnamed', effects=proxy, maps_after=left))
+    left = tuple(replace(m, p_value=1e-6) for m in found.maps_after if m.against == 'position')
+    unnamed = headline(replace(found, verdict='unnamed', effects=proxy, unexplained=left))
     assert 'shows against position (p = 1·10⁻⁶)' in unnamed
     assert 'can only stand in' in unnamed
     assert 'Nothing is missing' in headline(replace(found, verdict='consistent', effects=()))
     beside = headline(replace(
-        found, verdict='unnamed', maps_after=left,
+        found, verdict='unnamed', unexplained=left,
         effects=(*found.effects, replace(proxy[0], id='hot_spot'))))
     assert 'Established beside it: uniform drift' in beside
     assert 'hot spot can only stand in' in beside

@@ -15,6 +15,10 @@ if TYPE_CHECKING:
     from microbot_ros.model.timeline import Timeline
 
 
+_WIDTHS = (3, 5, 8, 12, 20)
+"""Widths to begin with: the extent of the tracks over these."""
+
+
 @dataclass(frozen=True)
 class HotSpot(Effect):
     """Away from a heated spot: dp/dt += A (r/s) exp(½ − r²/2s²) r̂; largest, A, at r = s."""
@@ -38,14 +42,14 @@ class HotSpot(Effect):
 
     @classmethod
     def starts(cls, timeline: Timeline) -> tuple[Self, ...]:
-        """On a grid over what the tracks cover, at two widths."""
+        """On grids over what the tracks cover, a width apart, at five widths."""
         if timeline.positions is None:
             return (cls.neutral(),)
         low = np.nanmin(timeline.positions, axis=(0, 1))
         high = np.nanmax(timeline.positions, axis=(0, 1))
         extent = float(max(high - low))
-        grid = np.linspace(low, high, 5).T.tolist()
         return tuple(
-            cls(x, y, 0.0, width)
-            for width in (extent / 8, extent / 3) for x in grid[0] for y in grid[1]
+            cls(x, y, 0.0, extent / part) for part in _WIDTHS
+            for x in np.linspace(low[0], high[0], part + 1).tolist()
+            for y in np.linspace(low[1], high[1], part + 1).tolist()
         )
