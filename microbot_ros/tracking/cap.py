@@ -29,16 +29,15 @@ def first_harmonic(pixels: Samples, rest: np.ndarray, basis: np.ndarray) -> np.n
     return leading
 
 
-def centre_shift(table: np.ndarray, diameter_px: float, reach_px: float) -> float:
-    """How far [px] along θ the outline's centre lies from the fitted one.
+def centre_shift(table: np.ndarray, reach_px: float) -> float:
+    """How far [px] along θ the particle's centre lies from the fitted one.
 
-    A shift of the centre adds a multiple of f₀′ to f₁. About the true centre of a sphere both
-    fade alike at the edge, f₁ ∝ f₀, whatever the cap does inside: so the part of f₁ that looks
-    like f₀′ out there is the shift.
+    Metal that covers one half of a sphere, seen from the side, and its mirror image add up to
+    the same all around: about the true centre the picture has no second harmonic. Seen from a
+    point s off the centre, f₂ is s/2·(f₁′ − f₁/r), so that part of f₂ tells s.
     """
     radii = np.arange(table.shape[1]) * TABLE_STEP
-    slope = np.gradient(table[0], TABLE_STEP)
-    edge = (radii > 0.45 * diameter_px) & (radii < reach_px - 1)
-    design = np.column_stack([table[0], -slope])[edge] * np.sqrt(radii[edge])[:, None]
-    share = np.linalg.lstsq(design, table[1][edge] * np.sqrt(radii[edge]), rcond=None)[0]
-    return float(share[1])
+    near = (radii > 1) & (radii < reach_px)
+    r, (f1, f2) = radii[near], table[1:, near]
+    shape = 0.5 * (np.gradient(f1, TABLE_STEP) - f1 / r)
+    return float(-np.sum(r * shape * f2) / np.sum(r * shape**2))

@@ -35,6 +35,10 @@ _OWN_PEAK = 0.6
 _TOUCHING = 1.3
 """Diameters: a peak nearer than this to where a particle is expected may hide it."""
 
+_ALIKE = 3.0
+"""Pixels over which the difference of a particle from the learned picture is alike: found with
+the virtual rig's microscopes, whose spheres rise and sink through the focus."""
+
 _THETA_KNOWN = 0.6
 """Radians: a cap direction less certain than this is not published."""
 
@@ -165,12 +169,25 @@ class RoundDetector:
         theta = np.where(errors[:, THETA] < _THETA_KNOWN, rows[:, THETA], np.nan)
         return Detections(
             xy=rows[:, [X, Y]],
-            sigma=np.sqrt(np.mean(errors[:, [X, Y]] ** 2, axis=1)),
+            sigma=np.sqrt(np.mean(errors[:, [X, Y]] ** 2, axis=1) * _redundancy(errors, noise)),
             theta=np.pi - np.mod(np.pi - theta, 2 * np.pi),
             contrast=rows[:, CONTRAST],
             radius=rows[:, SIZE] * self.appearance.diameter_px / 2,
             quality=self._quality(rows, errors, noise),
         )
+
+
+def _redundancy(errors: np.ndarray, noise: float) -> np.ndarray:
+    """How many pixels (N,), in the mean, say the same of a position.
+
+    The noise of each pixel is its own; what a particle differs from the learned picture by is
+    smooth. So much of the residual as is more than noise, by two of its standard deviations,
+    counts for difference.
+    """
+    variance, pixels = errors[:, PARAMETERS], errors[:, PARAMETERS + 1]
+    with np.errstate(divide='ignore', invalid='ignore'):
+        share = 1 - noise**2 * (1 + 2 * np.sqrt(2 / pixels)) / variance
+    return 1 + (_ALIKE - 1) * np.maximum(share, 0)
 
 
 def _starts(peaks: np.ndarray) -> np.ndarray:

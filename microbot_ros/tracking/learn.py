@@ -141,9 +141,9 @@ class _Learner:
             self._table, self._parameters = plain, parameters
 
     def _centre(self) -> None:
-        """Move the centre of the picture from where f₁ is least to the centre of the outline."""
-        for _ in range(2):
-            shift = centre_shift(self._table, self._diameter(), self._reach)
+        """Move the centre of the picture from where f₁ is least to the centre of the sphere."""
+        for _ in range(3):
+            shift = centre_shift(self._table, self._reach)
             for rows in self._parameters:
                 rows[:, X] += shift * np.cos(rows[:, THETA])
                 rows[:, Y] += shift * np.sin(rows[:, THETA])
