@@ -32,7 +32,8 @@ class Stage:
 
 
 STAGES = (
-    Stage('tracker', ('camera/image_raw',), 'particles', ('particles/poses',)),
+    Stage('tracker', ('camera/image_raw', 'field/applied', 'field/command', 'field/rotation'),
+          'particles', ('particles/poses',)),
     Stage('model', ('particles', 'field/applied', 'field/command', 'field/rotation'),
           'model/state'),
     Stage('controller', ('model/state', 'particles', 'goals', 'goal_pose', 'path', 'joy'),
@@ -89,6 +90,9 @@ def cast(source: Source, path: Path, nodes: Collection[str] = ()) -> Cast:
     made = {topic for stage in stages for topic in (stage.answer, *stage.also)}
     wanted = {topic for stage in stages for topic in stage.takes} - made
     played = tuple(by_role[name] for name in sorted(wanted) if counts.get(name))
+    for stage in stages:
+        if stage.takes[0] not in made and not counts.get(stage.takes[0]):
+            raise InputError(path, f'expected {stage.takes[0]} to play to the {stage.node}')
     frame = frame_topic(played)
     if not frame:
         raise InputError(path, 'expected a recording of what a node took and what it answered')
@@ -122,7 +126,8 @@ def rerun(session: Path, out: Path, players: Cast, parameters: dict[str, dict[st
     """Play `session` to the nodes in lock-step, and record that to `out`.
 
     Up to `end_s`, or to the end if that is 0. All nodes share a process that nobody else on the
-    network sees or is seen by. Returns why the replay was given up, or ''.
+    network sees or is seen by. Returns why the replay was given up, or ''. InputError where a
+    node does not take its parameters, or the player the recording.
     """
     nodes = {node: {**parameters.get(node, {}), **_NO_DEADLINES.get(node, {})}
              for node in players.nodes}
@@ -142,4 +147,7 @@ def rerun(session: Path, out: Path, players: Cast, parameters: dict[str, dict[st
             env={**os.environ, PARENT: str(os.getpid()), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'OFF'},
             stdin=subprocess.DEVNULL, capture_output=True, text=True)
     said = done.stderr.strip().splitlines() or [f'ended with status {done.returncode}']
-    return said[-1].removeprefix('microbot: ') if done.returncode else ''
+    reason = said[-1].removeprefix('microbot: ')
+    if done.returncode == 2:
+        raise InputError(session, reason)
+    return reason if done.returncode else ''

@@ -8,8 +8,8 @@ from typing import ClassVar
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import PoseArray
-from sensor_msgs.msg import Image, PointCloud2
+from geometry_msgs.msg import PoseArray, Vector3Stamped
+from sensor_msgs.msg import Image, MagneticField, PointCloud2
 
 from microbot_ros import units
 from microbot_ros.files import read_yaml
@@ -17,6 +17,7 @@ from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import IMAGES_IN, IMAGES_OUT, OK, WARN, RigNode
 from microbot_ros.settings import setting
 from microbot_ros.tracking import (
+    Drive,
     FrameError,
     ImageToWorkspace,
     Poses,
@@ -24,6 +25,9 @@ from microbot_ros.tracking import (
     TrackerSettings,
     warm_up,
 )
+
+_LEAST_FIELD = 50e-6
+"""Tesla: a field below that of the Earth turns nobody; particles go on as they were."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +43,10 @@ class TrackerParameters:
     settings_file: str = setting(
         '', 'YAML file with settings of the detection; empty chooses them from the first frames.',
         read_only=True)
+    drive: str = setting(
+        'applied', 'What turns the particles, so that a turn is expected: the field read back '
+        'from the coils, the one commanded, the rotation of rollers, or nothing known.',
+        choices=('applied', 'command', 'rotation', 'none'), read_only=True)
     overlay_rate_hz: float = setting(
         10.0, 'Rate of `overlay/image_raw` while somebody looks; 0 turns it off.',
         lower=0.0, upper=60.0)
@@ -47,7 +55,7 @@ class TrackerParameters:
 
 
 class TrackerNode(RigNode):
-    """`camera/image_raw` → `particles`, `particles/poses`, `overlay/image_raw`."""
+    """`camera/image_raw` and the field → `particles`, `particles/poses`, `overlay/image_raw`."""
 
     Parameters: ClassVar[type] = TrackerParameters
 
@@ -62,7 +70,17 @@ class TrackerNode(RigNode):
         self._particles = self.publisher(PointCloud2, 'particles')
         self._poses = self.publisher(PoseArray, 'particles/poses')
         self._overlay = self.publisher(Image, 'overlay/image_raw', IMAGES_OUT)
+        self._drive = Drive()
+        self._listen(self.settings.drive)
         self.subscribe(Image, 'camera/image_raw', self._on_image, IMAGES_IN)
+
+    def _listen(self, drive: str) -> None:
+        if drive == 'applied':
+            self.subscribe(MagneticField, 'field/applied', self._on_applied)
+        elif drive == 'command':
+            self.subscribe(Vector3Stamped, 'field/command', self._on_command)
+        elif drive == 'rotation':
+            self.subscribe(Vector3Stamped, 'field/rotation', self._on_rotation)
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         silence = self.seconds() - self._previous if self._frames else math.inf
@@ -80,20 +98,41 @@ class TrackerNode(RigNode):
     def _on_image(self, message: Image) -> None:
         image = messages.gray(message)
         t = messages.to_seconds(message.header.stamp)
+        if self._camera is None:
+            self._camera = self._calibration(image)
+        drive = self._drive.between(self._previous, t) if self._frames else np.zeros(2)
         try:
-            poses = self._tracker.update(image, t)
+            poses = self._tracker.update(image, t, self._camera.image_axes(drive))
         except FrameError as error:
             self._refused += 1
             self.complain(str(error))
             return
-        if self._camera is None:
-            self._camera = self._calibration(image)
+        if self._tracker.jump_px:
+            self.complain(f'the picture jumped by {self._tracker.jump_px:.0f} px')
         if self._frames:
             self._longest_gap = max(self._longest_gap, t - self._previous)
         self._previous = t
         self._frames += 1
         self._count = len(poses)
         self._publish(image, poses, self._camera, message.header.stamp)
+
+    def _on_applied(self, message: MagneticField) -> None:
+        field = message.magnetic_field
+        self._swim(message, field.x, field.y)
+
+    def _on_command(self, message: Vector3Stamped) -> None:
+        self._swim(message, message.vector.x, message.vector.y)
+
+    def _swim(self, message: MagneticField | Vector3Stamped, x: float, y: float) -> None:
+        size = math.hypot(x, y)
+        if size >= _LEAST_FIELD:
+            self._drive.command(
+                messages.to_seconds(message.header.stamp), np.array([x, y]) / size)
+
+    def _on_rotation(self, message: Vector3Stamped) -> None:
+        """A field that turns with ω rolls particles along ω̂ × ẑ."""
+        turns = np.array([message.vector.y, -message.vector.x]) / math.tau
+        self._drive.command(messages.to_seconds(message.header.stamp), turns)
 
     def _calibration(self, image: np.ndarray) -> ImageToWorkspace:
         return ImageToWorkspace(

@@ -63,6 +63,10 @@ class ImageToWorkspace:
         """Displacements or velocities [m, m/s] as [px, px/s], both (..., 2)."""
         return np.asarray(vector, float) @ np.linalg.inv(self._matrix).T
 
+    def image_axes(self, vector: np.ndarray) -> np.ndarray:
+        """Vectors (..., 2) of the workspace in the image's axes, their length as it is."""
+        return self.vector_pixels(vector) * self.pixel_size
+
     def angle(self, image_angle: np.ndarray) -> np.ndarray:
         """Workspace angles [rad] in (−π, π] of image angles [rad]; NaN stays NaN."""
         return _wrapped(self.rotation + self._sense * np.asarray(image_angle, float))

@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from sensor_msgs.msg import Image, PointCloud2
+from sensor_msgs.msg import Image, MagneticField, PointCloud2
 
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import IMAGES_IN
@@ -123,3 +123,39 @@ def test_a_wrong_frame_in_mid_stream_is_reported_and_passed_over(ros: Any, broke
     publisher.publish(frame(k + 1))
     graph.until(partial(answered, k + 1))
     assert seen() == ids
+
+
+def test_who_goes_unseen_is_carried_on_the_way_the_field_now_points(ros: Any) -> None:
+    """Learned while the field turned; hidden while it turns once more."""
+    graph = ros({'tracker': {'pixel_size_um': 0.45}})
+    tracker = graph.add('tracker')
+    images = graph.probe.create_publisher(Image, 'camera/image_raw', 10)
+    fields = graph.probe.create_publisher(MagneticField, 'field/applied', 10)
+    particles = graph.hear(PointCloud2, 'particles')
+    graph.until(lambda: images.get_subscription_count() == fields.get_subscription_count() == 1)
+    scope = Microscope(MicroscopeSettings(), seed=3)
+    begin, step = tracker.seconds(), 0.8e-6
+    place, angle = PLACE.copy(), 0.0
+
+    def answered(frames: int) -> bool:
+        return bool(len(particles) == tracker._frames == frames)
+
+    for k in range(90):
+        if k == 85 or (k % 12 == 0 and k < 80):
+            angle += np.pi if k == 85 else 2.0
+            field = np.array([np.cos(angle), np.sin(angle)]) * 5e-3
+            stamp = messages.to_stamp(begin + (k - 0.99) / 30)
+            known = len(tracker._drive._commands)
+            fields.publish(messages.magnetic_field(field, stamp))
+            graph.until(lambda known=known: len(tracker._drive._commands) > known, 5)
+        place = place + step * np.array([np.cos(angle), np.sin(angle)])
+        shown = place if k < 85 else place[:0]
+        picture = scope.render(shown, np.full(len(shown), angle), k / 30)
+        images.publish(messages.image(picture, messages.to_stamp(begin + k / 30)))
+        graph.until(partial(answered, k + 1), 30)
+    points = messages.points(particles[-1], messages.PARTICLE)
+    assert len(points) == len(PLACE)
+    found = np.stack([points['x'], points['y']], axis=1)
+    away = np.linalg.norm(found[:, None] - place, axis=2).min(axis=1)
+    assert away.max() < 1.5e-6  # by constant velocity they would be 8 µm off
+    assert (points['sigma'] > 0.1e-6).all()

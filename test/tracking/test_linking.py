@@ -150,7 +150,7 @@ def test_few_particles_or_new_ones_are_no_jump() -> None:
         common_jump(here[:10], rng.uniform(0, _SIDE, (10, 2)), 5.0, size) is not None
         for _ in range(200))
     assert others == 0
-    found = np.vstack([here[:24] + [31.0, -18.0], rng.uniform(0, _SIDE, (15, 2))])
+    found = np.vstack([here[:24] + np.array([31.0, -18.0]), rng.uniform(0, _SIDE, (15, 2))])
     np.testing.assert_allclose(common_jump(here, found, 5.0, size), [31, -18], atol=1e-9)
 
 
