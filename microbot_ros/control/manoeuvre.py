@@ -49,12 +49,17 @@ class _Opening:
     least: int
 
 
-def search(swarm: Swarm, task: Task) -> Plan:
-    """The cheapest of turning somehow, coasting for a while, and a leg together."""
+def search(swarm: Swarm, task: Task, part: int = 0, parts: int = 1) -> Plan:
+    """The cheapest of turning somehow, coasting for a while, and a leg together.
+
+    With `parts` only each `parts`-th way to begin is tried, from the one numbered `part` on.
+    """
     slowest = swarm.slowest * swarm.models[0].reference_field / task.limit
     far = float(np.abs(task.goal - swarm.position).max())
     coasts = _COASTS * 2 * far / float(np.abs(swarm.velocity).min())
-    plans = [_best(swarm, task, opening, coasts) for opening in _openings(task.limit, slowest)]
+    chosen = slice(part % parts, None, parts)
+    plans = [_best(swarm, task, _Opening(o.duration, o.field[:, chosen], o.least), coasts)
+             for o in _openings(task.limit, slowest)]
     return min(plans, key=lambda found: found[0])[1]
 
 

@@ -59,8 +59,9 @@ class Swarm:
         ∫e^{i(θ − φ)} dt of each (K, N, V) [s] and the heading at the edges (K + 1, N, V).
         """
         paths, headings = [], []
+        # The models differ in their lag, which is no part of the scene.
+        scene = self._scene(self.models[0], duration, self.models[0].field(field))
         for model, start in zip(self.models, self.heading, strict=True):
-            scene = self._scene(model, duration, model.field(field))
             way = course(model, scene, np.full(field.shape[1], start))
             paths.append(way.path)
             headings.append(way.heading)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 import time
 from collections import deque
 from dataclasses import dataclass
@@ -32,6 +33,8 @@ WORTH = 0.7
 """Another plan is taken up if it costs less than this part of going on as before."""
 SEARCH_EVERY = 6
 """Ticks between looks for another plan while one is carried out."""
+SEARCHED_AT_ONCE = 3
+"""Particles for which a tick has time to look at every plan; with more it looks at a part."""
 TRUST = 0.1
 """How much of the difference to a measured heading is believed at each tick."""
 
@@ -78,7 +81,7 @@ class Predictive(Ensemble):
         self._ids = NO_IDS
         self._heading = np.empty(0, complex)
         self._history: deque[tuple[float, np.ndarray]] = deque(maxlen=64)
-        self._ticks = 0
+        self._ticks = self._looks = 0
         self._step_time = 1e-3
 
     def configure(self, parameters: Any) -> None:
@@ -113,12 +116,14 @@ class Predictive(Ensemble):
             self._forget()
             return super().compute(situation)
         lags = p.alignment_times_s
-        models = with_lags(model, [
+        # v and φ are those of now, so what changes with time does so from now on. The phase of a
+        # drift that comes and goes was counted from the beginning of some recording.
+        models = with_lags(model.without('periodic_drift'), [
             lags[k] if 0 <= k < len(lags) else 0.0 for k in situation.ids[rows].tolist()])
         swarm = self._follow(situation, rows, Swarm(
             as_complex(situation.expected[rows]),
             situation.speed[rows] * np.exp(1j * situation.phi[rows]),
-            self._heading, models, situation.t + situation.delay))
+            self._heading, models, situation.delay))
         task = self._task(situation, goals)
         self._plan = plan = self._choose(situation, swarm, task)
         if plan is None:
@@ -140,12 +145,12 @@ class Predictive(Ensemble):
     def _refine(self, swarm: Swarm, task: Task, plan: Plan, end: float) -> tuple[Plan, Rollout]:
         """Step by step, while a step like those before would be through by `end` [s]."""
         rollout = roll_out(swarm, plan, task.limit)
-        self._step_time *= 0.95  # after one hold-up it is tried again
+        self._step_time *= 0.95  # what once took too long is tried again later
         now = time.perf_counter()
         while now + self._step_time < end:
             better, rollout = improve(swarm, plan, task, rollout, (end - now) / 2)
             before, now = now, time.perf_counter()
-            self._step_time += 0.3 * (now - before - self._step_time)
+            self._step_time = max(now - before, self._step_time)
             if better is plan:
                 break
             plan = better
@@ -159,7 +164,9 @@ class Predictive(Ensemble):
         self._ticks += 1
         if plan is not None and self._ticks % SEARCH_EVERY:
             return plan
-        other = search(swarm, task)
+        parts = math.ceil(len(task.goal) / SEARCHED_AT_ONCE)
+        other = search(swarm, task, self._looks % parts, parts)
+        self._looks += 1
         price = cost(swarm, other, task, roll_out(swarm, other, task.limit))
         if plan is None:
             waiting = float(np.mean(np.abs(task.goal - swarm.position) ** 2)) * 1e12
