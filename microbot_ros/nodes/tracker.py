@@ -12,6 +12,7 @@ from geometry_msgs.msg import PoseArray, Vector3Stamped
 from sensor_msgs.msg import Image, MagneticField, PointCloud2
 
 from microbot_ros import units
+from microbot_ros.estimation.commands import NEGLIGIBLE
 from microbot_ros.files import read_yaml
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import IMAGES_IN, IMAGES_OUT, OK, WARN, RigNode
@@ -25,9 +26,6 @@ from microbot_ros.tracking import (
     TrackerSettings,
     warm_up,
 )
-
-_LEAST_FIELD = 50e-6
-"""Tesla: a field below that of the Earth turns nobody; particles go on as they were."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +123,7 @@ class TrackerNode(RigNode):
 
     def _swim(self, message: MagneticField | Vector3Stamped, x: float, y: float) -> None:
         size = math.hypot(x, y)
-        if size >= _LEAST_FIELD:
+        if size >= NEGLIGIBLE:  # without a field, particles go on as they were
             self._drive.command(
                 messages.to_seconds(message.header.stamp), np.array([x, y]) / size)
 
