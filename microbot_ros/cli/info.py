@@ -101,8 +101,8 @@ def _show(console: Console, found: Survey) -> None:
             f'{spread.rows} commands {extent} {unit}, {spread.turns_left} turns left and '
             f'{spread.turns_right} right, off {spread.off_share:.0%} of the time')
     for name, entries in found.metadata.items():
-        if name != 'dropped':
-            pairs = ', '.join(f'{key} {value}' for key, value in entries.items() if value)
+        pairs = ', '.join(f'{key} {value}' for key, value in entries.items() if value)
+        if name != 'dropped' and pairs:
             console.print(f'{name}: {pairs}')
     if found.attachments:
         console.print(f'attached: {", ".join(found.attachments)}')

@@ -25,6 +25,9 @@ from microbot_ros.errors import InputError
 @click.option('--node', 'nodes', multiple=True,
               type=click.Choice(['tracker', 'model', 'controller']),
               help='With --check: only this node; may be given several times.')
+@click.option('--tolerance', type=click.FloatRange(0, 1), default=0.0, show_default=True,
+              help='With --check: what numbers may differ by, as a share of the largest in their '
+                   'field. Another processor may round otherwise.')
 @click.option('--config', type=click.Path(path_type=Path),
               help='With --check: parameters in place of those in the recording.')
 @click.option('--out', type=click.Path(path_type=Path),
@@ -33,8 +36,8 @@ from microbot_ros.errors import InputError
               help='With --check: also write the differences as JSON.')
 def command(
     session: Path, rate: float, start: float, end: float, loop: bool, topics: tuple[str, ...],
-    check: bool, nodes: tuple[str, ...], config: Path | None, out: Path | None,
-    json_path: Path | None,
+    check: bool, nodes: tuple[str, ...], tolerance: float, config: Path | None,
+    out: Path | None, json_path: Path | None,
 ) -> None:
     """Play SESSION, a folder or an MCAP recording, through its topics, with /clock.
 
@@ -56,9 +59,10 @@ def command(
 
         if rate != 1.0 or start or loop or topics:
             raise InputError('--rate, --start, --loop, --topic', 'expected only without --check')
-        sys.exit(run_check(session, nodes, end, config, out, json_path))
-    if nodes or config or out or json_path:
-        raise InputError('--node, --config, --out, --json', 'expected only with --check')
+        sys.exit(run_check(session, nodes, end, tolerance, config, out, json_path))
+    if nodes or tolerance or config or out or json_path:
+        raise InputError('--node, --tolerance, --config, --out, --json',
+                         'expected only with --check')
     from microbot_ros.nodes.process import run
 
     parameters = {'session': session, 'rate': rate, 'start_s': start, 'end_s': end,

@@ -21,15 +21,15 @@ if TYPE_CHECKING:
     from microbot_ros.session.compare import TopicDifference
 
 
-def run_check(session: Path, nodes: Collection[str], end: float, config: Path | None,
-              out: Path | None, json_path: Path | None) -> int:
+def run_check(session: Path, nodes: Collection[str], end: float, tolerance: float,
+              config: Path | None, out: Path | None, json_path: Path | None) -> int:
     """Replay, compare, tell: 0 where every answer is the same, 1 where some differ."""
     console = Console(highlight=False, width=None if Console().is_terminal else 150)
     if session.exists() and not is_recording(session):
         raise InputError(session, 'expected a recording to check, found a folder of CSV files')
     with tempfile.TemporaryDirectory() as name:
-        found, failure = _replay(session, nodes, end, config, out or Path(name) / 'replayed',
-                                 Path(name))
+        found, failure = _replay(session, nodes, end, tolerance, config,
+                                 out or Path(name) / 'replayed', Path(name))
     if failure:
         Console(stderr=True, highlight=False).print(f'{session}: {failure}')
         return 1
@@ -42,8 +42,8 @@ def run_check(session: Path, nodes: Collection[str], end: float, config: Path | 
     return 0 if same else 1
 
 
-def _replay(session: Path, nodes: Collection[str], end: float, config: Path | None, out: Path,
-            scratch: Path) -> tuple[list[TopicDifference], str]:
+def _replay(session: Path, nodes: Collection[str], end: float, tolerance: float,
+            config: Path | None, out: Path, scratch: Path) -> tuple[list[TopicDifference], str]:
     """The differences, and why the replay was given up, or ''."""
     from microbot_ros.nodes.configuration import read_rig
     from microbot_ros.nodes.rerun import cast, recorded_parameters, rerun
@@ -64,7 +64,7 @@ def _replay(session: Path, nodes: Collection[str], end: float, config: Path | No
         with open_recording(out) as replayed:
             there = {*recorded.topics, *replayed.topics}
             topics = [topic for topic in players.outputs if topic in there]
-            return compare(recorded, replayed, topics, stamps), ''
+            return compare(recorded, replayed, topics, stamps, tolerance), ''
 
 
 def _table(found: list[TopicDifference]) -> Table:

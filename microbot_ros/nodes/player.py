@@ -127,7 +127,7 @@ class PlayerNode(RigNode):
         late = now - self._asked > self.settings.patience_s
         if unheard := self._unheard():
             if late:
-                self._give_up(f'nobody takes or gives {unheard[0]}')
+                self._give_up(f'not everybody is there for {unheard[0]}')
         elif self._lockstep.missing:
             if late:
                 self._give_up(self._who_is_late())
@@ -202,13 +202,14 @@ class PlayerNode(RigNode):
         return topic
 
     def _unheard(self) -> list[str]:
-        """Topics of a lock-step that nobody takes, or on which nobody answers, so far."""
+        """Before the first message of a lock-step: topics that do not reach everybody yet."""
         if not self._answers or self._sent:
             return []
+        outlets = {'/clock': self._time, **self._outlets}
         return [
-            *(topic for topic, outlet in self._outlets.items()
-              if not outlet.get_subscription_count()),
-            *(topic for topic in self._answers if not self.count_publishers(topic))]
+            *(topic for topic in self._answers if not self.count_publishers(topic)),
+            *(topic for topic, outlet in outlets.items()
+              if not 0 < outlet.get_subscription_count() >= self.count_subscribers(topic))]
 
     def _ask_after(self) -> None:
         """A node that has had its turn and said nothing, because poses were too old, has answered.

@@ -131,9 +131,9 @@ class RecorderNode(RigNode):
 
     def _clocks(self) -> dict[str, str]:
         """What to add to the machine's monotonic clock to have the time of ROS and of day."""
-        monotonic = time.monotonic_ns()
-        return {'ros_minus_monotonic_ns': str(self.get_clock().now().nanoseconds - monotonic),
-                'utc_minus_monotonic_ns': str(time.time_ns() - monotonic)}
+        monotonic, ros = time.monotonic_ns(), self.get_clock().now().nanoseconds
+        known = {'ros_minus_monotonic_ns': str(ros - monotonic)} if ros else {}
+        return {**known, 'utc_minus_monotonic_ns': str(time.time_ns() - monotonic)}
 
     def _look_around(self) -> None:
         if self._writer is not None:

@@ -52,22 +52,23 @@ class TopicDifference:
 
 def compare(
     a: Recording, b: Recording, topics: Collection[str] | None = None,
-    stamps: Collection[int] | None = None,
+    stamps: Collection[int] | None = None, tolerance: float = 0.0,
 ) -> list[TopicDifference]:
     """Every topic of either recording (or those chosen), compared field by field.
 
-    With `stamps` [ns] only messages whose header bears one of them count.
+    With `stamps` [ns] only messages whose header bears one of them count. Numbers are the same
+    within `tolerance` of the largest in their field.
 
     Messages with a header are paired by its stamp, others by their order; times of receipt do
     not count, and serialised bytes are never compared, since their padding is arbitrary. NaN
     equals NaN.
     """
     names = sorted({*a.topics, *b.topics} if topics is None else topics)
-    return [_compare_topic(a, b, name, stamps) for name in names]
+    return [_compare_topic(a, b, name, stamps, tolerance) for name in names]
 
 
 def _compare_topic(
-    a: Recording, b: Recording, topic: str, stamps: Collection[int] | None,
+    a: Recording, b: Recording, topic: str, stamps: Collection[int] | None, tolerance: float,
 ) -> TopicDifference:
     pairs = unequal = 0
     first: Parting | None = None
@@ -82,7 +83,7 @@ def _compare_topic(
         (t_ns, left), (_, right) = (entries.pop(key) for entries in unpaired)
         pairs += 1
         t_s = (t_ns - a.start_ns) / 1e9
-        partings = list(_partings(left, right))
+        partings = list(_partings(left, right, tolerance))
         unequal += bool(partings)
         for field, place, x, y, size in partings:
             largest[field] = max(largest.get(field, 0.0), size)
@@ -137,7 +138,7 @@ def _leaves(value: Any, path: str) -> Iterator[tuple[str, Any]]:
 
 
 def _partings(
-    left: dict[str, Any], right: dict[str, Any],
+    left: dict[str, Any], right: dict[str, Any], tolerance: float,
 ) -> Iterator[tuple[str, str, str, str, float]]:
     """(field, place in it, value in a, value in b, size) of every field that differs; the size
     is infinite where it is no matter of numbers."""
@@ -148,9 +149,11 @@ def _partings(
             if not np.array_equal(x, y):
                 yield field, '', str(a), str(b), np.inf
             continue
-        unequal = ~((x == y) | (np.isnan(x) & np.isnan(y)))
+        apart = np.abs(x.astype(float) - y.astype(float))
+        allowed = tolerance * np.max(np.abs(x[np.isfinite(x)]), initial=0.0)
+        unequal = ~((x == y) | (np.isnan(x) & np.isnan(y)) | (apart <= allowed))
         if unequal.any():
             place = np.unravel_index(np.argmax(unequal), x.shape)
-            size = np.abs(x.astype(float) - y.astype(float))[unequal].max()
+            size = apart[unequal].max()
             where = f'[{", ".join(map(str, place))}]' if place else ''
             yield field, where, str(x[place]), str(y[place]), float(size)

@@ -11,9 +11,10 @@ from microbot_ros.session import RecordingWriter, open_recording
 from microbot_ros.session.compare import compare
 
 
-def by_topic(a, b, topics=None):
+def by_topic(a, b, topics=None, **options):
     with open_recording(a) as left, open_recording(b) as right:
-        return {difference.topic: difference for difference in compare(left, right, topics)}
+        found = compare(left, right, topics, **options)
+        return {difference.topic: difference for difference in found}
 
 
 def shifted(session: Session, row: int, by: float) -> Session:
@@ -83,3 +84,38 @@ def test_text_and_topics_that_one_side_lacks(tmp_path):
     assert (found['/a'].only_a, found['/a'].only_b) == (1, 0)
     assert (found['/b'].only_a, found['/b'].only_b) == (0, 1)
     assert list(by_topic(tmp_path / 'a', tmp_path / 'b', ['/said'])) == ['/said']
+
+
+def test_only_messages_of_chosen_stamps_count(tmp_path):
+    for name, values in (('a', [0, 1, 2]), ('b', [0, 7, 2, 9])):
+        with RecordingWriter(tmp_path / name) as writer:
+            for i, value in enumerate(values):
+                writer.write('/field/command', VECTOR, i * 1000, vector(i * 1000, value, 0))
+    found = by_topic(tmp_path / 'a', tmp_path / 'b', stamps={0, 2000})['/field/command']
+    assert (found.pairs, found.same) == (2, True)
+    found = by_topic(tmp_path / 'a', tmp_path / 'b', stamps={1000, 3000})['/field/command']
+    assert (found.pairs, found.unequal, found.only_b) == (1, 1, 1)
+
+
+def test_a_tolerance_is_a_share_of_the_largest_in_its_field(tmp_path):
+    session = small_session()
+    row = int(np.argmax(np.abs(session.tracks.position[:, 1])))
+    largest = abs(session.tracks.position[row, 1])
+    record(tmp_path / 'a', session)
+    record(tmp_path / 'b', shifted(session, row, 1e-3 * largest))
+
+    def same(tolerance):
+        return by_topic(tmp_path / 'a', tmp_path / 'b', tolerance=tolerance)['/particles'].same
+    assert not same(0.0)
+    assert not same(0.9e-3)
+    assert same(1.1e-3)
+
+
+def test_no_tolerance_lets_nan_or_infinity_pass_for_a_number(tmp_path):
+    for wrong in (np.nan, np.inf, -np.inf):
+        for name, value in (('a', 1.0), ('b', wrong)):
+            with RecordingWriter(tmp_path / f'{name}{wrong}') as writer:
+                writer.write('/field/command', VECTOR, 0, vector(0, value, 0))
+        a, b = tmp_path / f'a{wrong}', tmp_path / f'b{wrong}'
+        assert not by_topic(a, b, tolerance=1.0)['/field/command'].same
+        assert not by_topic(b, a, tolerance=1.0)['/field/command'].same

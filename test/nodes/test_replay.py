@@ -1,0 +1,148 @@
+"""Recordings through today's nodes: the same answers, or the first point where they part."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from geometry_msgs.msg import Vector3Stamped
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import PointCloud2
+
+from microbot_ros.nodes.rerun import cast, recorded_parameters, rerun
+from microbot_ros.session import open_recording
+from microbot_ros.session.compare import compare
+from microbot_ros.session.lockstep import header_stamp_ns
+
+DATA = Path(__file__).parents[1] / 'data'
+STEERING, TRACKING = DATA / 'steering.mcap', DATA / 'tracking.mcap'
+ROUNDING = '1e-5'
+"""Another processor may round the last bit of a single-precision number otherwise."""
+
+
+def replay(*words: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, '-m', 'microbot_ros.cli', 'replay', *map(str, words)],
+        capture_output=True, text=True, timeout=100)
+
+
+@pytest.mark.graph
+@pytest.mark.parametrize(('recording', 'topics', 'fewest'), [
+    (TRACKING, {'/particles', '/particles/poses'}, 20),
+    (STEERING, {'/model/state', '/field/command'}, 500)])
+def test_todays_nodes_answer_as_they_did(
+        tmp_path: Path, recording: Path, topics: set[str], fewest: int) -> None:
+    done = replay(recording, '--check', '--tolerance', ROUNDING, '--json', tmp_path / 'a.json')
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert 'every answer is the same' in done.stdout
+    found = json.loads((tmp_path / 'a.json').read_text())
+    assert found['same'] is True
+    assert {topic['topic'] for topic in found['topics']} == topics
+    assert all(topic['compared'] >= fewest for topic in found['topics'])
+
+
+def test_what_they_answered_was_more_than_nothing() -> None:
+    with open_recording(TRACKING) as recording:
+        seen = [recording.decode(m).width for m in recording.messages(['/particles'])]
+    assert seen[-20:] == 20 * [2]
+    with open_recording(STEERING) as recording:
+        commands = [recording.decode(m).vector for m in recording.messages(['/field/command'])]
+    strength = np.hypot([c.x for c in commands], [c.y for c in commands])
+    assert (strength > 4.9e-3).sum() > 300
+    assert len({(c.x, c.y) for c in commands}) > 50
+
+
+@pytest.mark.graph
+def test_two_replays_are_the_same_in_every_field(tmp_path: Path) -> None:
+    with open_recording(STEERING) as source:
+        players = cast(source, STEERING)
+        parameters = recorded_parameters(source, players.nodes, tmp_path)
+    assert players.nodes == ('model', 'controller')
+    for name in 'ab':
+        assert rerun(STEERING, tmp_path / name, players, parameters) == ''
+    with open_recording(tmp_path / 'a') as a, open_recording(tmp_path / 'b') as b:
+        stamps = {header_stamp_ns(m.data) for m in a.messages(['/particles'])}
+        found = compare(a, b, ['/particles', '/model/state', '/field/command'], stamps)
+    assert all(topic.same for topic in found), found
+    assert min(topic.pairs for topic in found) > 500
+
+
+@pytest.mark.graph
+def test_what_a_change_does_is_shown_at_the_first_point(tmp_path: Path) -> None:
+    rig = tmp_path / 'rig.yaml'
+    rig.write_text(yaml.safe_dump({'model': {'ros__parameters': {
+        'radius_um': 2.3, 'viscosity_mPa_s': 2.49}}}))
+    done = replay(STEERING, '--check', '--node', 'model', '--end', 4, '--config', rig,
+                  '--json', tmp_path / 'a.json')
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert 'answers differ' in done.stdout
+    [topic] = json.loads((tmp_path / 'a.json').read_text())['topics']
+    assert topic['topic'] == '/model/state'
+    assert topic['differ'] > 0
+    assert topic['only_recorded'] == topic['only_replayed'] == 0
+    assert topic['first']['field'].startswith('points.')
+
+
+@pytest.mark.parametrize(('words', 'expected'), [
+    (['nowhere', '--check'], 'nowhere: expected a recording, found nothing'),
+    (['FOLDER', '--check'], 'found a folder of CSV files'),
+    ([STEERING, '--check', '--rate', '2'], 'expected only without --check'),
+    ([STEERING, '--node', 'model'], 'expected only with --check'),
+    ([TRACKING, '--check', '--node', 'controller'], 'expected model/state to play to the con'),
+    ([STEERING, '--check', '--config', '/nowhere.yaml'], '/nowhere.yaml: expected'),
+    ([STEERING, '--check', '--end', 'nan'], 'end_s must be finite; received nan'),
+    ([STEERING, '--check', '--node', 'steam'], "'steam' is not one of"),
+])
+def test_what_cannot_be_checked_is_one_line_and_two(
+        tmp_path: Path, words: list[Any], expected: str) -> None:
+    (tmp_path / 'tracks.csv').write_text('t_s,particle,x_um,y_um\n0,0,0,0\n')
+    done = replay(*(tmp_path if word == 'FOLDER' else word for word in words))
+    assert done.returncode == 2, done.stdout + done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert expected in done.stderr
+
+
+def play(ros: Any, seconds: float) -> Any:
+    """A graph to play the first frames of what was steered to a controller, in lock-step."""
+    with open_recording(STEERING) as recording:
+        first = (recording.times('/model/state')[0] - recording.start_ns) / 1e9
+    return ros({
+        'player': {'session': str(STEERING), 'rate': 0.0, 'topics': ['model/state'],
+                   'start_s': float(first), 'end_s': float(first + seconds),
+                   'answers': ['field/command'], 'patience_s': 0.5},
+        'controller': {'use_sim_time': True}})
+
+
+def test_nobody_there_to_answer_is_said(ros: Any) -> None:
+    graph = play(ros, 0.1)
+    node = graph.add('player')
+    graph.until(lambda: node.finished)
+    assert node.fault == 'not everybody is there for /field/command within 0.5 s'
+
+
+def test_who_does_not_answer_is_named(ros: Any) -> None:
+    graph = play(ros, 0.1)
+    states = graph.hear(PointCloud2, 'model/state')
+    graph.hear(Clock, '/clock')
+    graph.probe.create_publisher(Vector3Stamped, 'field/command', 10)
+    node = graph.add('player')
+    graph.until(lambda: node.finished)
+    assert len(states) == 1
+    assert '/probe did not answer the frame at ' in node.fault
+    assert 'on /field/command within 0.5 s' in node.fault
+
+
+def test_a_node_that_has_nothing_to_say_has_answered(ros: Any) -> None:
+    graph = play(ros, 0.1)
+    fields = graph.hear(Vector3Stamped, 'field/command')
+    graph.add('controller').trigger_deactivate()
+    node = graph.add('player')
+    graph.until(lambda: node.finished, 30)
+    assert (node.fault, fields) == ('', [])
+    assert node._sent >= 3
