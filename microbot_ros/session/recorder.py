@@ -17,8 +17,8 @@ from microbot_ros.session.store import MIB, Store, Topic, Worth
 from microbot_ros.session.topics import is_topic
 
 # A class of messages is dropped while more than this waits in memory, or less is free on disk.
-MOST_QUEUED = {Worth.OVERLAY: 32 * MIB, Worth.FRAME: 256 * MIB}
-LEAST_FREE = {Worth.OVERLAY: 1024 * MIB, Worth.FRAME: 256 * MIB}
+MOST_QUEUED = {Worth.OVERLAY: 32 * MIB, Worth.FRAME: 256 * MIB, Worth.DATA: 512 * MIB}
+LEAST_FREE = {Worth.OVERLAY: 1024 * MIB, Worth.FRAME: 256 * MIB, Worth.DATA: 0}
 _FRAMES = ('sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage')
 _PERIOD = 0.05
 
@@ -40,8 +40,8 @@ class RecordingWriter:
 
     `write` only queues; a thread of the writer's own compresses and stores. What was queued is
     on disk within a second, so a crash costs no more. Where the disk is slow or full, overlays
-    are dropped first, then frames; anything else is kept in memory until the disk takes it. The
-    folder must be new or empty; it holds `<name>_0.mcap`, `<name>_1.mcap`, …, and at the end
+    are dropped first, then frames; anything else is kept in memory until the disk takes it, up
+    to 512 MiB: hours of tracks and commands. What is dropped is counted. The folder must be new or empty; it holds `<name>_0.mcap`, `<name>_1.mcap`, …, and at the end
     `metadata.yaml`.
     """
 
@@ -139,16 +139,17 @@ class RecordingWriter:
         return self._topics[topic]
 
     def _unaffordable(self, worth: Worth) -> bool:
-        return worth != Worth.DATA and (
-            self._queued_bytes > MOST_QUEUED[worth] or self._store.free_bytes < LEAST_FREE[worth]
-        )
+        waiting = self._queued_bytes + self._store.waiting_bytes
+        return waiting > MOST_QUEUED[worth] or self._store.free_bytes < LEAST_FREE[worth]
 
     def _problem(self, dropped: dict[str, int]) -> str:
         if self._failure:
             return f'recording stopped: {self._failure}'
-        if self._store.refused:
-            return f'the disk refuses data ({self._store.refused}); tracks wait in memory'
         lost = ', '.join(f'{count} of {topic}' for topic, count in sorted(dropped.items()))
+        if self._store.refused:
+            return (f'the disk refuses data ({self._store.refused}); '
+                    f'{self._store.waiting_bytes / MIB:.0f} MiB wait in memory; '
+                    f'dropped: {lost or "none"}')
         if self._unaffordable(Worth.OVERLAY):
             free = f'{self._store.free_bytes / MIB:.0f} MiB free'
             return f'disk slow or nearly full ({free}); dropped: {lost or "none"}'

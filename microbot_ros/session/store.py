@@ -52,6 +52,7 @@ class Store:
         self.counts: Counter[str] = Counter()
         self.dropped: Counter[str] = Counter()
         self.refused = ''
+        self.waiting_bytes = 0
         self.free_bytes = shutil.disk_usage(folder).free
         self._folder = folder
         self._segments: list[Segment] = []
@@ -106,6 +107,7 @@ class Store:
             write_text(self._folder / METADATA_FILE, text)
         except OSError as error:
             self.refused = error.strerror or str(error)
+        self._drop(list(Worth))
 
     def abandon(self) -> None:
         """Leave the files as they are."""
@@ -122,10 +124,12 @@ class Store:
                 self._write_one(self._waiting[0][1])
             except OSError as error:
                 self.refused = error.strerror or str(error)
-                self._give_up()
-                return
+                self._drop([Worth.OVERLAY, Worth.FRAME])
+                break
             self._waiting.popleft()
             self.refused = ''
+        self.waiting_bytes = sum(
+            len(item.chunk.data) for _, item in self._waiting if isinstance(item, ClosedChunk))
 
     def _write_one(self, item: ClosedChunk | Attachment | Metadata) -> None:
         if isinstance(item, Attachment):
@@ -141,11 +145,12 @@ class Store:
             self._segment.sync()
             self.counts.update(self._by_topic(item))
 
-    def _give_up(self) -> None:
+    def _drop(self, worths: list[Worth]) -> None:
+        """Give up, and count, what of these waits."""
         for worth, item in self._waiting:
-            if worth != Worth.DATA and isinstance(item, ClosedChunk):
+            if worth in worths and isinstance(item, ClosedChunk):
                 self.dropped.update(self._by_topic(item))
-        self._waiting = deque(entry for entry in self._waiting if entry[0] == Worth.DATA)
+        self._waiting = deque(entry for entry in self._waiting if entry[0] not in worths)
 
     def _by_topic(self, closed: ClosedChunk) -> dict[str, int]:
         return {

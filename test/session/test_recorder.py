@@ -114,7 +114,7 @@ def test_a_nearly_full_disk_costs_overlays_then_frames_and_no_command(tmp_path, 
 
 def test_a_slow_disk_costs_overlays_first_and_no_command(tmp_path, monkeypatch):
     monkeypatch.setattr(recorder, 'MOST_QUEUED', {
-        store.Worth.OVERLAY: 20_000, store.Worth.FRAME: 100_000})
+        store.Worth.OVERLAY: 20_000, store.Worth.FRAME: 100_000, store.Worth.DATA: 10**9})
     monkeypatch.setattr(store, 'FLUSH_SECONDS', 0.0)
     stuck, freed = threading.Event(), threading.Event()
     write = Segment.add_chunk
@@ -177,11 +177,42 @@ def test_a_disk_that_stays_full_leaves_a_readable_recording_and_says_so(tmp_path
 
     with RecordingWriter(tmp_path / 'run') as writer:
         monkeypatch.setattr(Segment, '_append', full)
-        fill(writer, 3)
+        expected = fill(writer, 3)
     assert 'No space left' in writer.status().problem
+    assert writer.status().dropped == expected
     with open_recording(tmp_path / 'run') as recording:
         assert not recording.complete
         assert recording.topics == {}
+
+
+def test_a_disk_that_stays_full_costs_data_only_when_memory_is_full_too(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(28, 'No space left on device')
+
+    monkeypatch.setattr(recorder, 'MOST_QUEUED', {
+        store.Worth.OVERLAY: 2_000, store.Worth.FRAME: 4_000, store.Worth.DATA: 8_000})
+    monkeypatch.setattr(store, 'FLUSH_SECONDS', 0.0)
+    with RecordingWriter(tmp_path / 'run') as writer:
+        write, lost_first = Segment._append, []
+        monkeypatch.setattr(Segment, '_append', full)
+        sent = 0
+        while '/field/command' not in writer.status().dropped:
+            sent += 1
+            lost_first += [t for t in writer.status().dropped if t not in lost_first]
+            for topic, kind, data in (('/overlay/image_raw', IMAGE, image(sent)),
+                                      ('/camera/image_raw', IMAGE, image(sent)),
+                                      ('/field/command', VECTOR, vector(sent, sent, 0))):
+                writer.write(topic, kind, sent * MS, data)
+        status = writer.status()
+        assert status.queued_bytes <= 8_000 + 2 * len(image(0))
+        assert '1 of /field/command' in status.problem
+        monkeypatch.setattr(Segment, '_append', write)
+    assert '/field/command' not in lost_first
+    status = writer.status()
+    assert status.counts['/field/command'] == sent - 1
+    assert status.dropped['/field/command'] == 1
+    with open_recording(tmp_path / 'run') as recording:
+        assert recording.metadata()['dropped']['/field/command'] == '1'
 
 
 @pytest.mark.filterwarnings('ignore::pytest.PytestUnhandledThreadExceptionWarning')
