@@ -12,8 +12,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from bench._tracker_scenes import crowd, expose, identity_switches, light, scene
+from bench._tracker_worlds import LEARNING, World, world
 from bench.figure import Figure, seconds
 from microbot_ros.tracking import Tracker, TrackerSettings, learn, open_source
+from microbot_ros.tracking.detect import RoundDetector
+from microbot_ros.tracking.outline import OutlineDetector
 from microbot_ros.tracking.tracker import make_detector
 
 _DATA = Path(__file__).parents[1].parent / 'shared' / 'data'
@@ -26,7 +29,7 @@ _LIKE_TRACKPY = TrackerSettings(
 def figures() -> list[Figure]:
     """All figures of the tracker; those of real recordings only where these are."""
     cv2.setNumThreads(1)
-    found = [*_precision(), *_crossings(), _noise(), _memory()]
+    found = [*_precision(), *_worlds(), *_crossings(), _noise(), _memory()]
     if _DATA.is_dir():
         found += [*_bulk_water(), _mickyroll()]
     return found
@@ -96,6 +99,54 @@ def _errors(
             (int(counts[0]), int(counts[1]), int(counts[2])))
 
 
+def _worlds(count: int = 20) -> list[Figure]:
+    """Random microscopes, from the first frame on: is the right thing learned and measured?"""
+    recalls, precisions, biases, spreads = [], [], [], []
+    for seed in range(count):
+        seen = world(seed, 20)
+        settings = TrackerSettings(cap='bright' if seen.bright else 'dark')
+        appearance = learn(seen.frames[:LEARNING], settings)
+        if appearance is None:
+            raise RuntimeError(f'nothing learned from microscope {seed}')
+        error, sigma, found = _errors_by_cap(seen, make_detector(appearance, settings))
+        recalls.append(len(error) / sum(map(len, seen.places[LEARNING:])))
+        precisions.append(len(error) / max(found, 1))
+        if appearance.capped:
+            biases.append(abs(np.mean(error[:, 0])))
+        spreads.append(np.sqrt(np.mean(sigma**2) / np.mean(error**2)))
+    spread = float(np.median(spreads))
+    return [
+        _at_least(8, f'recall, worst of {count} microscopes', min(recalls), '', 0.99, 'truth'),
+        _at_least(8, f'precision, worst of {count} microscopes', min(precisions), '', 0.99,
+                  'truth'),
+        _at_most(8, f'bias along the cap, mean of these (worst {max(biases):.3f})',
+                 float(np.mean(biases)), 'px', 0.02, 'truth'),
+        Figure(8, f'published σ, median of these ({min(spreads):.2f} to {max(spreads):.2f})',
+               spread, '× actual', '0.9–1.1', 'actual error', 0.9 <= spread <= 1.1),
+    ]
+
+
+def _errors_by_cap(
+    seen: World, detector: RoundDetector | OutlineDetector
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """Errors (K, 2) along and across the cap [px], σ (K,), and how many were found in all."""
+    errors, sigmas, count = [], [], 0
+    views = list(zip(seen.frames, seen.places, seen.caps, strict=True))[LEARNING:]
+    for frame, places, caps in views:
+        found = detector.detect(frame, _NOWHERE)
+        count += len(found)
+        if len(found) == 0:
+            continue
+        away, nearest = cKDTree(found.xy).query(places)
+        near = away < 0.6 * seen.radius_px
+        error, angle = (found.xy[nearest] - places)[near], caps[near]
+        cos, sin = np.cos(angle), np.sin(angle)
+        errors.append(np.column_stack([
+            error[:, 0] * cos + error[:, 1] * sin, error[:, 1] * cos - error[:, 0] * sin]))
+        sigmas.append(found.sigma[nearest][near])
+    return np.concatenate(errors), np.concatenate(sigmas), count
+
+
 def _crossings() -> list[Figure]:
     import pandas as pd
     import trackpy
@@ -130,19 +181,19 @@ def _crossings() -> list[Figure]:
 
 
 def _noise(frames: int = 10_000) -> Figure:
-    """Tracks on noise alone, by a tracker that knows what to look for."""
+    """Tracks on noise alone, by a tracker that looks for small spots five times the noise."""
     rng = np.random.default_rng(5)
-    pictures = scene('disc', -60, 15, seed=6, frames=4)
+    pictures = scene('spot', 50, 5, seed=6, frames=4)
     settings = TrackerSettings()
     tracker = Tracker(settings, learn(pictures.frames, settings))
-    bank = rng.normal(0, 4, (1 << 22)).astype(np.float32)
+    bank = rng.normal(0, 10, (1 << 22)).astype(np.float32)
     lamp = light(240, 320).astype(np.float32)
     names: set[int] = set()
     for t in range(frames):
         start = rng.integers(0, len(bank) - lamp.size)
         frame = np.rint(lamp + bank[start:start + lamp.size].reshape(lamp.shape))
         names.update(tracker.update(frame.astype(np.uint8), t / 60).id.tolist())
-    return _at_most(8, f'false tracks in {frames} frames of noise', len(names), '', 0, '')
+    return _at_most(8, f'false tracks in {frames} frames of noise, 320×240', len(names), '', 0, '')
 
 
 def _memory(frames: int = 100_000) -> Figure:
