@@ -71,7 +71,10 @@ def _idle(e: Evidence) -> Iterator[str]:
 
 
 def stays(e: Evidence) -> np.ndarray:
-    """Tracks (N,) bool that go no further in a quarter of the time than from frame to frame."""
+    """Tracks (N,) bool that go no further in a quarter of the time than from frame to frame.
+
+    A particle that feedback holds in place does the same, but follows the commands.
+    """
     z = np.where(e.seen, e.z, np.nan)
     quarter = len(z) // 4
     with np.errstate(invalid='ignore'):
@@ -79,7 +82,8 @@ def stays(e: Evidence) -> np.ndarray:
             np.array([np.median(x[np.isfinite(x)]) if np.isfinite(x).any() else np.nan
                       for x in np.abs(z[lag:] - z[:-lag]).T])
             for lag in (quarter, 1))
-        result: np.ndarray = far <= STUCK * near
+        still = far <= STUCK * near
+    result: np.ndarray = still & ~_follows(e)
     return result
 
 

@@ -156,10 +156,15 @@ def _freedom(fit: Fit, effect: type[Effect]) -> int:
 
 
 def _trials(fit: Fit, effect: type[Effect]) -> int:
-    """Independent places of a shape at which a recording lets one look."""
+    """Independent places of a shape at which a recording lets one look.
+
+    A spot reaches over two widths each way: four points of its grid are about one place.
+    """
     if effect.id == 'periodic_drift':
         return max(int(_fastest(fit) * _duration(fit)), 1)
-    return len(effect.starts(fit.parts[0].evidence.timeline)) if effect.id == 'hot_spot' else 1
+    if effect.id == 'hot_spot':
+        return len(effect.starts(fit.parts[0].evidence.timeline)) // 4
+    return 1
 
 
 def _starts(fit: Fit, effect: type[Effect]) -> list[Effect]:

@@ -54,7 +54,9 @@ def test_evidence_of_a_drift_is_what_theory_says():
     assert 0.8 < 100.0 / theory < 1.05
 
 
-@pytest.mark.parametrize(('seed', 'commands'), [(4, 'paper'), (5, 'fast'), (6, 'closed_loop')])
+# The last holds a single particle in place, which is not the same as stuck.
+@pytest.mark.parametrize(
+    ('seed', 'commands'), [(4, 'paper'), (5, 'fast'), (6, 'closed_loop'), (14, 'closed_loop')])
 def test_nothing_is_named_where_nothing_is_missing(seed, commands):
     judged = judge(Case('null', seed, commands))
     assert not judged.established
@@ -73,8 +75,15 @@ def test_what_is_hidden_is_named(effect, commands):
     assert after**2 + floor**2 < 1.1**2 * (truth**2 + floor**2)
 
 
-def test_what_no_library_has_is_not_named():
-    judged = judge(Case('unlisted', 2, 'closed_loop', ('pulsing_speed',), 100.0))
+@pytest.mark.parametrize('case', [
+    Case('unlisted', 2, 'closed_loop', ('pulsing_speed',), 100.0),
+    # A hot spot leaves no map of these repelling spheres, yet neighbours explain far more; a swing
+    # in the laboratory nearly does what this heading does.
+    Case('unlisted', 32_009, 'closed_loop', ('repulsion',), 100.0),
+    Case('unlisted', 32_006, 'closed_loop', ('heading_wobble',), 100.0),
+], ids=lambda case: case.effects[0])
+def test_what_no_library_has_is_not_named(case):
+    judged = judge(case)
     assert judged.verdict == 'unnamed', judged
     assert not judged.established
     assert judged.unexplained
