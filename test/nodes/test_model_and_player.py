@@ -11,6 +11,7 @@ import pytest
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool, Trigger
 
@@ -19,6 +20,8 @@ from microbot_ros.records import Commands, Conditions, Session, Tracks
 from microbot_ros.session import write_session
 
 SPEED, PHI = np.array([3.7e-6, 4.9e-6]), np.array([-1.1, 2.6])
+ORIGIN = 1.0
+"""Of a session in ROS time [s]: its first row, a command, with the tracks from a frame later."""
 DIFFUSION, LOCALISATION = 0.05e-12, 0.05e-6
 
 
@@ -45,12 +48,13 @@ def session(tmp_path: Path) -> Path:
 def test_what_is_played_is_what_the_model_learns(ros: Any, session: Path) -> None:
     graph = ros({'model': {'command_source': 'command', 'radius_um': 2.3, 'use_sim_time': True,
                            'viscosity_mPa_s': 1.245},
-                 'player': {'session': str(session), 'rate': 5.0}})
+                 'player': {'session': str(session), 'rate': 0.0, 'answers': ['model/state']}})
     states = graph.hear(PointCloud2, 'model/state')
     assert graph.add('model').active, graph.nodes['model'].fault
     assert graph.add('player').active, graph.nodes['player'].fault
     graph.until(lambda: graph.nodes['player'].finished, 30)
-    graph.until(lambda: len(states) == 360)
+    assert graph.nodes['player'].fault == ''
+    graph.until(lambda: messages.to_seconds(states[-1].header.stamp) == ORIGIN + 12.0)
     last = messages.points(states[-1], messages.ESTIMATE)
     assert last['id'].tolist() == [0, 1]
     assert np.abs(last['speed'] - SPEED).max() < 4 * last['speed_std'].max()
@@ -72,6 +76,84 @@ def test_a_player_pauses_and_steps(ros: Any, session: Path) -> None:
     sent = graph.nodes['player']._sent
     assert graph.call(Trigger, 'player/step', Trigger.Request()).success
     assert graph.nodes['player']._sent == sent + 1
+
+
+def play(ros: Any, session: Path, **parameters: Any) -> tuple[Any, list[float], list[float]]:
+    """A player of particles alone; the stamps [s] and the clock as they are heard."""
+    graph = ros({'player': {'session': str(session), 'topics': ['particles'], **parameters}})
+    stamps: list[float] = []
+    clock: list[float] = []
+    graph.probe.create_subscription(PointCloud2, 'particles', lambda m: stamps.append(
+        messages.to_seconds(m.header.stamp) - ORIGIN), 1000)
+    graph.probe.create_subscription(
+        Clock, '/clock', lambda m: clock.append(messages.to_seconds(m.clock) - ORIGIN), 1000)
+    return graph, stamps, clock
+
+
+def tell(graph: Any, **values: Any) -> Any:
+    """The answer to setting parameters of the player."""
+    return graph.call(SetParameters, 'player/set_parameters', SetParameters.Request(parameters=[
+        Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        )).results[0]
+
+
+def test_from_here_to_there_at_the_pace_of_its_clock(ros: Any, session: Path) -> None:
+    graph, stamps, clock = play(ros, session, rate=20.0, start_s=2.0, end_s=9.0)
+    player = graph.add('player')
+    graph.until(lambda: player.finished)
+    graph.until(lambda: stamps and stamps[-1] > 8.99)
+    assert stamps == pytest.approx(np.arange(60, 271)[-len(stamps):] / 30, abs=1e-6)
+    assert len(stamps) > 100  # discovery may cost the first
+    assert (np.diff(clock) >= 0).all()
+    assert clock[-1] <= 9.0
+    assert len(clock) > 10
+
+
+@pytest.mark.parametrize('rate', [0.1, 100.0])
+def test_the_slowest_and_the_fastest_rate_are_taken(
+        ros: Any, session: Path, rate: float) -> None:
+    graph, stamps, _ = play(ros, session, rate=rate)
+    player = graph.add('player')
+    graph.until(lambda: player.finished if rate > 1 else stamps)
+    assert player.fault == ''
+    if rate > 1:
+        graph.until(lambda: stamps[-1] > 11.9)
+
+
+def test_as_fast_as_it_goes_nothing_is_lost(ros: Any, session: Path) -> None:
+    graph, stamps, _ = play(ros, session, rate=0.0)
+    node = graph.add('player')
+    graph.call(SetBool, 'player/pause', SetBool.Request(data=True))
+    assert tell(graph, seek_s=6.0).successful
+    graph.until(lambda: node._applied.seek_s == 6.0)
+    stamps.clear()
+    graph.call(SetBool, 'player/pause', SetBool.Request(data=False))
+    graph.until(lambda: node.finished)
+    graph.until(lambda: stamps and stamps[-1] > 11.9)
+    assert stamps == pytest.approx(np.arange(180, 361) / 30, abs=1e-6)
+
+
+def test_a_loop_begins_again(ros: Any, session: Path) -> None:
+    graph, stamps, clock = play(ros, session, rate=50.0, start_s=11.0, loop=True)
+    node = graph.add('player')
+    graph.until(lambda: len(stamps) > 70)
+    assert not node.finished
+    assert set(np.round(np.multiply(stamps, 30)).astype(int)) == set(range(330, 361))
+    assert min(np.diff(stamps)) < -0.9
+    assert min(np.diff(clock)) < 0
+
+
+def test_rate_and_place_change_while_it_plays(ros: Any, session: Path) -> None:
+    graph, stamps, _ = play(ros, session, rate=0.5)
+    node = graph.add('player')
+    graph.until(lambda: stamps)
+    assert tell(graph, seek_s=10.0).successful
+    graph.until(lambda: stamps[-1] >= 10.0)
+    assert not tell(graph, rate=101.0).successful
+    assert not tell(graph, rate=float('nan')).successful
+    assert not tell(graph, seek_s=1e7).successful
+    assert tell(graph, rate=100.0).successful
+    graph.until(lambda: node.finished)
 
 
 @pytest.mark.parametrize(('parameters', 'expected'), [

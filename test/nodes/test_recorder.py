@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import Vector3Stamped
+import yaml
+from geometry_msgs.msg import PoseArray, Vector3Stamped
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import Image, PointCloud2
+from std_srvs.srv import SetBool
 
 from microbot_ros.nodes import messages
+from microbot_ros.nodes.rerun import recorded_parameters
 from microbot_ros.session import open_recording, read_session
 
 
@@ -73,9 +79,78 @@ def test_the_conditions_that_the_model_knows_are_in_the_recording(
     assert conditions.viscosity == pytest.approx(0.9e-3)
 
 
+def test_every_parameter_and_the_files_that_they_name_are_kept(ros: Any, tmp_path: Path) -> None:
+    folder, first, other = tmp_path / 'recording', tmp_path / 'a.yaml', tmp_path / 'b.yaml'
+    first.write_text('reference_field_mT: 5\n')
+    other.write_text('reference_field_mT: 4\n')
+    graph = ros({'recorder': {'folder': str(folder)},
+                 'model': {'radius_um': 1.5, 'model_file': str(first)}})
+    recorder = graph.add('recorder')
+    graph.add('model')
+    graph.until(lambda: recorder._snapshot.answered == {'model', 'recorder'})
+    change = Parameter('model_file', value=str(other)).to_parameter_msg()
+    graph.call(SetParameters, 'model/set_parameters', SetParameters.Request(parameters=[change]))
+    graph.until(lambda: str(other) in recorder._kept)
+    recorder.trigger_deactivate()
+    with open_recording(folder) as recording:
+        kept = recording.attachments()
+        values = yaml.safe_load(kept['parameters/model.yaml'])['model']['ros__parameters']
+        assert values['radius_um'] == 1.5
+        assert values['model_file'] == str(first)
+        assert kept[str(first)] == first.read_bytes()
+        assert kept[str(other)] == other.read_bytes()
+        parameters = recorded_parameters(recording, ['model'], tmp_path)
+        about = recording.metadata()
+    # What was recorded starts a node again, from the files as they were.
+    file = Path(parameters['model'].pop('model_file'))
+    assert file.read_bytes() == first.read_bytes()
+    assert file != first
+    assert {'microbot_ros', 'numpy', 'python'} <= set(about['versions'])
+    for name in ('clocks', 'clocks at the end'):
+        ros_time = time.monotonic_ns() + int(about[name]['ros_minus_monotonic_ns'])
+        assert ros_time == pytest.approx(time.time_ns(), abs=10**9)
+
+
+def test_a_service_begins_and_ends_recordings_with_title_and_notes(
+        ros: Any, tmp_path: Path) -> None:
+    graph = ros({'recorder': {'recording': False, 'topics': ['goals']}})
+    recorder = graph.add('recorder')
+    assert recorder.health()[1] == 'not recording'
+    goals = graph.probe.create_publisher(PoseArray, 'goals', 10)
+    graph.until(lambda: goals.get_subscription_count() == 1)
+
+    def tell(**values: Any) -> None:
+        graph.call(SetParameters, 'recorder/set_parameters', SetParameters.Request(parameters=[
+            Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]))
+
+    def record(data: bool) -> Any:
+        return graph.call(SetBool, 'recorder/record', SetBool.Request(data=data))
+    goals.publish(PoseArray())
+    assert record(False).message == 'not recording'
+    for k in (1, 2):
+        tell(folder=str(tmp_path / str(k)), title=f'run {k}', notes='fresh peroxide')
+        answer = record(True)
+        assert answer.success
+        assert answer.message == f'recording to {tmp_path / str(k)}'
+        assert not record(True).success
+        for _ in range(k):
+            goals.publish(PoseArray())
+        graph.until(lambda k=k: recorder._writer.status().counts.get('/goals') == k)
+        assert record(False).message == f'recorded {tmp_path / str(k)}'
+        with open_recording(tmp_path / str(k)) as recording:
+            assert recording.complete
+            assert recording.topics['/goals'].count == k
+            assert recording.metadata()['recording'] == {
+                'title': f'run {k}', 'notes': 'fresh peroxide'}
+    refused = record(True)
+    assert not refused.success
+    assert 'expected a new or empty folder' in refused.message
+
+
 @pytest.mark.parametrize(('parameters', 'expected'), [
     ({'attachments': ['/nowhere.yaml']}, '/nowhere.yaml: expected a file to attach'),
     ({'folder': 'FILE'}, 'expected'),
+    ({'topics': ['steam']}, 'no topic steam to record'),
 ])
 def test_what_cannot_be_recorded_is_one_clear_line(
         ros: Any, tmp_path: Path, parameters: dict[str, Any], expected: str) -> None:
