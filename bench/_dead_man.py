@@ -36,7 +36,7 @@ FULL_SCALE_A = 2.0
 NODES = ('camera', 'tracker', 'model', 'controller', 'coil_driver')
 _FORKING = mp.get_context('forkserver')
 _FRAME_RATE_HZ = 30.0
-_HEARD_S = 0.06
+_HEARD_S, _SILENT_S = 0.06, 0.04
 _DEADLINE_S = 60.0
 
 
@@ -147,9 +147,16 @@ class _Rig:
         end()
         self._await(lambda: self.board.changes[-1][1], _DEADLINE_S)
         zeroed = next(t for t, zero in self.board.changes if zero and t > ended)
-        self._remote.spin(0.02)
+        self._catch_up(zeroed)
         last = ended if deaf else zeroed
         return zeroed - max(t for t in self._commands if t < last)
+
+    def _catch_up(self, moment: float) -> None:
+        """Hear every command that was sent before a moment."""
+        heard = -1.0
+        while heard < self._commands[-1] < moment:
+            heard = self._commands[-1]
+            self._remote.spin(_SILENT_S)
 
     def _await(self, true: Callable[[], bool], seconds: float) -> None:
         deadline = time.monotonic() + seconds

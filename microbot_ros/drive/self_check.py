@@ -40,7 +40,7 @@ class SelfCheck:
         self.done = False
         self.complaint = ''
         self._limits = limits
-        self._pulsed_s = 0.0
+        self._pulsed_s: float
 
     def measured(self, currents_A: Sequence[float], now_s: float) -> None:
         """Take measured currents [A] and go on as they allow."""

@@ -64,6 +64,52 @@ def test_the_coil_that_is_wrong_is_named(coil, share, sentence):
     assert len(sent) == 2 * (coil + 1)
 
 
+EXACT = Limits(**{**vars(LIMITS), 'deviation_A': 0.25})  # a pulse of 0.75 A, all exact in binary
+BELOW, ABOVE = -math.inf, math.inf
+
+
+def pulsed():
+    check = SelfCheck(EXACT)
+    check.measured(ZERO, 1.0)
+    assert check.wanted == (0.75, 0.0, 0.0, 0.0)
+    return check
+
+
+def next_to(value, towards):
+    return math.nextafter(value, towards)
+
+
+@pytest.mark.parametrize('currents', [
+    [0.5, 0, 0, 0], [1.0, 0, 0, 0], [0.75, 0.25, 0, -0.25], [0.75, 0, 0.25, 0]])
+def test_a_reading_agrees_to_within_the_deviation(currents):
+    check = pulsed()
+    check.measured(currents, 1.1)
+    assert (check.gains, check.wanted) == ([currents[0] / 0.75], ZERO)
+
+
+@pytest.mark.parametrize(('first', 'sentence'), [
+    (-0.25, 'is open'), (0.0, 'is open'), (0.25, 'is open'),
+    (next_to(0.25, ABOVE), 'has a gain of 0.33'), (next_to(0.5, BELOW), 'has a gain of 0.67')])
+def test_a_reading_on_the_way_is_waited_for_as_long_as_settling_takes(first, sentence):
+    check = pulsed()
+    check.measured([first, 0.25, -0.25, 0], next_to(1.5, BELOW))
+    assert (check.complaint, check.gains) == ('', [])
+    check.measured([first, 0.25, -0.25, 0], 1.5)
+    assert check.complaint.startswith(f'coil_plus_y {sentence}')
+
+
+@pytest.mark.parametrize(('currents', 'sentence'), [
+    ([next_to(-0.25, BELOW), 0, 0, 0], 'is reversed'),
+    ([next_to(1.0, ABOVE), 0, 0, 0], 'has a gain of 1.3'),
+    ([0.75, next_to(0.25, ABOVE), 0, 0], 'drives coil_plus_x'),
+    ([0.0, 0, 0, next_to(-0.25, BELOW)], 'drives coil_minus_x'),
+    ([0.75, 0, 0.3, -0.3], 'drives coil_minus_y and coil_minus_x')])
+def test_a_reading_that_no_settling_leads_through_is_judged_at_once(currents, sentence):
+    check = pulsed()
+    check.measured(currents, 1.001)
+    assert check.complaint.startswith(f'coil_plus_y {sentence}')
+
+
 def test_channels_that_are_swapped_or_joined_are_named():
     swapped, _ = run(lambda wanted, _: [wanted[1], wanted[0], wanted[2], wanted[3]])
     assert 'coil_plus_y drives coil_plus_x: channels are swapped' in swapped.complaint
