@@ -11,6 +11,7 @@ from typing import Any
 import click
 import pydantic
 
+from microbot_ros.cli.calibrate_camera import camera
 from microbot_ros.magnetics.settings import CoilSettings
 
 
@@ -33,6 +34,9 @@ class _Found:
 @click.group()
 def command() -> None:
     """Find constants of the rig from measurements."""
+
+
+command.add_command(camera)
 
 
 @command.command()

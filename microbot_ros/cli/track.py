@@ -90,7 +90,7 @@ def _track(
     from microbot_ros.tracking.overlay import OverlayVideo
 
     with console.status('learning what the particles look like'):
-        appearance = _learn(recording, settings)
+        appearance = first_appearance(recording, settings)
     rows = _Rows(recording, pixel_size_um)
     result: dict[str, Any] = {'appearance': []}
     if appearance is not None:
@@ -111,7 +111,7 @@ def _track(
     return rows.summary() | result
 
 
-def _learn(recording: Source, settings: TrackerSettings) -> Appearance | None:
+def first_appearance(recording: Source, settings: TrackerSettings) -> Appearance | None:
     """The appearance from the first frames in which anything stands out."""
     from microbot_ros.tracking import learn
 

@@ -233,6 +233,14 @@ class DeviceSource:
             self._capture.release()
 
 
+def read_picture(path: Path) -> np.ndarray:
+    """One image file as (H, W) grey uint8 or uint16; InputError where it can't be decoded."""
+    image = _read_image(path)
+    if image is None:
+        raise InputError(path, 'expected a picture of 8 or 16 bit; it can not be decoded')
+    return image
+
+
 def _read_image(path: Path) -> np.ndarray | None:
     import cv2
 
