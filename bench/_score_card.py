@@ -136,9 +136,14 @@ def covered(session: Blind, found: Discovery) -> Iterator[bool]:
 
 
 def run(cases: Iterable[Case], jobs: int = 2) -> list[Outcome]:
-    """Judge the cases, that many at a time on one core each."""
+    """Judge the cases, that many at a time on one core each; tells on stderr how far it is."""
+    from rich.console import Console
+    from rich.progress import track
+
+    cases = list(cases)
     with ProcessPoolExecutor(jobs, initializer=_one_core) as pool:
-        return list(pool.map(judge, cases, chunksize=2))
+        return list(track(pool.map(judge, cases), 'blind sessions', len(cases),
+                          console=Console(stderr=True)))
 
 
 def _one_core() -> None:
