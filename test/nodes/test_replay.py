@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,15 @@ from geometry_msgs.msg import Vector3Stamped
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
 
+from microbot_ros.estimation.batch import fit
+from microbot_ros.estimation.online import Estimates, Estimator
 from microbot_ros.nodes.rerun import cast, recorded_parameters, rerun
-from microbot_ros.session import open_recording
+from microbot_ros.records import Commands, Conditions, Session, Tracks
+from microbot_ros.session import open_recording, read_session
+from microbot_ros.session.cloud import cloud_table
 from microbot_ros.session.compare import compare
 from microbot_ros.session.lockstep import header_stamp_ns
+from microbot_ros.session.playback import open_source
 
 DATA = Path(__file__).parents[1] / 'data'
 STEERING, TRACKING = DATA / 'steering.mcap', DATA / 'tracking.mcap'
@@ -146,3 +152,54 @@ def test_a_node_that_has_nothing_to_say_has_answered(ros: Any) -> None:
     graph.until(lambda: node.finished, 30)
     assert (node.fault, fields) == ('', [])
     assert node._sent >= 3
+
+
+def beginning(session: Session, seconds: float) -> Session:
+    """The first seconds of a session."""
+    tracks, commands = session.tracks, session.commands
+    end = tracks.t[0] + seconds
+    seen, given = tracks.t <= end, commands.t <= end
+    assert commands.frequency is not None
+    return replace(
+        session, tracks=Tracks(tracks.t[seen], tracks.particle[seen], tracks.position[seen],
+                               tracks.theta[seen], tracks.sigma[seen]),
+        commands=Commands(commands.t[given], commands.field[given], commands.frequency[given]))
+
+
+def filtered(session: Session, conditions: Conditions) -> Estimates:
+    """The last answer of the estimator that the model node runs, without any ROS."""
+    estimator, tracks, commands = Estimator(conditions), session.tracks, session.commands
+    assert commands.frequency is not None
+    for k, t in enumerate(commands.t):
+        estimator.command(t, commands.field[k], commands.frequency[k])
+    for t in np.unique(tracks.t):
+        rows = tracks.t == t
+        estimates = estimator.update(
+            t, tracks.particle[rows], tracks.position[rows], tracks.sigma[rows])
+    return estimates
+
+
+@pytest.mark.graph
+def test_a_rolling_robot_is_the_same_by_topics_as_by_rows(
+        recordings: Path, tmp_path: Path) -> None:
+    source = recordings / 'rolling_robot'
+    rows = beginning(read_session(source), 100.0)
+    with open_source(source) as played:
+        players = cast(played, source, ['model'])
+    parameters = {'model': {'propulsion': 'rolling'}}
+    assert rerun(source, tmp_path / 'run', players, parameters, end_s=100.0) == ''
+    by_topics = read_session(tmp_path / 'run')
+    # Positions cross in single precision, nothing else is lost.
+    assert by_topics.tracks.position == pytest.approx(rows.tracks.position, rel=1e-7)
+    ours, theirs = fit(by_topics), fit(rows)
+    assert ours.swims.speed == pytest.approx(theirs.swims.speed, rel=1e-5)
+    assert ours.swims.phi == pytest.approx(theirs.swims.phi, abs=1e-5)
+    with open_recording(tmp_path / 'run') as recording:
+        states = list(recording.messages(['/model/state']))
+        last = cloud_table(recording.decode(states[-1]))
+    assert len(states) == len(np.unique(rows.tracks.t))
+    estimates = filtered(rows, Conditions('rolling', 2.3e-6, 1e-3, 298.0))
+    assert last['speed_std'] == pytest.approx(estimates.speed_std, rel=1e-3)
+    for name in ('speed', 'phi'):
+        apart = np.abs(last[name] - getattr(estimates, name))
+        assert apart < 1e-3 * getattr(estimates, f'{name}_std')
