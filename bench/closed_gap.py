@@ -5,7 +5,8 @@ predictive controller has to do the same task in that world, once with the first
 once with the discovered one.
 
 Steady disturbances are not among the cases: feedback at 60 Hz rejects a drift or a background
-field without knowing it (0.3 µm from the goal either way).
+field without knowing it (0.3 µm from the goal either way). Nor is what changes slowly, as a
+slip of φ: φ is estimated as it is now.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from microbot_ros.virtual_rig.world import World
 
 CASES: dict[str, dict[str, float]] = {
     'alignment_lag': {'tau_s': 0.6},
-    'heading_slip': {'rate_rad_s': 0.1},
+    'command_delay': {'delay_s': 0.4},
 }
 SPEED, PHI = np.array([4.2e-6]), np.array([0.8])
 SEEDS = 2

@@ -94,9 +94,9 @@ class Switchboard:
     def swap(self, name: str) -> Answer:
         """Let another controller drive from the next tick on; if it can't, nothing changes.
 
-        It is activated here against the situation of the last tick and the present field, and the
-        one before deactivated, each within half of the deadline. Naming the controller that
-        drives restarts it, after a fault too.
+        It is activated here, within the deadline, against the situation of the last tick and the
+        present field; then the one before is deactivated, in half of that. Naming the controller
+        that drives restarts it, after a fault too.
         """
         if name not in self._runners:
             known = ', '.join(self._runners)
@@ -107,7 +107,7 @@ class Switchboard:
         try:
             if self._last is not None:
                 situation = dataclasses.replace(self._last, field=self._field.copy())
-                after.activate(situation, self._deadline / 2)
+                after.activate(situation, self._deadline)
         except Exception as error:
             return Answer(False, f'{name}: {reason(error)}')
         if after is not before:

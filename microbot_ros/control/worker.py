@@ -13,7 +13,7 @@ from typing import Generic, TypeVar
 
 T = TypeVar('T')
 
-SWITCH_INTERVAL = 5e-4
+SWITCH_INTERVAL = 1e-4
 """How long [s] a thread may keep the interpreter while another waits for it."""
 
 

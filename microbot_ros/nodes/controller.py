@@ -10,10 +10,11 @@ from typing import Any, ClassVar
 import numpy as np
 import yaml
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import PoseArray, PoseStamped, Vector3Stamped
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import Point, PoseArray, PoseStamped, Vector3Stamped
 from nav_msgs.msg import Path
 from sensor_msgs.msg import Joy, PointCloud2
-from std_msgs.msg import String
+from std_msgs.msg import Header, String
 from visualization_msgs.msg import MarkerArray
 
 from microbot_ros.control.contract import FieldCommand, Goals, Limits, Result, Situation, Workspace
@@ -23,7 +24,7 @@ from microbot_ros.errors import InputError
 from microbot_ros.model.model import Model
 from microbot_ros.model.model_file import read_model
 from microbot_ros.nodes import messages
-from microbot_ros.nodes.lifecycle import ERROR, LATCHED, OK, WARN, RigNode
+from microbot_ros.nodes.lifecycle import ERROR, LATCHED, OK, WARN, RigNode, status
 from microbot_ros.nodes.markers import markers
 from microbot_ros.nodes.parameters import ParameterSet
 from microbot_ros.settings import defaults, setting
@@ -49,6 +50,9 @@ class ControllerParameters:
     workspace_um: list[float] = setting(
         [-140.0, -104.0, 140.0, 104.0], 'Left, bottom, right, top of where particles may go.',
         lower=-1e5, upper=1e5, read_only=True)
+    border_s: float = setting(
+        0.5, 'A driven particle that would be out of the workspace within this time turns the '
+        'field; 0: never.', lower=0.0, upper=60.0, read_only=True)
     delay_ms: float = setting(
         25.0, 'From exposure until a command given now acts; 0 for none.', lower=0.0,
         upper=2000.0)
@@ -77,7 +81,8 @@ class ControllerNode(RigNode):
         self._summaries = {name: kind.summary for name, kind in classes.items()}
         self._switchboard = Switchboard(
             {name: kind() for name, kind in classes.items()}, active=values.controller,
-            deadline=values.deadline_ms * 1e-3, stale_after=values.stale_ms * 1e-3)
+            deadline=values.deadline_ms * 1e-3, stale_after=values.stale_ms * 1e-3,
+            border=values.border_s)
         for name, kind in classes.items():
             ParameterSet(self, kind.Parameters, self._configure(name), prefix=f'{name}.')
 
@@ -99,6 +104,7 @@ class ControllerNode(RigNode):
 
     def setup(self) -> None:
         self._goals, self._path, self._joystick = Goals(), np.empty((0, 2)), np.zeros(2)
+        self._goals_stamp = 0.0
         self._seen: dict[int, np.void] = {}
         self._last_t = -math.inf
         self._driving = self._rolling = False
@@ -114,9 +120,12 @@ class ControllerNode(RigNode):
         self.subscribe(PointCloud2, 'model/state', self._on_state)
         self.subscribe(PoseArray, 'goals', self._on_goals)
         self.subscribe(PoseStamped, 'goal_pose', self._on_goal_pose)
+        self.subscribe(PointCloud2, 'particle_goals', self._on_particle_goals)
         self.subscribe(Path, 'path', self._on_path)
         self.subscribe(Joy, 'joy', self._on_joy)
         self.every(0.05, self._watch)
+        self._progress = self.publisher(DiagnosticStatus, '~/progress')
+        self.every(0.2, self._tell)
 
     def stop(self) -> None:
         self.make_safe()
@@ -133,7 +142,9 @@ class ControllerNode(RigNode):
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         outcome, name = self._outcome, self._switchboard.active
-        values: dict[str, object] = {'controller': name, 'result': outcome.result.value}
+        values: dict[str, object] = {
+            'controller': name, 'result': outcome.result.value, 'goals': len(self._goals),
+            'goals_stamp_s': repr(self._goals_stamp)}
         if outcome.command is not None:
             values['distance_um'] = outcome.command.progress.distance * 1e6
             values['done'] = outcome.command.progress.done
@@ -158,14 +169,24 @@ class ControllerNode(RigNode):
             self._markers.publish(markers(points, self._goals.position, message.header.stamp))
 
     def _on_goals(self, message: PoseArray) -> None:
-        self._goals = Goals(np.array(
-            [(p.position.x, p.position.y) for p in message.poses]).reshape(-1, 2))
+        self._take_goals(message.header, [pose.position for pose in message.poses])
 
     def _on_goal_pose(self, message: PoseStamped) -> None:
-        place = message.pose.position
-        self._goals = Goals(np.array([(place.x, place.y)]))
+        self._take_goals(message.header, [message.pose.position])
+
+    def _on_particle_goals(self, message: PointCloud2) -> None:
+        goals = messages.points(message, messages.GOAL)
+        self._take_goals(message.header, [Point(x=float(g['x']), y=float(g['y'])) for g in goals],
+                         goals['id'].astype(int))
+
+    def _take_goals(self, header: Header, places: list[Point],
+                    ids: np.ndarray | None = None) -> None:
+        messages.in_workspace(header)
+        self._goals = Goals(np.array([(p.x, p.y) for p in places]).reshape(-1, 2), ids)
+        self._goals_stamp = messages.to_seconds(header.stamp)
 
     def _on_path(self, message: Path) -> None:
+        messages.in_workspace(message.header)
         self._path = np.array([
             (p.pose.position.x, p.pose.position.y) for p in message.poses]).reshape(-1, 2)
 
@@ -179,6 +200,9 @@ class ControllerNode(RigNode):
         if self._driving and not age <= self.settings.stale_ms * 1e-3:
             self.make_safe()
             self._outcome = Outcome(None, Result.STALE, f'poses are {age:.2f} s old')
+
+    def _tell(self) -> None:
+        self._progress.publish(status(self.get_name(), *self.health()))
 
     def _situation(self, points: np.ndarray, stamp: float) -> Situation:
         """All at the moment of exposure: the same poses give the same command, live or replayed.

@@ -223,10 +223,7 @@ class RigNode(LifecycleNode):
             level, sentence = ERROR, self.fault
         elif time.monotonic() < self._complaint_until and level == OK:
             level, sentence = WARN, self._complaint
-        status = DiagnosticStatus(
-            level=level, name=f'{self.get_name()}: {self.get_name()}', message=sentence,
-            values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()])
-        message = DiagnosticArray(status=[status])
+        message = DiagnosticArray(status=[status(self.get_name(), level, sentence, values)])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(message)
 
@@ -238,6 +235,13 @@ class RigNode(LifecycleNode):
         except Exception as error:  # would end the executor, and the node with it
             self._failed('health', error)
             return ERROR, f'health failed: {error}', {}
+
+
+def status(node: str, level: bytes, sentence: str, values: dict[str, object]) -> DiagnosticStatus:
+    """The health of a node as a message."""
+    return DiagnosticStatus(
+        level=level, name=f'{node}: {node}', message=sentence,
+        values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()])
 
 
 def _text(value: object) -> str:

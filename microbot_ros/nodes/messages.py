@@ -30,6 +30,9 @@ ESTIMATE = np.dtype([
 ])
 """A point of `model/state`: SI; NaN for what is not known yet. `*_ahead`: a horizon later."""
 
+GOAL = np.dtype([('id', '<u4'), ('x', '<f4'), ('y', '<f4')])
+"""A point of `particle_goals`: where one particle is to go [m]."""
+
 TRUTH = np.dtype([
     ('id', '<u4'), ('x', '<f4'), ('y', '<f4'), ('theta', '<f4'), ('speed', '<f4'),
     ('phi', '<f4'),
@@ -72,6 +75,12 @@ def cloud(points: np.ndarray, stamp: Time) -> PointCloud2:
         header=Header(stamp=stamp, frame_id=WORKSPACE), height=1, width=len(points),
         fields=fields, point_step=kind.itemsize, row_step=kind.itemsize * len(points),
         is_dense=True, data=array.array('B', points.tobytes()))
+
+
+def in_workspace(header: Header) -> None:
+    """MessageError for positions in a frame that is not the workspace's; '' stands for it."""
+    if header.frame_id not in ('', WORKSPACE):
+        raise MessageError(f"expected the frame '{WORKSPACE}'; received '{header.frame_id}'")
 
 
 def points(message: PointCloud2, kind: np.dtype) -> np.ndarray:

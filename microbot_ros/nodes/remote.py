@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Path
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter, parameter_value_to_python
@@ -33,7 +34,6 @@ class Remote:
         self.node = rclpy.create_node(name)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
-        self._goals = self.node.create_publisher(PoseArray, 'goals', 10)
 
     def __enter__(self) -> Remote:
         return self
@@ -99,16 +99,43 @@ class Remote:
         return {name: parameter_value_to_python(value)
                 for name, value in zip(names, answer.values, strict=True)}
 
-    def send_goals(self, positions: Sequence[tuple[float, float]], seconds: float = 5.0) -> None:
-        """Publish where to go, in order [m], once a controller listens."""
+    def send_goals(self, positions: Sequence[tuple[float, float]],
+                   particles: Sequence[int] | None = None) -> float:
+        """Publish where to go, in order [m], once a controller listens; the stamp [s].
+
+        With `particles` the goal of each of those; no position cancels.
+        """
+        xy, stamp = np.array(positions, float).reshape(-1, 2), self.node.get_clock().now().to_msg()
+        if particles is None:
+            self._publish('goals', messages.poses(xy, np.zeros(len(xy)), stamp))
+        else:
+            goals = np.zeros(len(xy), messages.GOAL)
+            goals['id'], goals['x'], goals['y'] = particles, *xy.T
+            self._publish('particle_goals', messages.cloud(goals, stamp))
+        return messages.to_seconds(stamp)
+
+    def send_path(self, positions: Sequence[tuple[float, float]]) -> None:
+        """Publish a path to follow [m], once a controller listens; no position cancels."""
+        array = messages.poses(np.array(positions, float).reshape(-1, 2),
+                               np.zeros(len(positions)), self.node.get_clock().now().to_msg())
+        self._publish('path', Path(header=array.header, poses=[
+            PoseStamped(header=array.header, pose=pose) for pose in array.poses]))
+
+    def watch_progress(self, tell: Callable[[bytes, str, dict[str, str]], None]) -> None:
+        """Call `tell(level, sentence, values)` several times a second for the controller's."""
+        def heard(message: DiagnosticStatus) -> None:
+            tell(message.level, message.message,
+                 {pair.key: pair.value for pair in message.values})
+        self.node.create_subscription(DiagnosticStatus, 'controller/progress', heard, 10)
+
+    def _publish(self, topic: str, message: Any, seconds: float = 5.0) -> None:
+        publisher = self.node.create_publisher(type(message), topic, 10)
         deadline = time.monotonic() + seconds
-        while self._goals.get_subscription_count() == 0:
+        while publisher.get_subscription_count() == 0:
             if time.monotonic() > deadline:
-                raise InputError('goals', 'nobody listens; is the controller running?')
+                raise InputError(topic, 'nobody listens; is the controller running?')
             self.spin(0.05)
-        xy = np.array(positions, float).reshape(-1, 2)
-        stamp = self.node.get_clock().now().to_msg()
-        self._goals.publish(messages.poses(xy, np.zeros(len(xy)), stamp))
+        publisher.publish(message)
 
     def _call(self, kind: type, name: str, request: Any, seconds: float = 5.0) -> Any:
         client = self.node.create_client(kind, name)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+import time
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
-from geometry_msgs.msg import PoseArray, Vector3Stamped
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseArray, PoseStamped, Vector3Stamped
+from nav_msgs.msg import Path
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2
@@ -23,12 +26,14 @@ class Loop:
     """A controller node, and a model that says what the test wants."""
 
     def __init__(self, ros: Any, **parameters: Any) -> None:
-        self.graph = ros({'controller': parameters})
+        # A shared machine may pause for longer than a controller may think.
+        self.graph = ros({'controller': {'deadline_ms': 200.0, **parameters}})
         self.node = self.graph.add('controller')
         assert self.node.active, self.node.fault
         self.fields = self.graph.hear(Vector3Stamped, 'field/command')
         self._state = self.graph.probe.create_publisher(PointCloud2, 'model/state', 10)
         self._goals = self.graph.probe.create_publisher(PoseArray, 'goals', 10)
+        self._next_frame = 0.0
         self.graph.until(lambda: self._state.get_subscription_count() == 1)
 
     def see(self, x: float = 0.0, y: float = 0.0, age: float = 0.0, phi: float = 0.5) -> None:
@@ -38,6 +43,12 @@ class Loop:
         for name in ('x_std', 'y_std', 'speed_std', 'phi_std'):
             point[name] = 1e-8
         self._state.publish(messages.cloud(point, messages.to_stamp(self.node.seconds() - age)))
+
+    def keep_seeing(self) -> None:
+        """The particle at rest, as often as a camera would show it."""
+        if time.monotonic() > self._next_frame:
+            self._next_frame = time.monotonic() + 0.02
+            self.see()
 
     def go(self, *places: tuple[float, float]) -> None:
         """Goals."""
@@ -121,6 +132,63 @@ def test_a_pose_that_is_no_number_is_not_acted_on(ros: Any) -> None:
     loop.graph.until(lambda: loop.see(x=math.nan, y=math.inf) or loop.fields)
     assert loop.strength() == 0
     assert loop.node.health()[2]['result'] == 'particle lost'
+
+
+def test_goals_of_particles_and_what_becomes_of_them(ros: Any) -> None:
+    """For one that is gone, outside, in another frame, reached, cancelled: a clear answer each."""
+    loop = Loop(ros, controller='waypoint', delay_ms=0.0)
+    told = loop.graph.hear(DiagnosticStatus, 'controller/progress')
+    sent = loop.graph.probe.create_publisher(PointCloud2, 'particle_goals', 10)
+    clicked = loop.graph.probe.create_publisher(PoseStamped, 'goal_pose', 10)
+    loop.graph.until(lambda: sent.get_subscription_count() and clicked.get_subscription_count())
+
+    def answer(true: Any) -> dict[str, str]:
+        told.clear()
+        loop.graph.until(lambda: loop.keep_seeing() or (told and true(told[-1].message)))
+        return {pair.key: pair.value for pair in told[-1].values}
+
+    def go(particle: int, x: float) -> None:
+        goal = np.array([(particle, x, 0.0)], messages.GOAL)
+        sent.publish(messages.cloud(goal, messages.to_stamp(7.5)))
+
+    go(4, 50e-6)
+    assert answer(lambda said: 'particle 4 is not seen' in said)['result'] == 'particle lost'
+    go(0, 5e-3)
+    assert answer(lambda said: 'outside the workspace' in said)['result'] == 'bad goal'
+    go(0, 1e-6)
+    values = answer(lambda said: 'goal 1 of 1' in said)
+    assert (values['done'], values['goals_stamp_s']) == ('True', '7.5')
+    elsewhere = PoseStamped()
+    elsewhere.header.frame_id = 'map'
+    clicked.publish(elsewhere)
+    loop.graph.until(lambda: "expected the frame 'workspace'; received 'map'"
+                     in loop.node._complaint)
+    assert len(loop.node._goals) == 1
+    loop.go()
+    assert answer(lambda said: 'waits for a goal' in said)['goals'] == '0'
+
+
+def test_paths_that_are_none_and_the_border(ros: Any) -> None:
+    loop = Loop(ros, controller='path_following')
+    path = loop.graph.probe.create_publisher(Path, 'path', 10)
+    loop.graph.until(lambda: path.get_subscription_count() == 1)
+
+    def follow(places: list[tuple[float, float]], said: str) -> None:
+        message = Path()
+        for x, y in places:
+            pose = PoseStamped()
+            pose.pose.position.x, pose.pose.position.y = x, y
+            message.poses.append(pose)
+        path.publish(message)
+        loop.graph.until(lambda: loop.see() or (loop.fields and said in loop.node.health()[1]))
+        assert loop.strength() == 0
+
+    follow([], 'waits for a path')
+    follow([(0.0, 0.0)], 'two different points')
+    follow([(0.0, 0.0), (math.nan, 0.0)], 'the path leaves the workspace')
+    assert loop.set(controller='open_loop').successful
+    loop.graph.until(lambda: loop.see(x=140e-6, phi=0.0) or loop.strength() > 4.9e-3)
+    assert 'about to leave the view' in loop.node.health()[1]
 
 
 def test_what_there_is_is_latched(ros: Any) -> None:
