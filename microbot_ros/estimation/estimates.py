@@ -38,8 +38,9 @@ class Estimates:
     """What is known after a frame; one row per living particle, ordered by identity.
 
     SI; `*_std` are standard deviations, of positions per axis. `seen`: in this frame. `speed`
-    [m/s] (rollers: gain [m/s/Hz]), `phi` [rad] and `force` [N] are NaN, and `known` False, until
-    the command has excited them enough. `force` is NaN where radius or viscosity are not known,
+    [m/s] (rollers: gain [m/s/Hz]), `phi` [rad] and `force` [N] are those of now where the model
+    has fuel run out or φ slip; they are NaN, and `known` False, until the command has excited
+    them enough. `force` is NaN where radius or viscosity are not known,
     and for rollers. `prediction` (N, 2) is the position `horizon` ahead under the present
     command. `delay` [s] is the one in use; `delay_std` NaN while undetermined. `diagnosis`:
     sentences on what makes numbers doubtful, and what to do.
@@ -89,12 +90,15 @@ class State:
 
 def answer(
     state: State, ahead: Step, shared: SharedKnowledge, conditions: Conditions,
-    settings: Settings, diagnosis: tuple[str, ...],
+    settings: Settings, diagnosis: tuple[str, ...], aging: complex = 1.0,
 ) -> Estimates:
-    """The state in terms of speed, φ and force, and as it will be after the step `ahead`."""
+    """The state in terms of speed, φ and force, and as it will be after the step `ahead`.
+
+    `aging` is what time has made of every c.
+    """
     std = np.sqrt(state.c_var)
     known = std < settings.fastest / 20
-    swims = polar(state.c, std).widened(shared.turn, shared.delay.std)
+    swims = polar(state.c * aging, std * abs(aging)).widened(shared.turn, shared.delay.std)
     force, force_std = swims.force(
         conditions, np.hypot(settings.viscosity_relative_std, settings.radius_relative_std)
     )

@@ -247,7 +247,8 @@ class Estimator:
         ahead = self._propagator.look_ahead(
             self._log, shared.delay.value, now, now + max(self.settings.horizon, 1e-6), state.p
         )
-        return answer(state, ahead, shared, self.conditions, self.settings, told)
+        return answer(state, ahead, shared, self.conditions, self.settings, told,
+                      self.model.aging(now))
 
     def _note(self, text: str) -> None:
         """Keep a sentence for the diagnosis of the next seconds."""

@@ -50,7 +50,8 @@ class Propagator:
         The derivative (1,) of the path [s] by the heading, complex, and the part of the stray
         (1,) that is left (see `model.increments.heading_response`).
         """
-        timeline = Timeline(log.since(start - HEADING_MEMORY, delay), np.array([start, end]))
+        commands = log.since(start - self.model.delay - HEADING_MEMORY, delay)
+        timeline = Timeline(commands, np.array([start, end]))
         one = ParticleParameters(np.zeros(1, int), np.ones(1), np.zeros(1))
         bent = heading_response(self.model, one, timeline)
         return bent.sensitivity[0] @ [1, 1j], bent.kept[0]
@@ -66,7 +67,7 @@ class Propagator:
     ) -> tuple[Step, np.ndarray]:
         vectors = np.stack([positions.real, positions.imag], axis=-1)
         timeline = Timeline(
-            log.since(start, delay), np.array([start, end]),
+            log.since(start - self.model.delay, delay), np.array([start, end]),
             np.broadcast_to(vectors, (2, *vectors.shape)),
         )
         # A heading common to all is carried on; one of each, or none yet, follows from commands.

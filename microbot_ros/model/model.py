@@ -154,6 +154,17 @@ class Model:
                 factor = factor * effect.speed_factor(scene)
         return factor
 
+    def aging(self, t: float) -> complex:
+        """What v e^{iφ} of the beginning has become at `t` [s], by what counts time alone."""
+        now, zero = np.full(1, t), np.zeros(1)
+        scene = Scene(now, zero, np.zeros((1, 2)), zero, self.reference_field)
+        changed = 1.0 + 0j
+        for effect in self.effects:
+            if not effect.steady:
+                turn = np.exp(1j * effect.heading_offset(scene))
+                changed *= complex(np.squeeze(effect.speed_factor(scene) * turn))
+        return changed
+
     def drift(self, scene: Scene) -> np.ndarray | None:
         """Stage 3: the velocity (..., 1 or N, 2) [m/s] besides propulsion; None: none."""
         total = None

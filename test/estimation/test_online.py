@@ -1,5 +1,7 @@
 """The online estimator on simulated experiments, and on everything that goes wrong."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,7 +10,10 @@ from hypothesis import strategies as st
 from microbot_ros.errors import InputError
 from microbot_ros.estimation.online import Estimator, Settings
 from microbot_ros.model.effects.alignment_lag import AlignmentLag
+from microbot_ros.model.effects.command_delay import CommandDelay
+from microbot_ros.model.effects.heading_slip import HeadingSlip
 from microbot_ros.model.effects.linear_flow import LinearFlow
+from microbot_ros.model.effects.speed_decay import SpeedDecay
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.model_file import write_model
 from microbot_ros.model.particle import Fluid
@@ -147,6 +152,28 @@ def test_an_extended_model_filters_what_the_plain_one_cannot(tmp_path, hidden, e
     # What a model leaves unexplained, it takes for diffusion.
     assert with_effect.noise.diffusion < 0.7 * without.noise.diffusion
     assert any('does not explain' in text for text in without.diagnosis)
+
+
+@pytest.mark.parametrize(('hidden', 'effect', 'aged'), [
+    (('heading_slip', {'rate_rad_s': 0.1}), HeadingSlip(0.1), lambda t: np.exp(0.1j * t)),
+    (('speed_decay', {'tau_s': 20.0}), SpeedDecay(20.0), lambda t: np.exp(-t / 20)),
+])
+def test_speed_and_direction_are_those_of_now(hidden, effect, aged):
+    session, gain = experiment(6, hidden=hidden)
+    last = replay(session, Estimator(CONDITIONS, model=Model(FIELD, effects=(effect,))))[-1]
+    assert np.sqrt(np.mean(deviations(last, gain * aged(last.t)) ** 2)) < 1.8
+    assert np.sqrt(np.mean(deviations(last, gain) ** 2)) > 5
+
+
+def test_a_delay_of_the_model_reaches_back_beyond_commands_that_repeat():
+    """As a graph sends them: one with every frame, most of them the same."""
+    session, gain = experiment(7, hidden=('command_delay', {'delay_s': 0.4}))
+    times = np.unique(session.tracks.t)
+    repeated = replace(session, commands=Commands(times, session.commands.field_at(times)))
+    model = Model(FIELD, effects=(CommandDelay(0.4),))
+    last = replay(repeated, Estimator(CONDITIONS, model=model))[-1]
+    assert last.known.all()
+    assert np.sqrt(np.mean(deviations(last, gain) ** 2)) < 1.8
 
 
 def test_a_bad_model_file_is_refused_and_the_old_model_kept(tmp_path):
