@@ -105,8 +105,8 @@ class TrackerNode(RigNode):
             self._refused += 1
             self.complain(str(error))
             return
-        if self._tracker.jump_px:
-            self.complain(f'the picture jumped by {self._tracker.jump_px:.0f} px')
+        if self._tracker.remarks:
+            self.complain('; '.join(self._tracker.remarks.values()))
         if self._frames:
             self._longest_gap = max(self._longest_gap, t - self._previous)
         self._previous = t

@@ -16,6 +16,7 @@ from microbot_ros.tracking.link import Linker
 from microbot_ros.tracking.outline import OutlineDetector
 from microbot_ros.tracking.settings import TrackerSettings
 from microbot_ros.tracking.states import TrackStates
+from microbot_ros.tracking.watch import Watch
 
 
 class FrameError(InputError):
@@ -82,6 +83,9 @@ class Tracker:
         self._linker: Linker | None = None
         self._first_frames: list[np.ndarray] = []
         self._learning: Generator[None, None, Appearance | None] | None = None
+        self.remarks: dict[str, str] = {}
+        """What is wrong with the last frame, as far as it shows: kind → sentence."""
+        self._watch = Watch()
         self._last = -math.inf
         self._refused = -math.inf
 
@@ -89,11 +93,6 @@ class Tracker:
     def ready(self) -> bool:
         """Whether the appearance of the particles is known."""
         return self.appearance is not None
-
-    @property
-    def jump_px(self) -> float:
-        """How far the picture as a whole jumped in the last frame; 0 where it did not."""
-        return 0.0 if self._linker is None else self._linker.jump
 
     def update(
         self, image: np.ndarray, t: float, drive: np.ndarray | None = None
@@ -110,6 +109,7 @@ class Tracker:
         self._check(image, drive)
         dt = self._interval(t)
         if self.appearance is None:
+            self.remarks = self._watch.look(image, dt, 0.0)
             self._learn(image)
             return _poses(t, None, 0j)
         if self._linker is None or self._detector is None:
@@ -119,6 +119,7 @@ class Tracker:
         if dt is not None:
             self._linker.predict(dt, pushed)
         self._linker.update(self._detector.detect(image, self._linker.expected()))
+        self.remarks = self._watch.look(image, dt, self._linker.jump)
         return _poses(t, self._linker.states, pushed / dt if dt else 0j)
 
     def _check(self, image: np.ndarray, drive: np.ndarray | None) -> None:
