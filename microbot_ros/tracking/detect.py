@@ -35,6 +35,9 @@ _OWN_PEAK = 0.6
 _TOUCHING = 1.3
 """Diameters: a peak nearer than this to where a particle is expected may hide it."""
 
+_STRANGE = 0.1
+"""Share of the picture that shows neither light nor particles, from which on people are told."""
+
 _ALIKE = 3.0
 """Pixels over which the difference of a particle from the learned picture is alike: found with
 the virtual rig's microscopes, whose spheres rise and sink through the focus."""
@@ -67,10 +70,11 @@ class Detections:
 
 
 class RoundDetector:
-    """Particles that one learned picture fits."""
+    """Particles that one learned picture fits; `remark` on the last picture, '' if all is well."""
 
     def __init__(self, appearance: Appearance, settings: TrackerSettings) -> None:
         self.appearance = appearance
+        self.remark = ''
         self._settings = settings
         self._filter = MatchedFilter(appearance)
         self._spacing = max(4, int(np.ceil(appearance.diameter_px)))
@@ -85,7 +89,7 @@ class RoundDetector:
         than particles are expected, the fit starts from the expectations as well, so that
         touching particles are told apart.
         """
-        peaks, noise = self._filter.candidates(
+        peaks, noise, texture = self._filter.candidates(
             image, self._settings.min_detection_sigma, 0.7 * self.appearance.min_contrast_grey)
         grid = background(image, self._spacing)
         found, hidden = self._assign(peaks, expected)
@@ -96,6 +100,10 @@ class RoundDetector:
         if len(wrong):
             self._without(wrong, peaks, image, grid, rows, errors)
             good = self._acceptable(rows, errors, noise)
+        known = np.sum(good) * np.pi * (self.appearance.reach_px + self._filter.shrink) ** 2
+        strange = (texture - known) / image.size
+        self.remark = '' if strange < _STRANGE else (
+            f'{100 * strange:.0f} % of the picture show something that is no particle')
         return self._detections(rows[good], errors[good], noise)
 
     def _assign(self, peaks: np.ndarray, expected: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -103,27 +111,20 @@ class RoundDetector:
 
         A peak that two particles share lies between them, so it starts from the expectation.
         """
+        from scipy.spatial import cKDTree
+
         found, hidden = peaks.copy(), np.empty((0, 3))
         if len(peaks) == 0 or len(expected) == 0:
             return found, hidden
-        distance = np.linalg.norm(expected[:, None] - peaks[None, :, :2], axis=2)
+        distance, nearest = cKDTree(peaks[:, :2]).query(expected, k=4)
         diameter = self.appearance.diameter_px
-        owner = np.full(len(peaks), -1)
-        homeless = []
-        for i in np.argsort(distance.min(axis=1)):
-            for k in np.argsort(distance[i])[:4]:
-                if owner[k] < 0 and distance[i, k] < _OWN_PEAK * diameter:
-                    owner[k] = i
-                    break
-            else:
-                homeless.append(i)
-        extra = []
-        for i in homeless:
-            k = int(np.argmin(distance[i]))
-            if distance[i, k] < _TOUCHING * diameter and owner[k] >= 0:
-                found[k, :2] = expected[owner[k]]
-                extra.append([*expected[i], peaks[k, 2]])
-        return found, np.array(extra).reshape(-1, 3)
+        owner, homeless = _claim(
+            distance, nearest, np.argsort(distance[:, 0]), _OWN_PEAK * diameter, len(peaks))
+        touching = homeless[distance[homeless, 0] < _TOUCHING * diameter]
+        touching = touching[owner[nearest[touching, 0]] >= 0]
+        shared = nearest[touching, 0]
+        found[shared, :2] = expected[owner[shared]]
+        return found, np.column_stack([expected[touching], peaks[shared, 2]])
 
     def _fit(
         self, image: np.ndarray, grid: np.ndarray, rows: np.ndarray, active: np.ndarray
@@ -197,6 +198,22 @@ def _starts(peaks: np.ndarray) -> np.ndarray:
     rows[:, OFFSET] = 0.0
     rows[:, SIZE] = 1.0
     return rows
+
+
+@numba.njit(cache=True)
+def _claim(distance, nearest, order, farthest, peaks):  # type: ignore[no-untyped-def]
+    """Who has each peak, −1 nobody, and who has none: in turn, the nearest that is free.
+
+    `nearest` (M, K) are the peaks nearest to each expected particle, at `distance` (M, K).
+    """
+    owner, homeless = np.full(peaks, -1), np.ones(len(order), np.bool_)
+    for i in order:
+        for n in range(distance.shape[1]):
+            if distance[i, n] < farthest and owner[nearest[i, n]] < 0:
+                owner[nearest[i, n]] = i
+                homeless[i] = False
+                break
+    return owner, np.flatnonzero(homeless)
 
 
 @numba.njit(cache=True)

@@ -208,11 +208,16 @@ class MatchedFilter:
 
     def candidates(
         self, image: np.ndarray, least_sigma: float, least_contrast: float
-    ) -> tuple[np.ndarray, float]:
-        """Rows (N, 3), x, y [px] and contrast [grey] of maxima; σ of the pixel noise [grey]."""
+    ) -> tuple[np.ndarray, float, float]:
+        """Rows (N, 3), x, y [px] and contrast [grey] of maxima; what noise and texture there is.
+
+        That is σ of the pixel noise [grey], and the area [px²] where the response, high or low,
+        is more than noise.
+        """
         response = self.response(image)
         noise = pixel_noise(image)
-        least = max(least_sigma * noise * self.gain / self.shrink, least_contrast)
-        found = peaks(response, least, self._separation)
+        least = least_sigma * noise * self.gain / self.shrink
+        found = peaks(response, max(least, least_contrast), self._separation)
         found[:, :2] = (found[:, :2] + 0.5) * self.shrink - 0.5
-        return found, noise
+        texture = np.mean(np.abs(response[1::4, 1::4]) > least) * image.size
+        return found, noise, float(texture)

@@ -107,3 +107,19 @@ def test_nothing_is_found_where_nothing_is(frame: np.ndarray) -> None:
     assert appearance is not None
     assert len(make_detector(appearance, settings).detect(frame, NOWHERE)) == 0
     assert learn([frame] * 3, TrackerSettings()) is None
+
+
+def test_thousands_of_specks_are_told_of_and_are_no_particles() -> None:
+    rng = np.random.default_rng(11)
+    lone = np.array([[60.0, 60.0], [200.0, 100.0], [120.0, 180.0]])
+    settings = TrackerSettings(shape='round')
+    appearance = learn(_frames(lone, rng), settings)
+    assert appearance is not None
+    detector = make_detector(appearance, settings)
+    assert len(detector.detect(_frames(lone, rng)[0], NOWHERE)) == 3
+    assert detector.remark == ''
+    picture = light(240, 320)
+    for place in rng.uniform(2, [318, 238], (2000, 2)):
+        draw(picture, place, lambda r: np.exp(-(r**2) / 1.5), -40)
+    assert len(detector.detect(expose(picture, 4, rng), NOWHERE)) == 0
+    assert 'no particle' in detector.remark
