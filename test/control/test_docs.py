@@ -1,31 +1,66 @@
-"""The controller in the documentation is one that works."""
+"""The package in the documentation works as another package would, and the table is whole."""
 
+import os
 import re
+import shutil
+import subprocess
+import sys
+import tomllib
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from microbot_ros.control import registry
+
+DOCS = Path(__file__).parents[2] / 'docs'
+TEMPLATE = DOCS / 'template'
+USE = """
+import numpy as np
+from microbot_ros.control.registry import controller_classes
+from microbot_ros.control.switchboard import Switchboard
 from microbot_ros.control.testkit import exercise, situation
+kinds = controller_classes(required='northwards')
+assert 'waypoint' in kinds
+exercise(kinds['northwards'])
+board = Switchboard({name: kind() for name, kind in kinds.items()}, 'hold', deadline=30.0)
+shown = situation(1, dt=1.0, phi=np.array([0.5]))
+board.tick(shown)
+assert board.swap('northwards').ok
+x, y = board.tick(shown).command.field
+print(round(np.arctan2(y, x), 6), kinds['northwards'].__module__)
+"""
 
-PAGE = (Path(__file__).parents[2] / 'docs' / 'controllers.md').read_text(encoding='utf-8')
+
+@pytest.fixture
+def installed(tmp_path):
+    """A folder on the path of Python with the template in it, as an installer leaves it."""
+    project = tomllib.loads((TEMPLATE / 'pyproject.toml').read_text())['project']
+    shutil.copytree(TEMPLATE / 'my_lab', tmp_path / 'my_lab')
+    about = tmp_path / f'{project["name"]}-{project["version"]}.dist-info'
+    about.mkdir()
+    (about / 'METADATA').write_text(
+        f'Metadata-Version: 2.1\nName: {project["name"]}\nVersion: {project["version"]}\n')
+    (about / 'entry_points.txt').write_text('\n'.join(
+        line for group, points in project['entry-points'].items()
+        for line in (f'[{group}]', *(f'{name} = {place}' for name, place in points.items()))))
+    return tmp_path
 
 
-def test_the_template_keeps_the_contract_and_goes_north():
-    source = next(block for block in re.findall(r'```python\n(.*?)```', PAGE, re.DOTALL)
-                  if 'class Northwards' in block)
-    space = {'__name__': 'template'}
-    exec(source, space)
-    exercise(space['Northwards'])
-    controller = space['Northwards']()
-    shown = situation(1, phi=np.array([0.5]))
-    field = controller.compute(shown).field
-    assert np.arctan2(field[1], field[0]) == pytest.approx(np.pi / 2 - 0.5)
+def test_a_package_of_its_own_adds_a_controller(installed):
+    run = subprocess.run([sys.executable, '-c', USE], capture_output=True, text=True, timeout=120,
+                         env={**os.environ, 'PYTHONPATH': str(installed)}, check=False)
+    assert run.stderr == ''
+    assert run.stdout.split() == [f'{1.570796 - 0.5:.6f}', 'my_lab.northwards']
+
+
+def test_without_it_there_is_no_such_controller():
+    with pytest.raises(registry.PluginError, match="no controller 'northwards'"):
+        registry.controller_class('northwards')
 
 
 def test_every_controller_is_in_the_table():
-    listed = set(re.findall(r'^\| `(\w+)` \|', PAGE, re.MULTILINE))
+    page = (DOCS / 'controllers.md').read_text(encoding='utf-8')
+    listed = set(re.findall(r'^\| `(\w+)` \|', page, re.MULTILINE))
     ours = {name for name, kind in registry.controller_classes().items()
             if kind.__module__.startswith('microbot_ros.')}
     assert listed == ours

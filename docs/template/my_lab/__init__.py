@@ -1,0 +1,1 @@
+"""What my laboratory adds to microbot_ros."""

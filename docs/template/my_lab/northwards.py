@@ -1,0 +1,47 @@
+"""The simplest controller that looks at something."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from microbot_ros import units
+from microbot_ros.control.contract import (
+    Controller,
+    FieldCommand,
+    NotLearnedError,
+    Progress,
+    Situation,
+)
+from microbot_ros.control.steering import field_along
+from microbot_ros.settings import setting
+
+
+@dataclass(frozen=True)
+class NorthwardsParameters:
+    """On the controller node they are `northwards.particle` and `northwards.field_mT`."""
+
+    particle: int = setting(0, 'Particle to send north.', lower=0, upper=2**31 - 1)
+    field_mT: float = setting(3.0, 'Strength of the field.', lower=0.0, upper=100.0)
+
+
+class Northwards(Controller):
+    """Turns the field so that one particle swims north."""
+
+    interface_version = 1
+    summary = 'Sends one particle north.'
+    Parameters = NorthwardsParameters
+
+    def activate(self, situation: Situation) -> None:
+        """Refuses the swap where the particle is not seen."""
+        situation.index(self.parameters.particle)
+
+    def compute(self, situation: Situation) -> FieldCommand:
+        """The field at −φ from north: a particle swims at φ from the field."""
+        row = situation.index(self.parameters.particle)
+        if not np.isfinite(situation.phi[row]):
+            raise NotLearnedError('waits until φ is known')  # "not now": asked again next tick
+        strength = units.to_si('field_mT', self.parameters.field_mT)
+        field = field_along(situation, np.pi / 2 - situation.phi[row], strength)
+        to_go = situation.workspace.high[1] - situation.position[row, 1]
+        return FieldCommand(field, progress=Progress('goes north', False, to_go),
+                            particles=situation.ids[row:row + 1])
