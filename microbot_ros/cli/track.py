@@ -15,7 +15,7 @@ import numpy as np
 from microbot_ros.units import from_si, to_si
 
 if TYPE_CHECKING:
-    from microbot_ros.tracking import Appearance, Poses, Source, TrackerSettings
+    from microbot_ros.tracking import Appearance, Poses, Source, Tracker, TrackerSettings
 
 _WHOLE = 0.95
 """Share of the frames in which a particle is seen that lives from start to end."""
@@ -65,7 +65,7 @@ def command(
     if recording.frame_rate is None and pixel_size_um is not None:
         problems.append(f'{source}: no frame rate is known (--frame-rate-hz); t_s counts frames')
     with output_folder(out) as folder:
-        result = _track(recording, settings, folder, pixel_size_um, overlay, console)
+        result = _track(recording, settings, folder, pixel_size_um, overlay, console, problems)
     if not result['appearance']:
         problems.append(f'{source}: nothing in it stands out of the noise; no tracks')
     for problem in dict.fromkeys(problems):
@@ -80,35 +80,47 @@ def command(
 
 def _track(
     recording: Source, settings: TrackerSettings, folder: Path, pixel_size_um: float | None,
-    overlay: bool, console: Any,
+    overlay: bool, console: Any, problems: list[str],
 ) -> dict[str, Any]:
-    """Fill the folder; returns what the JSON says."""
+    """Fill the folder; returns what the JSON says, and adds what was wrong to `problems`."""
     from rich.progress import track as progress
 
     from microbot_ros.files import write_text
-    from microbot_ros.tracking import Tracker
+    from microbot_ros.tracking import FrameError, Tracker
     from microbot_ros.tracking.overlay import OverlayVideo
 
     with console.status('learning what the particles look like'):
         appearance = first_appearance(recording, settings)
-    rows = _Rows(recording, pixel_size_um)
+    tracker = Tracker(settings, appearance)
+    rows = _Rows(recording, pixel_size_um, tracker)
     result: dict[str, Any] = {'appearance': []}
     if appearance is not None:
         _draw_settings(folder / 'settings.png', recording, appearance, settings)
         result['appearance'] = appearance.describe()
-        tracker = Tracker(settings, appearance)
         video = OverlayVideo(
             folder / 'overlay.mp4', recording.size, recording.frame_rate or 10.0,
             appearance.diameter_px / 2) if overlay else None
         with video or nullcontext():
             for frame in progress(recording.frames(), 'tracking', recording.length,
                                   console=console, transient=True):
-                poses = tracker.update(frame.image, frame.t)
+                try:
+                    poses = tracker.update(frame.image, frame.t)
+                except FrameError as error:
+                    problems.append(f'frame {frame.index}: {error.expected}; left out')
+                    continue
                 rows.add(frame.index, poses)
                 if video:
                     video.write(frame.image, poses)
     write_text(folder / 'tracks.csv', rows.text())
+    problems += _told(rows.remarks)
     return rows.summary() | result
+
+
+def _told(remarks: dict[str, list[tuple[int, str]]]) -> list[str]:
+    """A line for each kind of remark: the first of its sentences, and how many there are."""
+    return [f'frame {said[0][0]}: {said[0][1]}'
+            + (f'; {len(said)} frames like it' if len(said) > 1 else '')
+            for said in remarks.values()]
 
 
 def first_appearance(recording: Source, settings: TrackerSettings) -> Appearance | None:
@@ -135,41 +147,54 @@ def _draw_settings(
 
 
 class _Rows:
-    """The rows of tracks.csv: what was seen, frame by frame."""
+    """The rows of tracks.csv: what was seen, frame by frame, also before it had an identity."""
 
-    def __init__(self, recording: Source, pixel_size_um: float | None) -> None:
+    def __init__(self, recording: Source, pixel_size_um: float | None, tracker: Tracker) -> None:
         from microbot_ros.tracking import ImageToWorkspace
 
         height, width = recording.size
-        self._frames = 0
-        self._lines: list[str] = []
+        self._tracker = tracker
+        self._frames: list[tuple[int, float]] = []
+        self._rows: list[tuple[int, int, str]] = []
         self._seen: Counter[int] = Counter()
         self._camera = None if pixel_size_um is None else ImageToWorkspace(
             to_si('_um', pixel_size_um), width, height)
+        self.remarks: dict[str, list[tuple[int, str]]] = {}
+        """Kind → frame and sentence of what was wrong with the pictures."""
 
     def add(self, frame: int, poses: Poses) -> None:
-        self._frames += 1
-        rows = np.flatnonzero(poses.seen)
-        places = None if self._camera is None else \
-            from_si('_um', self._camera.position(poses.xy))
-        for k in rows:
-            line = f'{frame},{poses.id[k]},{poses.x_px[k]:.4f},{poses.y_px[k]:.4f}'
-            if places is not None:
-                line += f',{poses.t:.6f},{places[k, 0]:.5f},{places[k, 1]:.5f}'
-            self._lines.append(line)
-            self._seen[int(poses.id[k])] += 1
+        self._frames.append((frame, poses.t))
+        self._write(-1, poses.id[poses.seen], poses.xy[poses.seen])
+        names, before = self._tracker.before_named
+        for k in range(before.shape[1]):
+            self._write(k - before.shape[1] - 1, names, before[:, k])
+        for kind, sentence in self._tracker.remarks.items():
+            self.remarks.setdefault(kind, []).append((frame, sentence))
+
+    def _write(self, which: int, names: np.ndarray, places: np.ndarray) -> None:
+        """Rows of one frame, counted from the last."""
+        if len(names) == 0:
+            return
+        frame, t = self._frames[which]
+        metres = None if self._camera is None else from_si('_um', self._camera.position(places))
+        for k, (name, (x, y)) in enumerate(zip(names.tolist(), places.tolist(), strict=True)):
+            line = f'{frame},{name},{x:.4f},{y:.4f}'
+            if metres is not None:
+                line += f',{t:.6f},{metres[k, 0]:.5f},{metres[k, 1]:.5f}'
+            self._rows.append((frame, name, line))
+            self._seen[name] += 1
 
     def text(self) -> str:
         header = 'frame,particle,x_px,y_px'
         header += '' if self._camera is None else ',t_s,x_um,y_um'
-        return '\n'.join([header, *self._lines]) + '\n'
+        return '\n'.join([header, *(line for _, _, line in sorted(self._rows))]) + '\n'
 
     def summary(self) -> dict[str, Any]:
         counts = sorted(self._seen.values())
         return {
-            'frames': self._frames,
+            'frames': len(self._frames),
             'tracks': len(counts),
-            'whole_clip': sum(count >= _WHOLE * self._frames for count in counts),
+            'whole_clip': sum(count >= _WHOLE * len(self._frames) for count in counts),
             'median_frames_seen': counts[len(counts) // 2] if counts else 0,
             'positions': sum(counts),
         }

@@ -63,7 +63,12 @@ class Linker:
         self._drive_rate = 0.0
         self._jump: np.ndarray | None = None
         self._expected_step = np.empty((0, 2))
-        self.states = _none()
+        self._early_frames = settings.confirm_frames - 1
+        nothing = np.empty(0)
+        self.states = born(np.empty((0, 2)), nothing, nothing, nothing, nothing, 0.0, 0.0,
+                           self._early_frames)
+        self.named = self.states
+        """The particles that were given their identities in the last frame."""
 
     @property
     def jump(self) -> float:
@@ -107,6 +112,8 @@ class Linker:
         states.missed = states.missed + 1
         states.missed[track] = 0
         states.hits[track] += 1
+        young = track[states.hits[track] <= self._early_frames]
+        states.early[young, states.hits[young] - 1] = states.measured[young]
         unseen = np.setdiff1d(np.arange(len(states)), track)
         states.step[unseen] = np.nan
         states.theta[unseen] = np.nan
@@ -241,12 +248,13 @@ class Linker:
         due = np.flatnonzero((states.id == UNNAMED) & often)
         states.id[due] = self._next_id + np.arange(len(due))
         self._next_id += len(due)
+        self.named = states.take(due)
 
     def _born(self, found: Detections) -> TrackStates:
         speed = max(self._motion.velocity_step, (self._max_step / 4) ** 2)
         return born(
             found.xy, found.sigma, found.theta, found.contrast, found.radius,
-            speed / (self._interval or 1.0) ** 2, self._response_variance)
+            speed / (self._interval or 1.0) ** 2, self._response_variance, self._early_frames)
 
 
 def _within(places: np.ndarray, others: np.ndarray, distance: float) -> np.ndarray:
@@ -262,8 +270,3 @@ def _within(places: np.ndarray, others: np.ndarray, distance: float) -> np.ndarr
 def _looks(of: TrackStates | Detections) -> np.ndarray:
     """Traits (N, 2) that tell particles apart: logarithms of contrast and radius."""
     return np.log(np.column_stack([of.contrast, of.radius]))
-
-
-def _none() -> TrackStates:
-    empty = np.empty(0)
-    return born(np.empty((0, 2)), empty, empty, empty, empty, 0.0, 0.0)

@@ -33,7 +33,8 @@ class TrackStates:
     `covariance` (N, 3, 3) Hermitian, of these, per coordinate. `measured` (N, 2) the last
     measurement; `step` (N, 2) the displacement to it that neither drive nor jump explains, NaN
     after a gap; `hits` the frames seen, `missed` the frames since; `host` the identity of the
-    particle that it has merged with, −1 where it is on its own.
+    particle that it has merged with, −1 where it is on its own; `early` (N, K, 2) the first K
+    measurements.
     """
 
     id: np.ndarray
@@ -48,6 +49,7 @@ class TrackStates:
     hits: np.ndarray
     missed: np.ndarray
     host: np.ndarray
+    early: np.ndarray
 
     def __len__(self) -> int:
         return len(self.id)
@@ -104,10 +106,12 @@ class TrackStates:
 
 def born(
     xy: np.ndarray, sigma: np.ndarray, theta: np.ndarray, contrast: np.ndarray,
-    radius: np.ndarray, velocity_variance: float, response_variance: float,
+    radius: np.ndarray, velocity_variance: float, response_variance: float, early_frames: int,
 ) -> TrackStates:
     """States of particles seen for the first time: xy (N, 2), the others (N,)."""
     count = len(xy)
+    early = np.full((count, early_frames, 2), np.nan)
+    early[:, 0] = xy
     motion = np.zeros((count, 3), complex)
     motion[:, PLACE] = phasor(xy)
     covariance = np.zeros((count, 3, 3), complex)
@@ -118,7 +122,7 @@ def born(
         id=np.full(count, UNNAMED), motion=motion, covariance=covariance, measured=xy.copy(),
         step=np.full((count, 2), np.nan), sigma=sigma.copy(), theta=theta.copy(),
         contrast=contrast.copy(), radius=radius.copy(), hits=np.ones(count, int),
-        missed=np.zeros(count, int), host=np.full(count, -1))
+        missed=np.zeros(count, int), host=np.full(count, -1), early=early)
 
 
 def phasor(xy: np.ndarray) -> np.ndarray:

@@ -94,6 +94,16 @@ class Tracker:
         """Whether the appearance of the particles is known."""
         return self.appearance is not None
 
+    @property
+    def before_named(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where those who got their identity in the last frame had been: (n,), (n, K, 2) [px].
+
+        In the K = confirm_frames − 1 frames before, oldest first.
+        """
+        if self._linker is None:
+            return np.empty(0, int), np.empty((0, self.settings.confirm_frames - 1, 2))
+        return self._linker.named.id, self._linker.named.early
+
     def update(
         self, image: np.ndarray, t: float, drive: np.ndarray | None = None
     ) -> Poses:

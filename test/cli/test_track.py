@@ -57,6 +57,50 @@ def test_tracks_in_pixels_and_micrometres(images: Path, tmp_path: Path) -> None:
     assert sum(1 for _ in iter(lambda: film.read()[0], False)) == 8
 
 
+def test_frames_before_an_identity_are_not_lost(images: Path, tmp_path: Path) -> None:
+    """A particle has its identity from the third frame on; its rows start with the first."""
+    assert _run(images, '--out', tmp_path, '--no-overlay', '--json', tmp_path / 'r.json') == 0
+    with (tmp_path / 'tracks.csv').open() as stream:
+        rows = [(int(r['frame']), int(r['particle'])) for r in csv.DictReader(stream)]
+    assert rows == sorted(rows)
+    assert len(set(rows)) == len(rows)
+    particles = {particle for _, particle in rows}
+    assert {(frame, particle) for frame in range(8) for particle in particles} == set(rows)
+    assert json.loads((tmp_path / 'r.json').read_text())['whole_clip'] == len(particles)
+
+
+@pytest.mark.parametrize('depth', [np.uint8, np.uint16])
+def test_pictures_of_another_depth_are_left_out_and_said(
+    images: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], depth: type
+) -> None:
+    """Eight frames of one depth, the sixth of the other; sixteen bits are as good as eight."""
+    folder = tmp_path / 'mixed'
+    folder.mkdir()
+    for k in range(8):
+        image = cv2.imread(str(images / f'{k}.png'), cv2.IMREAD_UNCHANGED)
+        deep = (depth == np.uint16) != (k == 5)
+        cv2.imwrite(str(folder / f'{k}.png'), image.astype(np.uint16) * 257 if deep else image)
+    assert _run(folder, '--out', tmp_path / 'out') == 0
+    said = capsys.readouterr().err
+    assert 'frame 5: expected 320×240' in said
+    frames = {line.split(',')[0] for line in (
+        tmp_path / 'out' / 'tracks.csv').read_text().splitlines()[1:]}
+    assert frames == {str(k) for k in range(8) if k != 5}
+
+
+def test_what_is_wrong_with_the_pictures_is_told_once(
+    images: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for k in range(16):
+        image = cv2.imread(str(images / f'{k % 8}.png'), cv2.IMREAD_UNCHANGED)
+        dim = 0.7 if k in (9, 12) else 1.0
+        cv2.imwrite(str(tmp_path / f'{k:02d}.png'), (image * dim).astype(np.uint8))
+    assert _run(f'{tmp_path}/*.png', '--out', tmp_path / 'out', '--no-overlay') == 0
+    said = capsys.readouterr().err
+    assert 'frame 9: the light jumped by -' in said
+    assert '2 frames like it' in said
+
+
 def test_without_a_pixel_size_there_are_pixels_only(images: Path, tmp_path: Path) -> None:
     assert _run(f'{images}/*.png', '--out', tmp_path / 'out', '--no-overlay') == 0
     lines = (tmp_path / 'out' / 'tracks.csv').read_text().splitlines()
