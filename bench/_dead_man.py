@@ -116,27 +116,24 @@ class _Rig:
                     target=_run_node, args=(name, self._parameters), daemon=True)
                 self._nodes[name].start()
         deadline = time.monotonic() + _DEADLINE_S
-        while True:
-            try:
-                self._arm()
-                self._await(self._driving, 1.0)
-                self._remote.spin(random.uniform(0.02, 0.06))
-                self._await(self._driving, 0.0)
-                return
-            except TimeoutError:
-                if time.monotonic() > deadline:
-                    raise
-                self._remote.spin(0.02)
+        while not (self._armed() and self._within(1.0, self._driving)):
+            if time.monotonic() > deadline:
+                raise TimeoutError('the coils were never driven')
+            self._remote.spin(0.02)
+        self._remote.spin(random.uniform(0.02, 0.06))
+        if not self._driving():
+            self.drive()
 
     def _driving(self) -> bool:
         """Whether currents flow and we hear the commands, as the driver does."""
+        self.board.read()
         heard = bool(self._commands) and time.monotonic() - self._commands[-1] < _HEARD_S
         return heard and not self.board.changes[-1][1]
 
-    def _arm(self) -> None:
+    def _armed(self) -> bool:
         # Not `Remote.arm`, which would wait long for an answer of a driver that was killed.
-        armed = self._arming.call_async(SetBool.Request(data=True))
-        self._await(lambda: armed.done() and armed.result().success, 1.0)
+        answer = self._arming.call_async(SetBool.Request(data=True))
+        return self._within(1.0, answer.done) and bool(answer.result().success)
 
     def spent_s(self, end: Callable[[], None], deaf: bool) -> float:
         """From the last good command to zero, when `end` happens now.
@@ -145,7 +142,8 @@ class _Rig:
         """
         ended = time.monotonic()
         end()
-        self._await(lambda: self.board.changes[-1][1], _DEADLINE_S)
+        if not self._within(_DEADLINE_S, lambda: self.board.changes[-1][1]):
+            raise TimeoutError('the coils never came to zero')
         zeroed = next(t for t, zero in self.board.changes if zero and t > ended)
         self._catch_up(zeroed)
         last = ended if deaf else zeroed
@@ -158,12 +156,16 @@ class _Rig:
             heard = self._commands[-1]
             self._remote.spin(_SILENT_S)
 
-    def _await(self, true: Callable[[], bool], seconds: float) -> None:
+    def _within(self, seconds: float, true: Callable[[], bool]) -> bool:
+        """Whether something comes true in time; the log is read meanwhile."""
         deadline = time.monotonic() + seconds
-        while self.board.read() or not true():
+        self.board.read()
+        while not true():
             if time.monotonic() > deadline:
-                raise TimeoutError('the emulated amplifier never got there')
+                return False
             self._remote.spin(0.002)
+            self.board.read()
+        return True
 
     def send(self, name: str, number: int) -> None:
         """Send a signal to a node."""
@@ -226,7 +228,8 @@ def spent_s(tries: int) -> dict[str, list[float]]:
     """For each way to end, the times from the last good command to zero [s]."""
     os.environ.setdefault('ROS_DOMAIN_ID', str(215 + os.getpid() % 17))  # nobody else's graph
     _FORKING.set_forkserver_preload([
-        'microbot_ros.nodes.process', *(f'microbot_ros.nodes.{name}' for name in NODES)])
+        'cv2', 'numba', 'scipy.optimize', 'scipy.spatial', 'microbot_ros.nodes.process',
+        *(f'microbot_ros.nodes.{name}' for name in NODES)])
     random.seed(2)
     spent: dict[str, list[float]] = {}
     with tempfile.TemporaryDirectory() as folder, amplifier() as board, Remote('bench') as remote:
