@@ -10,7 +10,8 @@ import click
 def command(off: bool) -> None:
     """Arm the safety gate of the running coil driver, or disarm it.
 
-    The gate refuses with its reason while a fault stands.
+    Arming sends a short pulse through each coil to check its sign and gain. It is refused, with
+    the reason, where a coil is not right or a fault stands.
 
     \b
     Example:
