@@ -84,20 +84,20 @@ def _read(file: Path) -> tuple[Places, list[int] | None]:
 
 def _wait(remote, stamp: float, seconds: float) -> None:  # type: ignore[no-untyped-def]
     """Tell the progress until arrival; InputError where the goals are refused, else exit 1."""
-    heard = ['', 'nothing was heard of the controller']
+    heard, next_line = ['', 'nothing was heard of the controller'], 0.0
 
     def tell(_level: bytes, sentence: str, values: dict[str, str]) -> None:
-        if float(values['goals_stamp_s']) >= stamp:
-            state = 'done' if values.get('done') == 'True' else values['result']
-            if heard != [state, sentence]:
-                click.echo(sentence, err=True)
-            heard[:] = state, sentence
+        nonlocal next_line
+        if float(values['goals_stamp_s']) < stamp:
+            return
+        heard[:] = 'done' if values.get('done') == 'True' else values['result'], sentence
+        if time.monotonic() >= next_line:
+            next_line = time.monotonic() + 1.0
+            click.echo(sentence, err=True)
 
     remote.watch_progress(tell)
     deadline = time.monotonic() + seconds
-    while heard[0] not in ('done', 'bad goal', 'fault'):
-        if time.monotonic() > deadline:
-            break
+    while heard[0] not in ('done', 'bad goal', 'fault') and time.monotonic() < deadline:
         remote.spin(0.1)
     if heard[0] == 'bad goal':
         raise InputError('', heard[1])

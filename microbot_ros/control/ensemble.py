@@ -113,7 +113,8 @@ class SharedField(Controller):
         strength = units.to_si('field_mT', p.field_mT)
         known = situation.learned(p.learn_phi_std_rad)[rows] & (situation.speed[rows] > 0)
         if not known.any():
-            return self._excitation.command(situation, p.learn_leg_s, strength)
+            return self._excitation.command(
+                situation, p.learn_leg_s, strength, particles=situation.ids[rows])
         rows = rows[known]
         velocity = situation.speed[rows] * np.exp(1j * situation.phi[rows])
         aim = self.aim(situation, rows, velocity)

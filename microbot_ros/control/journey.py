@@ -69,17 +69,19 @@ class Journey(Controller):
             return no_field('waits for a goal')
         row = itinerary.row(situation)
         place = pilot.look(situation, row)
+        particles = situation.ids[row:row + 1]
         strength = units.to_si('field_mT', p.field_mT)
         if not pilot.ready:
-            return self._excitation.command(situation, p.learn_leg_s, strength, self.fastest(
-                situation))
+            return self._excitation.command(
+                situation, p.learn_leg_s, strength, particles=particles,
+                frequency=self.fastest(situation))
         self._excitation.stop()
         offset = itinerary.offset(place, units.to_si('arrival_um', p.arrival_um))
         message = f'{itinerary}, {abs(offset) * 1e6:.1f} µm'
         return dataclasses.replace(
             self.drive(situation, offset, strength),
             progress=Progress(message, itinerary.done, abs(offset)),
-            particles=situation.ids[row:row + 1])
+            particles=particles)
 
     def fastest(self, situation: Situation) -> float:
         """The highest frequency [Hz] it uses."""

@@ -80,14 +80,15 @@ class PathFollowing(Controller):
             return no_field('waits for a path')
         p, pilot = self.parameters, self._pilot
         row = self._choose(situation, self._route)
-        place = pilot.look(situation, row)
+        place, particles = pilot.look(situation, row), situation.ids[row:row + 1]
         strength = units.to_si('field_mT', p.field_mT)
         if not pilot.ready:
-            return self._excitation.command(situation, p.learn_leg_s, strength)
+            return self._excitation.command(
+                situation, p.learn_leg_s, strength, particles=particles)
         self._excitation.stop()
         course, progress = self._course(place, self._route)
         field = pilot.steer(situation, course, strength)
-        return FieldCommand(field, progress=progress, particles=situation.ids[row:row + 1])
+        return FieldCommand(field, progress=progress, particles=particles)
 
     def _take_path(self, situation: Situation) -> None:
         if np.array_equal(situation.path, self._path):

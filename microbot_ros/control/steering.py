@@ -68,11 +68,11 @@ class Excitation:
         """The next one begins anew."""
         self._begun = None
 
-    def command(self, situation: Situation, leg: float, strength: float,
-                frequency: float = 0.0) -> FieldCommand:
-        """A field of `strength` [T]; each side of the triangle takes `leg` [s]."""
+    def command(self, situation: Situation, leg: float, strength: float, *,
+                particles: np.ndarray | None, frequency: float = 0.0) -> FieldCommand:
+        """A field of `strength` [T] for particles of these ids; each side takes `leg` [s]."""
         if self._begun is None:
             self._begun = situation.t
         angle = 2 * math.pi / 3 * ((situation.t - self._begun) // leg)
         return FieldCommand(field_along(situation, angle, strength), frequency,
-                            Progress('learns how particles answer to the field'))
+                            Progress('learns how particles answer to the field'), particles)
