@@ -121,7 +121,8 @@ def covered(session: Blind, found: Discovery) -> Iterator[bool]:
     """For every parameter of a right name whether value ± 1.96 std holds the truth.
 
     A swing is the same a half turn on: of its four parameters size and frequency are compared.
-    Curves fitted to a drive's response have no true values.
+    Curves fitted to a drive's response have no true values. An alignment time is one at the
+    reference field, which is another where the session does not state it.
     """
     for effect in found.effects:
         if effect.status != 'established' or effect.id == 'drive_response':
@@ -130,6 +131,8 @@ def covered(session: Blind, found: Discovery) -> Iterator[bool]:
             if name in ('direction_rad', 'phase_rad'):
                 continue
             estimate, true = effect.parameters[name], to_si(name, true)
+            if effect.id == 'alignment_lag':
+                true *= FIELD / found.model.reference_field
             value = abs(estimate.value) if name == 'amplitude_um_s' else estimate.value
             if np.isfinite(estimate.std):
                 yield abs(value - true) <= 1.96 * estimate.std
