@@ -6,18 +6,21 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray, PoseStamped, Vector3Stamped
 from nav_msgs.msg import Path
 from rcl_interfaces.msg import ParameterEvent
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from sensor_msgs.msg import Image, JointState, Joy, MagneticField, PointCloud2, TimeReference
 from visualization_msgs.msg import MarkerArray
 
-from microbot_ros.nodes.lifecycle import IMAGES_IN, RELIABLE
+from microbot_ros.nodes.lifecycle import RELIABLE
+
+_IMAGES = QoSProfile(depth=50, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+"""Half a second of frames at 100 Hz may wait; a node that must act on the newest takes fewer."""
 
 CHANGES = '/parameter_events'
 """Every change of a parameter of a node, made by rclpy itself."""
 
 TOPICS: dict[str, tuple[type, QoSProfile]] = {
-    'camera/image_raw': (Image, IMAGES_IN),
-    'overlay/image_raw': (Image, IMAGES_IN),
+    'camera/image_raw': (Image, _IMAGES),
+    'overlay/image_raw': (Image, _IMAGES),
     'particles': (PointCloud2, RELIABLE),
     'particles/poses': (PoseArray, RELIABLE),
     'model/state': (PointCloud2, RELIABLE),
