@@ -114,15 +114,16 @@ class Linker:
         states.hits[track] += 1
         young = track[states.hits[track] <= self._early_frames]
         states.early[young, states.hits[young] - 1] = states.measured[young]
-        unseen = np.setdiff1d(np.arange(len(states)), track)
+        unseen = states.missed > 0
         states.step[unseen] = np.nan
         states.theta[unseen] = np.nan
         self._follow_hosts()
         self._bury()
         self._christen()
-        fresh = np.setdiff1d(np.arange(len(found)), detection)
+        fresh = np.ones(len(found), bool)
+        fresh[detection] = False
         if len(track):
-            self._birth_rate += 0.02 * (len(fresh) - self._birth_rate)
+            self._birth_rate += 0.02 * (int(fresh.sum()) - self._birth_rate)
             self._birth_rate = max(self._birth_rate, _BIRTHS[1])
         self.states = self.states.join(self._born(found[fresh]))
 
