@@ -95,6 +95,13 @@ def _wait(remote, stamp: float, seconds: float) -> None:  # type: ignore[no-unty
             next_line = time.monotonic() + 1.0
             click.echo(sentence, err=True)
 
+    def warn(node: str, level: bytes, sentence: str, _values: dict[str, str]) -> None:
+        if node == 'coil_driver' and level != b'\0' and warned[:1] != [sentence]:
+            warned[:] = [sentence]
+            click.echo(f'{node}: {sentence}', err=True)
+
+    warned: list[str] = []
+    remote.watch_health(warn)
     remote.watch_progress(tell)
     deadline = time.monotonic() + seconds
     while heard[0] not in ('done', 'bad goal', 'fault') and time.monotonic() < deadline:

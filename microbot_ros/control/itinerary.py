@@ -12,8 +12,9 @@ class Itinerary:
     """Goals in order for one particle, named or chosen.
 
     The particle is the one asked for, else the one that the goals name first, else the one seen
-    nearest to the first goal; a chosen one that is lost is replaced by the nearest. Goals that
-    name particles are taken for that one only. A new list starts from its first.
+    nearest to the first goal; a chosen one that is lost is replaced by the one nearest to where it
+    was, which may well be the same under another name. Goals that name particles are taken for
+    that one only. A new list starts from its first.
     """
 
     def __init__(self) -> None:
@@ -22,6 +23,7 @@ class Itinerary:
         self._next = 0
         self._named = False
         self._position = NO_PLACES
+        self._seen: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self._position)
@@ -41,6 +43,7 @@ class Itinerary:
             position = position[situation.goals.ids == named]
         if not np.array_equal(position, self._position) or (named >= 0 and named != self.particle):
             self._position, self._next, self.done = position, 0, False
+            self._seen = None
             self.particle = named
         self._named = named >= 0
 
@@ -49,9 +52,12 @@ class Itinerary:
         if not self._named and self.particle not in situation.ids:
             if not len(situation.ids):
                 raise ParticleLostError('no particle is seen')
-            away = np.hypot(*(situation.position - self._position[self._next]).T)
+            near = self._position[self._next] if self._seen is None else self._seen
+            away = np.hypot(*(situation.position - near).T)
             self.particle = int(situation.ids[np.argmin(away)])
-        return situation.index(self.particle)
+        row = situation.index(self.particle)
+        self._seen = situation.position[row]
+        return row
 
     def offset(self, place: complex, arrival: float) -> complex:
         """The way [m] from a place to the present goal; those within `arrival` [m] are done.

@@ -38,6 +38,8 @@ SEARCHED_AT_ONCE = 3
 TRUST = 0.1
 """How much of the difference to a measured heading is believed at each tick."""
 
+NO_MODEL = 'plans with a model; none is loaded: set model_file, as `microbot discover` writes it'
+
 
 @dataclass(frozen=True)
 class PredictiveParameters(SharedFieldParameters):
@@ -99,7 +101,7 @@ class Predictive(Ensemble):
         """ModelError without a model."""
         super().activate(situation)
         if situation.model is None:
-            raise ModelError('plans with a model; none is loaded (model_file)')
+            raise ModelError(NO_MODEL)
         self._forget()
 
     def compute(self, situation: Situation) -> FieldCommand:
@@ -107,7 +109,7 @@ class Predictive(Ensemble):
         begun = time.perf_counter()
         model, p = situation.model, self.parameters
         if model is None:
-            raise ModelError('plans with a model; none is loaded (model_file)')
+            raise ModelError(NO_MODEL)
         if self._assignment.update(situation):
             self._plan = None
         rows, goals = self._assignment.pairs(situation)

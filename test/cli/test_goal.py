@@ -33,6 +33,11 @@ class Graph:
     def watch_progress(self, tell):
         self.tell, self.left = tell, list(self.answers)
 
+    def watch_health(self, tell):
+        for level, sentence in ((b'\0', 'driving'), (b'\1', 'not armed'), (b'\1', 'not armed')):
+            tell('coil_driver', level, sentence, {})
+        tell('tracker', b'\1', 'no frames', {})
+
     def spin(self, seconds):
         if self.left:
             stamp, sentence, values = self.left.pop(0)
@@ -75,7 +80,8 @@ def test_waits_for_the_arrival_at_these_goals(monkeypatch):
     far = (5.0, 'far', {'result': 'ok'})
     monkeypatch.setattr(Graph, 'answers', [(4.0, 'old', done), far, (5.0, 'near', done)])
     result = run('1,1', '--wait', '60')
-    assert (result.exit_code, result.stdout, result.stderr) == (0, 'arrived\n', 'far\n')
+    assert (result.exit_code, result.stdout, result.stderr) == (
+        0, 'arrived\n', 'coil_driver: not armed\nfar\n')
     monkeypatch.setattr(Graph, 'answers', [far])
     result = run('1,1', '--wait', '0.01')
     assert (result.exit_code, result.stdout) == (1, 'not arrived: far\n')

@@ -92,10 +92,14 @@ def test_itinerary_chooses_the_nearest_and_another_when_that_is_lost():
     itinerary = Itinerary()
     itinerary.update(shown, asked=-1)
     assert itinerary.row(shown) == 1
+    position[1] = 40e-6, 0
+    assert itinerary.row(situation(goals=Goals(GOALS), position=position)) == 1
+    # Lost at 40 µm: number 0 at 48 µm is nearer to there than number 2, which is at the goals.
+    position[0] = 48e-6, 0
     fewer = situation(2, goals=Goals(GOALS), position=position[[0, 2]], ids=np.array([0, 2]))
     itinerary.update(fewer, asked=-1)
-    assert itinerary.row(fewer) == 1
-    assert itinerary.particle == 2
+    assert itinerary.row(fewer) == 0
+    assert itinerary.particle == 0
     with pytest.raises(ParticleLostError):
         itinerary.row(situation(0))
 
