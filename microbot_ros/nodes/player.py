@@ -29,6 +29,8 @@ from microbot_ros.session.turns import InTurn
 from microbot_ros.settings import setting
 
 _CLOCK_SECONDS = 0.01
+_DISCOVERY_SECONDS = 0.5
+"""Before this nothing is sent: who already listens would miss the beginning."""
 _TURN_SECONDS = 0.1
 """After this a node that has not answered is asked whether it has nothing to say."""
 
@@ -88,7 +90,7 @@ class PlayerNode(RigNode):
         if self._answers:
             source = InTurn(source, frame, self._answers[-1])
             topics += {CHANGES} & set(source.topics)
-        self._asked = time.monotonic()
+        self._asked = time.monotonic() + _DISCOVERY_SECONDS
         self._playback = Playback(
             source, self._asked, rate=values.rate or math.inf, start=values.start_s,
             end=values.end_s or None, loop=values.loop, topics=topics)
@@ -125,6 +127,8 @@ class PlayerNode(RigNode):
         # Told a turn of the executor later, so that who heard the last answer too has taken it.
         self._done = self._lockstep.finished
         late = now - self._asked > self.settings.patience_s
+        if now < self._asked:
+            return
         if unheard := self._unheard():
             if late:
                 self._give_up(f'not everybody is there for {unheard[0]}')

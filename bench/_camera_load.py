@@ -1,0 +1,61 @@
+"""A camera for benchmarks: `python -m bench._camera_load WIDTH HEIGHT RATE_HZ SECONDS LISTENERS`.
+
+Waits until that many listen, then publishes pictures of four particles on `camera/image_raw`, made
+beforehand, so that what is measured is the others.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+
+import numpy as np
+import rclpy
+from sensor_msgs.msg import Image
+
+from microbot_ros.nodes import messages
+from microbot_ros.nodes.graph import READY
+from microbot_ros.nodes.lifecycle import IMAGES_OUT
+from microbot_ros.nodes.transport import stay_local
+from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
+
+PIXEL_SIZE_UM = 0.45
+
+
+def pictures(width: int, height: int, rate: float, count: int = 40) -> list[Image]:
+    """Four particles that swim at 4 µm/s, to and fro."""
+    scope = Microscope(MicroscopeSettings(
+        width_px=width, height_px=height, pixel_size_um=PIXEL_SIZE_UM), seed=3)
+    heading = np.array([0.3, 1.9, 3.5, 5.1])
+    start = 1e-6 * np.array([[-80, 40], [70, 50], [-60, -70], [90, -60]])
+    way = 4e-6 / rate * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    there = [messages.image(scope.render(start + k * way, heading, k / rate), messages.to_stamp(0))
+             for k in range(count)]
+    return there + there[-2:0:-1]
+
+
+def main() -> None:
+    """Publish, and print how many frames were sent."""
+    width, height, listeners = int(sys.argv[1]), int(sys.argv[2]), int(sys.argv[5])
+    rate, seconds = float(sys.argv[3]), float(sys.argv[4])
+    film = pictures(width, height, rate)
+    stay_local()
+    rclpy.init(args=[])
+    node = rclpy.create_node('camera')
+    outlet = node.create_publisher(Image, 'camera/image_raw', IMAGES_OUT)
+    while outlet.get_subscription_count() < listeners:
+        time.sleep(0.05)
+    time.sleep(0.5)
+    print(READY, flush=True)
+    begin = time.monotonic()
+    for frame in range(int(rate * seconds)):
+        time.sleep(max(0.0, begin + frame / rate - time.monotonic()))
+        image = film[frame % len(film)]
+        image.header.stamp = node.get_clock().now().to_msg()
+        outlet.publish(image)
+    print(f'sent {int(rate * seconds)}', flush=True)
+    time.sleep(1.0)
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,178 @@
+"""Recording and replay with ROS and all: what a full load costs, and that replays agree."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import yaml
+from sensor_msgs.msg import PointCloud2, TimeReference
+
+from bench._camera_load import PIXEL_SIZE_UM
+from bench.figure import Figure
+from bench.recording import _session
+from microbot_ros.nodes import messages
+from microbot_ros.nodes.graph import Graph
+from microbot_ros.nodes.remote import Remote
+from microbot_ros.nodes.rerun import cast, recorded_parameters, rerun
+from microbot_ros.session import RecordingWriter, open_recording
+from microbot_ros.session.as_messages import SessionMessages
+from microbot_ros.session.compare import compare
+from microbot_ros.session.lockstep import header_stamp_ns
+
+RATE_HZ, SECONDS = 100, 60
+WARM_SECONDS = 10
+"""In which the tracker learns what particles look like."""
+STEERING = Path(__file__).parents[1] / 'test' / 'data' / 'steering.mcap'
+
+
+def figures() -> list[Figure]:
+    """The load of 1280×1024 at 100 Hz, replay at full speed, replay in lock-step."""
+    with tempfile.TemporaryDirectory(prefix='bench-replay-') as name:
+        folder = Path(name)
+        return [*_loading(folder), *_replaying(folder), *_agreeing(folder)]
+
+
+def _loading(folder: Path) -> list[Figure]:
+    """The closed loop over an emulated amplifier, without a recorder and with one."""
+    without, _, _ = _run(folder / 'without', recording=False)
+    latency, share, sent = _run(folder / 'with', recording=True)
+    with open_recording(folder / 'with' / 'recording') as recording:
+        counts = {name: topic.count for name, topic in recording.topics.items()}
+        dropped = sum(map(int, recording.metadata().get('dropped', {}).values()))
+        seen, known = (
+            {header_stamp_ns(m.data) for m in recording.messages([topic])}
+            for topic in ('/particles', '/model/state'))
+    lost = sent - counts['/camera/image_raw'] + dropped + len(known - seen)
+    ratio = latency[1] / without[1]
+    what = f'recording 1280×1024 at {RATE_HZ} Hz and all topics, {SECONDS} s'
+    return [
+        Figure(9, f'{what}: frames and messages lost', lost, '', '0',
+               f'of {sent} frames, {sum(counts.values())} messages', lost == 0),
+        Figure(9, f'{what}: recorder', 100 * share, '% of a core', '≤ 50', '', share <= 0.5),
+        Figure(9, f'{what}: p99 of the loop against that without', ratio, '×', '≤ 1.2',
+               f'{without[1]:.1f} ms without, p50 {without[0]:.1f} → {latency[0]:.1f} ms',
+               ratio <= 1.2),
+    ]
+
+
+def _run(folder: Path, recording: bool) -> tuple[tuple[float, float], float, int]:
+    """p50 and p99 of exposure to acknowledgement [ms], the recorder's share of a core, frames."""
+    folder.mkdir()
+    said: list[str] = []
+    nodes = ['tracker', 'model', 'controller', 'coil_driver', *(['recorder'] if recording else [])]
+    with Graph(lambda _, line: said.append(line)) as graph:
+        rig = _start(graph, folder, nodes)
+        with Remote('bench') as remote:
+            spent: list[tuple[float, float]] = []
+            remote.node.create_subscription(TimeReference, 'coil_driver/latency', lambda m: (
+                spent.append((time.monotonic(), messages.to_seconds(m.header.stamp)
+                              - messages.to_seconds(m.time_ref)))), 200)
+            graph.start('camera', [
+                sys.executable, '-m', 'bench._camera_load', '1280', '1024', str(RATE_HZ),
+                str(SECONDS + WARM_SECONDS), str(1 + recording)])
+            graph.wait_ready(60.0)
+            _listen(graph, remote, WARM_SECONDS)
+            remote.arm()
+            remote.set('controller', controller='open_loop')
+            busy = psutil.Process(graph.process_id('recorder')) if recording else None
+            begin, before = time.monotonic(), _busy_seconds(busy)
+            _listen(graph, remote, SECONDS)
+            share = (_busy_seconds(busy) - before) / (time.monotonic() - begin)
+            while not any(line.startswith('sent ') for line in said):
+                _listen(graph, remote, 0.5)
+            _listen(graph, remote, 1.0)
+        graph.stop([rig, 'camera', *reversed(nodes)])
+    late = 1e3 * np.array([latency for t, latency in spent if t > begin])
+    sent = int(next(line for line in said if line.startswith('sent ')).split()[1])
+    return (float(np.percentile(late, 50)), float(np.percentile(late, 99))), share, sent
+
+
+def _start(graph: Graph, folder: Path, nodes: list[str]) -> str:
+    """The amplifier and the nodes; the amplifier's name."""
+    port, rig = folder / 'amplifier', folder / 'rig.yaml'
+    own: dict[str, dict[str, Any]] = {
+        'tracker': {'pixel_size_um': PIXEL_SIZE_UM}, 'model': {'radius_um': 2.3},
+        'controller': {'workspace_um': [-290.0, -230.0, 290.0, 230.0]},
+        'coil_driver': {'port': str(port), 'stale_ms': 500.0},
+        'recorder': {'folder': str(folder / 'recording')}}
+    rig.write_text(yaml.safe_dump({k: {'ros__parameters': own[k]} for k in nodes}))
+    graph.start('amplifier', [
+        sys.executable, '-m', 'microbot_ros.cli', 'emulate', 'serial_transfer', '--link',
+        str(port), '--full-scale-A', '2'], says_when_ready='serving')
+    graph.wait_ready(20.0)
+    for node in nodes:
+        graph.start_nodes([node], rig)
+    graph.wait_ready(120.0)
+    return 'amplifier'
+
+
+def _listen(graph: Graph, remote: Remote, seconds: float) -> None:
+    end = time.monotonic() + seconds
+    while (left := end - time.monotonic()) > 0:
+        remote.spin(min(0.5, left))
+        graph.pump(0.0)
+
+
+def _busy_seconds(process: psutil.Process | None) -> float:
+    return sum(process.cpu_times()[:2]) if process else 0.0
+
+
+def _replaying(folder: Path, seconds: float = 120.0) -> list[Figure]:
+    """Particles and commands at 100 Hz through the player to somebody who listens."""
+    with RecordingWriter(folder / 'small') as writer:
+        for message in SessionMessages(_session(seconds)).messages():
+            writer.write(*message)
+    times, _, _ = _played(folder / 'small', 0)
+    slower, lost, count = _played(folder / 'small', 20)
+    return [
+        Figure(9, 'replay of small topics through ROS, as fast as it goes', times,
+               '× real time', '≥ 20', '', times >= 20),
+        Figure(9, 'messages lost in a replay asked for 20 ×', lost, '', '0',
+               f'of {count}, at {slower:.1f} ×', lost == 0)]
+
+
+def _played(session: Path, rate: float) -> tuple[float, int, int]:
+    """Times real time at which particles at 100 Hz arrived, how many were lost, and sent."""
+    heard: list[tuple[float, int]] = []
+    with Remote('bench') as remote, Graph(lambda *_: None) as graph:
+        remote.node.create_subscription(PointCloud2, 'particles', lambda data: heard.append(
+            (time.monotonic(), header_stamp_ns(data))), 2000, raw=True)
+        graph.start('player', [sys.executable, '-m', 'microbot_ros.cli', 'replay', str(session),
+                               '--rate', str(rate)])
+        while not graph.ended():
+            remote.spin(0.05)
+            graph.pump(0.0)
+        remote.spin(0.5)
+    (begin, first), (end, last) = heard[0], heard[-1]
+    sent = round((last - first) / 1e7) + 1
+    return (last - first) / 1e9 / (end - begin), sent - len(heard), sent
+
+
+def _agreeing(folder: Path) -> list[Figure]:
+    """Two lock-step replays of a run of the demo through model and controller."""
+    os.environ.setdefault('OMP_NUM_THREADS', '1')
+    with open_recording(STEERING) as source:
+        players = cast(source, STEERING)
+        parameters = recorded_parameters(source, players.nodes, folder)
+        length = (source.end_ns - source.start_ns) / 1e9
+    began = time.monotonic()
+    for name in ('first', 'second'):
+        if failure := rerun(STEERING, folder / name, players, parameters):
+            raise RuntimeError(failure)
+    speed = 2 * length / (time.monotonic() - began)
+    with open_recording(folder / 'first') as a, open_recording(folder / 'second') as b:
+        stamps = {header_stamp_ns(m.data) for m in a.messages([players.frame])}
+        found = compare(a, b, [players.frame, *players.outputs[:-1]], stamps)
+    pairs = sum(topic.pairs for topic in found)
+    unequal = sum(topic.unequal + topic.only_a + topic.only_b for topic in found)
+    return [
+        Figure(9, 'two lock-step replays: messages that differ', unequal, '', '0',
+               f'of {pairs}; {speed:.1f} × real time, starting the nodes included',
+               unequal == 0 and pairs > 0)]
