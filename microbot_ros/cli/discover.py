@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from microbot_ros.cli.within import Within
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -25,7 +27,7 @@ if TYPE_CHECKING:
               help='Processes that share the work.')
 @click.option('--live', is_flag=True,
               help='Instead of sessions: watch the running graph, or a replay, and propose.')
-@click.option('--seconds', type=click.FloatRange(10, 3600), default=60.0, show_default=True,
+@click.option('--seconds', type=Within(10, 3600), default=60.0, show_default=True,
               help='With --live: how much of the recent past to look at, each time.')
 @click.option('--rounds', type=click.IntRange(0), default=0, metavar='N',
               help='With --live: end after N looks; 0 goes on until Ctrl-C.')

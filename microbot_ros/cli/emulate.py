@@ -2,24 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
-from typing import Any
 
 import click
 
+from microbot_ros.cli.within import Within
 from microbot_ros.drive.emulator import process
 
 _WATCHDOG_MS = 100.0
-
-
-class _Within(click.FloatRange):
-    """A range that NaN is not in, as it is in click's own."""
-
-    def convert(self, value: Any, param: click.Parameter | None,
-                ctx: click.Context | None) -> float:
-        number: float = super().convert(value, param, ctx)
-        return number if math.isfinite(number) else self.fail(f'{value} is no number', param, ctx)
 
 
 @click.command('emulate')
@@ -28,9 +18,9 @@ class _Within(click.FloatRange):
               help='Name under which a driver opens the line.')
 @click.option('--log', type=click.Path(path_type=Path),
               help='File for one line of JSON per change of current.')
-@click.option('--full-scale-A', 'full_scale_a', type=_Within(0, 1000, min_open=True),
+@click.option('--full-scale-A', 'full_scale_a', type=Within(0, 1000, min_open=True),
               default=1.0, show_default=True, help='Current of a coil at full output.')
-@click.option('--watchdog-ms', type=_Within(0, 60_000, min_open=True),
+@click.option('--watchdog-ms', type=Within(0, 60_000, min_open=True),
               help='Zero the coils this long after the last good command.  [default: 100]')
 @click.option('--no-watchdog', is_flag=True,
               help='Keep the last command for ever, as much laboratory firmware does.')

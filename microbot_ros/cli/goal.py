@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 
 from microbot_ros import units
+from microbot_ros.cli.within import Within
 from microbot_ros.errors import InputError
 
 Places = list[tuple[float, float]]
@@ -23,7 +24,7 @@ Places = list[tuple[float, float]]
                    'each is.')
 @click.option('--path', 'as_path', is_flag=True, help='A path to follow, not goals.')
 @click.option('--cancel', is_flag=True, help='Forget goals and path.')
-@click.option('--wait', 'seconds', type=click.FloatRange(0, 86400), metavar='SECONDS',
+@click.option('--wait', 'seconds', type=Within(0, 86400), metavar='SECONDS',
               help='Tell the progress and wait for the arrival; exit 1 if it takes longer.')
 def command(positions_um: tuple[str, ...], file: Path | None, as_path: bool, cancel: bool,
             seconds: float | None) -> None:
@@ -39,8 +40,6 @@ def command(positions_um: tuple[str, ...], file: Path | None, as_path: bool, can
         raise click.UsageError('expected either positions, or --file, or --cancel')
     if seconds is not None and (as_path or cancel):
         raise click.UsageError('--wait is for goals')
-    if seconds is not None and math.isnan(seconds):
-        raise InputError('--wait', 'expected a number of seconds; received nan')
     places, particles = _read(file) if file else ([_position(t) for t in positions_um], None)
     if as_path and particles is not None:
         raise InputError(str(file), 'expected no column particle in a path')

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import cmath
 import json
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from microbot_ros import units
+from microbot_ros.cli.within import Within
 from microbot_ros.errors import InputError
 
 if TYPE_CHECKING:
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from microbot_ros.control.reach import Reach
 
 _PAIR = 'X_UM,Y_UM'
+_FARTHEST = 1e6
+"""Micrometres and seconds beyond which nobody measures, and numbers would overflow."""
 
 
 @click.command()
@@ -31,9 +33,9 @@ _PAIR = 'X_UM,Y_UM'
               help='Where it should be, once for each.')
 @click.option('--alignment-times-s', metavar='S,S,...',
               help='Alignment time of each particle, where they differ.')
-@click.option('--seconds', default=10.0, show_default=True, type=click.FloatRange(0.1, 3600),
+@click.option('--seconds', default=10.0, show_default=True, type=Within(0.1, 3600),
               help='For how long commands are tried.')
-@click.option('--field-mt', default=5.0, show_default=True, type=click.FloatRange(0.001, 1000),
+@click.option('--field-mt', default=5.0, show_default=True, type=Within(0.001, 1000),
               help='Limit of the field.')
 @click.option('--figure', type=click.Path(path_type=Path), help='Draw it into this PNG or PDF.')
 @click.option('--json', 'json_file', type=click.Path(path_type=Path), help='Write all numbers.')
@@ -117,7 +119,7 @@ def _numbers(option: str, text: str, expected: str, count: int = 2) -> list[floa
         values = [float(part) for part in text.split(',')]
     except ValueError:
         values = []
-    if len(values) != count or not all(math.isfinite(v) for v in values):
+    if len(values) != count or not all(abs(v) <= _FARTHEST for v in values):
         raise InputError(option, f'expected {expected}; received {text!r}')
     return values
 

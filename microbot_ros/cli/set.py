@@ -20,5 +20,14 @@ def command(node: str, parameter: str, value: str) -> None:
     from microbot_ros.nodes.remote import Remote
 
     with Remote() as remote:
-        remote.set(node, **{parameter: yaml.safe_load(value)})
+        remote.set(node, **{parameter: _typed(value)})
     click.echo(f'{node}: {parameter} is now {value}')
+
+
+def _typed(text: str) -> bool | int | float | str | list[object]:
+    """The value that a text means in YAML, or the text where that is nothing a node takes."""
+    try:
+        value = yaml.safe_load(text)
+    except yaml.YAMLError:
+        return text
+    return value if isinstance(value, bool | int | float | str | list) else text

@@ -84,10 +84,23 @@ class Remote:
         if not answer.success:
             raise InputError('coil_driver', answer.message)
 
+    def record(self, begin: bool) -> str:
+        """Begin or end a recording; which folder. InputError with the recorder's reason."""
+        answer = self._call(SetBool, 'recorder/record', SetBool.Request(data=begin))
+        if not answer.success:
+            raise InputError('recorder', answer.message)
+        message: str = answer.message
+        return message
+
     def set(self, node: str, **values: Any) -> None:
         """Set parameters of a node. InputError with its reason if it refuses."""
-        request = SetParameters.Request(parameters=[
-            Parameter(name, value=value).to_parameter_msg() for name, value in values.items()])
+        try:
+            request = SetParameters.Request(parameters=[
+                Parameter(name, value=value).to_parameter_msg()
+                for name, value in values.items()])
+        except (TypeError, ValueError, AssertionError):
+            raise InputError(node, 'expected booleans, numbers, texts or lists of one of them; '
+                                   f'received {values}') from None
         for result in self._call(SetParameters, f'{node}/set_parameters', request).results:
             if not result.successful:
                 raise InputError(node, result.reason)

@@ -44,6 +44,8 @@ def test_equal_particles_open_nothing(tmp_path):
     ([*TWO, '--at', '1,1'], '--at: expected one for each of 2 particles'),
     ([*TWO, '--alignment-times-s', '0.1'], 'expected 2 positive times'),
     ([*TWO, '--alignment-times-s', '0.1,-1'], 'expected 2 positive times'),
+    ([*TWO, '--alignment-times-s', '0.1,inf'], 'expected 2 positive times'),
+    (['--particle', '1e300,0', '--at', '0,0', '--goal', '1,1'], "received '1e300,0'"),
     (['--particle', '4,nan', '--at', '0,0', '--goal', '1,1'], "received '4,nan'"),
     (['--particle', '0,1', '--at', '0,0', '--goal', '1,1'], 'speeds above zero'),
     ([*TWO, '--figure', 'absent/reach.png'], 'absent/reach.png: expected a PNG'),
@@ -66,3 +68,11 @@ def test_one_particle_can_go_anywhere(tmp_path):
 
 def test_help_shows_an_example():
     assert '--alignment-times-s 0.1,0.3' in run('--help').output
+
+
+@pytest.mark.parametrize('option', ['--seconds', '--field-mt'])
+@pytest.mark.parametrize('value', ['nan', 'inf', '0', '-1'])
+def test_numbers_out_of_range_are_refused(option, value):
+    result = run(*TWO, option, value)
+    assert result.exit_code == 2
+    assert option in result.output
