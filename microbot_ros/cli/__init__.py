@@ -16,6 +16,7 @@ _COMMANDS = {
     'demo': 'Close the loop on the virtual rig.',
     'run': 'Run the nodes beside a real rig.',
     'replay': 'Play a recording through its topics.',
+    'record': 'Begin and end a recording of a running rig.',
     'arm': 'Arm or disarm the gate of a running rig.',
     'set': 'Change a parameter of a running node.',
     'goal': 'Send goals to the running controller.',

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -145,6 +147,25 @@ def test_a_service_begins_and_ends_recordings_with_title_and_notes(
     refused = record(True)
     assert not refused.success
     assert 'expected a new or empty folder' in refused.message
+
+
+def test_the_command_begins_and_ends_a_recording(ros: Any, tmp_path: Path) -> None:
+    graph = ros({'recorder': {'recording': False}})
+    graph.add('recorder')
+
+    def record(*words: str) -> subprocess.Popen[str]:
+        process = subprocess.Popen([sys.executable, '-m', 'microbot_ros.cli', 'record', *words],
+                                   stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        graph.until(lambda: process.poll() is not None, 60)
+        return process
+    begun = record('--title', 'batch 7', '--folder', str(tmp_path / 'run'))
+    assert begun.returncode == 0
+    assert begun.communicate()[0] == f'recording to {tmp_path / "run"}\n'
+    assert record('--stop').returncode == 0
+    again = record('--stop')
+    assert (again.returncode, again.communicate()[1]) == (2, 'microbot: recorder: not recording\n')
+    with open_recording(tmp_path / 'run') as recording:
+        assert recording.metadata()['recording']['title'] == 'batch 7'
 
 
 @pytest.mark.parametrize(('parameters', 'expected'), [
