@@ -10,8 +10,8 @@ import numpy as np
 from microbot_ros.tracking.search import block_mean, peaks, spread
 from microbot_ros.tracking.settings import TrackerSettings
 
-LEAST_DIAMETER = 3.0
-"""Pixels: anything smaller is not resolved."""
+LEAST_DIAMETER = 2.5
+"""Pixels: anything smaller, such as a hot pixel, is not resolved."""
 
 _LADDER = 2.0 ** np.arange(2, 6.6, 0.5)
 """Diameters [px] tried: 4 to 76."""
@@ -76,7 +76,7 @@ def outer_diameter(frames: list[np.ndarray], guess: Guess) -> float:
 
     Typical is the median over the spots of their grey values at each distance, each spot
     weighted by its energy: so neither rings, nor what lies beside some of them, nor many small
-    specks mislead it. 0 where no spot lies wholly in view.
+    specks mislead it. The guess itself where no spot lies wholly in view.
     """
     profiles = []
     for frame, spots in zip(frames, guess.spots, strict=True):
@@ -84,14 +84,17 @@ def outer_diameter(frames: list[np.ndarray], guess: Guess) -> float:
         for r, values in zip(np.rint(radius).astype(int), grey, strict=True):
             profiles.append(np.bincount(r, values) / np.bincount(r))
     if not profiles:
-        return 0.0
+        return guess.diameter
     contrast = np.array(profiles)
     contrast -= np.median(contrast[:, -max(2, contrast.shape[1] // 6):], axis=1, keepdims=True)
     energy = contrast**2 @ np.arange(contrast.shape[1])
     share = np.abs(_weighted_median(contrast, energy))
-    share /= max(np.max(share), 1e-9)
-    last = np.flatnonzero(share[:-1] >= 0.5)[-1]
-    return float(2 * (last + (share[last] - 0.5) / (share[last] - share[last + 1])))
+    half = np.max(share) / 2
+    within = np.flatnonzero(share[:-1] > half)
+    if len(within) == 0:
+        return guess.diameter
+    last = within[-1]
+    return float(2 * (last + (share[last] - half) / (share[last] - share[last + 1])))
 
 
 def _weighted_median(rows: np.ndarray, weight: np.ndarray) -> np.ndarray:

@@ -63,17 +63,14 @@ class Lattice:
         # Rows of whole vectors are several times faster; what is too much weighs nothing.
         across = -(-(2 * half + 1) // 4) * 4
         v, u = np.mgrid[-half:half + 1, -half:across - half].astype(float)
-        self._tables = _Tables(*(
-            np.zeros((_CELLS, _CELLS, *shape), kind) for shape, kind in
-            (((5, u.size), np.float32), (u.shape, np.float32), ((5, 5), float), ((), float))))
-        for j in range(_CELLS):
-            for i in range(_CELLS):
-                x, y = (np.array([i, j]) + 0.5) / _CELLS - 0.5
-                design, picture = _draw_cell(appearance, u - x, v - y)
-                for table, value in zip(self._tables, (
-                        design, picture, np.linalg.inv(design @ design.T), design[-1].sum()),
-                        strict=True):
-                    table[j, i] = value
+        off = (np.arange(_CELLS) + 0.5) / _CELLS - 0.5
+        cells = [[_draw_cell(appearance, u - x, v - y) for x in off] for y in off]
+        design = np.array([[cell[0] for cell in row] for row in cells])
+        picture = np.array([[cell[1] for cell in row] for row in cells])
+        normal = design @ design.swapaxes(2, 3)
+        self._tables = _Tables(
+            design.astype(np.float32), picture.astype(np.float32), np.linalg.inv(normal),
+            normal[:, :, 4, 4].copy())
         self._settled = _longest_linear_step(appearance, u, v)
 
     def fit(

@@ -135,7 +135,7 @@ class _Learner:
                 break
             self._table = self._basis.fit(self._samples(), harmonics=[0, 1, 2])
             yield
-        if self._misfit < _CAP_SHOWS * before:
+        if self._count and self._misfit < _CAP_SHOWS * before:
             self._centre()
         else:
             self._table, self._parameters = plain, parameters
@@ -189,7 +189,9 @@ class _Learner:
         self._reach = min(self._reach, float(end) + 1.0)
         self._basis = RadialBasis(self._reach, self._radii)
 
-    def _conclude(self) -> Appearance:
+    def _conclude(self) -> Appearance | None:
+        if self._diameter() < LEAST_DIAMETER:
+            return None
         contrast = np.concatenate([rows[:, CONTRAST] for rows in self._parameters])
         typical = float(np.median(contrast))
         least = self._settings.min_contrast_grey

@@ -183,10 +183,10 @@ class MatchedFilter:
         template = _shrunk(appearance, self.shrink)
         left, weight, right = np.linalg.svd(template)
         rank = int(np.searchsorted(np.cumsum(weight**2) / np.sum(weight**2), _ENOUGH)) + 1
-        sums = left[:, :rank].sum(axis=0) * right[:rank].sum(axis=1)
+        sums = weight[:rank] * right[:rank].sum(axis=1)
         # What is left out must not make the filter see the light itself.
         most = np.argmax(np.abs(sums))
-        weight[most] -= np.sum(sums * weight[:rank]) / sums[most]
+        left[:, most] -= sums @ left[:, :rank].sum(axis=0) / (sums[most] * len(left))
         kernel = (left[:, :rank] * weight[:rank]) @ right[:rank]
         # Response in grey levels of contrast: a particle of contrast a responds with a.
         scale = 1 / np.sum(kernel * template)
