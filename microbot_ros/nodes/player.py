@@ -25,6 +25,7 @@ from microbot_ros.nodes.topics import CHANGES, TOPICS
 from microbot_ros.session.lockstep import LockStep, frame_topic, header_stamp_ns
 from microbot_ros.session.playback import Playback, open_source
 from microbot_ros.session.recording import Message
+from microbot_ros.session.topics import is_topic
 from microbot_ros.session.turns import InTurn
 from microbot_ros.settings import setting
 
@@ -116,10 +117,14 @@ class PlayerNode(RigNode):
         if unknown:
             there = ', '.join(sorted(self._source.topics))
             raise InputError(self.settings.session, f'no topic {sorted(unknown)[0]}; has {there}')
-        return {
-            name: self.publisher(_message_class(topic.type), name)
-            for name, topic in self._source.topics.items()
-            if name != CHANGES and (not names or name in names)}
+        chosen = {name: _message_class(topic.type) for name, topic in self._source.topics.items()
+                  if name != CHANGES and (not names or name in names)}
+        for name, (kind, _) in TOPICS.items() if self.settings.answers else ():
+            for topic in chosen:
+                if is_topic(topic, name) and chosen[topic] is not kind:
+                    raise InputError(self.settings.session, f'expected a {kind.__name__} on '
+                                                            f'{topic}, found another type')
+        return {name: self.publisher(kind, name) for name, kind in chosen.items()}
 
     def _play(self) -> None:
         now = time.monotonic()

@@ -153,18 +153,17 @@ def test_the_command_begins_and_ends_a_recording(ros: Any, tmp_path: Path) -> No
     graph = ros({'recorder': {'recording': False}})
     graph.add('recorder')
 
-    def record(*words: str) -> subprocess.Popen[str]:
+    def record(*words: str) -> tuple[int, str, str]:
         process = subprocess.Popen([sys.executable, '-m', 'microbot_ros.cli', 'record', *words],
                                    stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         graph.until(lambda: process.poll() is not None, 60)
-        return process
-    begun = record('--title', 'batch 7', '--folder', str(tmp_path / 'run'))
-    assert begun.returncode == 0
-    assert begun.communicate()[0] == f'recording to {tmp_path / "run"}\n'
-    assert record('--stop').returncode == 0
-    again = record('--stop')
-    assert (again.returncode, again.communicate()[1]) == (2, 'microbot: recorder: not recording\n')
-    with open_recording(tmp_path / 'run') as recording:
+        out, error = process.communicate()
+        return process.returncode, out, error
+    run = str(tmp_path / 'run')
+    assert record('--title', 'batch 7', '--folder', run) == (0, f'recording to {run}\n', '')
+    assert record('--stop') == (0, f'recorded {run}\n', '')
+    assert record('--stop') == (2, '', 'microbot: recorder: not recording\n')
+    with open_recording(run) as recording:
         assert recording.metadata()['recording']['title'] == 'batch 7'
 
 

@@ -20,7 +20,7 @@ from microbot_ros.estimation.batch import fit
 from microbot_ros.estimation.online import Estimates, Estimator
 from microbot_ros.nodes.rerun import cast, recorded_parameters, rerun
 from microbot_ros.records import Commands, Conditions, Session, Tracks
-from microbot_ros.session import open_recording, read_session
+from microbot_ros.session import RecordingWriter, open_recording, read_session
 from microbot_ros.session.cloud import cloud_table
 from microbot_ros.session.compare import compare
 from microbot_ros.session.lockstep import header_stamp_ns
@@ -112,6 +112,16 @@ def test_what_cannot_be_checked_is_one_line_and_two(
     assert done.returncode == 2, done.stdout + done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
     assert expected in done.stderr
+
+
+def test_a_topic_of_another_type_is_refused(tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / 'odd') as writer:
+        for topic in ('/particles', '/model/state'):
+            writer.write(topic, 'std_msgs/msg/Bool', 10**9, b'\0\1\0\0\1')
+    done = replay(tmp_path / 'odd', '--check')
+    assert done.returncode == 2, done.stdout + done.stderr
+    assert 'expected a PointCloud2 on /particles, found another type' in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
 
 
 def play(ros: Any, seconds: float) -> Any:
