@@ -1,6 +1,7 @@
 """Nothing unsafe leaves the switchboard, whatever a controller does."""
 
 import threading
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -209,6 +210,30 @@ def test_a_controller_that_spins_is_late_then_given_up_and_a_fresh_one_can_retur
     assert not spinning.is_alive()
     assert board.swap('hold').ok
     assert run(board, 1)[0].result is Result.OK
+
+
+def test_a_thread_that_can_not_be_ended_does_not_hold_up_the_others():
+    """It swallows what should end it, until the test lets it go."""
+    over = threading.Event()
+
+    class Clings(East):
+        def compute(self, situation):
+            while not over.is_set():
+                with suppress(BaseException):
+                    while not over.is_set():
+                        pass
+            return no_field('')
+
+    board = Switchboard({'clings': Clings(), 'east': East()}, 'clings',
+                        deadline=0.5, patience=0.05)
+    assert run(board, 1)[0].result is Result.FAULT
+    thread = board._runners['clings']._worker._thread
+    assert board.swap('east').ok
+    assert {outcome.result for outcome in run(board, 20)} == {Result.OK}
+    assert thread.is_alive()
+    over.set()
+    thread.join(30)
+    assert not thread.is_alive()
 
 
 def test_a_late_answer_is_not_used_and_not_a_lasting_fault():
