@@ -24,4 +24,5 @@ class CoilMisalignment(Effect):
 
     def field(self, B: np.ndarray) -> np.ndarray:
         lean = np.array([[1.0, np.sin(self.skew)], [0.0, np.cos(self.skew)]])
-        return B @ lean.T
+        # As one product: stacks of rows are multiplied one by one.
+        return (B.reshape(-1, 2) @ lean.T).reshape(B.shape)
