@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import resource
 import time
 import warnings
 from pathlib import Path
@@ -11,7 +10,8 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from bench._tracker_scenes import crowd, expose, identity_switches, light, scene
+from bench._tracker_endurance import memory
+from bench._tracker_scenes import crowd, identity_switches, light, scene
 from bench._tracker_worlds import LEARNING, World, world
 from bench.figure import Figure, seconds
 from microbot_ros.tracking import Tracker, TrackerSettings, learn, open_source
@@ -29,7 +29,7 @@ _LIKE_TRACKPY = TrackerSettings(
 def figures() -> list[Figure]:
     """All figures of the tracker; those of real recordings only where these are."""
     cv2.setNumThreads(1)
-    found = [*_precision(), *_worlds(), *_crossings(), _noise(), _memory()]
+    found = [*_precision(), *_worlds(), *_crossings(), _noise(), memory()]
     if _DATA.is_dir():
         found += [*_bulk_water(), _mickyroll()]
     return found
@@ -194,22 +194,6 @@ def _noise(frames: int = 10_000) -> Figure:
         frame = np.rint(lamp + bank[start:start + lamp.size].reshape(lamp.shape))
         names.update(tracker.update(frame.astype(np.uint8), t / 60).id.tolist())
     return _at_most(8, f'false tracks in {frames} frames of noise, 320×240', len(names), '', 0, '')
-
-
-def _memory(frames: int = 100_000) -> Figure:
-    """Growth of the process over the last nine tenths of a long run."""
-    rng = np.random.default_rng(7)
-    settings = TrackerSettings()
-    pictures = scene('disc', -60, 15, seed=8, frames=4)
-    tracker = Tracker(settings, learn(pictures.frames, settings))
-    loop = [expose(part[:96, :96], 1.0, rng) for part in pictures.frames for _ in range(16)]
-    before = 0
-    for t in range(frames):
-        if t == frames // 10:
-            before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        tracker.update(loop[t % len(loop)], t / 60)
-    grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
-    return _at_most(8, f'memory gained in {frames} frames', grown, 'MiB', 1.0, '')
 
 
 def _bulk_water() -> list[Figure]:

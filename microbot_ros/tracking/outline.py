@@ -46,6 +46,7 @@ class OutlineDetector:
 
     def __init__(self, appearance: Appearance, settings: TrackerSettings) -> None:
         self.appearance = appearance
+        self.remark = ''
         self._shrink = max(1, int(appearance.diameter_px / 10))
         self._spacing = max(4, int(np.ceil(appearance.diameter_px / self._shrink)))
         self._least_sharpness = _SHARP * settings.min_quality

@@ -130,6 +130,8 @@ class Tracker:
             self._linker.predict(dt, pushed)
         self._linker.update(self._detector.detect(image, self._linker.expected()))
         self.remarks = self._watch.look(image, dt, self._linker.jump)
+        if self._detector.remark:
+            self.remarks['strange'] = self._detector.remark
         return _poses(t, self._linker.states, pushed / dt if dt else 0j)
 
     def _check(self, image: np.ndarray, drive: np.ndarray | None) -> None:
