@@ -79,9 +79,10 @@ class Linker:
         """Move all to where they should be `dt` [s] later, after so much drive."""
         self._interval = dt if self._interval is None else 0.95 * self._interval + 0.05 * dt
         states = self.states
-        if self._drive_rate == 0.0 and drive:
+        if abs(drive) / dt > 1.01 * self._drive_rate:
+            # What was learned from less drive, or from a part of a frame, says next to nothing.
             self._drive_rate = abs(drive) / dt
-            states.covariance[:, RESPONSE, RESPONSE] = self._response_variance
+            states.forget_response(self._response_variance)
         self._expected_step = planar(drive * states.motion[:, RESPONSE])
         states.predict(dt, self._interval, drive, self._motion, self._response_variance)
 

@@ -79,6 +79,12 @@ class TrackStates:
             for part in fields(self)
         ))
 
+    def forget_response(self, variance: float) -> None:
+        """Start learning the response to the drive anew, from nothing known to `variance`."""
+        self.motion[:, RESPONSE] = 0.0
+        self.covariance[:, RESPONSE] = self.covariance[:, :, RESPONSE] = 0.0
+        self.covariance[:, RESPONSE, RESPONSE] = variance
+
     def predict(self, dt: float, interval: float, drive: complex, motion: Motion,
                 response_variance: float) -> None:
         """Move all on by `dt` [s], where frames usually come every `interval`, under `drive`."""
@@ -93,7 +99,10 @@ class TrackStates:
             response_variance * frames / _RESPONSE_LASTS])
 
     def correct(self, rows: np.ndarray, found: np.ndarray, noise: np.ndarray) -> None:
-        """Kalman update of some particles by measured places (K, 2) of variance `noise` (K,)."""
+        """Kalman update of some particles by measured places (K, 2) of variance `noise` (K,).
+
+        In Joseph's form: the short one lets rounding errors of a covariance grow.
+        """
         innovation = phasor(found) - self.motion[rows, PLACE]
         covariance = self.covariance[rows]
         surprise = np.abs(innovation) ** 2 / 2 / (covariance[:, PLACE, PLACE].real + noise)
@@ -101,7 +110,10 @@ class TrackStates:
         covariance = covariance * np.maximum(surprise / _SURPRISE, 1.0)[:, None, None]
         gain = covariance[:, :, PLACE] / (covariance[:, PLACE, PLACE].real + noise)[:, None]
         self.motion[rows] += gain * innovation[:, None]
-        self.covariance[rows] = covariance - gain[:, :, None] * covariance[:, None, PLACE]
+        left = np.broadcast_to(np.eye(3, dtype=complex), covariance.shape).copy()
+        left[:, :, PLACE] -= gain
+        measured = noise[:, None, None] * gain[:, :, None] * gain[:, None].conj()
+        self.covariance[rows] = left @ covariance @ left.conj().swapaxes(1, 2) + measured
 
 
 def born(
