@@ -45,8 +45,8 @@ class PathFollowing(Controller):
     """Line of sight with integral action: course = the path's direction − atan(e/Δ), crabbed.
 
     e is the cross-track error, to the left, Δ the lookahead. What it crabs against is learned on
-    the way (`pilot`). A closed path is followed round and round; at the end of an
-    open one the particle circles. A new path starts at its nearest point.
+    the way (`pilot`). A closed path is followed round and round; at the end of an open one the
+    particle circles. A new path starts at its nearest point.
     """
 
     interface_version = 1

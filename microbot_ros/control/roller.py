@@ -47,10 +47,10 @@ class Roller(Journey):
         super().configure(parameters)
 
     def activate(self, situation: Situation) -> None:
-        """ModelError where the model is of particles that do not roll."""
+        """ModelError unless there is a model of particles that roll."""
         super().activate(situation)
-        if situation.model is not None and situation.model.propulsion != 'rolling':
-            raise ModelError('drives rollers; the model is of particles that propel themselves')
+        if situation.model is None or situation.model.propulsion != 'rolling':
+            raise ModelError('drives rollers: set model_file to one that says propulsion: rolling')
 
     def fastest(self, situation: Situation) -> float:
         """The highest frequency [Hz] it uses."""

@@ -124,8 +124,9 @@ def test_roller_goes_and_stops():
 
 
 def test_roller_refuses_the_wrong_model_and_parameters():
-    with pytest.raises(ModelError):
-        Roller().activate(situation(model=Model(5e-3)))
+    for model in (None, Model(5e-3)):
+        with pytest.raises(ModelError, match='propulsion: rolling'):
+            Roller().activate(situation(model=model))
     with pytest.raises(ValueError, match='slowest_hz'):
         Roller().configure(RollerParameters(slowest_hz=6.0))
 
