@@ -13,13 +13,15 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Point, PoseArray, PoseStamped, Vector3Stamped
 from nav_msgs.msg import Path
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import Joy, PointCloud2
 from std_msgs.msg import Header, String
 from visualization_msgs.msg import MarkerArray
 
 from microbot_ros.control.contract import FieldCommand, Goals, Limits, Result, Situation, Workspace
 from microbot_ros.control.registry import PluginError, controller_classes
-from microbot_ros.control.switchboard import Outcome, Switchboard
+from microbot_ros.control.switchboard import Answer, Outcome, Switchboard
 from microbot_ros.errors import InputError
 from microbot_ros.model.model import Model
 from microbot_ros.model.model_file import read_model
@@ -85,6 +87,7 @@ class ControllerNode(RigNode):
             border=values.border_s)
         for name, kind in classes.items():
             ParameterSet(self, kind.Parameters, self._configure(name), prefix=f'{name}.')
+        self.add_on_set_parameters_callback(self._restart)
 
     def veto(self, proposed: ControllerParameters) -> str:
         low_x, low_y, high_x, high_y = (*proposed.workspace_um, *4 * [math.nan])[:4]
@@ -101,6 +104,13 @@ class ControllerNode(RigNode):
         answer = self._switchboard.swap(proposed.controller)
         self.get_logger().info(answer.message)
         return '' if answer.ok else answer.message
+
+    def _restart(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Naming the controller that drives changes nothing, but starts it again after a fault."""
+        board = self._switchboard
+        named = any(p.name == 'controller' and p.value == board.active for p in parameters)
+        answer = board.swap(board.active) if named and board.fault else Answer(True)
+        return SetParametersResult(successful=answer.ok, reason=answer.message)
 
     def setup(self) -> None:
         self._goals, self._path, self._joystick = Goals(), np.empty((0, 2)), np.zeros(2)

@@ -18,6 +18,7 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
+from microbot_ros.control.open_loop import OpenLoop
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import LATCHED
 
@@ -189,6 +190,21 @@ def test_paths_that_are_none_and_the_border(ros: Any) -> None:
     assert loop.set(controller='open_loop').successful
     loop.graph.until(lambda: loop.see(x=140e-6, phi=0.0) or loop.strength() > 4.9e-3)
     assert 'about to leave the view' in loop.node.health()[1]
+
+
+def test_naming_a_controller_again_restarts_it_after_a_fault(ros: Any, monkeypatch: Any) -> None:
+    def breaks(*_: Any) -> None:
+        raise ZeroDivisionError
+
+    with monkeypatch.context() as broken:
+        broken.setattr(OpenLoop, 'compute', breaks)
+        loop = Loop(ros, controller='open_loop')
+        loop.graph.until(lambda: loop.keep_seeing() or loop.node._switchboard.fault)
+    assert 'ZeroDivisionError' in loop.node.health()[1]
+    assert loop.set(open_loop__field_mT=4.0).successful
+    assert loop.node._switchboard.fault
+    assert loop.set(controller='open_loop').successful
+    loop.graph.until(lambda: loop.keep_seeing() or (loop.fields and loop.strength() > 3.9e-3))
 
 
 def test_what_there_is_is_latched(ros: Any) -> None:
