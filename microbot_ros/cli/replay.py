@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from pathlib import Path
 
@@ -65,7 +66,12 @@ def command(
         raise InputError('--node, --tolerance, --config, --out, --json',
                          'expected only with --check')
     from microbot_ros.nodes.process import run
+    from microbot_ros.session.playback import Playback, open_source
 
+    # What cannot be played is refused before a node starts, which would also log it.
+    with open_source(session) as source:
+        Playback(source, 0.0, rate=rate or math.inf, start=start, end=end or None, loop=loop,
+                 topics=topics or None)
     parameters = {'session': session, 'rate': rate, 'start_s': start, 'end_s': end,
                   'loop': str(loop).lower()}
     arguments = ['--ros-args']

@@ -104,11 +104,23 @@ def test_what_a_change_does_is_shown_at_the_first_point(tmp_path: Path) -> None:
     ([STEERING, '--check', '--config', '/nowhere.yaml'], '/nowhere.yaml: expected'),
     ([STEERING, '--check', '--end', 'nan'], 'end_s must be finite; received nan'),
     ([STEERING, '--check', '--node', 'steam'], "'steam' is not one of"),
+    (['FOLDER', '--rate', '101'], 'rate: expected 0.1 to 100, or inf, got 101'),
+    (['FOLDER', '--rate', 'nan'], 'rate: expected 0.1 to 100, or inf, got nan'),
+    (['FOLDER', '--start', '-1'], 'start: expected 0 to'),
+    (['FOLDER', '--end', 'nan'], 'end: expected 0 s or more, got nan'),
+    (['FOLDER', '--topic', 'steam'], 'topics: expected some of /particles, got steam'),
+    (['ODD'], "tracks.csv:2: expected a number in 'y_um', found 'nan'"),
+    (['EMPTY'], 'expected an MCAP recording, found an empty file'),
 ])
 def test_what_cannot_be_checked_is_one_line_and_two(
         tmp_path: Path, words: list[Any], expected: str) -> None:
     (tmp_path / 'tracks.csv').write_text('t_s,particle,x_um,y_um\n0,0,0,0\n')
-    done = replay(*(tmp_path if word == 'FOLDER' else word for word in words))
+    named = {'FOLDER': tmp_path, 'ODD': tmp_path / 'odd', 'EMPTY': tmp_path / 'odd' / 'a.mcap'}
+    named['ODD'].mkdir()
+    (tmp_path / 'odd' / 'tracks.csv').write_text('t_s,particle,x_um,y_um\n0,0,0,nan\n')
+    if 'EMPTY' in words:
+        named['EMPTY'].write_bytes(b'')
+    done = replay(*(named.get(word, word) for word in words))
     assert done.returncode == 2, done.stdout + done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
     assert expected in done.stderr

@@ -365,3 +365,14 @@ def test_a_session_imports_as_itself(tmp_path):
     np.testing.assert_allclose(copy.tracks.position, session.tracks.position)
     np.testing.assert_array_equal(copy.tracks.t, session.tracks.t)
     np.testing.assert_allclose(copy.commands.field, session.commands.field, atol=1e-15)
+
+
+@pytest.mark.parametrize(('x', 'y'), [
+    ('Robot X [px]', 'Robot Y [px]'), ('center_x (px)', 'center_y (px)'),
+    ('X coordinate [px]', 'Y coordinate [px]'), ('CentreX px', 'CentreY px')])
+def test_places_by_whatever_name(tmp_path, x, y):
+    path = tmp_path / 'a.csv'
+    path.write_text(f'Time (s),{x},{y}\n' + ''.join(f'{k / 10},{k},{2 * k}\n' for k in range(9)))
+    session, _ = import_session(path, Answers(pixel_size=PIXEL))
+    assert session.tracks.position[-1] - session.tracks.position[0] == pytest.approx(
+        [8 * PIXEL, -16 * PIXEL])

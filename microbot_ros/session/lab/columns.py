@@ -15,8 +15,10 @@ _NAMES = {
     'frame': ('frame', 'frames', 'frame number', 'frame no', 'slice', 'image'),
     'particle': ('particle', 'particle id', 'id', 'track', 'track id', 'trackid', 'robot',
                  'robot id', 'trajectory', 'blob id', 'blobid'),
-    'x': ('x', 'pos x', 'x pos', 'position x', 'x position', 'posx', 'centroid x', 'cx'),
-    'y': ('y', 'pos y', 'y pos', 'position y', 'y position', 'posy', 'centroid y', 'cy'),
+    'x': ('x', 'pos x', 'x pos', 'position x', 'x position', 'posx', 'centroid x', 'cx',
+          'centre x', 'center x', 'x coordinate', 'x coord'),
+    'y': ('y', 'pos y', 'y pos', 'position y', 'y position', 'posy', 'centroid y', 'cy',
+          'centre y', 'center y', 'y coordinate', 'y coord'),
     'theta': ('theta', 'heading', 'orientation', 'yaw'),
     'direction': ('direction', 'alpha', 'field angle', 'field direction', 'rolling direction'),
     'frequency': ('frequency', 'freq', 'rolling frequency', 'rotation frequency',
@@ -83,7 +85,10 @@ def _recognise(index: int, name: str) -> Column | None:
     plain, unit = _split_unit(name)
     if plain in _ROLE_OF:
         return Column(index, _ROLE_OF[plain], unit)
-    match = _NUMBERED.match(_WHOSE.sub('', plain).strip()) or _NUMBERED.match(plain)
+    bare = _WHOSE.sub('', plain).strip()
+    if _ROLE_OF.get(bare) in ('x', 'y', 'theta'):  # 'Robot X'
+        return Column(index, _ROLE_OF[bare], unit)
+    match = _NUMBERED.match(bare) or _NUMBERED.match(plain)
     if match:
         word, number = match[2] or match[3], match[1] or match[4]
         role = _ROLE_OF.get(word.strip())
