@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Collection, Iterator
 
+from microbot_ros.errors import InputError
 from microbot_ros.session.playback import Playback
 from microbot_ros.session.recording import Message
 from microbot_ros.session.topics import is_topic
@@ -72,7 +73,9 @@ def header_stamp_ns(data: bytes) -> int:
     """The stamp [ns] of a serialised message that begins with a std_msgs/Header.
 
     OMG CDR: an encapsulation of four bytes whose second is odd for little-endian, then
-    `int32 sec, uint32 nanosec`.
+    `int32 sec, uint32 nanosec`. InputError for what is too short to hold one.
     """
+    if len(data) < 12:
+        raise InputError('lock-step', f'expected a message with a header, found {len(data)} bytes')
     seconds, nanoseconds = struct.unpack_from('<iI' if data[1] & 1 else '>iI', data, 4)
     return int(seconds) * 1_000_000_000 + int(nanoseconds)

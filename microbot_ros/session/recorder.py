@@ -41,8 +41,8 @@ class RecordingWriter:
     `write` only queues; a thread of the writer's own compresses and stores. What was queued is
     on disk within a second, so a crash costs no more. Where the disk is slow or full, overlays
     are dropped first, then frames; anything else is kept in memory until the disk takes it, up
-    to 512 MiB: hours of tracks and commands. What is dropped is counted. The folder must be new or empty; it holds `<name>_0.mcap`, `<name>_1.mcap`, …, and at the end
-    `metadata.yaml`.
+    to 512 MiB: hours of tracks and commands. What is dropped is counted. The folder must be new
+    or empty; it holds `<name>_0.mcap`, `<name>_1.mcap`, …, and at the end `metadata.yaml`.
     """
 
     def __init__(self, folder: str | Path) -> None:

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from recordings import small_session, vector
 
+from microbot_ros.errors import InputError
 from microbot_ros.session.as_messages import SessionMessages
 from microbot_ros.session.lockstep import LockStep, frame_topic, header_stamp_ns
 from microbot_ros.session.playback import Playback
@@ -31,6 +32,12 @@ def test_the_stamp_is_read_out_of_the_bytes(seconds, nanoseconds):
     assert header_stamp_ns(vector(t_ns, 1.0, 2.0)) == t_ns
     big = b'\0\0\0\0' + struct.pack('>iI', seconds, nanoseconds)
     assert header_stamp_ns(big) == t_ns
+
+
+@pytest.mark.parametrize('data', [b'', b'\0\1\0\0', bytes(11)])
+def test_a_message_too_short_for_a_header_is_refused(data):
+    with pytest.raises(InputError, match='expected a message with a header'):
+        header_stamp_ns(data)
 
 
 def test_the_next_frame_waits_for_every_answer_to_the_last():
