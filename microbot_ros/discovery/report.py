@@ -9,7 +9,10 @@ from pathlib import Path
 import jinja2
 
 from microbot_ros.discovery import report_words
+from microbot_ros.discovery.report_drive import draw_drive, drive
 from microbot_ros.discovery.report_figures import (
+    AFTER,
+    BEFORE,
     draw_bands,
     draw_gap,
     draw_maps,
@@ -52,11 +55,13 @@ def page(found: Discovery, sessions: Sequence[Session], sources: Sequence[Path])
     prediction = predict(found, left)
     maps = draw_maps(found.maps_before, found.maps_after)
     places = draw_places(left, found.diffusion.value)
+    driven = drive(left, sessions[-1].commands, found.particles.phi, found.diffusion.value)
     return template.render(
         found=found, headline=headline(found), library=EFFECTS, sessions=sessions, fires=FIRES,
         speed=_SPEED[found.model.propulsion], prediction=prediction,
         gap_figure=embedded(draw_gap(found.gap)), maps_figure=maps and embedded(maps),
         places_figure=places and embedded(places), band_figure=embedded(draw_bands(prediction)),
+        drive_figure=driven and embedded(draw_drive(driven, BEFORE, AFTER)),
         hashes=[line for source in sources for line in digests(Path(source))],
         versions=report_words.versions())
 

@@ -82,7 +82,7 @@ def bare(name: str) -> str:
 
 def term(effect_id: str) -> list[str]:
     """What an effect adds to the equations, in paragraphs."""
-    return (inspect.getdoc(EFFECTS[effect_id]) or '').split('\n\n')
+    return (inspect.getdoc(EFFECTS[effect_id]) or '').replace('`', '').split('\n\n')
 
 
 def limit(found: Limit) -> str:

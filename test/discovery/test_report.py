@@ -13,6 +13,7 @@ import pytest
 
 from microbot_ros.discovery.discover import discover
 from microbot_ros.discovery.report import digests, headline, page, write_report
+from microbot_ros.discovery.report_drive import drive
 from microbot_ros.discovery.report_prediction import predict
 from microbot_ros.discovery.report_residual import by_place, residual
 from microbot_ros.discovery.report_words import chance, interval, limit, listed, number, odds
@@ -163,6 +164,26 @@ def test_arrows_of_a_drift_point_its_way_before_and_vanish_after(drifting):
     # v and φ of the first-order model absorb some of it: commands do not average out exactly.
     assert mean == pytest.approx([0.8e-6, -0.5e-6], abs=0.3e-6)
     assert np.hypot(*(after * time[:, None]).sum(axis=0)) / time.sum() < 0.05e-6
+
+
+def test_the_drive_of_rollers_is_told_by_frequency(film):
+    """With a cut-in f_c the speed is √(f² − f_c²) at best: it falls short at low frequencies."""
+    session, truth = film(15, {'drive_response': {'cut_in_hz': 0.9}}, rolling=True)
+    found = discover([session])
+    left = residual(found, session)
+    told = drive(left, session.commands, found.particles.phi, found.diffusion.value)
+    assert told.frequency == pytest.approx(np.unique(session.commands.frequency), rel=1e-3)
+    true = truth['gain'].mean()
+    assert told.measured[-1] == pytest.approx(true, abs=4 * told.measured_std[-1] + 0.02 * true)
+    assert told.measured[0] < 0.2 * true
+    assert np.abs(told.found - told.measured).max() < np.abs(told.plain - told.measured).max() / 3
+    assert 'Speed over frequency' in page(found, [session], [])
+
+
+def test_no_drive_is_drawn_of_swimmers(drifting):
+    found, session = drifting
+    left = residual(found, session)
+    assert drive(left, session.commands, found.particles.phi, 1e-13) is None
 
 
 def test_lists_are_read_aloud():
