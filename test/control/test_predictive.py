@@ -115,7 +115,7 @@ def lag_loop(theta_seen, seconds=20.0, **parameters):
     """Two particles with lags 0.1 and 0.3 s, integrated by Euler's method at 1 ms."""
     controller = Predictive()
     controller.configure(PredictiveParameters(
-        alignment_times_s=[0.1, 0.3], budget_ms=20.0, **parameters))
+        alignment_times_s=[0.1, 0.3], budget_ms=10.0, **parameters))
     board = Switchboard({'it': controller}, 'it', deadline=10.0)
     place, theta, dt = np.array([-20e-6 + 0j, 20e-6 + 0j]), np.array([0.3, 2.1]), 0.05
     goal = np.array([[-20e-6, 18e-6], [20e-6, 18e-6]])
