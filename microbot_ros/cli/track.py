@@ -66,6 +66,9 @@ def command(
         problems.append(f'{source}: no frame rate is known (--frame-rate-hz); t_s counts frames')
     with output_folder(out) as folder:
         result = _track(recording, settings, folder, pixel_size_um, overlay, console, problems)
+    if result['frames'] < settings.confirm_frames and result['appearance']:
+        problems.append(f'{source}: a particle needs {settings.confirm_frames} frames, here are '
+                        f'{result["frames"]}; no tracks')
     if not result['appearance']:
         problems.append(f'{source}: nothing in it stands out of the noise; no tracks')
     for problem in dict.fromkeys(problems):

@@ -16,8 +16,8 @@ _RECENT, _LEARNED = 0.1, 30
 _SATURATED = 0.02
 """Share of the picture at the top of its range; nothing can be measured there."""
 
-_LATE = 1.7
-"""Usual intervals: longer ones have lost a frame."""
+_LATE = 2.5
+"""Usual intervals: longer ones have lost more than a frame."""
 
 
 class Watch:

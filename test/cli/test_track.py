@@ -80,7 +80,7 @@ def test_pictures_of_another_depth_are_left_out_and_said(
         image = cv2.imread(str(images / f'{k}.png'), cv2.IMREAD_UNCHANGED)
         deep = (depth == np.uint16) != (k == 5)
         cv2.imwrite(str(folder / f'{k}.png'), image.astype(np.uint16) * 257 if deep else image)
-    assert _run(folder, '--out', tmp_path / 'out') == 0
+    assert _run(folder, '--out', tmp_path / 'out', '--no-overlay') == 0
     said = capsys.readouterr().err
     assert 'frame 5: expected 320×240' in said
     frames = {line.split(',')[0] for line in (
@@ -148,6 +148,13 @@ def test_a_broken_image_is_named_and_the_rest_tracked(
         tmp_path / 'out' / 'tracks.csv').read_text().splitlines()[1:]}
     assert '3' not in frames
     assert '7' in frames
+
+
+def test_too_few_frames_are_said(
+    images: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert _run(f'{images}/[01].png', '--out', tmp_path, '--no-overlay') == 0
+    assert 'needs 3 frames, here are 2' in capsys.readouterr().err
 
 
 def test_nothing_to_track_is_said(

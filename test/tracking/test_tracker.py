@@ -144,6 +144,18 @@ def test_a_flickering_lamp_loses_nobody(still: list[np.ndarray]) -> None:
     assert poses.seen.all()
 
 
+def test_a_lamp_that_fades_loses_nobody_and_is_told(still: list[np.ndarray]) -> None:
+    tracker = _tracker(still)
+    names: set[int] = set()
+    for t in range(150):
+        faded = (still[t % 6] * (1 - 0.5 * t / 150)).astype(np.uint8)
+        poses = tracker.update(faded, t / 60)
+        names.update(poses.id.tolist())
+    assert len(names) == len(poses) > 20
+    assert poses.seen.all()
+    assert list(tracker.remarks) == ['drift']
+
+
 def test_assignment_is_the_best_of_all() -> None:
     """Against every permutation, for five particles among five detections."""
     rng = np.random.default_rng(5)

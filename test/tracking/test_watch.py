@@ -55,7 +55,7 @@ def test_saturated_and_blank_pictures_are_said() -> None:
     assert 'saturated' in Watch().look(deep, None, 0.0)
 
 
-@pytest.mark.parametrize(('dt', 'expected'), [(0.03, []), (0.04, ['late']), (1.0, ['late'])])
+@pytest.mark.parametrize(('dt', 'expected'), [(0.04, []), (0.06, ['late']), (1.0, ['late'])])
 def test_a_late_frame_is_said(dt: float, expected: list[str]) -> None:
     assert list(_after().look(_frame(1.0), dt, 0.0)) == expected
 
