@@ -34,8 +34,9 @@ def drive(left: Residual, commands: Commands, phi: np.ndarray, diffusion: float)
     levels = np.unique(np.round(frequency[frequency > 0], 6))
     if len(levels) < 3:
         return None
-    edges = np.concatenate([
-        [0.0], np.unique(np.quantile(levels, np.linspace(0, 1, BINS + 1)[1:]))])
+    edges = np.append(
+        0.0, levels if len(levels) <= BINS else np.geomspace(levels[0], levels[-1], BINS))
+    edges[-1] = np.inf
     use = (np.isfinite(np.diff(left.found[..., 0], axis=0)) & ~left.jumps[1:]
            & (frequency > 0)[:, None])
     unit = _steps(left.path, use)
@@ -43,14 +44,17 @@ def drive(left: Residual, commands: Commands, phi: np.ndarray, diffusion: float)
     which = np.broadcast_to(
         np.searchsorted(edges, np.round(frequency, 6))[:, None] - 1, use.shape)[use]
     power = np.bincount(which, np.abs(unit) ** 2)
-    kept = power > 0
     turned = np.conj(unit * np.exp(1j * np.broadcast_to(phi, use.shape)[use]))
-    gains = [np.bincount(which, (turned * (measured - missed)).real)[kept] / power[kept]
-             for missed in (0, _steps(left.found, use), _steps(left.plain, use))]
+    measured_gain, by_found, by_plain = (
+        np.bincount(which, (turned * (measured - missed)).real) / np.maximum(power, 1e-300)
+        for missed in (0, _steps(left.found, use), _steps(left.plain, use)))
     spread = 2 * diffusion * np.broadcast_to(np.diff(left.times)[:, None], use.shape)[use]
-    std = np.sqrt(np.bincount(which, np.abs(unit) ** 2 * spread)[kept]) / power[kept]
-    middles = np.bincount(which, np.broadcast_to(frequency[:, None], use.shape)[use])[kept]
-    return Drive(middles / np.bincount(which)[kept], gains[0], std, gains[1], gains[2])
+    std = np.sqrt(np.bincount(which, np.abs(unit) ** 2 * spread)) / np.maximum(power, 1e-300)
+    middles = np.bincount(which, np.broadcast_to(frequency[:, None], use.shape)[use])
+    # Where hardly anything was recorded, nothing is known.
+    known = (power > 0) & (std < np.abs(by_plain))
+    return Drive(*(column[known] for column in (
+        middles / np.maximum(np.bincount(which), 1), measured_gain, std, by_found, by_plain)))
 
 
 def _steps(positions: np.ndarray, use: np.ndarray) -> np.ndarray:
@@ -67,6 +71,7 @@ def draw_drive(found: Drive, before: str, after: str) -> Figure:
     axis.plot(found.frequency, found.plain * 1e6, ':', color=before, label='first-order model')
     axis.plot(found.frequency, found.found * 1e6, '-', color=after, label='model found')
     axis.set_xscale('log')
+    axis.xaxis.set_major_formatter('{x:g}')
     axis.set_xlabel('rotation (Hz)')
     axis.set_ylabel('speed over frequency (µm/s/Hz)')
     axis.legend(frameon=False)
