@@ -67,6 +67,19 @@ class PlayerNode(RigNode):
 
     Parameters: ClassVar[type] = PlayerParameters
 
+    def veto(self, proposed: PlayerParameters) -> str:
+        """Changes of pace and place are made here, so that what cannot be is refused."""
+        if not hasattr(self, '_playback'):
+            return ''
+        now, rate = time.monotonic(), proposed.rate or math.inf
+        try:
+            if proposed.seek_s != self.settings.seek_s:
+                self._playback.seek(proposed.seek_s, now)
+            self._playback.set_rate(rate, now)
+        except InputError as error:
+            return str(error)
+        return ''
+
     def setup(self) -> None:
         values: PlayerParameters = self.settings
         if not values.session:
@@ -76,7 +89,6 @@ class PlayerNode(RigNode):
         self._outlets = self._make_publishers(set(values.topics))
         self._answers = [self._hear(topic) for topic in values.answers]
         self._time = self.publisher(Clock, '/clock')
-        self._applied = values
         self._sent = 0
         self._done = False
         self._callable: dict[str, Client] = {}
@@ -128,7 +140,6 @@ class PlayerNode(RigNode):
 
     def _play(self) -> None:
         now = time.monotonic()
-        self._follow_parameters(now)
         # Told a turn of the executor later, so that who heard the last answer too has taken it.
         self._done = self._lockstep.finished
         late = now - self._asked > self.settings.patience_s
@@ -153,16 +164,6 @@ class PlayerNode(RigNode):
                 break
         if not self._answers:
             self._tell_time(self._playback.clock_ns(now))
-
-    def _follow_parameters(self, now: float) -> None:
-        values, before = self.settings, self._applied
-        if values is before:
-            return
-        self._applied = values
-        if values.rate != before.rate:
-            self._playback.set_rate(values.rate or math.inf, now)
-        if values.seek_s != before.seek_s:
-            self._playback.seek(values.seek_s, now)
 
     def _send(self, message: Message) -> None:
         self._sent += 1
