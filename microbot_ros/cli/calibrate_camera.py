@@ -21,11 +21,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CameraPart:
-    """The tracker's part of a rig's file, SI; and lines on where each number is from."""
+    """The tracker's part of a rig's file, SI; and lines on where each number is from.
 
-    pixel_size: float = 0.5e-6
-    rotation: float = 0.0
-    mirrored: bool = False
+    None is what was neither measured nor in the rig's file.
+    """
+
+    pixel_size: float | None = None
+    rotation: float | None = None
+    mirrored: bool | None = None
     lines: tuple[str, ...] = ()
 
     def say(self, line: str) -> CameraPart:
@@ -35,10 +38,22 @@ class CameraPart:
     def as_yaml(self) -> str:
         """A file for `microbot run --config`, or a section of one."""
         said = ''.join(f'# {line}\n' for line in self.lines)
-        return (f'{said}tracker:\n  ros__parameters:\n'
-                f'    pixel_size_um: {from_si("_um", self.pixel_size):.6g}\n'
-                f'    rotation_deg: {math.degrees(self.rotation):.4g}\n'
-                f'    mirrored: {str(self.mirrored).lower()}\n')
+        values = ''.join(f'    {name}: {json.dumps(value)}\n'
+                         for name, value in self.as_parameters().items() if value is not None)
+        return f'{said}tracker:\n  ros__parameters:\n{values}'
+
+    def as_parameters(self) -> dict[str, float | bool | None]:
+        """The node's parameters by their names."""
+        return {
+            'pixel_size_um': _rounded(
+                None if self.pixel_size is None else from_si('_um', self.pixel_size)),
+            'rotation_deg': _rounded(
+                None if self.rotation is None else math.degrees(self.rotation)),
+            'mirrored': self.mirrored}
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else float(f'{value:.6g}')
 
 
 @click.command('camera')
@@ -75,8 +90,8 @@ def camera(
     common. State it (--phi-deg) where it is known, or lay the graticule along the coils.
 
     A picture of a graticule gives the pixel size. camera.yaml is the tracker's part of the rig's
-    file; what nothing was measured of is as in --config. From a video, `microbot track` makes a
-    session, with commands.csv beside its tracks.csv.
+    file; what nothing was measured of is as in --config, or left out. From a video, `microbot
+    track` makes a session, with commands.csv beside its tracks.csv.
 
     \b
     Examples:
@@ -101,9 +116,7 @@ def camera(
         part, image, lines = _by_graticule(part, graticule, spacing, along_coils, result)
     if particles:
         part = _by_size(part, particles, diameter, result)
-    result |= {'pixel_size_um': from_si('_um', part.pixel_size),
-               'rotation_deg': math.degrees(part.rotation), 'mirrored': part.mirrored,
-               'notes': list(part.lines)}
+    result |= part.as_parameters() | {'notes': list(part.lines)}
     text = json.dumps(result, indent=1, ensure_ascii=False, allow_nan=False) + '\n'
     with output_folder(out) as folder:
         write_text(folder / 'camera.yaml', part.as_yaml())
@@ -140,10 +153,10 @@ def _read(config: Path) -> CameraPart:
     from microbot_ros.nodes.configuration import read_rig
 
     known = read_rig(config).get('tracker', {})
-    default = CameraPart()
+    size, rotation = known.get('pixel_size_um'), known.get('rotation_deg')
     return CameraPart(
-        to_si('_um', known.get('pixel_size_um', from_si('_um', default.pixel_size))),
-        to_si('_deg', known.get('rotation_deg', 0.0)), known.get('mirrored', False))
+        None if size is None else to_si('_um', size),
+        None if rotation is None else to_si('_deg', rotation), known.get('mirrored'))
 
 
 def _by_motion(
@@ -153,8 +166,10 @@ def _by_motion(
     from microbot_ros.session import read_session
 
     turn = camera_turn(read_session(path), None if phi_deg is None else math.radians(phi_deg))
-    rotation, mirrored = turn.corrected(part.rotation, part.mirrored)
-    part = replace(part, rotation=rotation, mirrored=mirrored)
+    rotation, mirrored = turn.corrected(part.rotation or 0.0, part.mirrored or False)
+    if turn.known or part.rotation is not None:
+        part = replace(part, rotation=rotation)
+    part = replace(part, mirrored=mirrored)
     interval = math.degrees(turn.interval) if turn.known else None
     result['motion'] = {
         'particles': len(turn.ids), 'log_odds': turn.log_odds,
@@ -197,8 +212,9 @@ def _by_graticule(
     if not along_coils:
         return part, image, found
     # The nearest quarter turn to what is known already.
-    square = (found.angle if part.mirrored else -found.angle) + part.rotation
-    rotation = part.rotation - math.remainder(square, math.pi / 2)
+    before = part.rotation or 0.0
+    square = (found.angle if part.mirrored else -found.angle) + before
+    rotation = before - math.remainder(square, math.pi / 2)
     return replace(part, rotation=math.remainder(rotation, math.tau)).say(
         f'rotation {math.degrees(rotation):.3f} ± {1.96 * angle_std:.1g}° (95 %) from the '
         'graticule along the coils'), image, found

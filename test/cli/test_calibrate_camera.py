@@ -65,7 +65,7 @@ def test_a_graticule_along_the_coils_gives_scale_and_rotation(lines: Path, tmp_p
     found = written['tracker']['ros__parameters']
     assert found['pixel_size_um'] == pytest.approx(8 / _PERIOD, rel=1e-3)
     assert found['rotation_deg'] == pytest.approx(math.degrees(_ANGLE), abs=0.1)
-    assert found['mirrored'] is False
+    assert 'mirrored' not in found  # nothing was said of it
     assert 'along the coils' in said
     assert json.loads((tmp_path / 'r.json').read_text())['graticule']['period_px'] == \
         pytest.approx(_PERIOD, rel=1e-3)
@@ -101,7 +101,9 @@ def test_a_rotation_that_is_not_found_stays_and_is_said(session: Path, tmp_path:
     assert 'rotation not found' in said
     found = json.loads((tmp_path / 'o' / 'calibration.json').read_text())
     assert found['mirrored'] is True
-    assert found['rotation_deg'] == 0
+    assert found['rotation_deg'] is None
+    written = yaml.safe_load((tmp_path / 'o' / 'camera.yaml').read_text())
+    assert written == {'tracker': {'ros__parameters': {'mirrored': True}}}
     assert found['motion']['rotation_interval_95_deg'] is None
 
 
