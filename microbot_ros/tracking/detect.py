@@ -167,11 +167,15 @@ class RoundDetector:
             return 1 - misfit / energy
 
     def _detections(self, rows: np.ndarray, errors: np.ndarray, noise: float) -> Detections:
-        theta = np.where(errors[:, THETA] < _THETA_KNOWN, rows[:, THETA], np.nan)
+        theta = np.full(len(rows), np.nan)
+        if self.appearance.capped:
+            known = errors[:, THETA] < _THETA_KNOWN
+            theta[known] = np.pi - np.mod(np.pi - rows[known, THETA], 2 * np.pi)
+        variance = (errors[:, X] ** 2 + errors[:, Y] ** 2) / 2
         return Detections(
             xy=rows[:, [X, Y]],
-            sigma=np.sqrt(np.mean(errors[:, [X, Y]] ** 2, axis=1) * _redundancy(errors, noise)),
-            theta=np.pi - np.mod(np.pi - theta, 2 * np.pi),
+            sigma=np.sqrt(variance * _redundancy(errors, noise)),
+            theta=theta,
             contrast=rows[:, CONTRAST],
             radius=rows[:, SIZE] * self.appearance.diameter_px / 2,
             quality=self._quality(rows, errors, noise),
