@@ -22,14 +22,14 @@ PARAMETERS = 6
 TABLE_STEP = 1 / 16
 """Spacing [px] of the profile tables; linear between, so off by 1e-4 of the contrast at most."""
 
-_FAST = {'reassoc', 'contract', 'arcp', 'nsz'}
+FAST = {'reassoc', 'contract', 'arcp', 'nsz'}
 """All liberties of fast arithmetic but one: NaN and infinity keep their meaning."""
 
 _SMALLEST, _LARGEST = 0.4, 2.5
 _LONGEST_STEP = 1.0
 
 
-@numba.njit(cache=True, fastmath=_FAST, inline='always')
+@numba.njit(cache=True, fastmath=FAST, inline='always')
 def _profile(table, harmonic, r):  # type: ignore[no-untyped-def]
     """Value and radial derivative of one profile; zero beyond the table."""
     position = r * (1 / TABLE_STEP)
@@ -41,7 +41,7 @@ def _profile(table, harmonic, r):  # type: ignore[no-untyped-def]
     return low + slope * (position - k), slope * (1 / TABLE_STEP)
 
 
-@numba.njit(cache=True, fastmath=_FAST)
+@numba.njit(cache=True, fastmath=FAST)
 def _model(parameters, table, u, v):  # type: ignore[no-untyped-def]
     """What a particle adds to the background at an offset (u, v) from its centre.
 
@@ -56,7 +56,7 @@ def _model(parameters, table, u, v):  # type: ignore[no-untyped-def]
     return parameters[CONTRAST] * value
 
 
-@numba.njit(cache=True, fastmath=_FAST)
+@numba.njit(cache=True, fastmath=FAST)
 def background_at(grid, spacing, x, y):  # type: ignore[no-untyped-def]
     """The background, bilinear between the centres of cells of `spacing` px."""
     gx = min(max((x + 0.5) / spacing - 0.5, 0.0), grid.shape[1] - 1.0)
@@ -68,7 +68,7 @@ def background_at(grid, spacing, x, y):  # type: ignore[no-untyped-def]
     return top * (1 - fy) + (grid[j2, i] * (1 - fx) + grid[j2, i2] * fx) * fy
 
 
-@numba.njit(cache=True, fastmath=_FAST)
+@numba.njit(cache=True, fastmath=FAST)
 def _window(image, grid, spacing, parameters, i, neighbours, table, reach, pixels):  # type: ignore[no-untyped-def]
     """Fill `pixels` (·, 3) with x, y and the grey that background and neighbours leave."""
     row = parameters[i]
@@ -88,7 +88,7 @@ def _window(image, grid, spacing, parameters, i, neighbours, table, reach, pixel
     return count
 
 
-@numba.njit(cache=True, fastmath=_FAST)
+@numba.njit(cache=True, fastmath=FAST)
 def _accumulate(row, table, pixels, count, free, normal, gradient, jacobian):  # type: ignore[no-untyped-def]
     """Normal equations of one Gauss–Newton step; returns the sum of squared residuals."""
     normal[:] = 0.0
@@ -132,7 +132,7 @@ def _accumulate(row, table, pixels, count, free, normal, gradient, jacobian):  #
     return total
 
 
-@numba.njit(cache=True, fastmath=_FAST)
+@numba.njit(cache=True, fastmath=FAST)
 def _factor(normal, free):  # type: ignore[no-untyped-def]
     """Cholesky in place (lower); False where the picture does not determine the parameters."""
     for m in range(free):
@@ -149,7 +149,7 @@ def _factor(normal, free):  # type: ignore[no-untyped-def]
     return True
 
 
-@numba.njit(cache=True, fastmath=_FAST)
+@numba.njit(cache=True, fastmath=FAST)
 def _solve(factor, free, vector):  # type: ignore[no-untyped-def]
     for m in range(free):
         for k in range(m):
@@ -161,7 +161,7 @@ def _solve(factor, free, vector):  # type: ignore[no-untyped-def]
         vector[m] /= factor[m, m]
 
 
-@numba.njit(cache=True, fastmath=_FAST)
+@numba.njit(cache=True, fastmath=FAST)
 def _point_cap(row, table, pixels, count):  # type: ignore[no-untyped-def]
     """A first cap direction: where the residual of the round part leans."""
     along, across = 0.0, 0.0
@@ -176,7 +176,7 @@ def _point_cap(row, table, pixels, count):  # type: ignore[no-untyped-def]
     row[THETA] = math.atan2(across, along)
 
 
-@numba.njit(cache=True, fastmath=_FAST)
+@numba.njit(cache=True, fastmath=FAST)
 def _step(row, change, free):  # type: ignore[no-untyped-def]
     """Apply a step, bounded: far from the solution the linear model overshoots."""
     length = math.sqrt(change[X] ** 2 + change[Y] ** 2)
@@ -188,7 +188,7 @@ def _step(row, change, free):  # type: ignore[no-untyped-def]
     row[SIZE] = min(max(row[SIZE], _SMALLEST), _LARGEST)
 
 
-@numba.njit(cache=True, fastmath=_FAST)
+@numba.njit(cache=True, fastmath=FAST)
 def _fit_one(row, table, pixels, count, iterations, capped, errors, work):  # type: ignore[no-untyped-def]
     """Fit one particle; `errors` gets σ of each parameter [its unit] and the residual variance."""
     normal, gradient, jacobian = work[:PARAMETERS], work[PARAMETERS], work[PARAMETERS + 1]
@@ -217,7 +217,7 @@ def _fit_one(row, table, pixels, count, iterations, capped, errors, work):  # ty
     return True
 
 
-@numba.njit(cache=True, fastmath=_FAST)
+@numba.njit(cache=True, fastmath=FAST)
 def fit(image, grid, spacing, parameters, active, table, reach, iterations, sweeps):  # type: ignore[no-untyped-def]
     """Fit all particles of a picture, in place.
 

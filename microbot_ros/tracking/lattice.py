@@ -17,6 +17,7 @@ import numpy as np
 from microbot_ros.tracking.appearance import Appearance
 from microbot_ros.tracking.fit import (
     CONTRAST,
+    FAST,
     OFFSET,
     PARAMETERS,
     SIZE,
@@ -37,7 +38,6 @@ _SETTLED_AMONG_OTHERS = 0.04
 
 _TURNS, _TURNS_AMONG_OTHERS = 3, 6
 
-_FAST = {'reassoc', 'contract', 'arcp', 'nsz'}
 _LARGEST_CHANGE = 0.75
 
 
@@ -120,7 +120,7 @@ def _place(row):  # type: ignore[no-untyped-def]
     return int(x), int(y), i, j
 
 
-@numba.njit(cache=True, fastmath=_FAST)
+@numba.njit(cache=True, fastmath=FAST)
 def _gather(image, grid, spacing, x, y, window):  # type: ignore[no-untyped-def]
     """Fill a window, its middle at the pixel (x, y), with what the light leaves."""
     rows, columns = window.shape
@@ -149,7 +149,7 @@ def _gather(image, grid, spacing, x, y, window):  # type: ignore[no-untyped-def]
             window[dy, k] = grey - start - step_y * dy - step_x * k
 
 
-@numba.njit(cache=True, fastmath=_FAST)
+@numba.njit(cache=True, fastmath=FAST)
 def _take_away(window, x, y, other, pictures):  # type: ignore[no-untyped-def]
     """Take another particle out of the window whose middle is the pixel (x, y)."""
     other_x, other_y, i, j = _place(other)
@@ -165,7 +165,7 @@ def _take_away(window, x, y, other, pictures):  # type: ignore[no-untyped-def]
             window[to_y, to_x + k] -= contrast * picture[from_y, from_x + k]
 
 
-@numba.njit(cache=True, fastmath=_FAST)
+@numba.njit(cache=True, fastmath=FAST)
 def _project(window, design, overlap):  # type: ignore[no-untyped-def]
     """Overlaps of the window with the rows of the design; returns its sum of squares."""
     f0, f1, f2, f3, disc = design[0], design[1], design[2], design[3], design[4]
@@ -182,7 +182,7 @@ def _project(window, design, overlap):  # type: ignore[no-untyped-def]
     return squares
 
 
-@numba.njit(cache=True, fastmath=_FAST)
+@numba.njit(cache=True, fastmath=FAST)
 def _solve(covariance, overlap, solution):  # type: ignore[no-untyped-def]
     """The linear solution (5,); returns the sum of squares that it explains."""
     explained = 0.0
@@ -195,7 +195,7 @@ def _solve(covariance, overlap, solution):  # type: ignore[no-untyped-def]
     return explained
 
 
-@numba.njit(cache=True, fastmath=_FAST)
+@numba.njit(cache=True, fastmath=FAST)
 def _update(row, solution, i, j, x, y):  # type: ignore[no-untyped-def]
     """Parameters from the linear solution about the centre of a cell."""
     contrast = solution[0]
@@ -212,7 +212,7 @@ def _update(row, solution, i, j, x, y):  # type: ignore[no-untyped-def]
     row[SIZE] = 1 + solution[3] / contrast
 
 
-@numba.njit(cache=True, fastmath=_FAST)
+@numba.njit(cache=True, fastmath=FAST)
 def _conclude(row, squares, pixels, covariance, errors):  # type: ignore[no-untyped-def]
     variance = squares / (pixels - 5)
     contrast = max(abs(row[CONTRAST]), 1e-6)

@@ -8,16 +8,13 @@ import numba
 import numpy as np
 
 from microbot_ros.tracking.appearance import Appearance
+from microbot_ros.tracking.fit import FAST
 
 _LEAST_NOISE = 0.3
 """Grey levels: rounding to whole levels has a standard deviation of 1/√12."""
 
 
-_FAST = {'reassoc', 'contract', 'arcp', 'nsz'}
-"""All liberties of fast arithmetic but one: NaN and infinity keep their meaning."""
-
-
-@numba.njit(cache=True, fastmath=_FAST)
+@numba.njit(cache=True, fastmath=FAST)
 def block_mean(image, size):  # type: ignore[no-untyped-def]
     """Means (H // size, W // size) float32 over square blocks; a rest at the edge is left out."""
     rows, columns = image.shape[0] // size, image.shape[1] // size
