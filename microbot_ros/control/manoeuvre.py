@@ -58,8 +58,10 @@ def search(swarm: Swarm, task: Task, part: int = 0, parts: int = 1) -> Plan:
     far = float(np.abs(task.goal - swarm.position).max())
     coasts = _COASTS * 2 * far / float(np.abs(swarm.velocity).min())
     chosen = slice(part % parts, None, parts)
-    plans = [_best(swarm, task, _Opening(o.duration, o.field[:, chosen], o.least), coasts)
-             for o in _openings(task.limit, slowest)]
+    _, drift = swarm.surroundings(np.ones(1), np.zeros((1, 2)), swarm.position[None])
+    openings = [_Opening(o.duration, o.field[:, chosen], o.least)
+                for o in _openings(task.limit, slowest)]
+    plans = [_best(swarm, task, opening, coasts, drift[0]) for opening in openings]
     return min(plans, key=lambda found: found[0])[1]
 
 
@@ -81,8 +83,10 @@ def _vectors(z: np.ndarray) -> np.ndarray:
 
 
 def _best(swarm: Swarm, task: Task, opening: _Opening,
-          coasts: np.ndarray) -> tuple[float, Plan]:
+          coasts: np.ndarray, drift: np.ndarray) -> tuple[float, Plan]:
     """The cheapest plan that begins with an opening, and its cost [m²].
+
+    `drift` (N,) complex [m/s] is taken as it is now, until the end.
 
     Arrays are (spans of the opening, coasts, ways to begin, N).
     """
@@ -90,13 +94,16 @@ def _best(swarm: Swarm, task: Task, opening: _Opening,
     turned = np.concatenate([np.zeros_like(paths[:1]), np.cumsum(paths, 0)])[opening.least:]
     apart = turned[:, None] + headings[opening.least:, None] * coasts[:, None, None]
     middle = swarm.position + swarm.velocity * apart.swapaxes(2, 3)
-    left = task.goal - middle
+    spent = np.concatenate([[0.0], np.cumsum(opening.duration)])[opening.least:, None, None]
     power = np.vdot(swarm.velocity, swarm.velocity).real
-    together = (left @ swarm.velocity.conj()) / power
+    together = np.zeros(middle.shape[:-1], complex)
+    for _ in range(2 if np.any(drift) else 1):  # how long it drifts depends on the way
+        taken = spent + coasts[:, None] + np.abs(together)
+        left = task.goal - middle - drift * taken[..., None]
+        together = (left @ swarm.velocity.conj()) / power
     error = left - swarm.velocity * together[..., None]
     blur = power * 2 * task.wander * coasts[:, None] ** 3 / 3
     cost = ((np.abs(error) ** 2).sum(-1) + blur) / len(swarm.position)
-    spent = np.concatenate([[0.0], np.cumsum(opening.duration)])[opening.least:, None, None]
     cost += (task.impatience * (spent + coasts[:, None] + np.abs(together))) ** 2
     cost += _trespass(swarm.position, middle, task.goal - error, task)
     a, b, v = np.unravel_index(np.argmin(cost), cost.shape)

@@ -33,7 +33,7 @@ WORTH = 0.7
 """Another plan is taken up if it costs less than this part of going on as before."""
 SEARCH_EVERY = 6
 """Ticks between looks for another plan while one is carried out."""
-SEARCHED_AT_ONCE = 3
+SEARCHED_AT_ONCE = 2
 """Particles for which a tick has time to look at every plan; with more it looks at a part."""
 TRUST = 0.1
 """How much of the difference to a measured heading is believed at each tick."""

@@ -92,6 +92,16 @@ def test_different_lags_open_goals_that_one_field_can_not_serve(goal):
     assert np.abs(rollout.position[-1] - asked.goal).max() < 0.2e-6
 
 
+def test_a_search_counts_on_the_drift():
+    """Before any refinement: a plan that did not would end 5 µm off."""
+    drift = UniformDrift(wx=1.0e-6, wy=0.5e-6)
+    swarm = Swarm(np.array([0j]), np.array([4e-6 + 0j]), np.ones(1, complex),
+                  with_lags(Model(LIMIT, effects=(drift,)), [None]), 0.0)
+    asked = task([-20e-6 + 0j])
+    end = roll_out(swarm, search(swarm, asked), LIMIT).position[-1]
+    assert np.abs(end - asked.goal)[0] < 2e-6
+
+
 def test_equal_lags_open_nothing():
     swarm, asked = make(lags=(0.2, 0.2)), task((20e-6, 30e-6 - 15e-6j))
     lowest = floor(ANSWER, asked.goal - swarm.position)
