@@ -25,7 +25,7 @@ from microbot_ros.errors import InputError
               help="Put it through today's nodes in lock-step, and compare with what was "
                    'recorded.')
 @click.option('--node', 'nodes', multiple=True,
-              type=click.Choice(['tracker', 'model', 'controller']),
+              type=click.Choice(['tracker', 'model', 'controller', 'coil_driver']),
               help='With --check: only this node; may be given several times.')
 @click.option('--tolerance', type=Within(0, 1), default=0.0, show_default=True,
               help='With --check: what numbers may differ by, as a share of the largest in their '

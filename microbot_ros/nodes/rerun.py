@@ -14,7 +14,7 @@ from typing import Any
 import yaml
 
 from microbot_ros.errors import InputError
-from microbot_ros.nodes.graph import PARENT
+from microbot_ros.nodes.graph import PARENT, Graph
 from microbot_ros.session.lockstep import FRAMES, frame_topic
 from microbot_ros.session.playback import Source
 from microbot_ros.session.recording import Recording
@@ -38,9 +38,11 @@ STAGES = (
           'model/state'),
     Stage('controller', ('model/state', 'particles', 'goals', 'goal_pose', 'path', 'joy'),
           'field/command', ('field/rotation',)),
+    Stage('coil_driver', ('field/command',), 'coils/command'),
 )
 """The nodes whose answers follow from what is recorded, in the order of the graph."""
 
+_READY_SECONDS = 30.0
 _NO_DEADLINES = {'controller': {'deadline_ms': 1000.0}}
 """In lock-step the clock waits for whoever computes."""
 
@@ -126,8 +128,9 @@ def rerun(session: Path, out: Path, players: Cast, parameters: dict[str, dict[st
     """Play `session` to the nodes in lock-step, and record that to `out`.
 
     Up to `end_s`, or to the end if that is 0. All nodes share a process that nobody else on the
-    network sees or is seen by. Returns why the replay was given up, or ''. InputError where a
-    node does not take its parameters, or the player the recording.
+    network sees or is seen by; a coil driver drives an emulated amplifier. Returns why the
+    replay was given up, or ''. InputError where a node does not take its parameters, or the
+    player the recording.
     """
     nodes = {node: {**parameters.get(node, {}), **_NO_DEADLINES.get(node, {})}
              for node in players.nodes}
@@ -137,13 +140,21 @@ def rerun(session: Path, out: Path, players: Cast, parameters: dict[str, dict[st
     nodes['player'] = {
         'session': str(session), 'rate': 0.0, 'end_s': end_s, 'topics': list(players.played),
         'answers': [stage.answer for stage in players.stages]}
-    with tempfile.NamedTemporaryFile('w', suffix='.yaml') as file:
-        yaml.safe_dump({f'/**/{node}': {'ros__parameters': {**values, 'use_sim_time': True}}
-                        for node, values in nodes.items()}, file)
-        file.flush()
+    with tempfile.TemporaryDirectory() as name, Graph(lambda *_: None) as graph:
+        file, port = Path(name) / 'parameters.yaml', Path(name) / 'amplifier'
+        if 'coil_driver' in nodes:
+            nodes['coil_driver'] |= {'amplifier': 'serial_transfer', 'port': str(port)}
+            graph.start('amplifier', [sys.executable, '-m', 'microbot_ros.cli', 'emulate',
+                                      'serial_transfer', '--link', str(port)], 'serving')
+            graph.wait_ready(_READY_SECONDS)
+        file.write_text(yaml.safe_dump({
+            f'/**/{node}': {'ros__parameters': {**values, 'use_sim_time': True}}
+            for node, values in nodes.items()}))
         done = subprocess.run(
             [sys.executable, '-m', 'microbot_ros.nodes', *nodes, '--ros-args', '--params-file',
-             file.name, '-r', f'__ns:={players.namespace or "/"}'],
+             str(file), '-r', f'__ns:={players.namespace or "/"}',
+             # What is read back from the emulator is not what moved the particles.
+             '-r', 'coil_driver:field/applied:=coil_driver/field/applied'],
             env={**os.environ, PARENT: str(os.getpid()), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'OFF'},
             stdin=subprocess.DEVNULL, capture_output=True, text=True)
     said = done.stderr.strip().splitlines() or [f'ended with status {done.returncode}']

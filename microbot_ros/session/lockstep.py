@@ -10,7 +10,7 @@ from microbot_ros.session.playback import Playback
 from microbot_ros.session.recording import Message
 from microbot_ros.session.topics import is_topic
 
-FRAMES = ('camera/image_raw', 'particles', 'model/state')
+FRAMES = ('camera/image_raw', 'particles', 'model/state', 'field/command')
 """What sets the nodes going; of those that are played, the first is the frame."""
 
 

@@ -29,6 +29,7 @@ from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 HERE = Path(__file__).parent
 PIXEL_SIZE_UM = 0.45
 FRAMES = 150
+STEERED = ['model', 'controller', 'coil_driver']
 
 
 def steer(folder: Path) -> Path:
@@ -88,8 +89,8 @@ if __name__ == '__main__':
     with tempfile.TemporaryDirectory() as scratch:
         if 'again' in sys.argv:
             keep(HERE / 'tracking.mcap', 'tracking', ['tracker'])
-            keep(HERE / 'steering.mcap', 'steering', ['model', 'controller'])
+            keep(HERE / 'steering.mcap', 'steering', STEERED)
         else:
             keep(track(Path(scratch)), 'tracking', ['tracker'], 2.8)
             demo = steer(Path(scratch))
-            keep(demo, 'steering', ['model', 'controller'], seconds_after_goals(demo, 2.5))
+            keep(demo, 'steering', STEERED, seconds_after_goals(demo, 2.5))

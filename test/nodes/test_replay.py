@@ -41,7 +41,7 @@ def replay(*words: object) -> subprocess.CompletedProcess[str]:
 @pytest.mark.graph
 @pytest.mark.parametrize(('recording', 'topics', 'fewest'), [
     (TRACKING, {'/particles', '/particles/poses'}, 20),
-    (STEERING, {'/model/state', '/field/command'}, 500)])
+    (STEERING, {'/model/state', '/field/command', '/coils/command'}, 500)])
 def test_todays_nodes_answer_as_they_did(
         tmp_path: Path, recording: Path, topics: set[str], fewest: int) -> None:
     done = replay(recording, '--check', '--tolerance', ROUNDING, '--json', tmp_path / 'a.json')
@@ -69,7 +69,7 @@ def test_two_replays_are_the_same_in_every_field(tmp_path: Path) -> None:
     with open_recording(STEERING) as source:
         players = cast(source, STEERING)
         parameters = recorded_parameters(source, players.nodes, tmp_path)
-    assert players.nodes == ('model', 'controller')
+    assert players.nodes == ('model', 'controller', 'coil_driver')
     for name in 'ab':
         assert rerun(STEERING, tmp_path / name, players, parameters) == ''
     with open_recording(tmp_path / 'a') as a, open_recording(tmp_path / 'b') as b:
