@@ -222,6 +222,9 @@ class Fit:
         if visible.any():
             chosen = np.ix_(visible, visible)
             result[chosen] = np.linalg.pinv(information[chosen], hermitian=True)
+        # Rounding may give what can hardly be told apart a variance below zero.
+        variance = np.diagonal(result)
+        np.fill_diagonal(result, np.where(variance > 0, variance, np.inf))
         return result
 
 
