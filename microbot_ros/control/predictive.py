@@ -147,12 +147,13 @@ class Predictive(Ensemble):
     def _refine(self, swarm: Swarm, task: Task, plan: Plan, end: float) -> tuple[Plan, Rollout]:
         """Step by step, while a step like those before would be through by `end` [s]."""
         rollout = roll_out(swarm, plan, task.limit)
-        self._step_time *= 0.95  # what once took too long is tried again later
+        self._step_time *= 0.99  # what once took too long is tried again later
         now = time.perf_counter()
+        longest = 2 * (end - now)
         while now + self._step_time < end:
             better, rollout = improve(swarm, plan, task, rollout, (end - now) / 2)
             before, now = now, time.perf_counter()
-            self._step_time = max(now - before, self._step_time)
+            self._step_time = max(min(now - before, longest), self._step_time)
             if better is plan:
                 break
             plan = better
