@@ -42,6 +42,9 @@ DEADLINE = 0.0035
 """[s] What is late in a swap and in the tick after it costs at most twice that: under a period."""
 _WITNESS_PERIOD, _WITNESS_NOTICES = 1e-3, 2e-3
 
+Stalls = list[list[tuple[float, float]]]
+"""For each processor the times (begin, end) [s] in which it stood still."""
+
 
 @dataclass(frozen=True)
 class Swapped:
@@ -145,22 +148,23 @@ def _loop(count: int) -> tuple[np.ndarray, np.ndarray]:
     return ticks, fields
 
 
-def _late(ticks: np.ndarray, stalls: list[tuple[float, float]]) -> int:
-    """How many periods were missed, apart from what stalls (begin, end) [s] took."""
+def _late(ticks: np.ndarray, stalls: Stalls) -> int:
+    """How many periods were missed, apart from what stalls took."""
     missed = 0
     for due, done in ticks[np.diff(ticks)[:, 0] >= PERIOD].tolist():
-        stood = sum(max(0.0, min(done, end) - max(due, begin)) for begin, end in stalls)
+        stood = max((sum(max(0.0, min(done, end) - max(due, begin)) for begin, end in processor)
+                     for processor in stalls), default=0.0)
         missed += int((done - due - stood) / PERIOD)
     return missed
 
 
 @contextmanager
-def _undisturbed() -> Iterator[list[tuple[float, float]]]:
+def _undisturbed() -> Iterator[Stalls]:
     """Real-time priority, where that is allowed, and witnesses on every processor.
 
-    The list is filled, at the end, with the times (begin, end) [s] in which one stood still.
+    The list is filled at the end.
     """
-    stalls: list[tuple[float, float]] = []
+    stalls: Stalls = []
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
     except PermissionError:
@@ -177,7 +181,7 @@ def _undisturbed() -> Iterator[list[tuple[float, float]]]:
     finally:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
         for witness in witnesses:
-            stalls += json.loads(witness.communicate('stop\n')[0])
+            stalls.append(json.loads(witness.communicate('stop\n')[0]))
 
 
 def _witness(processor: int) -> None:
