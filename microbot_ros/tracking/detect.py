@@ -95,16 +95,16 @@ class RoundDetector:
         found, hidden = self._assign(peaks, expected)
         rows = _starts(np.vstack([found, hidden]))
         errors = self._fit(image, grid, rows, np.ones(len(rows), bool))
-        good = self._acceptable(rows, errors, noise)
+        quality, good = self._judge(rows, errors, noise)
         wrong = np.flatnonzero(~good[len(found):]) + len(found)
         if len(wrong):
             self._without(wrong, peaks, image, grid, rows, errors)
-            good = self._acceptable(rows, errors, noise)
+            quality, good = self._judge(rows, errors, noise)
         known = np.sum(good) * np.pi * (self.appearance.reach_px + self._filter.shrink) ** 2
         strange = (texture - known) / image.size
         self.remark = '' if strange < _STRANGE else (
             f'{100 * strange:.0f} % of the picture show something that is no particle')
-        return self._detections(rows[good], errors[good], noise)
+        return self._detections(rows[good], errors[good], quality[good], noise)
 
     def _assign(self, peaks: np.ndarray, expected: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where to start: the peaks, and expected particles hidden in the peak of another.
@@ -151,22 +151,19 @@ class RoundDetector:
         again = self._fit(image, grid, rows, disturbed)
         errors[disturbed] = again[disturbed]
 
-    def _acceptable(self, rows: np.ndarray, errors: np.ndarray, noise: float) -> np.ndarray:
-        """Whether each fit is a particle: contrast, size, sharpness, and no other on top of it."""
-        settings, tolerance = self._settings, self._settings.size_tolerance
-        good = rows[:, CONTRAST] >= self.appearance.min_contrast_grey
-        good &= rows[:, CONTRAST] >= settings.min_detection_sigma * errors[:, CONTRAST]
-        good &= (rows[:, SIZE] <= tolerance) & (rows[:, SIZE] >= 1 / tolerance)
-        good &= self._quality(rows, errors, noise) >= settings.min_quality
-        return good & ~_doubled(rows, good, _CLOSEST * self.appearance.diameter_px)
+    def _judge(
+        self, rows: np.ndarray, errors: np.ndarray, noise: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Quality of each fit (N,), and whether it is a particle and no other is on top of it."""
+        settings, appearance = self._settings, self.appearance
+        quality, good = _judge(
+            rows, errors, noise, self._energy, appearance.min_contrast_grey,
+            settings.min_detection_sigma, settings.size_tolerance, settings.min_quality)
+        return quality, good & ~_doubled(rows, good, _CLOSEST * appearance.diameter_px)
 
-    def _quality(self, rows: np.ndarray, errors: np.ndarray, noise: float) -> np.ndarray:
-        misfit = np.maximum(errors[:, PARAMETERS] - noise**2, 0) * errors[:, PARAMETERS + 1]
-        energy = self._energy * (rows[:, CONTRAST] * rows[:, SIZE]) ** 2
-        with np.errstate(divide='ignore', invalid='ignore'):
-            return 1 - misfit / energy
-
-    def _detections(self, rows: np.ndarray, errors: np.ndarray, noise: float) -> Detections:
+    def _detections(
+        self, rows: np.ndarray, errors: np.ndarray, quality: np.ndarray, noise: float
+    ) -> Detections:
         theta = np.full(len(rows), np.nan)
         if self.appearance.capped:
             known = errors[:, THETA] < _THETA_KNOWN
@@ -178,7 +175,7 @@ class RoundDetector:
             theta=theta,
             contrast=rows[:, CONTRAST],
             radius=rows[:, SIZE] * self.appearance.diameter_px / 2,
-            quality=self._quality(rows, errors, noise),
+            quality=quality,
         )
 
 
@@ -197,11 +194,23 @@ def _redundancy(errors: np.ndarray, noise: float) -> np.ndarray:
 
 def _starts(peaks: np.ndarray) -> np.ndarray:
     """Parameters to start a fit from rows x, y, contrast."""
-    rows = np.full((len(peaks), PARAMETERS), np.nan)
-    rows[:, [X, Y, CONTRAST]] = peaks
-    rows[:, OFFSET] = 0.0
-    rows[:, SIZE] = 1.0
+    rows = np.empty((len(peaks), PARAMETERS))
+    rows[:, :OFFSET] = peaks
+    rows[:, OFFSET:] = 0.0, 1.0, np.nan
     return rows
+
+
+@numba.njit(cache=True, error_model='numpy')
+def _judge(rows, errors, noise, energy, contrast, sigma, tolerance, least):  # type: ignore[no-untyped-def]
+    """Quality (N,) of each fit; whether contrast, its σ, size and quality are a particle's."""
+    quality, good = np.empty(len(rows)), np.empty(len(rows), np.bool_)
+    for n in range(len(rows)):
+        a, size = rows[n, CONTRAST], rows[n, SIZE]
+        misfit = max(errors[n, PARAMETERS] - noise**2, 0.0) * errors[n, PARAMETERS + 1]
+        quality[n] = 1 - misfit / (energy * (a * size) ** 2)
+        good[n] = (a >= contrast and a >= sigma * errors[n, CONTRAST]
+                   and 1 / tolerance <= size <= tolerance and quality[n] >= least)
+    return quality, good
 
 
 @numba.njit(cache=True)

@@ -36,7 +36,7 @@ _EXACT = 0.0005
 _SETTLED_AMONG_OTHERS = 0.04
 """Pixels: after a smaller move another turn would give the same, neighbours included."""
 
-_TURNS, _TURNS_AMONG_OTHERS = 3, 6
+_TURNS, _TURNS_AMONG_OTHERS = 2, 6
 
 _LARGEST_CHANGE = 0.75
 

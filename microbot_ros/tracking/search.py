@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import functools
-
 import numba
 import numpy as np
 
@@ -17,8 +15,14 @@ _LEAST_NOISE = 0.3
 @numba.njit(cache=True, fastmath=FAST)
 def block_mean(image, size):  # type: ignore[no-untyped-def]
     """Means (H // size, W // size) float32 over square blocks; a rest at the edge is left out."""
-    rows, columns = image.shape[0] // size, image.shape[1] // size
-    mean = np.empty((rows, columns), np.float32)
+    mean = np.empty((image.shape[0] // size, image.shape[1] // size), np.float32)
+    return block_mean_into(mean, image, size)
+
+
+@numba.njit(cache=True, fastmath=FAST)
+def block_mean_into(mean, image, size):  # type: ignore[no-untyped-def]
+    """`block_mean` that fills `mean` and returns it."""
+    rows, columns = mean.shape
     line = np.empty(columns * size, np.float32)
     scale = np.float32(1.0 / (size * size))
     for j in range(rows):
@@ -110,8 +114,9 @@ def pixel_noise(image: np.ndarray) -> float:
     What varies slower than from pixel to pixel drops out (J. Immerkær, Computer Vision and Image
     Understanding 64, 300, 1996); the median makes edges of particles drop out too.
     """
-    difference = _second_differences(image, *(max(1, length // 48) for length in image.shape))
-    return max(1.4826 * float(np.median(difference)) / 6, _LEAST_NOISE)
+    difference = _second_differences(image, *(max(1, length // 40) for length in image.shape))
+    middle = len(difference) // 2
+    return max(1.4826 * float(np.partition(difference, middle)[middle]) / 6, _LEAST_NOISE)
 
 
 @numba.njit(cache=True)
@@ -193,15 +198,23 @@ class MatchedFilter:
         ]
         self.gain = float(scale * np.sqrt(np.sum(kernel**2)))
         self._separation = max(1, round(0.35 * appearance.diameter_px / self.shrink))
+        self._pictures = np.empty((0, 0, 0), np.float32)
 
     def response(self, image: np.ndarray) -> np.ndarray:
-        """Contrast [grey] that a particle centred in each cell would have."""
+        """Contrast [grey] that a particle centred in each cell would have; valid till the next."""
         import cv2
 
-        if self.shrink > 1:
-            image = block_mean(image, self.shrink)
-        parts = [cv2.sepFilter2D(image, cv2.CV_32F, row, column) for column, row in self._parts]
-        return np.asarray(functools.reduce(cv2.add, parts))
+        # Fresh memory for each frame would cost as much as the filters.
+        shape = (3, image.shape[0] // self.shrink, image.shape[1] // self.shrink)
+        if self._pictures.shape != shape:
+            self._pictures = np.empty(shape, np.float32)
+        response, part, small = self._pictures
+        block_mean_into(small, image, self.shrink)
+        for k, (column, row) in enumerate(self._parts):
+            cv2.sepFilter2D(small, cv2.CV_32F, row, column, dst=part if k else response)
+            if k:
+                cv2.add(response, part, dst=response)
+        return response
 
     def candidates(
         self, image: np.ndarray, least_sigma: float, least_contrast: float
