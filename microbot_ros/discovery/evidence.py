@@ -25,8 +25,12 @@ FORGOTTEN = 5.0
 SPREAD, GATHERED = 0.25, 0.12
 """Standard deviation of headings [rad] at which they are lost, and found again."""
 
+USUAL = 1.5
+"""Times the usual variance of headings, up to which they count as gathered."""
+
 TURNING = 0.01
-"""Rotational diffusion [rad²/s] where radius and viscosity are not known: of 2.4 µm in water."""
+"""Rotational diffusion [rad²/s] to begin with where radius and viscosity are not known: of a
+sphere of 2.4 µm in water."""
 
 CONTACT, BLUR = 1.05, 3.0
 """How near spheres may touch between frames: in distances of contact, and in usual steps more."""
@@ -192,8 +196,10 @@ def first_field(commands: Commands) -> float:
     return float(driven[0]) if driven.size else np.inf
 
 
-def explainable(evidence: Evidence, model: Model) -> Evidence:
+def explainable(evidence: Evidence, model: Model, turning: float = TURNING) -> Evidence:
     """What a model that knows no chance in headings can explain.
+
+    `turning` is the rotational diffusion [rad²/s] where radius and viscosity don't tell it.
 
     Headings are unknown until the first field has come and aligned them, and again after a turn
     so near 180° that Brownian motion chooses the way round. Never less than half the time.
@@ -205,11 +211,11 @@ def explainable(evidence: Evidence, model: Model) -> Evidence:
     kept = evidence.since(min(start, half)) if start > 0 else evidence
     if tau == 0:
         return kept
-    lost = _lost(kept, model)
+    lost = _lost(kept, model, turning)
     return kept if lost.mean() > 0.5 else kept.cut(lost[:, None] & np.ones_like(kept.seen))
 
 
-def _lost(evidence: Evidence, model: Model) -> np.ndarray:
+def _lost(evidence: Evidence, model: Model, turning: float) -> np.ndarray:
     """Frames (T,) in which headings may be far from where the model has them.
 
     From when Brownian turning, amplified by every turn of nearly 180°, spreads them wider than a
@@ -217,12 +223,16 @@ def _lost(evidence: Evidence, model: Model) -> np.ndarray:
     """
     nobody = ParticleParameters.from_velocity(np.zeros(1, int), np.ones(1, complex))
     kept = heading_response(model, nobody, evidence.timeline).kept[:, 0]
-    kick = 2 * (evidence.turning or TURNING) * np.diff(evidence.times)
-    lost = np.zeros(len(evidence.times), bool)
-    variance = 0.0
+    kick = 2 * (evidence.turning or turning) * np.diff(evidence.times)
+    variance = np.zeros(len(evidence.times))
     for k in range(len(kept)):
-        variance = min(kept[k] ** 2 * variance + kick[k], np.pi**2)
-        lost[k + 1] = variance > (GATHERED if lost[k] else SPREAD) ** 2
+        variance[k + 1] = min(kept[k] ** 2 * variance[k] + kick[k], np.pi**2)
+    # Where it is large at all times, the filter does what it can with it.
+    usual = USUAL * float(np.median(variance))
+    spread, gathered = max(SPREAD**2, 2 * usual), max(GATHERED**2, usual)
+    lost = np.zeros(len(variance), bool)
+    for k in range(1, len(variance)):
+        lost[k] = variance[k] > (gathered if lost[k - 1] else spread)
     return lost
 
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
-from microbot_ros.discovery.evidence import Evidence, explainable
+from microbot_ros.discovery.evidence import TURNING, Evidence, explainable
 from microbot_ros.discovery.likelihood import Fit, Whitening, evaluate, settle
 from microbot_ros.discovery.result import Candidate, Rung
 from microbot_ros.discovery.search import Found, found_in, look
@@ -56,12 +56,15 @@ class Ladder:
 
     def stand(self, model: Model) -> Fit:
         """A model on what of the sessions it can explain, with places as it believes them."""
-        fit = self._stand(model)
-        # What a lag can explain depends on how long it is.
-        return self._stand(fit.model) if fit.model.effect('alignment_lag') else fit
+        fit = self._stand(model, [TURNING] * len(self.originals))
+        if not fit.model.effect('alignment_lag'):
+            return fit
+        # What a lag can explain depends on how long it is, and on how headings jitter.
+        return self._stand(fit.model, [p.whitening.turning * p.diffusion for p in fit.parts])
 
-    def _stand(self, model: Model) -> Fit:
-        evidences = [explainable(e, model) for e in self.originals]
+    def _stand(self, model: Model, turning: Sequence[float]) -> Fit:
+        evidences = [explainable(e, model, jitter)
+                     for e, jitter in zip(self.originals, turning, strict=True)]
         fit = settle(evaluate(model, evidences, [Whitening(e.interval) for e in evidences]))
         located = [
             p.evidence.located(p.levels.moved(p.swim), p.whitening.excess) for p in fit.parts]
