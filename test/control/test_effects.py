@@ -75,8 +75,9 @@ def swim(obstacle, view, start, goal, seconds):
     world = World(bodies(fluid, radius, moment, phi, np.array([start]), speed=speed),
                   np.random.default_rng(3))
     controller = Predictive()
+    # The margin is what diffusion and delay may take; time enough even on a busy machine.
     controller.configure(PredictiveParameters(
-        obstacles_um=(np.array(obstacle) * 1e6).tolist(), margin_um=2.0))
+        obstacles_um=(np.array(obstacle) * 1e6).tolist(), margin_um=4.0, budget_ms=20.0))
     board = Switchboard({'it': controller}, 'it', deadline=30.0)
     times, fields, places, dt = [-1.0], [np.zeros(2)], [], 1 / 20
     for k in range(round(seconds / dt)):
@@ -97,7 +98,7 @@ def test_in_true_physics_an_obstacle_is_gone_round_within_a_narrow_view():
     view = dataclasses.replace(VIEW, low=np.array([-40e-6, -20e-6]), high=np.array([40e-6, 12e-6]))
     places = swim([*centre, radius], view, (-28e-6, 0.0), (28e-6, 2e-6), 25)
     assert np.hypot(*(places[-40:] - [28e-6, 2e-6]).T).mean() < 3e-6
-    assert np.hypot(*(places - centre).T).min() > radius - 0.5e-6
+    assert np.hypot(*(places - centre).T).min() > radius
     assert view.holds(places).all()
 
 
