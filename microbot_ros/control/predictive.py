@@ -49,7 +49,8 @@ class PredictiveParameters(SharedFieldParameters):
         [0.0], 'Alignment time of particles 0, 1, 2, … at the reference field; 0, or beyond the '
         'list: what the model says.', lower=0.0, upper=30.0)
     obstacles_um: list[float] = setting(
-        [0.0, 0.0, 0.0], 'x, y and radius of each obstacle, one after the other; radius 0: none.',
+        [0.0, 0.0, 0.0], 'x, y and radius of each obstacle, one after the other; margin_um is '
+        'kept from them; radius 0: none.',
         lower=-10000.0, upper=10000.0)
     impatience_um_s: float = setting(
         0.1, 'The final error that a second is worth.', lower=0.0, upper=10.0)
@@ -186,7 +187,7 @@ class Predictive(Ensemble):
         return Task(
             as_complex(goals), min(units.to_si('field_mT', p.field_mT), situation.limits.field),
             Workspace(view.low + margin, view.high - margin), (x + 1j * y)[solid],
-            radius[solid], units.to_si('impatience_um_s', p.impatience_um_s), p.wander_per_s)
+            radius[solid] + margin, units.to_si('impatience_um_s', p.impatience_um_s), p.wander_per_s)
 
     def _follow(self, situation: Situation, rows: np.ndarray, swarm: Swarm) -> Swarm:
         """The swarm with its headings when this command begins to act.

@@ -75,9 +75,8 @@ def swim(obstacle, view, start, goal, seconds):
     world = World(bodies(fluid, radius, moment, phi, np.array([start]), speed=speed),
                   np.random.default_rng(3))
     controller = Predictive()
-    # The margin is what diffusion and delay may take; time enough even on a busy machine.
     controller.configure(PredictiveParameters(
-        obstacles_um=(np.array(obstacle) * 1e6).tolist(), margin_um=4.0, budget_ms=20.0))
+        obstacles_um=(np.array(obstacle) * 1e6).tolist(), margin_um=2.0))
     board = Switchboard({'it': controller}, 'it', deadline=30.0)
     times, fields, places, dt = [-1.0], [np.zeros(2)], [], 1 / 20
     for k in range(round(seconds / dt)):
