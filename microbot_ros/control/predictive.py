@@ -186,8 +186,9 @@ class Predictive(Ensemble):
         view = situation.workspace
         return Task(
             as_complex(goals), min(units.to_si('field_mT', p.field_mT), situation.limits.field),
-            Workspace(view.low + margin, view.high - margin), (x + 1j * y)[solid],
-            radius[solid] + margin, units.to_si('impatience_um_s', p.impatience_um_s), p.wander_per_s)
+            Workspace(view.low + margin, view.high - margin),
+            (x + 1j * y)[solid], radius[solid] + margin,
+            units.to_si('impatience_um_s', p.impatience_um_s), p.wander_per_s)
 
     def _follow(self, situation: Situation, rows: np.ndarray, swarm: Swarm) -> Swarm:
         """The swarm with its headings when this command begins to act.
