@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from microbot_ros.discovery.discover import discover
 from microbot_ros.discovery.result import Discovery
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model
+from microbot_ros.records import Session
 from microbot_ros.units import to_si
 
 
@@ -29,7 +30,7 @@ class Case:
     effects: tuple[str, ...] = ()
     evidence: float = 0.0
     rolling: bool = False
-    rival: bool = False
+    rivals: tuple[str, ...] = ()
 
     def draw(self) -> Blind:
         """The session."""
@@ -44,7 +45,7 @@ class Outcome:
     `names` (id, status), plainest first; `rivals`: what those names can't be told from, all
     together; `covered`: per parameter of a right name, whether its 95 % interval holds the truth;
     `excess`: held-out gap before, after, of the true model, and floor [m]; `unknowns` and `rows`:
-    k and n of the theoretical limit k ln n; `rival`: how many false terms PySINDy kept.
+    k and n of the theoretical limit k ln n; `rivals_said`: how many terms each rival kept.
     """
 
     case: Case
@@ -58,7 +59,7 @@ class Outcome:
     unknowns: int
     rows: int
     seconds: float
-    rival: int | None = None
+    rivals_said: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def established(self) -> set[str]:
@@ -97,13 +98,24 @@ def judge(case: Case) -> Outcome:
         tuple(residual.against for residual in found.unexplained),
         tuple(covered(session, found)), (gap.before, gap.after, gap.truth, gap.floor),
         sum(len(EFFECTS[e].parameters()) for e in case.effects if e in EFFECTS), 2 * rows,
-        seconds, _rival(session) if case.rival else None)
+        seconds, {name: _RIVALS[name](session.session) for name in case.rivals})
 
 
-def _rival(session: Blind) -> int:
+def _pysindy(session: Session) -> int:
     from bench._pysindy_rival import false_terms
 
-    return false_terms(session.session)
+    return false_terms(session)
+
+
+def _sfi(session: Session) -> int:
+    from bench._sfi_rival import false_terms
+
+    return false_terms(session)
+
+
+PYSINDY, SFI = 'PySINDy', 'StochasticForceInference'
+_RIVALS: dict[str, Callable[[Session], int]] = {PYSINDY: _pysindy, SFI: _sfi}
+"""Imported where they run: both take long to load, and one does not survive a fork."""
 
 
 def true_model(session: Blind) -> Model:
@@ -160,10 +172,11 @@ def _one_core() -> None:
 def null_cases(count: int) -> list[Case]:
     """Nothing hidden, all kinds of command in turn, rollers every eighth time.
 
-    Sixty of them go to PySINDy too.
+    Sixty of them go to PySINDy too, and a dozen to StochasticForceInference, which takes longer.
     """
     return [
-        Case('null', seed, COMMANDS[seed % 4], rolling=seed % 8 == 1, rival=seed < 60)
+        Case('null', seed, COMMANDS[seed % 4], rolling=seed % 8 == 1,
+             rivals=(PYSINDY, SFI)[:(seed < 60) + (seed < 12)])
         for seed in range(count)
     ]
 

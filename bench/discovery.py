@@ -1,4 +1,4 @@
-"""The score card of discovery on blind sessions, with PySINDy on the same ones beside it.
+"""The score card of discovery on blind sessions, with its rivals on the same ones beside it.
 
 Counts come with their exact 95 % binomial intervals, since the number of sets is what the time
 allows; `out/discovery_suite.json` has every set with its seed. About 12 minutes on two cores.
@@ -17,6 +17,8 @@ import numpy as np
 
 from bench._hidden_suite import blind
 from bench._score_card import (
+    PYSINDY,
+    SFI,
     Outcome,
     null_cases,
     one_each,
@@ -28,8 +30,6 @@ from bench._score_card import (
 )
 from bench.figure import Figure
 from microbot_ros.files import write_text
-
-PYSINDY = 'PySINDy'
 
 
 def figures() -> list[Figure]:
@@ -66,8 +66,9 @@ def score(outcomes: Iterable[Outcome]) -> list[Figure]:
 
 
 def _nothing_missing(outcomes: list[Outcome]) -> list[Figure]:
-    rival = [o.rival > 0 for o in outcomes if o.rival is not None]
-    peer = f'{PYSINDY}: {np.mean(rival):.0%} of {len(rival)}'
+    false = {name: [o.rivals_said[name] > 0 for o in outcomes if name in o.rivals_said]
+             for name in (PYSINDY, SFI)}
+    peer = ', '.join(f'{name}: {sum(said)} of {len(said)}' for name, said in false.items())
     return [
         _share('nothing missing: established names',
                [bool(o.established) for o in outcomes], 0.01, at_most=True, peer=peer),

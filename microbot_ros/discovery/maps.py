@@ -19,6 +19,9 @@ RANK = 1e-6
 
 BINS = 12
 
+DIRECTED = 0.02
+"""Part of its largest speed below which a particle has no direction to draw along."""
+
 
 def residual_maps(fit: Fit) -> tuple[ResidualMap, ...]:
     """All maps of a fit, Holm-adjusted together."""
@@ -96,7 +99,7 @@ def _rhythm(fit: Fit, surroundings: list[Surroundings] | None = None) -> Residua
     else:
         direction = np.zeros_like(p.residual)
         direction[1:] = surroundings[k].body * np.abs(p.swim)
-        weight = (np.abs(direction) ** 2 * p.evidence.seen).sum()
+        weight = max(float((np.abs(direction) ** 2 * p.evidence.seen).sum()), 1e-300)
         own = (p.residual * direction.conj()).sum(axis=1)
         parts = [turning_parts(p.evidence.times, axis, fastest) for axis in (own.real, own.imag)]
         frequency = parts[0][0]
@@ -126,9 +129,11 @@ def _curves(p: Part, group: Group) -> tuple[np.ndarray, dict[str, tuple[np.ndarr
     """Mean residual velocity along and across the frame, in bins of the covariate."""
     e = p.evidence
     left = np.diff(e.z - p.levels.moved(p.swim), axis=0)
-    use = e.seen[1:] & e.seen[:-1] & np.isfinite(group.value) & (np.abs(group.frame) > 0.5)
-    turned = left * np.conj(group.frame) / np.diff(e.times)[:, None]
-    value, velocity = group.value[use], turned[use]
+    length = np.abs(group.frame)
+    use = e.seen[1:] & e.seen[:-1] & np.isfinite(group.value) & (length > DIRECTED)
+    turned = left * np.conj(group.frame) / np.maximum(length, DIRECTED) / np.diff(e.times)[:, None]
+    # Levels that differ by rounding are one.
+    value, velocity = np.round(group.value[use], 6), turned[use]
     if not value.size:
         return np.empty(0), {}
     edges = np.unique(np.quantile(value, np.linspace(0, 1, BINS + 1)))

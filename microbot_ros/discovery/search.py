@@ -237,7 +237,9 @@ def _swings(fit: Fit) -> list[Effect]:
     frequency, forward, back = turning_parts(
         longest.evidence.times, longest.residual.sum(axis=1), _fastest(fit))
     power = np.abs(forward) ** 2 + np.abs(back) ** 2
-    peaks = [k for k in np.argsort(-power) if power[k] == power[max(k - 3, 0):k + 4].max()]
+    known = next(p for p in PeriodicDrift.parameters() if p.field == 'frequency')
+    peaks = [k for k in np.argsort(-power) if power[k] == power[max(k - 3, 0):k + 4].max()
+             and known.low <= frequency[k] <= known.high]
     scored = []
     for k in peaks[:TRIED]:
         # x + iy = ½ a (e^{i(α+ψ)} e^{iωt} + e^{i(α−ψ)} e^{−iωt}): the two turning parts.
