@@ -7,6 +7,7 @@ import numpy as np
 from microbot_ros.discovery.ladder import without
 from microbot_ros.discovery.likelihood import Fit, Part, evaluate, maximise
 from microbot_ros.discovery.result import Gap
+from microbot_ros.discovery.search import found_in, shown
 from microbot_ros.model.model import Model
 
 HORIZON = 1.0
@@ -65,7 +66,7 @@ def held_out_gap(before: Fit, after: Fit, truth: Model | None = None) -> Gap:
         inside = [_block(p, BLOCKS) == block for p in after.parts]
         for model, found in zip(models, errors, strict=True):
             rest = _on(after, model, [~frames for frames in inside])
-            learned = rest if model is truth else maximise(rest)
+            learned = rest if model is truth else _learned(rest)
             found += [
                 _errors(p, whole, frames, horizon)
                 for p, whole, frames in zip(learned.parts, after.parts, inside, strict=True)
@@ -76,6 +77,17 @@ def held_out_gap(before: Fit, after: Fit, truth: Model | None = None) -> Gap:
         for found in errors
     ]
     return Gap(horizon, excess[0], excess[1], floor, excess[2] if truth else float('nan'))
+
+
+def _learned(fit: Fit) -> Fit:
+    """Fitted, without spots and swings that these frames do not show: they would be made up."""
+    learned = maximise(fit)
+    for effect in learned.model.effects:
+        if any(p.shape for p in effect.parameters()):
+            rest = maximise(_on(learned, learned.model.without(effect.id)))
+            worth = found_in(learned, rest, effect.id).delta_bic > 0
+            learned = learned if worth and shown(learned, effect.id) else rest
+    return learned
 
 
 def _excess(errors: np.ndarray, floor: float) -> float:

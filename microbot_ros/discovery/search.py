@@ -86,10 +86,10 @@ def look(fit: Fit, effect_id: str) -> Found | None:
     best = min(tried, key=lambda t: t.cost)
     if fit.cost - best.cost > NEGLIGIBLE:
         best = settle(best)
-    return found_in(best, fit, effect_id) if _shown(best, effect_id) else None
+    return found_in(best, fit, effect_id) if shown(best, effect_id) else None
 
 
-def _shown(fit: Fit, effect_id: str) -> bool:
+def shown(fit: Fit, effect_id: str) -> bool:
     """Whether the recording shows the shape that was found, not only its flank.
 
     Half a swing or the far slope of a spot could stand in for anything smooth.
