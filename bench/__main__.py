@@ -40,7 +40,9 @@ def main() -> int:
         )
     Console(width=150 if not sys.stdout.isatty() else None).print(table)
     entries = [dataclasses.asdict(figure) for figure in figures]
-    write_text(Path('out/bench.json'), json.dumps(entries, indent=1, ensure_ascii=False) + '\n')
+    # Figures may hold NumPy's own numbers and truth values.
+    text = json.dumps(entries, indent=1, ensure_ascii=False, default=lambda value: value.item())
+    write_text(Path('out/bench.json'), text + '\n')
     return 0 if all(figure.ok for figure in figures) else 1
 
 
