@@ -7,6 +7,7 @@ import functools
 import math
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -68,11 +69,16 @@ class Predictive(Ensemble):
     and bring them on together. At each tick what is left of the plan is improved by quadratic
     programmes, as many as time allows; from time to time, and when the plan is through, others
     are looked for. In between, and where no plan is worth its time, it does as `ensemble` does.
+    `clock` [s] is what the budget is held against.
     """
 
     interface_version = 1
     summary = 'All particles to their goals by planning with all the model knows.'
     Parameters = PredictiveParameters
+
+    def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
+        super().__init__()
+        self._clock = clock
 
     def reset(self) -> None:
         """Forget goals, plan and headings."""
@@ -107,7 +113,7 @@ class Predictive(Ensemble):
 
     def compute(self, situation: Situation) -> FieldCommand:
         """The first field of the plan."""
-        begun = time.perf_counter()
+        begun = self._clock()
         model, p = situation.model, self.parameters
         if model is None:
             raise ModelError(NO_MODEL)
@@ -149,11 +155,11 @@ class Predictive(Ensemble):
         """Step by step, while a step like those before would be through by `end` [s]."""
         rollout = roll_out(swarm, plan, task.limit)
         self._step_time *= 0.99  # what once took too long is tried again later
-        now = time.perf_counter()
+        now = self._clock()
         longest = 2 * (end - now)
         while now + self._step_time < end:
             better, rollout = improve(swarm, plan, task, rollout, (end - now) / 2)
-            before, now = now, time.perf_counter()
+            before, now = now, self._clock()
             self._step_time = max(min(now - before, longest), self._step_time)
             if better is plan:
                 break
