@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -23,6 +24,8 @@ and a zero that the line damaged is not the last word."""
 _CHECK_WAIT_S = 0.002
 _BACKOFF_S = (0.1, 2.0)
 """First and longest pause between attempts to reconnect; each is twice the one before."""
+_PRIORITY = 10
+"""Among real-time threads; all others of the machine wait for any of these."""
 
 
 class CoilDriver:
@@ -31,9 +34,10 @@ class CoilDriver:
     The thread lives from `start` to `stop` and does all that must happen without being asked:
     stale commands, silence and deviation end in zero, whatever hangs elsewhere in the process;
     a lost line is latched as a fault and reopened with zero, still disarmed. `on_reading` is
-    called in that thread for each reading and must not block. With `self_check`, arming sends a
-    pulse through each coil first. Raises InputError for a current limit that is more than the
-    amplifier can give, and for limits that leave no room for the pulse.
+    called in that thread for each reading and must not block. Where the system allows it, the
+    thread runs in real time: a busy machine does not hold up the zero. With `self_check`, arming
+    sends a pulse through each coil first. Raises InputError for a current limit that is more than
+    the amplifier can give, and for limits that leave no room for the pulse.
     """
 
     def __init__(self, amplifier: Amplifier, limits: Limits,
@@ -45,6 +49,8 @@ class CoilDriver:
         self.amplifier = amplifier
         self.gate = Gate(limits)
         self.connected = False
+        self.real_time = False
+        """Whether the thread that watches comes before all that is not real-time."""
         self.gains: list[float] | None = None
         """Measured over commanded current of each coil in the last self-check that passed."""
         self._checks = self_check
@@ -134,6 +140,7 @@ class CoilDriver:
             return None
 
     def _run(self) -> None:
+        self.real_time = _hurry()
         pause_s = _BACKOFF_S[0]
         try:
             while not self._ending.is_set():
@@ -198,3 +205,12 @@ class CoilDriver:
     def _disconnect(self) -> bool:
         self.connected = False
         return self.amplifier.close()
+
+
+def _hurry() -> bool:
+    """Let this thread go first, where the system has real-time scheduling and grants it."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
+    except (AttributeError, OSError):
+        return False
+    return True

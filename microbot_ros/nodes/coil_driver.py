@@ -119,7 +119,7 @@ class CoilDriverNode(RigNode):
             'frames_received': counters.frames_received, 'crc_errors': counters.crc_errors,
             'discarded_bytes': counters.discarded_bytes, 'latency_ms': self._latency * 1e3,
             'commands_refused': self._refused, 'hottest_coil_percent': 100 * max(gate.heat),
-            'self_check': self._self_check()}
+            'self_check': self._self_check(), 'real_time': self._driver.real_time}
         if gate.fault:
             sentence = f'coils at zero, {gate.fault.reason.value}: {gate.fault.detail}'
             return ERROR, sentence, values
