@@ -35,6 +35,9 @@ from microbot_ros.model.parameter import Parameter
 from microbot_ros.model.particle import Fluid, stokes_drag
 from microbot_ros.records import Session
 
+SUGGESTED = 0.05
+"""Chance, over the library, below which what is too weak for the model is still worth a word."""
+
 CLOSE = 6.0
 """Difference in BIC within which two effects can't be told apart."""
 
@@ -76,7 +79,9 @@ def _discover(ladder: Ladder, remarks: tuple[str, ...], report: Callable[[str], 
     report('comparing with what could stand in')
     cases = [_Case.of(ladder, effect.id) for effect in ladder.fit.model.effects]
     unexplained = _worst([m for m in after if m.fires] + [m for c in cases for m in c.better])
-    effects = [_name(ladder, case, bool(unexplained)) for case in cases]
+    effects = [_name(ladder.fit, case, bool(unexplained)) for case in cases]
+    if not effects:
+        effects = [_weak(case, bool(unexplained)) for case in _suggestions(ladder.open)]
     rivals = [rival.fit.model for case in cases for rival in case.rivals]
     report('predicting what was held out')
     fit = ladder.fit
@@ -134,13 +139,28 @@ def _worst(maps: Iterable[ResidualMap]) -> tuple[ResidualMap, ...]:
     return tuple(found.values())
 
 
-def _name(ladder: Ladder, case: _Case, incomplete: bool) -> NamedEffect:
+def _suggestions(found: Sequence[Found]) -> list[_Case]:
+    """The best of what a model without effects goes without, unless chance explains it well."""
+    if not found or found[0].p_value * len(found) >= SUGGESTED:
+        return []
+    best, *others = found
+    return [_Case(best, [other for other in others if _close(other, best)], [])]
+
+
+def _weak(case: _Case, incomplete: bool) -> NamedEffect:
+    """An effect that is too weak, or seen too much from one side, for the model."""
+    own = case.own
+    return _entry(own, 'proxy' if incomplete else 'suggested', log_e_value(own.fit, own.id),
+                  case.rivals)
+
+
+def _name(fit: Fit, case: _Case, incomplete: bool) -> NamedEffect:
     """An effect with its evidence; `incomplete`: whether the final model leaves something."""
     own = case.own
-    gain = log_e_value(ladder.fit, own.id)
+    gain = log_e_value(fit, own.id)
     # Nothing else could stand in for what alone depends on the frequency; and halves of a
     # recording in which the frequency was stepped once do not predict each other.
-    alone = own.id == 'drive_response' and curve_p_value(ladder.fit) < BACKWARD
+    alone = own.id == 'drive_response' and curve_p_value(fit) < BACKWARD
     sure = own.delta_bic > CLOSE and (alone or gain > HELD_OUT)
     status: Status = 'established' if sure else 'suggested'
     if incomplete and not alone:

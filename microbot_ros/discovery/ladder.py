@@ -86,7 +86,7 @@ class Ladder:
         table = tuple(
             Candidate(c.id, c.likelihood_ratio, c.dof, c.delta_bic, c.p_value) for c in self.open
         )
-        best = self.open[0] if self.open else None
+        best = next((c for c in self.open if c.whole), None)
         if best is None or best.p_value * len(self.open) >= FORWARD:
             self.rungs.append(Rung(here, table, None))
             return False
@@ -112,10 +112,10 @@ class Ladder:
         """Exchange one effect for one that explains clearly more in its place."""
         for effect in self.fit.model.effects:
             own = contribution(self.fit, effect.id)
-            rivals = self.rivals(effect.id)
-            if rivals and rivals[0].log_p < own.log_p - CLEARLY:
-                report(f'{rivals[0].id} instead of {effect.id}')
-                self.fit = self.stand(rivals[0].fit.model)
+            best = next((rival for rival in self.rivals(effect.id) if rival.whole), None)
+            if best is not None and best.log_p < own.log_p - CLEARLY:
+                report(f'{best.id} instead of {effect.id}')
+                self.fit = self.stand(best.fit.model)
                 return True
         return False
 

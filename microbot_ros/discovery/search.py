@@ -46,13 +46,17 @@ NEGLIGIBLE = 8.0
 
 @dataclass(frozen=True)
 class Found:
-    """A fit with one effect more. `trials`: independent places at which it was looked for."""
+    """A fit with one effect more. `trials`: independent places at which it was looked for.
+
+    `whole`: whether the recording shows the shape that was found, not only its flank.
+    """
 
     fit: Fit
     id: str
     likelihood_ratio: float
     dof: int
     trials: int
+    whole: bool
 
     @property
     def log_p(self) -> float:
@@ -74,7 +78,7 @@ def found_in(fit: Fit, rest: Fit, effect_id: str) -> Found:
     """An effect that a fit already has, beside the fit without it."""
     effect = EFFECTS[effect_id]
     return Found(fit, effect_id, rest.cost - fit.cost, _freedom(fit, effect),
-                 _trials(fit, effect))
+                 _trials(fit, effect), shown(fit, effect_id))
 
 
 def look(fit: Fit, effect_id: str) -> Found | None:
@@ -86,7 +90,7 @@ def look(fit: Fit, effect_id: str) -> Found | None:
     best = min(tried, key=lambda t: t.cost)
     if fit.cost - best.cost > NEGLIGIBLE:
         best = settle(best)
-    return found_in(best, fit, effect_id) if shown(best, effect_id) else None
+    return found_in(best, fit, effect_id)
 
 
 def shown(fit: Fit, effect_id: str) -> bool:
@@ -99,9 +103,10 @@ def shown(fit: Fit, effect_id: str) -> bool:
         return effect.frequency * _duration(fit) >= PERIODS
     if isinstance(effect, HotSpot):
         within = all(p.low < value < p.high for p, value in effect.values().items())
-        std = {p.name: p.scale * s for (e, p), s in zip(
+        std = {p.field: p.scale * s for (e, p), s in zip(
             fit.model.parameters, np.sqrt(np.diag(fit.covariance)), strict=True) if e == effect_id}
-        return within and 3 * std['width_um'] < effect.width > max(std['x_um'], std['y_um'])
+        placed = 3 * std['width'] < effect.width > max(std['x'], std['y'])
+        return within and placed and std['speed'] < abs(effect.speed)
     return True
 
 
@@ -158,12 +163,12 @@ def _freedom(fit: Fit, effect: type[Effect]) -> int:
 def _trials(fit: Fit, effect: type[Effect]) -> int:
     """Independent places of a shape at which a recording lets one look.
 
-    A spot reaches over two widths each way: four points of its grid are about one place.
+    A spot reaches over two widths each way: sixteen points of its grid are about one place.
     """
     if effect.id == 'periodic_drift':
         return max(int(_fastest(fit) * _duration(fit)), 1)
     if effect.id == 'hot_spot':
-        return len(effect.starts(fit.parts[0].evidence.timeline)) // 4
+        return len(effect.starts(fit.parts[0].evidence.timeline)) // 16
     return 1
 
 
