@@ -23,7 +23,7 @@ def tail(chi_square: float, dof: int) -> float:
     return math.exp(log_tail(chi_square, dof))
 
 
-def log_of_any(log_p: float, trials: int) -> float:
+def log_of_any(log_p: float, trials: float) -> float:
     """Logarithm of 1 − (1 − p)^trials: chance of one such among independent trials."""
     if log_p < -30:
         return log_p + math.log(trials)

@@ -7,6 +7,7 @@ place they were looked for at (the look-elsewhere effect: Davies 1987, Gross and
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -55,7 +56,7 @@ class Found:
     id: str
     likelihood_ratio: float
     dof: int
-    trials: int
+    trials: float
     whole: bool
 
     @property
@@ -76,9 +77,8 @@ class Found:
 
 def found_in(fit: Fit, rest: Fit, effect_id: str) -> Found:
     """An effect that a fit already has, beside the fit without it."""
-    effect = EFFECTS[effect_id]
-    return Found(fit, effect_id, rest.cost - fit.cost, _freedom(fit, effect),
-                 _trials(fit, effect), shown(fit, effect_id))
+    return Found(fit, effect_id, rest.cost - fit.cost, _freedom(fit, EFFECTS[effect_id]),
+                 _trials(fit, effect_id), shown(fit, effect_id))
 
 
 def look(fit: Fit, effect_id: str) -> Found | None:
@@ -87,10 +87,10 @@ def look(fit: Fit, effect_id: str) -> Found | None:
     if not _applies(fit, effect):
         return None
     tried = [maximise(_at(fit, start)) for start in _starts(fit, effect)]
-    best = min(tried, key=lambda t: t.cost)
-    if fit.cost - best.cost > NEGLIGIBLE:
-        best = settle(best)
-    return found_in(best, fit, effect_id)
+    best = min((found_in(one, fit, effect_id) for one in tried), key=lambda one: one.log_p)
+    if best.likelihood_ratio <= NEGLIGIBLE:
+        return best
+    return found_in(settle(best.fit), fit, effect_id)
 
 
 def shown(fit: Fit, effect_id: str) -> bool:
@@ -160,16 +160,22 @@ def _freedom(fit: Fit, effect: type[Effect]) -> int:
     return count
 
 
-def _trials(fit: Fit, effect: type[Effect]) -> int:
-    """Independent places of a shape at which a recording lets one look.
+def _trials(fit: Fit, effect_id: str) -> float:
+    """Independent places of the shape of an effect at which a recording lets one look.
 
-    A spot reaches over two widths each way: sixteen points of its grid are about one place.
+    Chance is shared out evenly over octaves of frequency or width, since either may be of any
+    size: among fast swings and narrow spots there are more to look at, and each pays for all.
     """
-    if effect.id == 'periodic_drift':
-        return max(int(_fastest(fit) * _duration(fit)), 1)
-    if effect.id == 'hot_spot':
-        return len(effect.starts(fit.parts[0].evidence.timeline)) // 16
-    return 1
+    effect = fit.model.effect(effect_id)
+    if isinstance(effect, PeriodicDrift):
+        periods = effect.frequency * _duration(fit)
+        return float(max(periods * np.log(_fastest(fit) * _duration(fit) / PERIODS), 1.0))
+    if isinstance(effect, HotSpot):
+        grid = effect.starts(fit.parts[0].evidence.timeline)
+        area = np.ptp([spot.x for spot in grid]) * np.ptp([spot.y for spot in grid])
+        # A spot reaches over two widths each way.
+        return float(max(len({spot.width for spot in grid}) * area / (4 * effect.width) ** 2, 1.0))
+    return 1.0
 
 
 def _starts(fit: Fit, effect: type[Effect]) -> list[Effect]:
@@ -181,15 +187,15 @@ def _starts(fit: Fit, effect: type[Effect]) -> list[Effect]:
     timeline = fit.parts[0].evidence.timeline
     if issubclass(effect, HotSpot):
         spots = likely_spots(fit, effect.starts(timeline), TRIED)
-        return _promising(sorted((_strengthened(fit, spot) for spot in spots),
-                                 key=lambda scored: -scored[0]))
+        return _promising([_strengthened(fit, spot) for spot in spots])
     return list(effect.starts(timeline))
 
 
-def _promising(scored: list[tuple[float, Effect]]) -> list[Effect]:
+def _promising(scored: Sequence[tuple[float, Effect]]) -> list[Effect]:
     """The best start, and others that are not far behind one that is worth anything."""
+    scored = sorted(scored, key=lambda one: -one[0])[:TRIED]
     best = scored[0][0]
-    return [start for score, start in scored[:TRIED]
+    return [start for score, start in scored
             if score == best or score > max(NEGLIGIBLE, best / 2)]
 
 
@@ -241,12 +247,13 @@ def _swings(fit: Fit) -> list[Effect]:
     longest = max(fit.parts, key=lambda p: float(np.ptp(p.evidence.times)))
     frequency, forward, back = turning_parts(
         longest.evidence.times, longest.residual.sum(axis=1), _fastest(fit))
+    duration = _duration(fit)
     power = np.abs(forward) ** 2 + np.abs(back) ** 2
     known = next(p for p in PeriodicDrift.parameters() if p.field == 'frequency')
     peaks = [k for k in np.argsort(-power) if power[k] == power[max(k - 3, 0):k + 4].max()
              and known.low <= frequency[k] <= known.high]
     scored = []
-    for k in peaks[:TRIED]:
+    for k in peaks[:2 * TRIED]:
         # x + iy = ½ a (e^{i(α+ψ)} e^{iωt} + e^{i(α−ψ)} e^{−iωt}): the two turning parts.
         ahead, behind = np.angle(forward[k]), np.angle(back[k])
         direction, phase = (ahead + behind) / 2, (ahead - behind) / 2
@@ -254,6 +261,7 @@ def _swings(fit: Fit) -> list[Effect]:
         turns = np.floor(direction / np.pi)
         direction -= turns * np.pi
         phase = (phase - turns * np.pi + np.pi) % (2 * np.pi) - np.pi
-        start = PeriodicDrift(0.0, float(frequency[k]), float(direction), float(phase))
-        scored.append(_strengthened(fit, start))
+        score, start = _strengthened(fit, PeriodicDrift(
+            0.0, float(frequency[k]), float(direction), float(phase)))
+        scored.append((score - 2 * np.log(frequency[k] * duration), start))  # as `_trials` counts
     return _promising(scored)
