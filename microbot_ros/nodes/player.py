@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import itertools
 import math
 import time
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from builtin_interfaces.msg import Time
 from lifecycle_msgs.srv import GetState
 from rcl_interfaces.msg import ParameterEvent
 from rcl_interfaces.srv import SetParameters
 from rclpy.client import Client
-from rclpy.publisher import Publisher
 from rclpy.serialization import deserialize_message
-from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool, Trigger
 
 from microbot_ros.errors import InputError
+from microbot_ros.nodes.audience import Audience
 from microbot_ros.nodes.lifecycle import OK, RigNode
 from microbot_ros.nodes.topics import CHANGES, TOPICS
 from microbot_ros.session.lockstep import LockStep, frame_topic, header_stamp_ns
@@ -30,8 +29,15 @@ from microbot_ros.session.turns import InTurn
 from microbot_ros.settings import setting
 
 _CLOCK_SECONDS = 0.01
-_DISCOVERY_SECONDS = 0.5
-"""Before this nothing is sent: who already listens would miss the beginning."""
+_SETTLED_SECONDS = 0.5
+"""Nothing is sent until no listener has been found for so long: who comes late misses the
+beginning."""
+_NOBODY_SECONDS = 3.5
+"""After this it is played to nobody. Fast DDS makes itself known every 3 s, unless told otherwise,
+and what it says first of all gets lost at times."""
+_ACKNOWLEDGED_SECONDS = 3.5
+"""At the end, how long listeners may take to confirm that they have it all: Fast DDS asks them
+every 3 s."""
 _TURN_SECONDS = 0.1
 """After this a node that has not answered is asked whether it has nothing to say."""
 
@@ -66,6 +72,7 @@ class PlayerNode(RigNode):
     """
 
     Parameters: ClassVar[type] = PlayerParameters
+    _unsent: Message | None
 
     def veto(self, proposed: PlayerParameters) -> str:
         """Changes of pace and place are made here, so that what cannot be is refused."""
@@ -75,6 +82,7 @@ class PlayerNode(RigNode):
         try:
             if proposed.seek_s != self.settings.seek_s:
                 self._playback.seek(proposed.seek_s, now)
+                self._unsent = None
             self._playback.set_rate(rate, now)
         except InputError as error:
             return str(error)
@@ -86,11 +94,12 @@ class PlayerNode(RigNode):
             raise InputError(self.get_name(), 'expected a parameter session: what to play')
         self._open = contextlib.ExitStack()
         self._source = self._open.enter_context(open_source(values.session))
-        self._outlets = self._make_publishers(set(values.topics))
+        self._kinds = self._find_kinds(set(values.topics))
+        self._audience = Audience(self, self._kinds)
         self._answers = [self._hear(topic) for topic in values.answers]
-        self._time = self.publisher(Clock, '/clock')
         self._sent = 0
-        self._done = False
+        self._unsent = None
+        self._begun = self._done = False
         self._callable: dict[str, Client] = {}
         self._asked_after = ('', 0)
         self.service(SetBool, '~/pause', self._on_pause)
@@ -99,11 +108,12 @@ class PlayerNode(RigNode):
 
     def start(self) -> None:
         values: PlayerParameters = self.settings
-        source, topics, frame = self._source, [*self._outlets], frame_topic(self._outlets)
+        source, topics, frame = self._source, [*self._kinds], frame_topic(self._kinds)
         if self._answers:
             source = InTurn(source, frame, self._answers[-1])
             topics += {CHANGES} & set(source.topics)
-        self._asked = time.monotonic() + _DISCOVERY_SECONDS
+        self._asked = self._found = time.monotonic()
+        self._listeners = 0
         self._playback = Playback(
             source, self._asked, rate=values.rate or math.inf, start=values.start_s,
             end=values.end_s or None, loop=values.loop, topics=topics)
@@ -120,10 +130,12 @@ class PlayerNode(RigNode):
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         state = ('finished' if self._lockstep.finished else
-                 'paused' if self._playback.paused else 'playing')
+                 'paused' if self._playback.paused else
+                 'playing' if self._begun else 'waiting for listeners of')
         return OK, f'{state} {self.settings.session}', {'messages_sent': self._sent}
 
-    def _make_publishers(self, wanted: set[str]) -> dict[str, Publisher]:
+    def _find_kinds(self, wanted: set[str]) -> dict[str, type]:
+        """The topics to play, and their types."""
         names = {f'/{topic.lstrip("/")}' for topic in wanted}
         unknown = names - set(self._source.topics)
         if unknown:
@@ -136,48 +148,62 @@ class PlayerNode(RigNode):
                 if is_topic(topic, name) and chosen[topic] is not kind:
                     raise InputError(self.settings.session, f'expected a {kind.__name__} on '
                                                             f'{topic}, found another type')
-        return {name: self.publisher(kind, name) for name, kind in chosen.items()}
+        return chosen
 
     def _play(self) -> None:
         now = time.monotonic()
         # Told a turn of the executor later, so that who heard the last answer too has taken it.
-        self._done = self._lockstep.finished
-        late = now - self._asked > self.settings.patience_s
-        if now < self._asked:
-            return
-        if unheard := self._unheard():
-            if late:
-                self._give_up(f'not everybody is there for {unheard[0]}')
-        elif self._lockstep.missing:
-            if late:
-                self._give_up(self._who_is_late())
-            elif now - self._asked > _TURN_SECONDS:
-                self._ask_after()
-        else:
+        self._done = self._lockstep.finished and not self._unsent and (
+            bool(self._answers) or now - self._asked > _ACKNOWLEDGED_SECONDS
+            or self._audience.has_all())
+        if not self._begun:
+            self._gather(now)
+        elif not self._lockstep.missing:
             self._send_due(now)
+        elif now - self._asked > self.settings.patience_s:
+            self._give_up(self._who_is_late())
+        elif now - self._asked > _TURN_SECONDS:
+            self._ask_after()
+
+    def _gather(self, now: float) -> None:
+        """Begin when whoever listens is there; in lock-step that is somebody for every topic."""
+        listeners = self._audience.count
+        if listeners != self._listeners:
+            self._listeners, self._found = listeners, now
+        missing = [topic for topic in self._answers if not self.count_publishers(topic)]
+        missing += self._audience.missing(at_least=1 if self._answers else 0)
+        incomplete = missing or not listeners or now - self._found < _SETTLED_SECONDS
+        if self._answers and missing and now - self._asked > self.settings.patience_s:
+            self._give_up(f'not everybody is there for {missing[0]}')
+        if incomplete and (self._answers or now - self._asked < _NOBODY_SECONDS):
+            return
+        self._begun = True
+        if not self._playback.paused:
+            self._playback.resume(now)
 
     def _send_due(self, now: float) -> None:
-        for message in self._lockstep.take(now):
-            self._send(message)
+        held = [self._unsent] if self._unsent else []
+        for message in itertools.chain(held, self._lockstep.take(now)):
             # A bounded slice, so that services are answered at any rate.
-            if time.monotonic() - now > 5 * _CLOCK_SECONDS:
+            if not self._send(message) or time.monotonic() - now > 5 * _CLOCK_SECONDS:
                 break
-        if not self._answers:
-            self._tell_time(self._playback.clock_ns(now))
+        if not self._answers and not self._unsent:
+            self._audience.tell_time(self._playback.clock_ns(now))
 
-    def _send(self, message: Message) -> None:
-        self._sent += 1
+    def _send(self, message: Message) -> bool:
+        """Whether there was room for it; if not it is kept for the next turn."""
+        self._asked = time.monotonic()
         if self._answers:
-            self._asked = time.monotonic()
-            self._tell_time(message.t_ns)
+            self._audience.tell_time(message.t_ns)
         if message.topic == CHANGES:
             self._change_again(message.data)
-        else:
-            self._outlets[message.topic].publish(bytes(message.data))
-
-    def _tell_time(self, t_ns: int) -> None:
-        stamp = Time(sec=t_ns // 1_000_000_000, nanosec=t_ns % 1_000_000_000)
-        self._time.publish(Clock(clock=stamp))
+        elif not self._audience.send(message.topic, bytes(message.data)):
+            self._unsent = message
+            self.complain(f'waiting for a listener of {message.topic} that keeps all and is late')
+            return False
+        self._unsent = None
+        self._sent += 1
+        return True
 
     def _on_pause(self, request: Any, response: Any) -> Any:
         now = time.monotonic()
@@ -187,12 +213,12 @@ class PlayerNode(RigNode):
 
     def _on_step(self, _: Any, response: Any) -> Any:
         now = time.monotonic()
-        count = 0
-        for message in self._lockstep.step(now):
+        sent = self._sent
+        for message in () if self._unsent else self._lockstep.step(now):
             self._send(message)
-            count += 1
+        count = self._sent - sent
         if not self._answers:
-            self._tell_time(self._playback.clock_ns(now))
+            self._audience.tell_time(self._playback.clock_ns(now))
         response.success, response.message = count > 0, f'{count} messages'
         return response
 
@@ -210,16 +236,6 @@ class PlayerNode(RigNode):
                 self._send_due(time.monotonic())
         self.subscribe(TOPICS[name][0], topic, take, raw=True)
         return topic
-
-    def _unheard(self) -> list[str]:
-        """Before the first message of a lock-step: topics that do not reach everybody yet."""
-        if not self._answers or self._sent:
-            return []
-        outlets = {'/clock': self._time, **self._outlets}
-        return [
-            *(topic for topic in self._answers if not self.count_publishers(topic)),
-            *(topic for topic, outlet in outlets.items()
-              if not 0 < outlet.get_subscription_count() >= self.count_subscribers(topic))]
 
     def _ask_after(self) -> None:
         """A node that has had its turn and said nothing, because poses were too old, has answered.
