@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 
 import numba
@@ -19,10 +20,12 @@ from microbot_ros.tracking.fit import (
     Y,
     fit,
 )
-from microbot_ros.tracking.lattice import Lattice
-from microbot_ros.tracking.search import MatchedFilter, background
+from microbot_ros.tracking.lattice import Lattice, downwards
+from microbot_ros.tracking.matched_filter import MatchedFilter
+from microbot_ros.tracking.search import Light, whole
 from microbot_ros.tracking.settings import TrackerSettings
 
+_NONE = np.empty((0, 3))
 _ITERATIONS = 3
 _SWEEPS = 6
 
@@ -78,9 +81,13 @@ class RoundDetector:
         self._settings = settings
         self._filter = MatchedFilter(appearance)
         self._spacing = max(4, int(np.ceil(appearance.diameter_px)))
+        self._light = Light(self._spacing)
         self._lattice = None if appearance.capped else Lattice(appearance)
         radii = np.arange(appearance.table.shape[1]) * TABLE_STEP
-        self._energy = 2 * np.pi * TABLE_STEP * float(np.sum(radii * appearance.table[0] ** 2))
+        energy = 2 * np.pi * TABLE_STEP * float(np.sum(radii * appearance.table[0] ** 2))
+        self._limits = (
+            energy, appearance.min_contrast_grey, settings.min_detection_sigma,
+            settings.size_tolerance, settings.min_quality, _CLOSEST * appearance.diameter_px)
 
     def detect(self, image: np.ndarray, expected: np.ndarray) -> Detections:
         """All particles of `image` (H, W).
@@ -89,19 +96,21 @@ class RoundDetector:
         than particles are expected, the fit starts from the expectations as well, so that
         touching particles are told apart.
         """
+        boxes = whole(image.shape)
         peaks, noise, texture = self._filter.candidates(
-            image, self._settings.min_detection_sigma, 0.7 * self.appearance.min_contrast_grey)
-        grid = background(image, self._spacing)
+            image, self._settings.min_detection_sigma, 0.7 * self.appearance.min_contrast_grey,
+            boxes)
+        grid = self._light.look(image, boxes)
         found, hidden = self._assign(peaks, expected)
-        rows = _starts(np.vstack([found, hidden]))
+        rows = _starts(found, hidden)
         errors = self._fit(image, grid, rows, np.ones(len(rows), bool))
         quality, good = self._judge(rows, errors, noise)
         wrong = np.flatnonzero(~good[len(found):]) + len(found)
         if len(wrong):
             self._without(wrong, peaks, image, grid, rows, errors)
             quality, good = self._judge(rows, errors, noise)
-        known = np.sum(good) * np.pi * (self.appearance.reach_px + self._filter.shrink) ** 2
-        strange = (texture - known) / image.size
+        known = np.pi * (self.appearance.reach_px + self._filter.shrink) ** 2
+        strange = (texture - np.count_nonzero(good) * known) / image.size
         self.remark = '' if strange < _STRANGE else (
             f'{100 * strange:.0f} % of the picture show something that is no particle')
         return self._detections(rows[good], errors[good], quality[good], noise)
@@ -111,11 +120,11 @@ class RoundDetector:
 
         A peak that two particles share lies between them, so it starts from the expectation.
         """
-        from scipy.spatial import cKDTree
-
-        found, hidden = peaks.copy(), np.empty((0, 3))
+        found, hidden = peaks.copy(), _NONE
         if len(peaks) == 0 or len(expected) == 0:
             return found, hidden
+        from scipy.spatial import cKDTree
+
         distance, nearest = cKDTree(peaks[:, :2]).query(expected, k=4)
         diameter = self.appearance.diameter_px
         owner, homeless = _claim(
@@ -145,9 +154,9 @@ class RoundDetector:
         offset = np.abs(rows[None, :len(peaks), :2] - rows[wrong, None, :2])
         disturbed = np.zeros(len(rows), bool)
         disturbed[:len(peaks)] = np.any(np.all(offset < reach, axis=2), axis=0)
-        rows[wrong] = _starts(np.zeros((len(wrong), 3)))
+        rows[wrong] = _starts(np.zeros((len(wrong), 3)), _NONE)
         errors[wrong] = np.nan
-        rows[disturbed] = _starts(peaks[disturbed[:len(peaks)]])
+        rows[disturbed] = _starts(peaks[disturbed[:len(peaks)]], _NONE)
         again = self._fit(image, grid, rows, disturbed)
         errors[disturbed] = again[disturbed]
 
@@ -155,11 +164,8 @@ class RoundDetector:
         self, rows: np.ndarray, errors: np.ndarray, noise: float
     ) -> tuple[np.ndarray, np.ndarray]:
         """Quality of each fit (N,), and whether it is a particle and no other is on top of it."""
-        settings, appearance = self._settings, self.appearance
-        quality, good = _judge(
-            rows, errors, noise, self._energy, appearance.min_contrast_grey,
-            settings.min_detection_sigma, settings.size_tolerance, settings.min_quality)
-        return quality, good & ~_doubled(rows, good, _CLOSEST * appearance.diameter_px)
+        quality, good = _judge(rows, errors, noise, *self._limits)
+        return quality, good
 
     def _detections(
         self, rows: np.ndarray, errors: np.ndarray, quality: np.ndarray, noise: float
@@ -168,10 +174,9 @@ class RoundDetector:
         if self.appearance.capped:
             known = errors[:, THETA] < _THETA_KNOWN
             theta[known] = np.pi - np.mod(np.pi - rows[known, THETA], 2 * np.pi)
-        variance = (errors[:, X] ** 2 + errors[:, Y] ** 2) / 2
         return Detections(
             xy=rows[:, [X, Y]],
-            sigma=np.sqrt(variance * _redundancy(errors, noise)),
+            sigma=_sigma(errors, noise),
             theta=theta,
             contrast=rows[:, CONTRAST],
             radius=rows[:, SIZE] * self.appearance.diameter_px / 2,
@@ -179,30 +184,39 @@ class RoundDetector:
         )
 
 
-def _redundancy(errors: np.ndarray, noise: float) -> np.ndarray:
-    """How many pixels (N,), in the mean, say the same of a position.
+@numba.njit(cache=True, error_model='numpy')
+def _sigma(errors, noise):  # type: ignore[no-untyped-def]
+    """Standard deviation (N,) [px] per coordinate of the position.
 
     The noise of each pixel is its own; what a particle differs from the learned picture by is
-    smooth. So much of the residual as is more than noise, by two of its standard deviations,
-    counts for difference.
+    smooth, so that several pixels say the same. So much of the residual as is more than noise,
+    by two of its standard deviations, counts for difference.
     """
-    variance, pixels = errors[:, PARAMETERS], errors[:, PARAMETERS + 1]
-    with np.errstate(divide='ignore', invalid='ignore'):
-        share = 1 - noise**2 * (1 + 2 * np.sqrt(2 / pixels)) / variance
-    return 1 + (_ALIKE - 1) * np.maximum(share, 0)
+    sigma = np.empty(len(errors))
+    for n in range(len(errors)):
+        variance, pixels = errors[n, PARAMETERS], errors[n, PARAMETERS + 1]
+        share = 1 - noise**2 * (1 + 2 * math.sqrt(2 / pixels)) / variance
+        alike = 1 + (_ALIKE - 1) * max(share, 0.0)
+        sigma[n] = math.sqrt((errors[n, X] ** 2 + errors[n, Y] ** 2) / 2 * alike)
+    return sigma
 
 
-def _starts(peaks: np.ndarray) -> np.ndarray:
-    """Parameters to start a fit from rows x, y, contrast."""
-    rows = np.empty((len(peaks), PARAMETERS))
-    rows[:, :OFFSET] = peaks
-    rows[:, OFFSET:] = 0.0, 1.0, np.nan
+@numba.njit(cache=True)
+def _starts(found, hidden):  # type: ignore[no-untyped-def]
+    """Parameters to start a fit from rows x, y, contrast, of one after those of the other."""
+    rows = np.empty((len(found) + len(hidden), PARAMETERS))
+    rows[:len(found), :OFFSET] = found
+    rows[len(found):, :OFFSET] = hidden
+    rows[:, OFFSET], rows[:, SIZE], rows[:, THETA] = 0.0, 1.0, np.nan
     return rows
 
 
 @numba.njit(cache=True, error_model='numpy')
-def _judge(rows, errors, noise, energy, contrast, sigma, tolerance, least):  # type: ignore[no-untyped-def]
-    """Quality (N,) of each fit; whether contrast, its σ, size and quality are a particle's."""
+def _judge(rows, errors, noise, energy, contrast, sigma, tolerance, least, closest):  # type: ignore[no-untyped-def]
+    """Quality (N,) of each fit; whether contrast, its σ, size and quality are a particle's.
+
+    Of two nearer than `closest`, both good, only that of higher contrast is.
+    """
     quality, good = np.empty(len(rows)), np.empty(len(rows), np.bool_)
     for n in range(len(rows)):
         a, size = rows[n, CONTRAST], rows[n, SIZE]
@@ -210,7 +224,7 @@ def _judge(rows, errors, noise, energy, contrast, sigma, tolerance, least):  # t
         quality[n] = 1 - misfit / (energy * (a * size) ** 2)
         good[n] = (a >= contrast and a >= sigma * errors[n, CONTRAST]
                    and 1 / tolerance <= size <= tolerance and quality[n] >= least)
-    return quality, good
+    return quality, good & ~_doubled(rows, good, closest)
 
 
 @numba.njit(cache=True)
@@ -233,7 +247,7 @@ def _claim(distance, nearest, order, farthest, peaks):  # type: ignore[no-untype
 def _doubled(rows, good, closest):  # type: ignore[no-untyped-def]
     """Whether a particle of higher contrast, itself good, lies closer than `closest`: (N,)."""
     doubled = np.zeros(len(rows), np.bool_)
-    order = np.argsort(rows[:, Y])
+    order = downwards(rows)
     for m in range(len(order)):
         i = order[m]
         for n in range(m + 1, len(order)):

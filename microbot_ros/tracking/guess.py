@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from microbot_ros.tracking.search import block_mean, peaks, spread
+from microbot_ros.tracking.search import block_mean, peaks, spread, whole
 from microbot_ros.tracking.settings import TrackerSettings
 
 LEAST_DIAMETER = 2.5
@@ -115,8 +115,8 @@ def _spots(frame: np.ndarray, diameter: float, sign: float) -> np.ndarray:
     outer = 1.6 * inner
     response = cv2.GaussianBlur(image, (0, 0), inner) - cv2.GaussianBlur(image, (0, 0), outer)
     noise = max(spread(response), 0.3 * 0.2 / inner)
-    found = peaks(response, _LEAST_SIGMA * noise, max(1, int(0.5 * diameter / shrink)))
-    found[:, :2] = (found[:, :2] + 0.5) * shrink - 0.5
+    found: np.ndarray = peaks(response, shrink, _LEAST_SIGMA * noise,
+                              max(1, int(0.5 * diameter / shrink)), whole(response.shape))
     return found[np.argsort(-found[:, 2])][:_MOST_CANDIDATES]
 
 

@@ -42,16 +42,18 @@ _LARGEST_CHANGE = 0.75
 
 
 class _Tables(NamedTuple):
-    """Per cell (row, column): the design D (5, h·w), the picture (h, w), (DᵀD)⁻¹, pixels.
+    """Per cell (row, column): the design D (5, h·w), the picture (h′, w′), (DᵀD)⁻¹, pixels;
+    and the window (h, w).
 
     The rows of D are the changes of the picture with contrast, x, y, size and offset, nothing
-    beyond the fitted disc; so the last one is the disc itself.
+    beyond the fitted disc; so the last one is the disc itself. The picture reaches farther.
     """
 
     design: np.ndarray
     picture: np.ndarray
     covariance: np.ndarray
     pixels: np.ndarray
+    window: tuple[int, int]
 
 
 class Lattice:
@@ -59,18 +61,15 @@ class Lattice:
 
     def __init__(self, appearance: Appearance) -> None:
         self._near = appearance.reach_px + 0.25 * appearance.diameter_px
-        half = int(np.ceil(appearance.reach_px + 0.5))
-        # Rows of whole vectors are several times faster; what is too much weighs nothing.
-        across = -(-(2 * half + 1) // 4) * 4
-        v, u = np.mgrid[-half:half + 1, -half:across - half].astype(float)
         off = (np.arange(_CELLS) + 0.5) / _CELLS - 0.5
-        cells = [[_draw_cell(appearance, u - x, v - y) for x in off] for y in off]
-        design = np.array([[cell[0] for cell in row] for row in cells])
-        picture = np.array([[cell[1] for cell in row] for row in cells])
+        u, v = _window(appearance.reach_px + off[-1])
+        design = np.array([[_draw_design(appearance, u - x, v - y) for x in off] for y in off])
+        wide_u, wide_v = _window(appearance.reach_px + 1 + off[-1])
+        picture = np.array([[_draw(appearance, wide_u - x, wide_v - y) for x in off] for y in off])
         normal = design @ design.swapaxes(2, 3)
         self._tables = _Tables(
             design.astype(np.float32), picture.astype(np.float32), np.linalg.inv(normal),
-            normal[:, :, 4, 4].copy())
+            normal[:, :, 4, 4].copy(), u.shape)
         self._settled = _longest_linear_step(appearance, u, v)
 
     def fit(
@@ -85,26 +84,37 @@ class Lattice:
             image, grid, spacing, parameters, active, self._near, self._settled, self._tables)
 
 
-def _draw_cell(
-    appearance: Appearance, u: np.ndarray, v: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """The design (5, h·w) and the picture (h, w) at offsets u, v [px] from the centre."""
+def _window(reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """Offsets u, v (h, w) [px] of the pixels within reach along each axis."""
+    half = int(reach)
+    # Rows of whole vectors are several times faster; what is too much weighs nothing.
+    across = -(-(2 * half + 1) // 4) * 4
+    v, u = np.mgrid[-half:half + 1, -half:across - half].astype(float)
+    return u, v
+
+
+def _draw(appearance: Appearance, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """The picture (h, w) at offsets u, v [px] from the centre, to 1 px beyond the disc."""
+    near = np.hypot(u, v) <= appearance.reach_px + 1
+    return np.where(near, appearance.draw_round(u, v), 0.0)
+
+
+def _draw_design(appearance: Appearance, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """The design (5, h·w) at offsets u, v [px] from the centre."""
     radii = np.arange(appearance.table.shape[1]) * TABLE_STEP
-    profile = appearance.table[0]
     r = np.maximum(np.hypot(u, v), 1e-9)
-    slope = np.interp(r, radii, np.gradient(profile, TABLE_STEP), right=0.0)
-    picture = np.interp(r, radii, profile, right=0.0)
+    slope = np.interp(r, radii, np.gradient(appearance.table[0], TABLE_STEP), right=0.0)
+    picture = appearance.draw_round(u, v)
     columns = [picture, -slope * u / r, -slope * v / r, -slope * r, np.ones_like(r)]
-    design = np.array(columns) * (r <= appearance.reach_px)
-    return design.reshape(5, -1), picture * (r <= appearance.reach_px + 1)
+    return (np.array(columns) * (r <= appearance.reach_px)).reshape(5, -1)
 
 
 def _longest_linear_step(appearance: Appearance, u: np.ndarray, v: np.ndarray) -> float:
     """The longest step along an axis [px] that one turn makes with an error within `_EXACT`."""
-    design, _ = _draw_cell(appearance, u, v)
+    design = _draw_design(appearance, u, v)
     steps = np.arange(0.08, 0.42, 0.02)
     for step in steps:
-        moved = _draw_cell(appearance, u - step, v)[1].ravel() * design[-1]
+        moved = _draw(appearance, u - step, v).ravel() * design[-1]
         solution = np.linalg.lstsq(design.T, moved, rcond=None)[0]
         if not abs(solution[1] / solution[0] - step) <= _EXACT:
             return float(step)
@@ -155,11 +165,12 @@ def _take_away(window, x, y, other, pictures):  # type: ignore[no-untyped-def]
     other_x, other_y, i, j = _place(other)
     picture = pictures[j, i]
     rows, columns = picture.shape
-    dx, dy = x - other_x, y - other_y
+    margin = (rows - window.shape[0]) // 2
+    dx, dy = x - other_x + margin, y - other_y + margin
     contrast = np.float32(other[CONTRAST])
-    first, last = max(0, -dx), min(columns, columns - dx)
+    first, last = max(0, -dx), min(window.shape[1], columns - dx)
     from_x, to_x = numba.uintp(first + dx), numba.uintp(first)
-    for row in range(max(0, -dy), min(rows, rows - dy)):
+    for row in range(max(0, -dy), min(window.shape[0], rows - dy)):
         from_y, to_y = numba.uintp(row + dy), numba.uintp(row)
         for k in range(numba.uintp(max(last - first, 0))):
             window[to_y, to_x + k] -= contrast * picture[from_y, from_x + k]
@@ -226,10 +237,23 @@ def _conclude(row, squares, pixels, covariance, errors):  # type: ignore[no-unty
 
 
 @numba.njit(cache=True)
+def downwards(rows):  # type: ignore[no-untyped-def]
+    """The order of particles by y. By insertion: the search has found nearly all in that order."""
+    order = np.arange(len(rows))
+    for m in range(1, len(order)):
+        i, k = order[m], m
+        while k > 0 and rows[order[k - 1], Y] > rows[i, Y]:
+            order[k] = order[k - 1]
+            k -= 1
+        order[k] = i
+    return order
+
+
+@numba.njit(cache=True)
 def _neighbours(parameters, near):  # type: ignore[no-untyped-def]
     """Who lies within `near` px of each particle: those of n are other[first[n]:first[n + 1]]."""
     pairs = []
-    order = np.argsort(parameters[:, Y])
+    order = downwards(parameters)
     for m in range(len(order)):
         i = order[m]
         for n in range(m + 1, len(order)):
@@ -251,34 +275,52 @@ def _neighbours(parameters, near):  # type: ignore[no-untyped-def]
     return first, other
 
 
+@numba.njit(cache=True, inline='always')
+def _turn(row, flat, tables, overlap, solution):  # type: ignore[no-untyped-def]
+    """Fit a particle to a window about its present cell.
+
+    Returns the residual sum of squares and how far from the middle of that cell it is.
+    """
+    x, y, i, j = _place(row)
+    total = _project(flat, tables.design[j, i], overlap)
+    squares = max(total - _solve(tables.covariance[j, i], overlap, solution), 0.0)
+    _update(row, solution, i, j, x, y)
+    off_x, off_y = row[X] - x - (i + 0.5) / _CELLS + 0.5, row[Y] - y - (j + 0.5) / _CELLS + 0.5
+    return squares, max(abs(off_x), abs(off_y))
+
+
 @numba.njit(cache=True)
 def _sweep(image, grid, spacing, parameters, waiting, first, other, settled, tables, squares):  # type: ignore[no-untyped-def]
-    """Refit each particle that waits about its present cell; it waits on if it moved far.
+    """Refit each particle that waits. One on its own is done then; others, once they hold still.
 
     `squares` (N,) receives the residual sums of squares, −1 for what has left the picture.
     """
     height, width = image.shape
-    window = np.empty(tables.picture.shape[2:], np.float32)
+    window = np.empty(tables.window, np.float32)
     flat, overlap, solution = window.reshape(-1), np.empty(5), np.empty(5)
     for n in range(len(parameters)):
         if not waiting[n]:
             continue
         row = parameters[n]
+        alone = first[n] == first[n + 1]
         before_x, before_y = row[X], row[Y]
-        x, y, i, j = _place(row)
-        _gather(image, grid, spacing, x, y, window)
-        for k in range(first[n], first[n + 1]):
-            _take_away(window, x, y, parameters[other[k]], tables.picture)
-        total = _project(flat, tables.design[j, i], overlap)
-        squares[n] = max(total - _solve(tables.covariance[j, i], overlap, solution), 0.0)
-        _update(row, solution, i, j, x, y)
-        if -0.5 <= row[X] < width - 0.5 and -0.5 <= row[Y] < height - 0.5:
-            moved = max(abs(row[X] - before_x), abs(row[Y] - before_y))
-            alone = first[n] == first[n + 1]
-            waiting[n] = moved > (settled if alone else _SETTLED_AMONG_OTHERS)
-        else:
-            row[X], row[Y], row[CONTRAST] = x, y, 0.0
-            waiting[n], squares[n] = False, -1.0
+        at_x, at_y = -1, -1
+        for _ in range(_TURNS if alone else 1):
+            x, y, _, _ = _place(row)
+            if x != at_x or y != at_y:
+                at_x, at_y = x, y
+                _gather(image, grid, spacing, x, y, window)
+                for k in range(first[n], first[n + 1]):
+                    _take_away(window, x, y, parameters[other[k]], tables.picture)
+            squares[n], off = _turn(row, flat, tables, overlap, solution)
+            if not (-0.5 <= row[X] < width - 0.5 and -0.5 <= row[Y] < height - 0.5):
+                row[X], row[Y], row[CONTRAST] = x, y, 0.0
+                squares[n] = -1.0
+                break
+            if off <= settled:
+                break
+        moved = max(abs(row[X] - before_x), abs(row[Y] - before_y))
+        waiting[n] = not alone and squares[n] >= 0 and moved > _SETTLED_AMONG_OTHERS
 
 
 @numba.njit(cache=True)
@@ -287,10 +329,8 @@ def _fit(image, grid, spacing, parameters, active, near, settled, tables):  # ty
     errors = np.full((count, PARAMETERS + 2), np.nan)
     squares, waiting = np.full(count, -1.0), active.copy()
     first, other = _neighbours(parameters, near)
-    for turn in range(_TURNS_AMONG_OTHERS):
+    for _ in range(_TURNS_AMONG_OTHERS):
         _sweep(image, grid, spacing, parameters, waiting, first, other, settled, tables, squares)
-        if turn + 1 == _TURNS:
-            waiting &= first[1:] > first[:-1]
     for n in range(count):
         if squares[n] >= 0:
             _, _, i, j = _place(parameters[n])

@@ -1,82 +1,164 @@
-"""Finding candidates over a whole picture: matched filter, peaks, background."""
+"""Looking over a picture, or parts of it: block means, the light, peaks, the pixels' noise.
+
+Parts are boxes, (n, 4) whole numbers: rows y0, x0, y1, x1, the ends left out.
+"""
 
 from __future__ import annotations
 
 import numba
 import numpy as np
 
-from microbot_ros.tracking.appearance import Appearance
 from microbot_ros.tracking.fit import FAST
 
 _LEAST_NOISE = 0.3
 """Grey levels: rounding to whole levels has a standard deviation of 1/√12."""
 
-
-@numba.njit(cache=True, fastmath=FAST)
-def block_mean(image, size):  # type: ignore[no-untyped-def]
-    """Means (H // size, W // size) float32 over square blocks; a rest at the edge is left out."""
-    mean = np.empty((image.shape[0] // size, image.shape[1] // size), np.float32)
-    return block_mean_into(mean, image, size)
+_MEDIAN = 5
+"""Cells across the neighbourhood whose median is the light of a cell."""
 
 
-@numba.njit(cache=True, fastmath=FAST)
-def block_mean_into(mean, image, size):  # type: ignore[no-untyped-def]
-    """`block_mean` that fills `mean` and returns it."""
-    rows, columns = mean.shape
-    line = np.empty(columns * size, np.float32)
-    scale = np.float32(1.0 / (size * size))
-    for j in range(rows):
-        line[:] = 0
-        for dy in range(size):
-            source = image[j * size + dy, :columns * size]
-            for i in range(source.size):
-                line[i] += source[i]
-        if size == 2:
-            # The usual case: a known stride lets the compiler use vectors.
-            for i in range(numba.uintp(columns)):
-                mean[j, i] = (line[2 * i] + line[2 * i + 1]) * scale
-            continue
-        for i in range(columns):
-            total = np.float32(0.0)
-            for dx in range(size):
-                total += line[i * size + dx]
-            mean[j, i] = total * scale
-    return mean
-
-
-def background(image: np.ndarray, spacing: int) -> np.ndarray:
-    """The light without particles, in cells of `spacing` px: the median of 5×5 block means.
-
-    A particle as wide as a cell covers at most a quarter of the cells of such a neighbourhood,
-    so the median doesn't see it.
-    """
-    import cv2
-
-    if min(image.shape) < spacing:
-        return np.full((1, 1), np.median(image), np.float32)
-    return np.atleast_2d(cv2.medianBlur(block_mean(image, spacing), 5))
+def whole(shape: tuple[int, ...]) -> np.ndarray:
+    """The one box (1, 4) that is all of a picture (H, W)."""
+    return np.array([[0, 0, shape[0], shape[1]]])
 
 
 @numba.njit(cache=True)
-def peaks(response, least, separation):  # type: ignore[no-untyped-def]
-    """Rows (N, 3) of x, y, value: maxima above `least` within ±`separation` cells, sub-cell."""
+def grown(boxes, margin, shape):  # type: ignore[no-untyped-def]
+    """Boxes with a margin all around, as far as a picture of that shape goes."""
+    larger = np.empty_like(boxes)
+    for k in range(len(boxes)):
+        for axis in range(2):
+            larger[k, axis] = min(max(boxes[k, axis] - margin, 0), shape[axis])
+            larger[k, axis + 2] = min(max(boxes[k, axis + 2] + margin, 0), shape[axis])
+    return larger
+
+
+@numba.njit(cache=True)
+def in_cells(boxes, size, shape):  # type: ignore[no-untyped-def]
+    """The cells of `size` px, of so many (rows, columns), that hold a part of the boxes."""
+    cells = np.empty_like(boxes)
+    for k in range(len(boxes)):
+        for axis in range(2):
+            cells[k, axis] = min(boxes[k, axis] // size, shape[axis])
+            cells[k, axis + 2] = min(-(-boxes[k, axis + 2] // size), shape[axis])
+    return cells
+
+
+def block_mean(image: np.ndarray, size: int) -> np.ndarray:
+    """Means (H // size, W // size) float32 over square blocks; a rest at the edge is left out."""
+    mean = np.empty((image.shape[0] // size, image.shape[1] // size), np.float32)
+    block_mean_into(mean, image, size, 0, whole(mean.shape))
+    return mean
+
+
+@numba.njit(cache=True, fastmath=FAST)
+def block_mean_into(mean, image, size, pad, boxes):  # type: ignore[no-untyped-def]
+    """`block_mean` in boxes of cells, into `mean`, which has `pad` cells of margin."""
+    line = np.empty(image.shape[1], np.float32)
+    scale = np.float32(1.0 / (size * size))
+    for y0, x0, y1, x1 in boxes:
+        # Unsigned indices can't wrap around, which lets the compiler use vectors.
+        count, start, to = numba.uintp(x1 - x0), numba.uintp(x0 * size), numba.uintp(pad + x0)
+        for j in range(y0, y1):
+            line[:] = 0
+            for dy in range(size):
+                source = numba.uintp(j * size + dy)
+                for i in range(numba.uintp((x1 - x0) * size)):
+                    line[i] += image[source, start + i]
+            _narrow(line, size, scale, mean[pad + j], to, count)
+
+
+@numba.njit(cache=True, fastmath=FAST)
+def _narrow(line, size, scale, mean, start, count):  # type: ignore[no-untyped-def]
+    """Sums of so many neighbours, scaled; the usual ones with strides that the compiler knows."""
+    if size == 1:
+        for i in range(count):
+            mean[start + i] = line[i]
+    elif size == 2:
+        for i in range(count):
+            mean[start + i] = (line[2 * i] + line[2 * i + 1]) * scale
+    elif size == 3:
+        for i in range(count):
+            mean[start + i] = (line[3 * i] + line[3 * i + 1] + line[3 * i + 2]) * scale
+    else:
+        for i in range(count):
+            total = np.float32(0.0)
+            for dx in range(size):
+                total += line[i * size + dx]
+            mean[start + i] = total * scale
+
+
+class Light:
+    """The light without particles, in cells of `spacing` px: the median of 5×5 block means.
+
+    A particle as wide as a cell covers at most a quarter of the cells of such a neighbourhood,
+    so the median doesn't see it. Where it isn't asked to look it keeps what it saw last.
+    """
+
+    def __init__(self, spacing: int) -> None:
+        self._spacing = spacing
+        self._cells = np.empty((0, 0), np.float32)
+
+    def look(self, image: np.ndarray, boxes: np.ndarray) -> np.ndarray:
+        """The light (H // spacing, W // spacing), as it is now where a box needs it."""
+        import cv2
+
+        if min(image.shape) < self._spacing:
+            return np.full((1, 1), np.median(image), np.float32)
+        shape = (image.shape[0] // self._spacing, image.shape[1] // self._spacing)
+        if self._cells.shape != shape:
+            self._cells = np.zeros(shape, np.float32)
+        _block_mean_near(self._cells, image, self._spacing, boxes)
+        return np.atleast_2d(cv2.medianBlur(self._cells, _MEDIAN))
+
+
+@numba.njit(cache=True)
+def _block_mean_near(cells, image, size, boxes):  # type: ignore[no-untyped-def]
+    """Block means of all cells that take part in the light of the boxes, between cells too."""
+    near = grown(in_cells(boxes, size, cells.shape), 1 + _MEDIAN // 2, cells.shape)
+    block_mean_into(cells, image, size, 0, near)
+
+
+def background(image: np.ndarray, spacing: int) -> np.ndarray:
+    """The light without particles in all of a picture; see `Light`."""
+    return Light(spacing).look(image, whole(image.shape))
+
+
+@numba.njit(cache=True)
+def peaks(response, shrink, least, separation, boxes):  # type: ignore[no-untyped-def]
+    """Rows (N, 3) of x, y [px], value: maxima above `least` within ±`separation` cells.
+
+    In boxes of cells of `shrink` px that don't overlap; what lies around them, up to the
+    separation, is compared with.
+    """
     height, width = response.shape
     found = []
-    crest = np.empty(width, np.uint8)
-    for y in range(1, height - 1):
-        _crests(response[y - 1], response[y], response[y + 1], least, crest)
-        for x in range(1, width - 1):
-            if crest[x] and _highest(response, x, y, separation):
-                value = response[y, x]
-                bend_x = response[y, x + 1] - 2 * value + response[y, x - 1]
-                bend_y = response[y + 1, x] - 2 * value + response[y - 1, x]
-                ox = (response[y, x - 1] - response[y, x + 1]) / 2 / min(bend_x, -1e-9)
-                oy = (response[y - 1, x] - response[y + 1, x]) / 2 / min(bend_y, -1e-9)
-                found.append((x + min(max(ox, -0.5), 0.5), y + min(max(oy, -0.5), 0.5), value))
+    for y0, x0, y1, x1 in boxes:
+        first, end = max(x0 - 1, 0), min(x1 + 1, width)
+        crest = np.empty(end - first, np.uint8)
+        for y in range(max(y0, 1), min(y1, height - 1)):
+            _crests(response[y - 1, first:end], response[y, first:end],
+                    response[y + 1, first:end], least, crest)
+            for k in range(1, len(crest) - 1):
+                if crest[k] and _highest(response, first + k, y, separation):
+                    found.append(_top(response, first + k, y))
     rows = np.empty((len(found), 3))
     for k in range(len(found)):
-        rows[k, 0], rows[k, 1], rows[k, 2] = found[k]
+        x, y, value = found[k]
+        rows[k, 0], rows[k, 1] = (x + 0.5) * shrink - 0.5, (y + 0.5) * shrink - 0.5
+        rows[k, 2] = value
     return rows
+
+
+@numba.njit(cache=True)
+def _top(response, x, y):  # type: ignore[no-untyped-def]
+    """The place of a maximum between the cells, by a parabola, and its value."""
+    value = response[y, x]
+    bend_x = response[y, x + 1] - 2 * value + response[y, x - 1]
+    bend_y = response[y + 1, x] - 2 * value + response[y - 1, x]
+    ox = (response[y, x - 1] - response[y, x + 1]) / 2 / min(bend_x, -1e-9)
+    oy = (response[y - 1, x] - response[y + 1, x]) / 2 / min(bend_y, -1e-9)
+    return x + min(max(ox, -0.5), 0.5), y + min(max(oy, -0.5), 0.5), value
 
 
 @numba.njit(cache=True)
@@ -108,15 +190,16 @@ def spread(response: np.ndarray) -> float:
     return 1.4826 * float(np.median(np.abs(sample - middle)))
 
 
-def pixel_noise(image: np.ndarray) -> float:
+@numba.njit(cache=True)
+def pixel_noise(image):  # type: ignore[no-untyped-def]
     """Standard deviation of the pixel noise [grey], from a twofold second difference.
 
     What varies slower than from pixel to pixel drops out (J. Immerkær, Computer Vision and Image
     Understanding 64, 300, 1996); the median makes edges of particles drop out too.
     """
-    difference = _second_differences(image, *(max(1, length // 40) for length in image.shape))
-    middle = len(difference) // 2
-    return max(1.4826 * float(np.partition(difference, middle)[middle]) / 6, _LEAST_NOISE)
+    rows, columns = max(1, image.shape[0] // 40), max(1, image.shape[1] // 40)
+    middle = np.median(_second_differences(image, rows, columns))
+    return max(1.4826 * middle / 6, _LEAST_NOISE)
 
 
 @numba.njit(cache=True)
@@ -135,99 +218,3 @@ def _second_differences(image, rows, columns):  # type: ignore[no-untyped-def]
                 sides += float(image[y + dy, x]) + float(image[y, x + dy])
             difference[m * across + n] = abs(corners - 2 * sides + 4 * float(image[y, x]))
     return difference
-
-
-_ENOUGH = 0.97
-"""Share of the filter's energy that the separable parts must have."""
-
-_STILL_SHOWN = 0.6
-"""Share of a particle's energy that a shrunk picture must keep."""
-
-_LEAST_WIDTH = 2.4
-"""Coarse pixels that a particle must be wide, or two side by side look like one."""
-
-
-def _shrunk(appearance: Appearance, shrink: int, off: float = 0.0) -> np.ndarray:
-    """The round picture less its mean, (K, K), in blocks of `shrink` px, the centre `off` px."""
-    blocks = 2 * int(np.ceil((appearance.reach_px + off) / shrink - 0.5)) + 1
-    fine = np.arange(0.5, blocks * shrink) - blocks * shrink / 2 - off
-    u, v = fine[None, :], fine[:, None]
-    disc = np.hypot(u, v) <= appearance.reach_px + 0.5
-    picture = appearance.draw_round(u, v)
-    picture = np.where(disc, picture - np.mean(picture[disc]), 0.0)
-    return picture.reshape(blocks, shrink, blocks, shrink).mean(axis=(1, 3))
-
-
-def _farthest_shrink(appearance: Appearance) -> int:
-    """The factor at which a particle keeps enough of its energy in the worst position."""
-    whole = np.sum(_shrunk(appearance, 1) ** 2)
-    shrink = 1
-    while shrink + 1 <= appearance.diameter_px / _LEAST_WIDTH:
-        kept = min(
-            np.sum(_shrunk(appearance, shrink + 1, off) ** 2) * (shrink + 1) ** 2
-            for off in (0.0, (shrink + 1) / 2))
-        if kept < _STILL_SHOWN * whole:
-            break
-        shrink += 1
-    return shrink
-
-
-class MatchedFilter:
-    """Search with the learned picture itself, the optimal linear filter for white noise.
-
-    The filter sums to zero and is symmetric, so uniform light and slopes leave no response. It
-    is applied as a few separable ones (its singular vectors), on a picture shrunk as far as that
-    still shows the particle, wherever it lies between the coarse pixels.
-    """
-
-    def __init__(self, appearance: Appearance) -> None:
-        self.shrink = _farthest_shrink(appearance)
-        template = _shrunk(appearance, self.shrink)
-        left, weight, right = np.linalg.svd(template)
-        rank = int(np.searchsorted(np.cumsum(weight**2) / np.sum(weight**2), _ENOUGH)) + 1
-        sums = weight[:rank] * right[:rank].sum(axis=1)
-        # What is left out must not make the filter see the light itself.
-        most = np.argmax(np.abs(sums))
-        left[:, most] -= sums @ left[:, :rank].sum(axis=0) / (sums[most] * len(left))
-        kernel = (left[:, :rank] * weight[:rank]) @ right[:rank]
-        # Response in grey levels of contrast: a particle of contrast a responds with a.
-        scale = 1 / np.sum(kernel * template)
-        self._parts = [
-            ((left[:, k] * weight[k] * scale).astype(np.float32), right[k].astype(np.float32))
-            for k in range(rank)
-        ]
-        self.gain = float(scale * np.sqrt(np.sum(kernel**2)))
-        self._separation = max(1, round(0.35 * appearance.diameter_px / self.shrink))
-        self._pictures = np.empty((0, 0, 0), np.float32)
-
-    def response(self, image: np.ndarray) -> np.ndarray:
-        """Contrast [grey] that a particle centred in each cell would have; valid till the next."""
-        import cv2
-
-        # Fresh memory for each frame would cost as much as the filters.
-        shape = (3, image.shape[0] // self.shrink, image.shape[1] // self.shrink)
-        if self._pictures.shape != shape:
-            self._pictures = np.empty(shape, np.float32)
-        response, part, small = self._pictures
-        block_mean_into(small, image, self.shrink)
-        for k, (column, row) in enumerate(self._parts):
-            cv2.sepFilter2D(small, cv2.CV_32F, row, column, dst=part if k else response)
-            if k:
-                cv2.add(response, part, dst=response)
-        return response
-
-    def candidates(
-        self, image: np.ndarray, least_sigma: float, least_contrast: float
-    ) -> tuple[np.ndarray, float, float]:
-        """Rows (N, 3), x, y [px] and contrast [grey] of maxima; what noise and texture there is.
-
-        That is σ of the pixel noise [grey], and the area [px²] where the response, high or low,
-        is more than noise.
-        """
-        response = self.response(image)
-        noise = pixel_noise(image)
-        least = least_sigma * noise * self.gain / self.shrink
-        found = peaks(response, max(least, least_contrast), self._separation)
-        found[:, :2] = (found[:, :2] + 0.5) * self.shrink - 0.5
-        sample = np.abs(response[1::4, 1::4])
-        return found, noise, np.count_nonzero(sample > least) / sample.size * image.size
