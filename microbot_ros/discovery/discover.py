@@ -141,10 +141,12 @@ def _worst(maps: Iterable[ResidualMap]) -> tuple[ResidualMap, ...]:
 
 def _suggestions(found: Sequence[Found]) -> list[_Case]:
     """The best of what a model without effects goes without, unless chance explains it well."""
-    if not found or found[0].p_value * len(found) >= SUGGESTED:
+    likely = [c for c in found if c.p_value * len(found) < SUGGESTED]
+    if not likely:
         return []
-    best, *others = found
-    return [_Case(best, [other for other in others if _close(other, best)], [])]
+    # The flank of a spot could stand in for anything smooth.
+    best = next((c for c in likely if c.whole), likely[0])
+    return [_Case(best, [c for c in found if c is not best and _close(c, best)], [])]
 
 
 def _weak(case: _Case, incomplete: bool) -> NamedEffect:
