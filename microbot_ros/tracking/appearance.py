@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -32,7 +33,7 @@ class Appearance:
         """Whether the picture shows a cap, so that θ can be measured."""
         return len(self.table) > 1
 
-    @property
+    @cached_property
     def dark(self) -> bool:
         """Whether particles are, on the whole, darker than their background."""
         radius = np.arange(self.table.shape[1])

@@ -20,8 +20,9 @@ from microbot_ros.tracking.fit import (
     Y,
     fit,
 )
-from microbot_ros.tracking.lattice import Lattice, downwards
+from microbot_ros.tracking.lattice import Lattice
 from microbot_ros.tracking.matched_filter import MatchedFilter
+from microbot_ros.tracking.neighbours import doubled
 from microbot_ros.tracking.search import Light, whole
 from microbot_ros.tracking.settings import TrackerSettings
 
@@ -82,6 +83,11 @@ class RoundDetector:
         self._filter = MatchedFilter(appearance)
         self._spacing = max(4, int(np.ceil(appearance.diameter_px)))
         self._light = Light(self._spacing)
+        self._reach = int(appearance.reach_px) + 4  # a fit may move out of the box a little
+        self.grain_px = self._filter.shrink
+        """Boxes to look at begin and end at multiples of this."""
+        self.margin_px = appearance.reach_px + appearance.diameter_px / 2
+        """How far from a particle the picture bears on what is measured."""
         self._lattice = None if appearance.capped else Lattice(appearance)
         radii = np.arange(appearance.table.shape[1]) * TABLE_STEP
         energy = 2 * np.pi * TABLE_STEP * float(np.sum(radii * appearance.table[0] ** 2))
@@ -89,31 +95,33 @@ class RoundDetector:
             energy, appearance.min_contrast_grey, settings.min_detection_sigma,
             settings.size_tolerance, settings.min_quality, _CLOSEST * appearance.diameter_px)
 
-    def detect(self, image: np.ndarray, expected: np.ndarray) -> Detections:
-        """All particles of `image` (H, W).
+    def detect(
+        self, image: np.ndarray, expected: np.ndarray, boxes: np.ndarray | None = None
+    ) -> Detections:
+        """All particles of `image` (H, W), or of boxes (n, 4) in it that don't overlap.
 
         `expected` (M, 2) [px] is where known particles should be. Where fewer peaks are found
         than particles are expected, the fit starts from the expectations as well, so that
         touching particles are told apart.
         """
-        boxes = whole(image.shape)
-        peaks, noise, texture = self._filter.candidates(
+        peaks = self._filter.candidates(
             image, self._settings.min_detection_sigma, 0.7 * self.appearance.min_contrast_grey,
             boxes)
-        grid = self._light.look(image, boxes)
+        grid = self._light.look(
+            image, whole(image.shape) if boxes is None else boxes, self._reach)
         found, hidden = self._assign(peaks, expected)
         rows = _starts(found, hidden)
         errors = self._fit(image, grid, rows, np.ones(len(rows), bool))
-        quality, good = self._judge(rows, errors, noise)
+        quality, good = self._judge(rows, errors)
         wrong = np.flatnonzero(~good[len(found):]) + len(found)
         if len(wrong):
             self._without(wrong, peaks, image, grid, rows, errors)
-            quality, good = self._judge(rows, errors, noise)
+            quality, good = self._judge(rows, errors)
         known = np.pi * (self.appearance.reach_px + self._filter.shrink) ** 2
-        strange = (texture - np.count_nonzero(good) * known) / image.size
+        strange = (self._filter.texture - np.count_nonzero(good) * known) / image.size
         self.remark = '' if strange < _STRANGE else (
             f'{100 * strange:.0f} % of the picture show something that is no particle')
-        return self._detections(rows[good], errors[good], quality[good], noise)
+        return self._detections(rows[good], errors[good], quality[good])
 
     def _assign(self, peaks: np.ndarray, expected: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where to start: the peaks, and expected particles hidden in the peak of another.
@@ -160,15 +168,13 @@ class RoundDetector:
         again = self._fit(image, grid, rows, disturbed)
         errors[disturbed] = again[disturbed]
 
-    def _judge(
-        self, rows: np.ndarray, errors: np.ndarray, noise: float
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _judge(self, rows: np.ndarray, errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Quality of each fit (N,), and whether it is a particle and no other is on top of it."""
-        quality, good = _judge(rows, errors, noise, *self._limits)
+        quality, good = _judge(rows, errors, self._filter.noise, *self._limits)
         return quality, good
 
     def _detections(
-        self, rows: np.ndarray, errors: np.ndarray, quality: np.ndarray, noise: float
+        self, rows: np.ndarray, errors: np.ndarray, quality: np.ndarray
     ) -> Detections:
         theta = np.full(len(rows), np.nan)
         if self.appearance.capped:
@@ -176,7 +182,7 @@ class RoundDetector:
             theta[known] = np.pi - np.mod(np.pi - rows[known, THETA], 2 * np.pi)
         return Detections(
             xy=rows[:, [X, Y]],
-            sigma=_sigma(errors, noise),
+            sigma=_sigma(errors, self._filter.noise),
             theta=theta,
             contrast=rows[:, CONTRAST],
             radius=rows[:, SIZE] * self.appearance.diameter_px / 2,
@@ -224,7 +230,7 @@ def _judge(rows, errors, noise, energy, contrast, sigma, tolerance, least, close
         quality[n] = 1 - misfit / (energy * (a * size) ** 2)
         good[n] = (a >= contrast and a >= sigma * errors[n, CONTRAST]
                    and 1 / tolerance <= size <= tolerance and quality[n] >= least)
-    return quality, good & ~_doubled(rows, good, closest)
+    return quality, good & ~doubled(rows, good, closest)
 
 
 @numba.njit(cache=True)
@@ -241,20 +247,3 @@ def _claim(distance, nearest, order, farthest, peaks):  # type: ignore[no-untype
                 homeless[i] = False
                 break
     return owner, np.flatnonzero(homeless)
-
-
-@numba.njit(cache=True)
-def _doubled(rows, good, closest):  # type: ignore[no-untyped-def]
-    """Whether a particle of higher contrast, itself good, lies closer than `closest`: (N,)."""
-    doubled = np.zeros(len(rows), np.bool_)
-    order = downwards(rows)
-    for m in range(len(order)):
-        i = order[m]
-        for n in range(m + 1, len(order)):
-            j = order[n]
-            dx, dy = rows[j, X] - rows[i, X], rows[j, Y] - rows[i, Y]
-            if not dy < closest:
-                break
-            if good[i] and good[j] and dx * dx + dy * dy < closest * closest:
-                doubled[i if rows[i, CONTRAST] < rows[j, CONTRAST] else j] = True
-    return doubled

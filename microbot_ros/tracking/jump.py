@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from microbot_ros.tracking.neighbours import count_within
+
 _LEAST = 3
 """Particles: fewer can't tell a jump of the picture from motion of their own."""
 
@@ -24,13 +26,12 @@ def common_jump(
     Found by vote: each pair of a particle and a detection proposes its offset, and the offset
     with most others within the tolerance wins.
     """
-    from scipy.spatial import cKDTree
-
     if len(expected) < _LEAST or len(found) < _LEAST:
         return None
-    detections = cKDTree(found)
-    if np.mean(detections.query(expected)[0] < tolerance) >= 0.5:
+    if np.count_nonzero(count_within(expected, found, tolerance)) >= 0.5 * len(expected):
         return None
+    from scipy.spatial import cKDTree
+
     voters = expected[:: -(-len(expected) // _VOTERS)]
     offsets = (found[None] - voters[:, None]).reshape(-1, 2)
     offsets = offsets[np.all(np.abs(offsets) <= np.array(size[::-1]) / 4, axis=1)]
@@ -42,6 +43,6 @@ def common_jump(
     jump = np.median(offsets[party], axis=0)
     landed = expected + jump
     inside = np.all((landed > 0) & (landed < np.array(size[::-1]) - 1), axis=1)
-    hit = detections.query(landed)[0] < tolerance
-    enough = hit.sum() >= max(_LEAST, _SUPPORT * inside.sum())
+    hit = np.count_nonzero(count_within(landed, found, tolerance))
+    enough = hit >= max(_LEAST, _SUPPORT * inside.sum())
     return jump if enough else None

@@ -26,6 +26,7 @@ from microbot_ros.tracking.fit import (
     Y,
     background_at,
 )
+from microbot_ros.tracking.neighbours import neighbours
 
 _CELLS = 4
 """Cells per pixel and axis."""
@@ -236,45 +237,6 @@ def _conclude(row, squares, pixels, covariance, errors):  # type: ignore[no-unty
     errors[PARAMETERS + 1] = pixels
 
 
-@numba.njit(cache=True)
-def downwards(rows):  # type: ignore[no-untyped-def]
-    """The order of particles by y. By insertion: the search has found nearly all in that order."""
-    order = np.arange(len(rows))
-    for m in range(1, len(order)):
-        i, k = order[m], m
-        while k > 0 and rows[order[k - 1], Y] > rows[i, Y]:
-            order[k] = order[k - 1]
-            k -= 1
-        order[k] = i
-    return order
-
-
-@numba.njit(cache=True)
-def _neighbours(parameters, near):  # type: ignore[no-untyped-def]
-    """Who lies within `near` px of each particle: those of n are other[first[n]:first[n + 1]]."""
-    pairs = []
-    order = downwards(parameters)
-    for m in range(len(order)):
-        i = order[m]
-        for n in range(m + 1, len(order)):
-            j = order[n]
-            dx, dy = parameters[j, X] - parameters[i, X], parameters[j, Y] - parameters[i, Y]
-            if not dy < near:
-                break
-            if dx * dx + dy * dy < near * near:
-                pairs.append((i, j))
-                pairs.append((j, i))
-    first = np.zeros(len(parameters) + 1, np.int64)
-    for i, _ in pairs:
-        first[i + 1] += 1
-    first = np.cumsum(first)
-    other, free = np.empty(len(pairs), np.int64), first.copy()
-    for i, j in pairs:
-        other[free[i]] = j
-        free[i] += 1
-    return first, other
-
-
 @numba.njit(cache=True, inline='always')
 def _turn(row, flat, tables, overlap, solution):  # type: ignore[no-untyped-def]
     """Fit a particle to a window about its present cell.
@@ -328,7 +290,7 @@ def _fit(image, grid, spacing, parameters, active, near, settled, tables):  # ty
     count = parameters.shape[0]
     errors = np.full((count, PARAMETERS + 2), np.nan)
     squares, waiting = np.full(count, -1.0), active.copy()
-    first, other = _neighbours(parameters, near)
+    first, other = neighbours(parameters, near)
     for _ in range(_TURNS_AMONG_OTHERS):
         _sweep(image, grid, spacing, parameters, waiting, first, other, settled, tables, squares)
     for n in range(count):

@@ -11,6 +11,7 @@ from microbot_ros.tracking.assign import assign
 from microbot_ros.tracking.detect import Detections
 from microbot_ros.tracking.jump import common_jump
 from microbot_ros.tracking.motion import Motion
+from microbot_ros.tracking.neighbours import count_within
 from microbot_ros.tracking.settings import TrackerSettings
 from microbot_ros.tracking.states import (
     LEAST_SIGMA,
@@ -56,7 +57,7 @@ class Linker:
         self._merging = not appearance.round
         self._size = size
         self._motion = Motion(diameter_px)
-        self._max_step = settings.max_step_px or diameter_px
+        self.max_step_px = settings.max_step_px or diameter_px
         self._birth_rate = _BIRTHS[0]
         self._next_id = 0
         self._interval: float | None = None
@@ -91,7 +92,7 @@ class Linker:
         """What is reckoned with before a particle's response is known."""
         if self._drive_rate == 0.0 or self._interval is None:
             return 0.0
-        return (self._max_step / 4 / (self._drive_rate * self._interval)) ** 2
+        return (self.max_step_px / 4 / (self._drive_rate * self._interval)) ** 2
 
     def expected(self) -> np.ndarray:
         """Positions (M, 2) [px] at which named particles are to be looked for."""
@@ -99,8 +100,11 @@ class Linker:
         near = (states.id != UNNAMED) & (states.missed < _EXPECTED_FOR)
         return states.xy[near]
 
-    def update(self, found: Detections) -> None:
-        """Give each detection to a particle, or to a new one; drop who was unseen too long."""
+    def update(self, found: Detections, everywhere: bool = True) -> None:
+        """Give each detection to a particle, or to a new one; drop who was unseen too long.
+
+        Only where the detections are from `everywhere` do they say how often new ones turn up.
+        """
         states = self.states
         offset = self._jumped(found)
         found, noise = self._doubted(found)
@@ -123,10 +127,11 @@ class Linker:
         self._christen()
         fresh = np.ones(len(found), bool)
         fresh[detection] = False
-        if len(track):
+        if len(track) and everywhere:
             self._birth_rate += 0.02 * (int(fresh.sum()) - self._birth_rate)
             self._birth_rate = max(self._birth_rate, _BIRTHS[1])
-        self.states = self.states.join(self._born(found[fresh]))
+        if np.any(fresh):
+            self.states = self.states.join(self._born(found[fresh]))
 
     def _jumped(self, found: Detections) -> np.ndarray:
         """Where to look beside the predictions (2,) [px], if the whole picture moved.
@@ -155,8 +160,8 @@ class Linker:
         if self._merging or len(found) == 0:
             return found, found.sigma**2 + LEAST_SIGMA**2
         named = self.states.xy[self.states.id != UNNAMED]
-        detections = _within(found.xy, found.xy, _OVERLAP * self._diameter)
-        expected = _within(found.xy, named, _OVERLAP * self._diameter)
+        detections = count_within(found.xy, found.xy, _OVERLAP * self._diameter)
+        expected = count_within(found.xy, named, _OVERLAP * self._diameter)
         hidden = np.where(expected > detections, _HIDDEN * self._diameter, 0.0)
         touched = np.where(detections > 1, _TOUCHED * self._diameter, 0.0)
         found = replace(found, sigma=np.hypot(found.sigma, hidden))
@@ -168,7 +173,7 @@ class Linker:
         states = self.states
         alone = states.host < 0
         wider = np.where(alone, np.sqrt(1.0 + states.missed), 1.0)
-        reach = self._max_step * wider + np.where(alone, 0.0, np.sqrt(states.variance))
+        reach = self.max_step_px * wider + np.where(alone, 0.0, np.sqrt(states.variance))
         rate = _MISS_RATE * self._birth_rate / (self._size[0] * self._size[1])
         return assign(
             states.xy + offset, states.variance, reach, _looks(states),
@@ -242,7 +247,9 @@ class Linker:
         x, y = states.xy.T
         inside = (x > -0.5) & (y > -0.5) & (x < width - 0.5) & (y < height - 0.5)
         living = (states.missed <= patience) | (states.host >= 0)
-        self.states = states.take(living & (inside | (states.missed == 0)))
+        stay = living & (inside | (states.missed == 0))
+        if not np.all(stay):
+            self.states = states.take(stay)
 
     def _christen(self) -> None:
         states = self.states
@@ -253,20 +260,10 @@ class Linker:
         self.named = states.take(due)
 
     def _born(self, found: Detections) -> TrackStates:
-        speed = max(self._motion.velocity_step, (self._max_step / 4) ** 2)
+        speed = max(self._motion.velocity_step, (self.max_step_px / 4) ** 2)
         return born(
             found.xy, found.sigma, found.theta, found.contrast, found.radius,
             speed / (self._interval or 1.0) ** 2, self._response_variance, self._early_frames)
-
-
-def _within(places: np.ndarray, others: np.ndarray, distance: float) -> np.ndarray:
-    """How many of `others` (M, 2) lie within `distance` of each of `places` (N, 2)."""
-    from scipy.spatial import cKDTree
-
-    if len(others) == 0:
-        return np.zeros(len(places), int)
-    count: np.ndarray = cKDTree(others).query_ball_point(places, distance, return_length=True)
-    return count
 
 
 def _looks(of: TrackStates | Detections) -> np.ndarray:

@@ -7,7 +7,14 @@ import numpy as np
 
 from microbot_ros.tracking.appearance import Appearance
 from microbot_ros.tracking.fit import FAST
-from microbot_ros.tracking.search import block_mean_into, grown, in_cells, peaks, pixel_noise
+from microbot_ros.tracking.search import (
+    block_mean_into,
+    grown,
+    in_cells,
+    peaks,
+    pixel_noise,
+    whole,
+)
 
 _AT_ONCE = 4
 """Weights of a folded kernel that are applied in one pass."""
@@ -72,14 +79,18 @@ class MatchedFilter:
         self.gain = float(scale * np.sqrt(np.sum(kernel**2)))
         self._separation = max(1, round(0.35 * appearance.diameter_px / self.shrink))
         self._small = self._response = np.empty((0, 0), np.float32)
+        self.noise = 0.0
+        """Standard deviation of the pixel noise [grey]."""
+        self.texture = 0.0
+        """Area [px²] where the response, high or low, is more than noise."""
 
     def candidates(
-        self, image: np.ndarray, least_sigma: float, least_contrast: float, boxes: np.ndarray
-    ) -> tuple[np.ndarray, float, float]:
-        """Rows (N, 3), x, y [px] and contrast [grey] of maxima; what noise and texture there is.
+        self, image: np.ndarray, least_sigma: float, least_contrast: float,
+        boxes: np.ndarray | None,
+    ) -> np.ndarray:
+        """Rows (N, 3), x, y [px] and contrast [grey] of maxima, in boxes [px]; None for all.
 
-        That is σ of the pixel noise [grey], and the area [px²] where the response, high or low,
-        is more than noise, as of when each part was looked at last. `boxes` [px] are searched.
+        What noise and texture there is, is judged when the whole picture is searched.
         """
         shape = (image.shape[0] // self.shrink, image.shape[1] // self.shrink)
         # Fresh memory for each frame would cost as much as the filters.
@@ -87,13 +98,17 @@ class MatchedFilter:
             margin = 2 * (self._rows.shape[1] - 1)
             self._response = np.zeros(shape, np.float32)
             self._small = np.zeros((shape[0] + margin, shape[1] + margin), np.float32)
-        cells = _respond(image, self.shrink, self._small, self._columns, self._rows,
-                         self._separation, self._response, boxes)
-        noise = pixel_noise(image)
-        least = least_sigma * noise * self.gain / self.shrink
-        found = peaks(
+        cells = _respond(
+            image, self.shrink, self._small, self._columns, self._rows, self._separation,
+            self._response, whole(image.shape) if boxes is None else boxes)
+        if boxes is None:
+            self.noise = pixel_noise(image)
+        least = least_sigma * self.noise * self.gain / self.shrink
+        if boxes is None:
+            self.texture = _share_beyond(self._response, least) * image.size
+        found: np.ndarray = peaks(
             self._response, self.shrink, max(least, least_contrast), self._separation, cells)
-        return found, noise, _share_beyond(self._response, least) * image.size
+        return found
 
 
 def _folded(kernels: np.ndarray) -> np.ndarray:
@@ -155,8 +170,8 @@ def _convolve(response, padded, columns, rows, boxes):  # type: ignore[no-untype
     `padded` has a margin of K − 1 cells more than the response all around.
     """
     margin = columns.shape[1] - 1
-    line = np.empty(padded.shape[1], np.float32)
     for y0, x0, y1, x1 in boxes:
+        line = np.empty(x1 - x0 + 2 * margin, np.float32)
         count, start = numba.uintp(x1 - x0), numba.uintp(x0)
         for y in range(y0, y1):
             response[y, x0:x1] = 0

@@ -54,16 +54,16 @@ def block_mean(image: np.ndarray, size: int) -> np.ndarray:
 @numba.njit(cache=True, fastmath=FAST)
 def block_mean_into(mean, image, size, pad, boxes):  # type: ignore[no-untyped-def]
     """`block_mean` in boxes of cells, into `mean`, which has `pad` cells of margin."""
-    line = np.empty(image.shape[1], np.float32)
     scale = np.float32(1.0 / (size * size))
     for y0, x0, y1, x1 in boxes:
+        line = np.empty((x1 - x0) * size, np.float32)
         # Unsigned indices can't wrap around, which lets the compiler use vectors.
         count, start, to = numba.uintp(x1 - x0), numba.uintp(x0 * size), numba.uintp(pad + x0)
         for j in range(y0, y1):
             line[:] = 0
             for dy in range(size):
                 source = numba.uintp(j * size + dy)
-                for i in range(numba.uintp((x1 - x0) * size)):
+                for i in range(numba.uintp(line.size)):
                     line[i] += image[source, start + i]
             _narrow(line, size, scale, mean[pad + j], to, count)
 
@@ -99,8 +99,8 @@ class Light:
         self._spacing = spacing
         self._cells = np.empty((0, 0), np.float32)
 
-    def look(self, image: np.ndarray, boxes: np.ndarray) -> np.ndarray:
-        """The light (H // spacing, W // spacing), as it is now where a box needs it."""
+    def look(self, image: np.ndarray, boxes: np.ndarray, margin: int = 0) -> np.ndarray:
+        """The light (H // spacing, W // spacing), as it is now up to `margin` px from a box."""
         import cv2
 
         if min(image.shape) < self._spacing:
@@ -108,14 +108,15 @@ class Light:
         shape = (image.shape[0] // self._spacing, image.shape[1] // self._spacing)
         if self._cells.shape != shape:
             self._cells = np.zeros(shape, np.float32)
-        _block_mean_near(self._cells, image, self._spacing, boxes)
+        _block_mean_near(self._cells, image, self._spacing, margin, boxes)
         return np.atleast_2d(cv2.medianBlur(self._cells, _MEDIAN))
 
 
 @numba.njit(cache=True)
-def _block_mean_near(cells, image, size, boxes):  # type: ignore[no-untyped-def]
-    """Block means of all cells that take part in the light of the boxes, between cells too."""
-    near = grown(in_cells(boxes, size, cells.shape), 1 + _MEDIAN // 2, cells.shape)
+def _block_mean_near(cells, image, size, margin, boxes):  # type: ignore[no-untyped-def]
+    """Block means of all cells that take part in the light near the boxes, between cells too."""
+    wide = in_cells(grown(boxes, margin, image.shape), size, cells.shape)
+    near = grown(wide, 1 + _MEDIAN // 2, cells.shape)
     block_mean_into(cells, image, size, 0, near)
 
 

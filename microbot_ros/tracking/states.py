@@ -144,4 +144,5 @@ def phasor(xy: np.ndarray) -> np.ndarray:
 
 def planar(z: np.ndarray) -> np.ndarray:
     """x + iy (...) as vectors (..., 2)."""
-    return np.stack([z.real, z.imag], axis=-1)
+    parts: np.ndarray = np.ascontiguousarray(z).view(float).reshape(*np.shape(z), 2)
+    return parts

@@ -13,6 +13,7 @@ from microbot_ros.tracking.appearance import Appearance
 from microbot_ros.tracking.detect import RoundDetector
 from microbot_ros.tracking.learn import learning
 from microbot_ros.tracking.link import Linker
+from microbot_ros.tracking.lookout import Lookout
 from microbot_ros.tracking.outline import OutlineDetector
 from microbot_ros.tracking.settings import TrackerSettings
 from microbot_ros.tracking.states import TrackStates
@@ -69,9 +70,16 @@ class Tracker:
     a portion with each frame that follows; `ready` turns True then, and till then there are no
     poses. OpenCV is set to one thread: the tracker shares
     its machine with the rest of the loop.
+
+    The whole picture is searched every `full_search_interval` [s], as soon as anything is not as
+    expected, and around the known particles otherwise: see `Lookout`. A new particle is found
+    that much later at most; with 0 every search is for all.
     """
 
-    def __init__(self, settings: TrackerSettings, appearance: Appearance | None = None) -> None:
+    def __init__(
+        self, settings: TrackerSettings, appearance: Appearance | None = None,
+        full_search_interval: float = 0.0,
+    ) -> None:
         import cv2
 
         cv2.setNumThreads(1)
@@ -79,8 +87,8 @@ class Tracker:
         self.appearance = appearance
         self.size: tuple[int, int] | None = None
         self._dtype: np.dtype | None = None
-        self._detector: RoundDetector | OutlineDetector | None = None
-        self._linker: Linker | None = None
+        self._follower: _Follower | None = None
+        self._full_search_interval = full_search_interval
         self._first_frames: list[np.ndarray] = []
         self._learning: Generator[None, None, Appearance | None] | None = None
         self.remarks: dict[str, str] = {}
@@ -100,9 +108,10 @@ class Tracker:
 
         In the K = confirm_frames − 1 frames before, oldest first.
         """
-        if self._linker is None:
+        if self._follower is None:
             return np.empty(0, int), np.empty((0, self.settings.confirm_frames - 1, 2))
-        return self._linker.named.id, self._linker.named.early
+        named = self._follower.linker.named
+        return named.id, named.early
 
     def update(
         self, image: np.ndarray, t: float, drive: np.ndarray | None = None
@@ -122,17 +131,16 @@ class Tracker:
             self.remarks = self._watch.look(image, dt, 0.0)
             self._learn(image)
             return _poses(t, None, 0j)
-        if self._linker is None or self._detector is None:
-            self._detector = make_detector(self.appearance, self.settings)
-            self._linker = Linker(self.settings, self.appearance, image.shape)
+        if self._follower is None:
+            self._follower = _Follower(
+                self.settings, self.appearance, image.shape, self._full_search_interval)
         pushed = 0j if drive is None else complex(*drive)
-        if dt is not None:
-            self._linker.predict(dt, pushed)
-        self._linker.update(self._detector.detect(image, self._linker.expected()))
-        self.remarks = self._watch.look(image, dt, self._linker.jump)
-        if self._detector.remark:
-            self.remarks['strange'] = self._detector.remark
-        return _poses(t, self._linker.states, pushed / dt if dt else 0j)
+        self._follower.follow(image, t, dt, pushed)
+        linker = self._follower.linker
+        self.remarks = self._watch.look(image, dt, linker.jump)
+        if self._follower.detector.remark:
+            self.remarks['strange'] = self._follower.detector.remark
+        return _poses(t, linker.states, pushed / dt if dt else 0j)
 
     def _check(self, image: np.ndarray, drive: np.ndarray | None) -> None:
         if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16) or image.size == 0:
@@ -175,6 +183,31 @@ class Tracker:
         except StopIteration as done:
             self.appearance = done.value
             self._learning = None
+
+
+class _Follower:
+    """Search, fit and linking, once it is known what the particles look like."""
+
+    def __init__(self, settings: TrackerSettings, appearance: Appearance, size: tuple[int, int],
+                 full_search_interval: float) -> None:
+        self.detector = make_detector(appearance, settings)
+        self.linker = Linker(settings, appearance, size)
+        self._lookout = Lookout(full_search_interval, self.linker.max_step_px,
+                                self.detector.margin_px, self.detector.grain_px)
+
+    def follow(self, image: np.ndarray, t: float, dt: float | None, pushed: complex) -> None:
+        """Follow all on to the picture (H, W) at time `t` [s], `dt` after the last."""
+        if dt is not None:
+            self.linker.predict(dt, pushed)
+        expected = self.linker.expected()
+        windows = self._lookout.windows(t, self.linker.states, image.shape)
+        if windows is not None:
+            found = self.detector.detect(image, expected, windows)
+            if len(found) >= len(expected):
+                self.linker.update(found, everywhere=False)
+                return
+        self._lookout.looked_everywhere(t)
+        self.linker.update(self.detector.detect(image, expected))
 
 
 def make_detector(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from microbot_ros.tracking.learn import learn
@@ -19,10 +21,11 @@ def warm_up(dtype: type[np.uint8] | type[np.uint16] = np.uint8) -> None:
     for shape, cap in (('round', 0.0), ('round', 40.0), ('any', 0.0)):
         settings = TrackerSettings(shape=shape, diameter_px=10)
         scale = 1 if dtype is np.uint8 else 64
-        # One more than it takes to name a particle: named ones are looked for where expected.
+        # One more than it takes to name a particle: named ones are looked for where expected,
+        # in windows.
         frames = [
             (_discs(rng, cap) * scale).astype(dtype) for _ in range(settings.confirm_frames + 1)]
-        tracker = Tracker(settings, learn(frames, settings))
+        tracker = Tracker(settings, learn(frames, settings), full_search_interval=math.inf)
         for k, frame in enumerate(frames):
             tracker.update(frame, float(k))
 
