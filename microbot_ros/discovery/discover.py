@@ -78,10 +78,9 @@ def _discover(ladder: Ladder, remarks: tuple[str, ...], report: Callable[[str], 
     after = residual_maps(ladder.fit) if ladder.fit.model.effects else before
     report('comparing with what could stand in')
     cases = [_Case.of(ladder, effect.id) for effect in ladder.fit.model.effects]
-    unexplained = _worst([m for m in after if m.fires] + [m for c in cases for m in c.better])
-    effects = [_name(ladder.fit, case, bool(unexplained)) for case in cases]
-    if not effects:
-        effects = [_weak(case, bool(unexplained)) for case in _suggestions(ladder.open)]
+    unexplained = _worst([m for m in after if m.fires] + [m for c in cases for m in c.doubts])
+    effects = [case.entry(bool(unexplained) and not _follows_levels(ladder.fit, case.own.id))
+               for case in cases or _suggestions(ladder.open)]
     rivals = [rival.fit.model for case in cases for rival in case.rivals]
     report('predicting what was held out')
     fit = ladder.fit
@@ -110,25 +109,46 @@ def _verdict(effects: Sequence[NamedEffect], unexplained: Sequence[ResidualMap])
 
 @dataclass(frozen=True)
 class _Case:
-    """What speaks for an effect of the final model, and what against it.
+    """What speaks for an effect, and what against it.
 
-    `own` is what it brings beside the others, `rivals` the effects that explain as much in its
-    place, `better` the maps which say that something smooth that is in no library explains more.
+    `own` is what it brings beside the others, `gain` the logarithm of its e-value, `sure` whether
+    both vouch for it; `rivals` explain as much in its place. `doubts` are maps of the model
+    without it: those that say more than it does, since something smooth that is in no library
+    explains it better; all that fire, where it is not sure.
     """
 
     own: Found
+    gain: float
+    sure: bool
     rivals: list[Found]
-    better: list[ResidualMap]
+    doubts: list[ResidualMap]
 
     @classmethod
     def of(cls, ladder: Ladder, name: str) -> _Case:
         """The case of one effect of the ladder's model."""
         rest = without(ladder.fit, name)
         own = found_in(ladder.fit, rest, name)
-        chance = own.log_p + np.log(len(EFFECTS))
+        gain = log_e_value(ladder.fit, name)
+        # Halves of a recording in which the frequency was stepped once do not predict each other.
+        sure = own.whole and own.delta_bic > CLOSE and (
+            gain > HELD_OUT or _follows_levels(ladder.fit, name))
+        most = own.log_p + np.log(len(EFFECTS)) - BETTER if sure else 0.0
         return cls(
-            own, [rival for rival in ladder.rivals(name) if _close(rival, own)],
-            [m for m in residual_maps(rest) if m.fires and m.log_p < chance - BETTER])
+            own, gain, sure, [rival for rival in ladder.rivals(name) if _close(rival, own)],
+            [m for m in residual_maps(rest) if m.fires and m.log_p < most])
+
+    def entry(self, incomplete: bool) -> NamedEffect:
+        """As it is named; `incomplete`: whether what is established leaves something."""
+        status: Status = 'proxy' if incomplete else 'established' if self.sure else 'suggested'
+        return NamedEffect(
+            self.own.id, status, _estimates(self.own.fit, self.own.id), self.own.delta_bic,
+            self.own.p_value, float(np.exp(min(self.gain, 700.0))),
+            tuple(rival.id for rival in self.rivals))
+
+
+def _follows_levels(fit: Fit, name: str) -> bool:
+    """Whether speeds at the levels of the drive vouch for an effect that alone depends on them."""
+    return name == 'drive_response' and curve_p_value(fit) < BACKWARD
 
 
 def _worst(maps: Iterable[ResidualMap]) -> tuple[ResidualMap, ...]:
@@ -140,34 +160,14 @@ def _worst(maps: Iterable[ResidualMap]) -> tuple[ResidualMap, ...]:
 
 
 def _suggestions(found: Sequence[Found]) -> list[_Case]:
-    """The best of what a model without effects goes without, unless chance explains it well."""
+    """The best of what is too weak for a model that has none yet, or seen from one side only."""
     likely = [c for c in found if c.p_value * len(found) < SUGGESTED]
     if not likely:
         return []
     # The flank of a spot could stand in for anything smooth.
     best = next((c for c in likely if c.whole), likely[0])
-    return [_Case(best, [c for c in found if c is not best and _close(c, best)], [])]
-
-
-def _weak(case: _Case, incomplete: bool) -> NamedEffect:
-    """An effect that is too weak, or seen too much from one side, for the model."""
-    own = case.own
-    return _entry(own, 'proxy' if incomplete else 'suggested', log_e_value(own.fit, own.id),
-                  case.rivals)
-
-
-def _name(fit: Fit, case: _Case, incomplete: bool) -> NamedEffect:
-    """An effect with its evidence; `incomplete`: whether the final model leaves something."""
-    own = case.own
-    gain = log_e_value(fit, own.id)
-    # Nothing else could stand in for what alone depends on the frequency; and halves of a
-    # recording in which the frequency was stepped once do not predict each other.
-    alone = own.id == 'drive_response' and curve_p_value(fit) < BACKWARD
-    sure = own.delta_bic > CLOSE and (alone or gain > HELD_OUT)
-    status: Status = 'established' if sure else 'suggested'
-    if incomplete and not alone:
-        status = 'proxy'
-    return _entry(own, status, gain, case.rivals)
+    rivals = [c for c in found if c is not best and _close(c, best)]
+    return [_Case(best, log_e_value(best.fit, best.id), False, rivals, [])]
 
 
 def _close(rival: Found, own: Found) -> bool:
@@ -175,12 +175,6 @@ def _close(rival: Found, own: Found) -> bool:
     return rival.p_value < FORWARD and (
         rival.delta_bic > own.delta_bic - CLOSE
         or rival.likelihood_ratio > own.likelihood_ratio - CLOSE)
-
-
-def _entry(found: Found, status: Status, gain: float, rivals: list[Found]) -> NamedEffect:
-    return NamedEffect(
-        found.id, status, _estimates(found.fit, found.id), found.delta_bic, found.p_value,
-        float(np.exp(min(gain, 700.0))), tuple(rival.id for rival in rivals))
 
 
 def _confounded(fit: Fit) -> list[str]:

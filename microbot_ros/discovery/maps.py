@@ -115,14 +115,31 @@ def _single_steps(fit: Fit) -> ResidualMap:
     """The largest step of one particle, and of all of them at once; jumps that were cut out."""
     worst, trials = 0.0, 0
     for p in fit.parts:
-        used = p.residual != 0
-        common = p.residual.sum(axis=1) / np.sqrt(np.maximum(used.sum(axis=1), 1))
-        worst = max(worst, float((np.abs(p.residual) ** 2).max()),
-                    float((np.abs(common) ** 2).max()))
-        trials += p.count + len(common)
+        number = np.sqrt(np.maximum((p.residual != 0).sum(axis=1), 1))
+        for residual in (p.residual, _lasting(p)):
+            common = residual.sum(axis=1) / number
+            worst = max(worst, float((np.abs(residual) ** 2).max()),
+                        float((np.abs(common) ** 2).max()))
+            trials += p.count + len(common)
     jumps = sum(p.evidence.jumps for p in fit.parts)
     p_value = 0.0 if jumps else float(min(1.0, trials * np.exp(-worst / 2)))
     return ResidualMap('single steps', 'time [s]', worst, 2, p_value, np.empty(0), {})
+
+
+def _lasting(p: Part) -> np.ndarray:
+    """White residuals (T, N) matched to a step that lasts, where places are known badly.
+
+    The local-level filter comes after a step by a part K, its steady gain, at every frame: what
+    it has not yet followed is left in the residuals, (1 − K)^k of the step k frames later.
+    """
+    from scipy.signal import lfilter
+
+    if p.whitening.excess <= 0:
+        return p.residual
+    ratio = 2 * p.evidence.interval / p.whitening.excess
+    kept = 1 - (np.sqrt(ratio**2 + 4 * ratio) - ratio) / 2
+    matched: np.ndarray = lfilter([np.sqrt(1 - kept**2)], [1, -kept], p.residual[::-1], axis=0)
+    return matched[::-1]
 
 
 def _curves(p: Part, group: Group) -> tuple[np.ndarray, dict[str, tuple[np.ndarray, np.ndarray]]]:
