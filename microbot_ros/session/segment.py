@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import struct
 import zlib
 from contextlib import suppress
 from importlib.metadata import version
@@ -15,6 +16,7 @@ from mcap.records import (
     Attachment,
     AttachmentIndex,
     Channel,
+    Chunk,
     ChunkIndex,
     DataEnd,
     Footer,
@@ -66,19 +68,18 @@ class Segment:
     def add_chunk(self, closed: ClosedChunk) -> None:
         """Append a chunk and the index of its messages."""
         chunk = closed.chunk
-        start = self.size
-        block = bytes_of(chunk)
-        length = len(block)
-        offsets = {}
+        start, head = self.size, chunk_head(chunk)
+        length = len(head) + len(chunk.data)
+        offsets, indexes = {}, b''
         for index in closed.indexes:
-            offsets[index.channel_id] = start + len(block)
-            block += bytes_of(index)
-        self._append(block)
+            offsets[index.channel_id] = start + length + len(indexes)
+            indexes += bytes_of(index)
+        self._append(head, chunk.data, indexes)
         self.summary.chunk_indexes.append(ChunkIndex(
             chunk_length=length, chunk_start_offset=start, compression=chunk.compression,
             compressed_size=len(chunk.data), message_start_time=chunk.message_start_time,
             message_end_time=chunk.message_end_time, message_index_offsets=offsets,
-            message_index_length=len(block) - length, uncompressed_size=chunk.uncompressed_size,
+            message_index_length=len(indexes), uncompressed_size=chunk.uncompressed_size,
         ))
         counts = {index.channel_id: len(index.records) for index in closed.indexes}
         count_messages(
@@ -99,6 +100,8 @@ class Segment:
     def sync(self) -> None:
         """Return when what was written would survive a power cut."""
         os.fdatasync(self._file.fileno())
+        # Nobody reads it soon; left in memory it would push out what others do read.
+        os.posix_fadvise(self._file.fileno(), 0, self.size, os.POSIX_FADV_DONTNEED)
 
     def finish(self) -> None:
         """Append the summary that lets readers find everything at once, and close the file."""
@@ -112,16 +115,17 @@ class Segment:
         """Close the file as it is: readable, without an index."""
         self._file.close()
 
-    def _append(self, block: bytes) -> None:
-        rest = memoryview(block)
+    def _append(self, *blocks: bytes) -> None:
         try:
-            while rest:
-                rest = rest[self._file.write(rest):]
+            for block in blocks:
+                rest = memoryview(block)
+                while rest:
+                    rest = rest[self._file.write(rest):]
         except OSError:
             self._file.truncate(self.size)
             self._file.seek(self.size)
             raise
-        self.size += len(block)
+        self.size += sum(map(len, blocks))
 
 
 def empty_summary() -> Summary:
@@ -182,6 +186,15 @@ def closing_bytes(summary: Summary, start: int) -> bytes:
     footer = bytes_of(Footer(start, start + len(block), 0))
     crc = zlib.crc32(block + offsets + footer[:-4])
     return data_end + block + offsets + footer[:-4] + crc.to_bytes(4, 'little') + MAGIC
+
+
+def chunk_head(chunk: Chunk) -> bytes:
+    """A chunk record up to its data, which are too large to be copied into it."""
+    kind = chunk.compression.encode()
+    fields = struct.pack(
+        f'<QQQII{len(kind)}sQ', chunk.message_start_time, chunk.message_end_time,
+        chunk.uncompressed_size, chunk.uncompressed_crc, len(kind), kind, len(chunk.data))
+    return struct.pack('<BQ', Opcode.CHUNK, len(fields) + len(chunk.data)) + fields
 
 
 def bytes_of(record: McapRecord) -> bytes:
