@@ -45,6 +45,10 @@ class TrackerParameters:
         'applied', 'What turns the particles, so that a turn is expected: the field read back '
         'from the coils, the one commanded, the rotation of rollers, or nothing known.',
         choices=('applied', 'command', 'rotation', 'none'), read_only=True)
+    full_search_ms: float = setting(
+        100.0, 'Longest time between searches of the whole picture, and so until a new particle '
+        'is seen; known ones are looked for around their predictions. 0: every frame.',
+        lower=0.0, upper=10_000.0, read_only=True)
     overlay_rate_hz: float = setting(
         10.0, 'Rate of `overlay/image_raw` while somebody looks; 0 turns it off.',
         lower=0.0, upper=60.0)
@@ -60,7 +64,10 @@ class TrackerNode(RigNode):
     def setup(self) -> None:
         warm_up()
         file = self.settings.settings_file
-        self._tracker = Tracker(read_yaml(file, TrackerSettings) if file else TrackerSettings())
+        self._tracker = Tracker(
+            read_yaml(file, TrackerSettings) if file else TrackerSettings(),
+            full_search_interval=units.to_si(
+                'full_search_ms', self.settings.full_search_ms))
         self._camera: ImageToWorkspace | None = None
         self._frames = self._refused = self._count = 0
         self._previous = self._longest_gap = 0.0

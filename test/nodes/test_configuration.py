@@ -27,7 +27,7 @@ def test_nested_keys_are_those_with_dots(tmp_path: Path) -> None:
 @pytest.mark.parametrize(('text', 'line', 'expected'), [
     ('coil_diver:\n  ros__parameters: {}\n', 1, "unknown node 'coil_diver'; known are: camera"),
     ('tracker:\n  ros__parameters:\n    pixel_size_mm: 1.0\n', 3,
-     "unknown parameter 'pixel_size_mm' of tracker; known are: drive, mirrored"),
+     "unknown parameter 'pixel_size_mm' of tracker; known are: drive, full_search_ms"),
     ('tracker:\n  ros__parameters:\n    pixel_size_um: -1.0\n', 3,
      'pixel_size_um must be 0.001 to 100 µm; received -1'),
     ('tracker:\n  ros__parameters:\n    pixel_size_um: .nan\n', 3, 'must be finite'),
