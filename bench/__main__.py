@@ -6,6 +6,7 @@ import argparse
 import dataclasses
 import importlib
 import json
+import math
 import pkgutil
 import sys
 from pathlib import Path
@@ -39,7 +40,9 @@ def main() -> int:
             figure.peer, '[green]ok[/]' if figure.ok else '[red]MISSED[/]',
         )
     Console(width=150 if not sys.stdout.isatty() else None).print(table)
-    entries = [dataclasses.asdict(figure) for figure in figures]
+    entries = [{**dataclasses.asdict(figure),
+                'value': figure.value if math.isfinite(figure.value) else None}
+               for figure in figures]
     # Figures may hold NumPy's own numbers and truth values.
     text = json.dumps(entries, indent=1, ensure_ascii=False, default=lambda value: value.item())
     write_text(Path('out/bench.json'), text + '\n')
