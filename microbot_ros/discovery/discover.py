@@ -16,6 +16,7 @@ from microbot_ros.discovery.held_out import held_out_gap, log_e_value
 from microbot_ros.discovery.ladder import BACKWARD, FORWARD, Ladder, search, without
 from microbot_ros.discovery.likelihood import Fit
 from microbot_ros.discovery.maps import residual_maps
+from microbot_ros.discovery.overlap import taken_back
 from microbot_ros.discovery.result import (
     Discovery,
     Estimate,
@@ -112,9 +113,9 @@ class _Case:
     """What speaks for an effect, and what against it.
 
     `own` is what it brings beside the others, `gain` the logarithm of its e-value, `sure` whether
-    both vouch for it; `rivals` explain as much in its place. `doubts` are maps of the model
-    without it: those that say more than it does, since something smooth that is in no library
-    explains it better; all that fire, where it is not sure.
+    both vouch for it and nothing takes it back; `rivals` explain as much in its place. `doubts`
+    are maps of the model without it: those that say more than it does, since something smooth
+    that is in no library explains it better; all that fire, where it is not sure.
     """
 
     own: Found
@@ -130,7 +131,7 @@ class _Case:
         own = found_in(ladder.fit, rest, name)
         gain = log_e_value(ladder.fit, name)
         # Halves of a recording in which the frequency was stepped once do not predict each other.
-        sure = own.whole and own.delta_bic > CLOSE and (
+        sure = own.whole and own.delta_bic > CLOSE and not taken_back(ladder.fit, name) and (
             gain > HELD_OUT or _follows_levels(ladder.fit, name))
         most = own.log_p + np.log(len(EFFECTS)) - BETTER if sure else 0.0
         return cls(

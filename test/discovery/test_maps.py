@@ -7,6 +7,7 @@ from scipy import stats
 from microbot_ros.discovery.ladder import Ladder
 from microbot_ros.discovery.maps import _holm, residual_maps
 from microbot_ros.discovery.screen import screen
+from microbot_ros.virtual_rig.experiment import Camera
 
 
 def maps_of(session):
@@ -47,6 +48,15 @@ def test_maps_fire_against_what_it_depends_on(film, effect, parameters, against)
     assert found[against].fires
     strongest = min(found.values(), key=lambda m: m.p_value)
     assert strongest.p_value == pytest.approx(found[against].p_value, abs=1e-12)
+
+
+def test_a_step_that_lasts_shows_where_places_are_known_badly(film):
+    """Half the reading error: no single frame shows it, the frames after it do together."""
+    blurred = Camera(20.0, 0.0, 0.4e-6)
+    for size, fires in ((0.9, True), (0.0, False)):
+        session, _ = film(20, {'stage_jump': {'time_s': 15.0, 'x_um': size, 'y_um': 0.0}},
+                          camera=blurred)
+        assert maps_of(session)['single steps'].fires == fires
 
 
 def test_neighbours_show(film):

@@ -1,15 +1,20 @@
 """p-values mean what they say, scans included; far tails; swings."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
 
 from microbot_ros.discovery.chance import log_of_any, log_tail, tail
+from microbot_ros.discovery.discover import _suggestions
 from microbot_ros.discovery.drive_levels import curve_p_value, scattered
 from microbot_ros.discovery.ladder import Ladder
+from microbot_ros.discovery.likelihood import evaluate
+from microbot_ros.discovery.overlap import taken_back
 from microbot_ros.discovery.periodogram import turning_parts
 from microbot_ros.discovery.screen import screen
-from microbot_ros.discovery.search import hidden_in_phi, look
+from microbot_ros.discovery.search import found_in, hidden_in_phi, look
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.records import Session
 from microbot_ros.virtual_rig.commands import rotating
@@ -57,6 +62,52 @@ def test_scanned_effects_pay_for_the_scan(film):
     for values in found.values():
         assert stats.kstest(values, 'uniform', alternative='greater').pvalue > 1e-3
         assert min(values) > 1e-3
+
+
+def test_slow_swings_and_wide_spots_have_fewer_places(film):
+    """Every octave is given the same part of all chances."""
+    fit = Ladder(screen([film(1, duration=20.0)[0]])[0]).fit
+    slow, fast = (
+        found_in(beside(fit, EFFECTS['periodic_drift'](1e-6, f)), fit, 'periodic_drift').trials
+        for f in (0.2, 0.8))
+    assert fast == pytest.approx(4 * slow)
+    wide, narrow = (
+        found_in(beside(fit, EFFECTS['hot_spot'](0, 0, 1e-6, w)), fit, 'hot_spot').trials
+        for w in (1e-5, 5e-6))
+    assert narrow == pytest.approx(4 * wide)
+
+
+def beside(fit, *effects):
+    """A fit with these effects, as they are."""
+    model = replace(fit.model, effects=effects)
+    return evaluate(model, [p.evidence for p in fit.parts], [p.whitening for p in fit.parts])
+
+
+def test_fields_that_cancel_take_each_other_back(film):
+    fit = Ladder(screen([film(2, duration=20.0)[0]])[0]).fit
+    flow, against, along = (EFFECTS['linear_flow'](0.1, 0.0, 0.0, 0.1),
+                            EFFECTS['gradient_force'](-18.0), EFFECTS['gradient_force'](18.0))
+    for name in ('linear_flow', 'gradient_force'):
+        assert taken_back(beside(fit, flow, against), name)
+        assert not taken_back(beside(fit, flow, along), name)
+    assert not taken_back(beside(fit, flow), 'linear_flow')
+    drifting = beside(fit, flow, EFFECTS['uniform_drift'](1e-6, 0.0))
+    assert not taken_back(drifting, 'linear_flow')
+    assert not taken_back(drifting, 'uniform_drift')
+
+
+def test_what_is_too_weak_for_the_model_is_suggested_whole_shapes_first(film):
+    fit = Ladder(screen([film(1, duration=20.0)[0]])[0]).fit
+    weak = replace(look(fit, 'uniform_drift'), likelihood_ratio=12.0)
+    assert [case.own for case in _suggestions([weak])] == [weak]
+    assert not _suggestions([replace(weak, likelihood_ratio=5.0)])
+    assert not _suggestions([])
+    flank = replace(look(fit, 'linear_flow'), likelihood_ratio=40.0, whole=False)
+    case, = _suggestions([flank, weak])
+    assert case.own is weak
+    assert case.rivals == [flank]
+    assert not case.sure
+    assert [case.own for case in _suggestions([flank])] == [flank]
 
 
 def test_a_field_that_turns_one_way_hides_a_lag_in_phi(film):
