@@ -1,13 +1,17 @@
-"""A jump of the whole picture: somebody touched the table."""
+"""A jump of the whole picture, or its shaking: somebody touched the table, or a pump runs."""
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 
 from microbot_ros.tracking.neighbours import count_within
 
 _LEAST = 3
 """Particles: fewer can't tell a jump of the picture from motion of their own."""
+
+_FEW = 5
+"""Particles: fewer can't tell that it shakes, for less than what they step themselves."""
 
 _VOTERS = 50
 """Particles that are asked; the others are as good."""
@@ -46,3 +50,38 @@ def common_jump(
     hit = np.count_nonzero(count_within(landed, found, tolerance))
     enough = hit >= max(_LEAST, _SUPPORT * inside.sum())
     return jump if enough else None
+
+
+def common_shake(
+    expected: np.ndarray, found: np.ndarray, reach: float, tolerance: float,
+) -> np.ndarray | None:
+    """The displacement (2,) [px] of up to `reach` that most of `expected` (N, 2) have made alike.
+
+    Alike is within `tolerance` [px]; by the same vote as a jump. None where few tell, or differ.
+    """
+    if len(expected) < _FEW or len(found) < _FEW:
+        return None
+    voters = expected[:: -(-len(expected) // _VOTERS)]
+    offsets = _offsets(voters, found, reach)
+    votes = count_within(offsets, offsets, tolerance)
+    if len(votes) == 0 or votes.max() < _SUPPORT * len(voters):
+        return None
+    middle = offsets[np.argmax(votes)]
+    shake: np.ndarray = np.median(
+        offsets[np.linalg.norm(offsets - middle, axis=1) <= tolerance], axis=0)
+    return shake
+
+
+@numba.njit(cache=True)
+def _offsets(places, found, reach):  # type: ignore[no-untyped-def]
+    """From each of the places to all that was found up to `reach` away: (K, 2)."""
+    offsets = []
+    for i in range(len(places)):
+        for k in range(len(found)):
+            dx, dy = found[k, 0] - places[i, 0], found[k, 1] - places[i, 1]
+            if dx * dx + dy * dy <= reach * reach:
+                offsets.append((dx, dy))
+    rows = np.empty((len(offsets), 2))
+    for n in range(len(offsets)):
+        rows[n, 0], rows[n, 1] = offsets[n]
+    return rows

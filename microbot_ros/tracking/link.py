@@ -9,7 +9,7 @@ import numpy as np
 from microbot_ros.tracking.appearance import Appearance
 from microbot_ros.tracking.assign import assign
 from microbot_ros.tracking.detect import Detections
-from microbot_ros.tracking.jump import common_jump
+from microbot_ros.tracking.jump import common_jump, common_shake
 from microbot_ros.tracking.motion import Motion
 from microbot_ros.tracking.neighbours import count_within
 from microbot_ros.tracking.settings import TrackerSettings
@@ -41,6 +41,12 @@ _TOUCHED, _HIDDEN = 0.1, 0.35
 
 _JUMPED = 0.5
 """Diameters: when most particles are off by more, the picture may have jumped."""
+
+_SHAKEN, _ALIKE = 0.1, 0.15
+"""Diameters: common displacements that are made up for, and how far from one another they lie."""
+
+_GOES_ON = 0.25
+"""Share of a common displacement by which it may be off the last one's way to be one motion."""
 
 _EXPECTED_FOR = 5
 """Frames for which an unseen particle is still looked for at its prediction."""
@@ -74,7 +80,8 @@ class Linker:
     @property
     def jump(self) -> float:
         """How far the whole picture jumped in the last frame [px]; 0 where it did not."""
-        return 0.0 if self._jump is None else float(np.linalg.norm(self._jump))
+        size = 0.0 if self._jump is None else float(np.linalg.norm(self._jump))
+        return size if size > _JUMPED * self._diameter else 0.0
 
     def predict(self, dt: float, drive: complex) -> None:
         """Move all to where they should be `dt` [s] later, after so much drive."""
@@ -136,20 +143,29 @@ class Linker:
     def _jumped(self, found: Detections) -> np.ndarray:
         """Where to look beside the predictions (2,) [px], if the whole picture moved.
 
-        A jump is no velocity: the states take it as their new place. What goes on in the next
-        frame is motion in common, and is left to the filter.
+        A jump is no velocity, nor is shaking: the states take it as their new place. What goes on
+        in the next frame is motion in common, and is left to the filter.
         """
         states = self.states
-        tolerance = _JUMPED * self._diameter
         seen = states.xy[(states.id != UNNAMED) & (states.missed == 0)]
-        before, self._jump = self._jump, common_jump(seen, found.xy, tolerance, self._size)
+        before, self._jump = self._jump, self._moved(seen, found.xy)
         if self._jump is None:
             return np.zeros(2)
-        if before is not None and np.linalg.norm(self._jump - before) < tolerance:
+        if before is not None and _goes_on(before, self._jump):
             return self._jump
         states.motion[:, PLACE] += phasor(self._jump)
         self._expected_step = self._expected_step + self._jump
         return np.zeros(2)
+
+    def _moved(self, seen: np.ndarray, found: np.ndarray) -> np.ndarray | None:
+        """The displacement (2,) [px] of the whole picture, if it is enough to mislead."""
+        jump = common_jump(seen, found, _JUMPED * self._diameter, self._size)
+        if jump is not None:
+            return jump
+        shake = common_shake(seen, found, self.max_step_px, _ALIKE * self._diameter)
+        if shake is None or np.linalg.norm(shake) < _SHAKEN * self._diameter:
+            return None
+        return shake
 
     def _doubted(self, found: Detections) -> tuple[Detections, np.ndarray]:
         """Detections with larger σ where one is seen for two; the variance (N,) to link with.
@@ -264,6 +280,12 @@ class Linker:
         return born(
             found.xy, found.sigma, found.theta, found.contrast, found.radius,
             speed / (self._interval or 1.0) ** 2, self._response_variance, self._early_frames)
+
+
+def _goes_on(before: np.ndarray, now: np.ndarray) -> bool:
+    """Whether a displacement (2,) is of the same motion as that before, as far as not learned."""
+    share = np.clip(now @ before / (before @ before), 0, 1)
+    return bool(np.linalg.norm(now - share * before) < _GOES_ON * np.linalg.norm(now))
 
 
 def _looks(of: TrackStates | Detections) -> np.ndarray:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from microbot_ros.tracking import Appearance, Drive, TrackerSettings
 from microbot_ros.tracking.detect import Detections
-from microbot_ros.tracking.jump import common_jump
+from microbot_ros.tracking.jump import common_jump, common_shake
 from microbot_ros.tracking.link import Linker
 from microbot_ros.tracking.states import planar
 
@@ -209,3 +209,43 @@ def test_a_drive_takes_finite_commands_only_and_starts_again_when_time_does(bad:
     np.testing.assert_allclose(drive.between(0.0, 3.0), [2, 0])
     drive.command(0.5, np.array([0.0, 1.0]))
     np.testing.assert_allclose(drive.between(0.0, 3.0), [0, 2.5])
+
+
+def _shaken(amplitude: float, seed: int) -> int:
+    """Identity switches of a dense swarm in a picture that trembles, 5.3 frames to a turn."""
+    rng = np.random.default_rng(seed)
+    place = rng.uniform(40, _SIDE - 40, (25, 2))
+    velocity = rng.normal(0, 6.0, place.shape)
+    linker, last, switches = _linker(), np.full(25, -1), 0
+    for frame in range(200):
+        beyond = np.abs(place - _SIDE / 2) > 120
+        velocity = np.where(beyond, -np.sign(place - _SIDE / 2) * np.abs(velocity), velocity)
+        place = place + velocity / 30 + rng.normal(0, 0.2, place.shape)
+        turn = math.tau * frame / 5.3
+        seen = place + amplitude * np.array([math.sin(turn), math.cos(turn)])
+        if frame:
+            linker.predict(1 / 30, 0j)
+        linker.update(_seen(seen, rng))
+        assert linker.jump == 0
+        names = _names(linker, seen)
+        known = (names >= 0) & (last >= 0)
+        switches += int(np.sum(names[known] != last[known]))
+        last = np.where(names >= 0, names, last)
+    return switches
+
+
+def test_a_picture_that_trembles_in_every_frame_costs_no_identities(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    assert sum(_shaken(2.0, seed) for seed in range(4)) == 0
+    monkeypatch.setattr('microbot_ros.tracking.link.common_shake', lambda *_: None)
+    assert sum(_shaken(2.0, seed) for seed in range(4)) > 0
+
+
+def test_few_particles_or_ways_of_their_own_are_no_shaking() -> None:
+    rng = np.random.default_rng(8)
+    here = rng.uniform(20, _SIDE - 20, (20, 2))
+    assert common_shake(here[:4], here[:4] + 3, 10.0, 1.5) is None
+    assert common_shake(here, np.empty((0, 2)), 10.0, 1.5) is None
+    assert common_shake(here, here + rng.normal(0, 4.0, here.shape), 10.0, 1.5) is None
+    found = np.vstack([here[:16] + np.array([3.0, -2.0]), rng.uniform(0, _SIDE, (10, 2))])
+    np.testing.assert_allclose(common_shake(here, found, 10.0, 1.5), [3, -2], atol=1e-9)
