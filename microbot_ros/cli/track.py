@@ -32,12 +32,16 @@ _WHOLE = 0.95
               help='Frames per second: for images, or instead of what a video says.')
 @click.option('--settings', 'settings_path', type=click.Path(path_type=Path), metavar='YAML',
               help='Settings of detection and linking; what is left out is chosen.')
+@click.option('--commands', 'commands_path', type=click.Path(path_type=Path), metavar='CSV',
+              help='What drove the particles, on the clock of the frames (the first is at 0): '
+              'commands.csv of a session. A turn of the field is then expected.')
 @click.option('--overlay/--no-overlay', default=True, help='Write overlay.mp4.')
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
               help='Also write the result as JSON.')
 def command(
     source: str, out: Path, pixel_size_um: float | None, frame_rate_hz: float | None,
-    settings_path: Path | None, overlay: bool, json_path: Path | None,
+    settings_path: Path | None, commands_path: Path | None, overlay: bool,
+    json_path: Path | None,
 ) -> None:
     """Track the particles of SOURCE: a video, a folder of images, or a glob (quoted).
 
@@ -49,6 +53,7 @@ def command(
       microbot track recording.mp4 --out out/tracks --pixel-size-um 0.33
       microbot track frames/ --out out/tracks --frame-rate-hz 24
       microbot track 'frames/img_*.png' --out out/tracks --settings tracker.yaml
+      microbot track recording.mp4 --out out/tracks --commands session/commands.csv
     """
     from rich.console import Console
 
@@ -59,13 +64,15 @@ def command(
     if pixel_size_um is not None and not 0 < pixel_size_um < float('inf'):
         raise InputError('--pixel-size-um', f'expected a positive number, got {pixel_size_um}')
     settings = read_yaml(settings_path, TrackerSettings) if settings_path else TrackerSettings()
+    commanded = _Commanded(commands_path) if commands_path else None
     console = Console(stderr=True, highlight=False, soft_wrap=True)
     problems: list[str] = []
     recording = open_source(source, problems.append, frame_rate_hz)
     if recording.frame_rate is None and pixel_size_um is not None:
         problems.append(f'{source}: no frame rate is known (--frame-rate-hz); t_s counts frames')
     with output_folder(out) as folder:
-        result = _track(recording, settings, folder, pixel_size_um, overlay, console, problems)
+        result = _track(recording, settings, folder, pixel_size_um, commanded, overlay, console,
+                        problems)
     if result['frames'] < settings.confirm_frames and result['appearance']:
         problems.append(f'{source}: a particle needs {settings.confirm_frames} frames, here are '
                         f'{result["frames"]}; no tracks')
@@ -83,7 +90,7 @@ def command(
 
 def _track(
     recording: Source, settings: TrackerSettings, folder: Path, pixel_size_um: float | None,
-    overlay: bool, console: Any, problems: list[str],
+    commanded: _Commanded | None, overlay: bool, console: Any, problems: list[str],
 ) -> dict[str, Any]:
     """Fill the folder; returns what the JSON says, and adds what was wrong to `problems`."""
     from rich.progress import track as progress
@@ -97,6 +104,7 @@ def _track(
     tracker = Tracker(settings, appearance)
     rows = _Rows(recording, pixel_size_um, tracker)
     result: dict[str, Any] = {'appearance': []}
+    last = 0.0
     if appearance is not None:
         _draw_settings(folder / 'settings.png', recording, appearance, settings)
         result['appearance'] = appearance.describe()
@@ -107,7 +115,9 @@ def _track(
             for frame in progress(recording.frames(), 'tracking', recording.length,
                                   console=console, transient=True):
                 try:
-                    poses = tracker.update(frame.image, frame.t)
+                    drive = commanded.between(last, frame.t) if commanded else None
+                    poses = tracker.update(frame.image, frame.t, drive)
+                    last = frame.t
                 except FrameError as error:
                     problems.append(f'frame {frame.index}: {error.expected}; left out')
                     continue
@@ -117,6 +127,39 @@ def _track(
     write_text(folder / 'tracks.csv', rows.text())
     problems += _told(rows.remarks)
     return rows.summary() | result
+
+
+class _Commanded:
+    """What drives the particles, from a commands.csv."""
+
+    def __init__(self, path: Path) -> None:
+        from microbot_ros.estimation.commands import NEGLIGIBLE
+        from microbot_ros.session.folder import ROLLING, UNIFORM
+        from microbot_ros.session.tables import read_table
+        from microbot_ros.tracking import Drive
+
+        table = read_table(path, UNIFORM, ROLLING)
+        columns = table.columns
+        table.refuse(np.diff(columns['t_s'], prepend=-np.inf) <= 0, 'expected times that rise')
+        if table.layout is ROLLING:
+            angle, rate = columns['direction_rad'], columns['frequency_hz']
+            drives = rate[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+            self._rows = list(zip(columns['t_s'], drives, strict=True))
+        else:
+            field = np.column_stack([columns['bx_mT'], columns['by_mT']])
+            size = np.hypot(*field.T)
+            turns = size >= NEGLIGIBLE  # without a field, particles go on as they were
+            drives = field[turns] / size[turns, None]
+            self._rows = list(zip(columns['t_s'][turns], drives, strict=True))
+        self._rows.reverse()
+        self._drive = Drive()
+
+    def between(self, start: float, end: float) -> np.ndarray:
+        """The drive (2,) in the image's axes, summed from `start` to `end` [s], in turn."""
+        while self._rows and self._rows[-1][0] <= end:
+            self._drive.command(*self._rows.pop())
+        x, y = self._drive.between(start, end)
+        return np.array([x, -y])
 
 
 def _told(remarks: dict[str, list[tuple[int, str]]]) -> list[str]:

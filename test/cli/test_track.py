@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bench._tracker_scenes import scene
+from bench._tracker_scenes import KINDS, draw, expose, light, scene
 from microbot_ros.cli import main
 
 
@@ -166,3 +166,41 @@ def test_nothing_to_track_is_said(
     assert _run(tmp_path, '--out', tmp_path / 'out') == 0
     assert 'nothing in it stands out' in capsys.readouterr().err
     assert (tmp_path / 'out' / 'tracks.csv').read_text() == 'frame,particle,x_px,y_px\n'
+
+
+def test_commands_tell_of_turns(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    place = np.array([60 + 70j, 150 + 60j, 240 + 80j, 80 + 180j, 170 + 200j, 250 + 170j])
+    response = 35 * np.exp(1j * rng.uniform(-np.pi, np.pi, 6))
+    commands, angle = ['t_s,bx_mT,by_mT'], 0.0
+    (tmp_path / 'film').mkdir()
+    for frame in range(70):
+        if frame % 5 == 0:
+            angle += np.pi + rng.uniform(-0.3, 0.3)
+            commands.append(f'{frame / 5},{np.cos(angle)},{np.sin(angle)}')
+        picture = light(260, 320)
+        for at in place:
+            draw(picture, np.array([at.real, 260 - at.imag]), KINDS['disc'], -60)
+        cv2.imwrite(str(tmp_path / 'film' / f'{frame:02d}.png'), expose(picture, 3.0, rng))
+        place = place + response * np.exp(1j * angle) / 5
+    (tmp_path / 'commands.csv').write_text('\n'.join(commands))
+    tracks = {}
+    for name, extra in (('told', ['--commands', tmp_path / 'commands.csv']), ('untold', [])):
+        assert _run(tmp_path / 'film', '--out', tmp_path / name, '--frame-rate-hz', 5,
+                    '--no-overlay', '--json', tmp_path / f'{name}.json', *extra) == 0
+        tracks[name] = json.loads((tmp_path / f'{name}.json').read_text())['tracks']
+    assert tracks['told'] <= 8 < 12 < tracks['untold']
+
+
+@pytest.mark.parametrize(('text', 'expected'), [
+    ('t_s,bx_mT,by_mT\n0,1,nan\n', 'commands.csv:2'), ('t_s,bx_mT\n0,1\n', 'by_mT'),
+    ('t_s,bx_mT,by_mT\n1,1,0\n0,1,0\n', 'commands.csv:3: expected times that rise')])
+def test_bad_commands_are_refused(
+    images: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, expected: str
+) -> None:
+    (tmp_path / 'commands.csv').write_text(text)
+    assert _run(images, '--out', tmp_path / 'out', '--commands', tmp_path / 'commands.csv') == 2
+    said = capsys.readouterr().err
+    assert expected in said
+    assert said.count('\n') == 1
+    assert not (tmp_path / 'out').exists()
