@@ -130,12 +130,15 @@ class _Case:
         rest = without(ladder.fit, name)
         own = found_in(ladder.fit, rest, name)
         gain = log_e_value(ladder.fit, name)
-        # Halves of a recording in which the frequency was stepped once do not predict each other.
+        # Nothing else could stand in for what alone depends on the frequency; and halves of a
+        # recording in which the frequency was stepped once do not predict each other.
+        alone = _follows_levels(ladder.fit, name)
         sure = own.whole and own.delta_bic > CLOSE and not taken_back(ladder.fit, name) and (
-            gain > HELD_OUT or _follows_levels(ladder.fit, name))
+            gain > HELD_OUT or alone)
         most = own.log_p + np.log(len(EFFECTS)) - BETTER if sure else 0.0
         return cls(
-            own, gain, sure, [rival for rival in ladder.rivals(name) if _close(rival, own)],
+            own, gain, sure,
+            [rival for rival in ladder.rivals(name) if _close(rival, own) and not alone],
             [m for m in residual_maps(rest) if m.fires and m.log_p < most])
 
     def entry(self, incomplete: bool) -> NamedEffect:

@@ -187,7 +187,9 @@ class Discovery:
     def sentences(self) -> list[str]:
         """The verdict for people, the effects, the gap, remarks."""
         said = {
-            'consistent': ['The first-order model explains the data: nothing is missing.'],
+            'consistent': ['The first-order model explains the data: nothing is missing.'
+                           if not self.effects else
+                           'The first-order model explains the data, but for a hint:'],
             'named': ['The model is complete with:'],
             'unnamed': ['Something is there that no effect of the library explains; it depends on '
                         + ', '.join(m.against for m in self.unexplained) + '.'],
