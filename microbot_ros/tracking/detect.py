@@ -181,7 +181,7 @@ class RoundDetector:
             known = errors[:, THETA] < _THETA_KNOWN
             theta[known] = np.pi - np.mod(np.pi - rows[known, THETA], 2 * np.pi)
         return Detections(
-            xy=rows[:, [X, Y]],
+            xy=rows[:, [X, Y]].copy('C'),  # another order in memory would be compiled for anew
             sigma=_sigma(errors, self._filter.noise),
             theta=theta,
             contrast=rows[:, CONTRAST],

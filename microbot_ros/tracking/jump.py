@@ -61,7 +61,7 @@ def common_shake(
     """
     if len(expected) < _FEW or len(found) < _FEW:
         return None
-    voters = expected[:: -(-len(expected) // _VOTERS)]
+    voters = np.ascontiguousarray(expected[:: -(-len(expected) // _VOTERS)])
     offsets = _offsets(voters, found, reach)
     votes = count_within(offsets, offsets, tolerance)
     if len(votes) == 0 or votes.max() < _SUPPORT * len(voters):

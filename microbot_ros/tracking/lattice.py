@@ -43,8 +43,7 @@ _LARGEST_CHANGE = 0.75
 
 
 class _Tables(NamedTuple):
-    """Per cell (row, column): the design D (5, h·w), the picture (h′, w′), (DᵀD)⁻¹, pixels;
-    and the window (h, w).
+    """Per cell (row, column): the design D (5, h·w), picture (h′, w′), (DᵀD)⁻¹, pixels; (h, w).
 
     The rows of D are the changes of the picture with contrast, x, y, size and offset, nothing
     beyond the fitted disc; so the last one is the disc itself. The picture reaches farther.

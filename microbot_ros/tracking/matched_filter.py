@@ -42,13 +42,13 @@ def _shrunk(appearance: Appearance, shrink: int, off: float = 0.0) -> np.ndarray
 
 def _farthest_shrink(appearance: Appearance) -> int:
     """The factor at which a particle keeps enough of its energy in the worst position."""
-    whole = np.sum(_shrunk(appearance, 1) ** 2)
+    energy = np.sum(_shrunk(appearance, 1) ** 2)
     shrink = 1
     while shrink + 1 <= appearance.diameter_px / _LEAST_WIDTH:
         kept = min(
             np.sum(_shrunk(appearance, shrink + 1, off) ** 2) * (shrink + 1) ** 2
             for off in (0.0, (shrink + 1) / 2))
-        if kept < _STILL_SHOWN * whole:
+        if kept < _STILL_SHOWN * energy:
             break
         shrink += 1
     return shrink

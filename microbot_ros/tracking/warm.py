@@ -17,6 +17,10 @@ def warm_up(dtype: type[np.uint8] | type[np.uint16] = np.uint8) -> None:
     Compiled code is kept on disk, so this takes some ten seconds once and a fraction of a second
     afterwards. Call it before frames come.
     """
+    # Needed where two particles compete for a detection; loading them would stall that frame.
+    import scipy.optimize
+    import scipy.sparse.csgraph  # noqa: F401
+
     rng = np.random.default_rng(0)
     for shape, cap in (('round', 0.0), ('round', 40.0), ('any', 0.0)):
         settings = TrackerSettings(shape=shape, diameter_px=10)
@@ -31,11 +35,11 @@ def warm_up(dtype: type[np.uint8] | type[np.uint16] = np.uint8) -> None:
 
 
 def _discs(rng: np.random.Generator, cap: float) -> np.ndarray:
-    """Two discs on noise, one side of each darker by `cap`."""
-    y, x = np.mgrid[0:72, 0:112]
+    """Discs, one side of each darker by `cap`: enough to see shaking, with room for windows."""
+    y, x = np.mgrid[0:160, 0:320]
     picture = 150 + rng.normal(0, 1, x.shape)
-    for centre, angle in ((32, 0.4), (80, 2.1)):
-        u, v = x - centre, y - 36
+    for k, angle in enumerate((0.4, 2.1, -1.2, 3.0, -2.5)):
+        u, v = x - 45 - 57 * k, y - 80
         inside = 1 / (1 + np.exp(2 * (np.hypot(u, v) - 5)))
         side = 1 / (1 + np.exp(-2 * (u * np.cos(angle) + v * np.sin(angle))))
         picture -= inside * (60 + cap * side)
