@@ -14,11 +14,13 @@ from rich.console import Console
 from microbot_ros.errors import InputError
 from microbot_ros.files import write_text
 from microbot_ros.session import is_recording, open_recording
+from microbot_ros.session.lockstep import header_stamp_ns
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from microbot_ros.session.compare import TopicDifference
+    from microbot_ros.session.recording import Recording
 
 
 def run_check(session: Path, nodes: Collection[str], end: float, tolerance: float,
@@ -48,7 +50,6 @@ def _replay(session: Path, nodes: Collection[str], end: float, tolerance: float,
     from microbot_ros.nodes.configuration import read_rig
     from microbot_ros.nodes.rerun import cast, recorded_parameters, rerun
     from microbot_ros.session.compare import compare
-    from microbot_ros.session.lockstep import header_stamp_ns
 
     progress = Console(stderr=True, highlight=False)
     with open_recording(session) as recorded:
@@ -62,9 +63,26 @@ def _replay(session: Path, nodes: Collection[str], end: float, tolerance: float,
         stamps = {header_stamp_ns(message.data) for message in recorded.messages(
             [players.frame], end_ns=recorded.start_ns + round(length * 1e9) + 1)}
         with open_recording(out) as replayed:
-            there = {*recorded.topics, *replayed.topics}
-            topics = [topic for topic in players.outputs if topic in there]
-            return compare(recorded, replayed, topics, stamps, tolerance), ''
+            return [difference for answer, topics in players.answers.items()
+                    for difference in compare(
+                        recorded, replayed,
+                        {*topics}.intersection([*recorded.topics, *replayed.topics]),
+                        _answered(recorded, answer, stamps, progress), tolerance)], ''
+
+
+def _answered(
+    recorded: Recording, answer: str, stamps: set[int], progress: Console,
+) -> set[int]:
+    """The frames that a node answered when it was recorded; all, where it answered none.
+
+    One that was started later, was ended earlier, or held poses for too old let frames pass.
+    """
+    answered = stamps.intersection(header_stamp_ns(message.data)
+                                   for message in recorded.messages([answer])) or stamps
+    if passed := len(stamps) - len(answered):
+        progress.print(f'{answer}: left out {passed} of {len(stamps)} frames, which were not '
+                       'answered when it was recorded')
+    return answered
 
 
 def _table(found: list[TopicDifference]) -> Table:

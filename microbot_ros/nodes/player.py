@@ -110,7 +110,10 @@ class PlayerNode(RigNode):
         values: PlayerParameters = self.settings
         source, topics, frame = self._source, [*self._kinds], frame_topic(self._kinds)
         if self._answers:
-            source = InTurn(source, frame, self._answers[-1])
+            # The controller's, where it is in play: it is what people change.
+            source = InTurn(source, frame, next(
+                (topic for topic in self._answers if is_topic(topic, 'field/command')),
+                self._answers[-1]))
             topics += {CHANGES} & set(source.topics)
         self._asked = self._found = time.monotonic()
         self._listeners = 0

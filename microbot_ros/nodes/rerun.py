@@ -36,7 +36,8 @@ STAGES = (
           'particles', ('particles/poses',)),
     Stage('model', ('particles', 'field/applied', 'field/command', 'field/rotation'),
           'model/state'),
-    Stage('controller', ('model/state', 'particles', 'goals', 'goal_pose', 'path', 'joy'),
+    Stage('controller', ('model/state', 'particles', 'goals',
+                         'particle_goals', 'goal_pose', 'path', 'joy'),
           'field/command', ('field/rotation',)),
     Stage('coil_driver', ('field/command',), 'coils/command'),
 )
@@ -61,10 +62,17 @@ class Cast:
         return tuple(stage.node for stage in self.stages)
 
     @property
+    def answers(self) -> dict[str, tuple[str, ...]]:
+        """The topic on which each of them answers: that and all else that it gives, as they are
+        recorded."""
+        return {f'{self.namespace}/{stage.answer}': tuple(
+            f'{self.namespace}/{topic}' for topic in (stage.answer, *stage.also))
+            for stage in self.stages}
+
+    @property
     def outputs(self) -> tuple[str, ...]:
         """All topics that they give, as they are recorded."""
-        return tuple(f'{self.namespace}/{topic}' for stage in self.stages
-                     for topic in (stage.answer, *stage.also))
+        return tuple(topic for topics in self.answers.values() for topic in topics)
 
     @property
     def frame(self) -> str:

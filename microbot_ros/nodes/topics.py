@@ -26,6 +26,7 @@ TOPICS: dict[str, tuple[type, QoSProfile]] = {
     'model/state': (PointCloud2, RELIABLE),
     'goal_pose': (PoseStamped, RELIABLE),
     'goals': (PoseArray, RELIABLE),
+    'particle_goals': (PointCloud2, RELIABLE),
     'path': (Path, RELIABLE),
     'joy': (Joy, RELIABLE),
     'field/command': (Vector3Stamped, RELIABLE),

@@ -12,29 +12,41 @@ from microbot_ros.session.playback import Source
 from microbot_ros.session.recording import Message
 from microbot_ros.session.topics import is_topic
 
-ASIDES = ('parameter_events', 'goals', 'goal_pose', 'path', 'joy')
+CHANGES = 'parameter_events'
+GOALS = ('goals', 'particle_goals', 'goal_pose', 'path', 'joy')
 """What people tell the controller, at any time."""
+_HEARD = 'model/state'
+"""What sets the controller going: a goal that comes later waits until it is done."""
 
 
 class InTurn:
     """A source in which goals and changes stand before the frame that first felt them.
 
     The recorder heard the frame when it was exposed, a goal some milliseconds later, and after
-    that the answer, given in the light of the goal. In lock-step a frame is answered before the
-    next message is sent, so the goal has to be sent before the frame.
+    that what the controller answered, in the light of the goal. In lock-step a frame is answered
+    before the next message is sent, so the goal has to be sent before the frame. A goal was felt
+    if it came before the controller was set going; a change, which the node itself reports, if it
+    came before the answer.
     """
 
     def __init__(self, source: Source, frame: str, answer: str) -> None:
         self.topics, self.start_ns, self.end_ns = source.topics, source.start_ns, source.end_ns
         self._source = source
         self._asides = {topic for topic in source.topics
-                        if any(is_topic(topic, name) for name in ASIDES)}
-        self._answers: list[tuple[int, int]] = []
-        if self._asides and answer in source.topics:
+                        if any(is_topic(topic, name) for name in (CHANGES, *GOALS))}
+        self._answered: list[tuple[int, int]] = []
+        self._heard: list[tuple[int, int]] = []
+        if self._asides:
             sent = {header_stamp_ns(m.data): m.t_ns for m in source.messages([frame])}
-            self._answers = sorted(
-                (m.t_ns, sent[stamp]) for m in source.messages([answer])
-                if (stamp := header_stamp_ns(m.data)) in sent)
+            heard = next((topic for topic in source.topics if is_topic(topic, _HEARD)), answer)
+            self._answered, self._heard = self._turns(answer, sent), self._turns(heard, sent)
+
+    def _turns(self, topic: str, sent: dict[int, int]) -> list[tuple[int, int]]:
+        """When a message on a topic came, and when the frame of its stamp had been sent."""
+        if topic not in self.topics:
+            return []
+        return sorted((m.t_ns, sent[stamp]) for m in self._source.messages([topic])
+                      if (stamp := header_stamp_ns(m.data)) in sent)
 
     def messages(
         self, topics: Collection[str] | None = None, start_ns: int | None = None,
@@ -42,15 +54,17 @@ class InTurn:
     ) -> Iterator[Message]:
         """As of the source, but for the moments of goals and changes."""
         chosen = set(self.topics if topics is None else topics)
-        asides = [message._replace(t_ns=self._moved(message.t_ns))
-                  for message in self._source.messages(chosen & self._asides)]
+        asides = sorted((message._replace(t_ns=self._moved(message))
+                         for message in self._source.messages(chosen & self._asides)),
+                        key=attrgetter('t_ns'))
         low = self.start_ns if start_ns is None else start_ns
         high = self.end_ns + 1 if end_ns is None else end_ns
         return heapq.merge(
             (message for message in asides if low <= message.t_ns < high),
             self._source.messages(chosen - self._asides, low, high), key=attrgetter('t_ns'))
 
-    def _moved(self, t_ns: int) -> int:
-        """The moment of the frame whose answer was the first after `t_ns`, if that is earlier."""
-        following = bisect_right(self._answers, (t_ns, 0))
-        return min([t_ns, *(sent for _, sent in self._answers[following:following + 1])])
+    def _moved(self, message: Message) -> int:
+        """The moment of the first frame that felt the message, if that is earlier."""
+        turns = self._answered if is_topic(message.topic, CHANGES) else self._heard
+        following = bisect_right(turns, (message.t_ns, 0))
+        return min([message.t_ns, *(sent for _, sent in turns[following:following + 1])])

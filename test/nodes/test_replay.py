@@ -53,6 +53,23 @@ def test_todays_nodes_answer_as_they_did(
     assert all(topic['compared'] >= fewest for topic in found['topics'])
 
 
+@pytest.mark.graph
+def test_frames_that_were_let_pass_when_recorded_are_left_out_and_counted(tmp_path: Path) -> None:
+    shorter = tmp_path / 'shorter'
+    with open_recording(STEERING) as whole, RecordingWriter(shorter) as writer:
+        for name, content in whole.attachments().items():
+            writer.attach(name, content)
+        passed = {header_stamp_ns(m.data) for m in [*whole.messages(['/particles'])][100:107]}
+        for message in whole.messages(['/particles', '/model/state', '/field/applied',
+                                       '/field/command']):
+            if message.topic != '/model/state' or header_stamp_ns(message.data) not in passed:
+                writer.write(*message)
+    done = replay(shorter, '--check', '--node', 'model', '--end', 4, '--tolerance', ROUNDING)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert '/model/state: left out 7 of' in done.stderr
+    assert 'every answer is the same' in done.stdout
+
+
 def test_what_they_answered_was_more_than_nothing() -> None:
     with open_recording(TRACKING) as recording:
         seen = [recording.decode(m).width for m in recording.messages(['/particles'])]

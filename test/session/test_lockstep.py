@@ -121,6 +121,20 @@ def test_a_goal_stands_before_the_frame_whose_answer_was_the_first_after_it(told
     assert all(m.t_ns >= taken for m in played[place + 1:])
 
 
+STATES = [message('/model/state', t + 20, t - 3) for t in (100, 200, 300)]
+
+
+@pytest.mark.parametrize(('topic', 'told', 'taken'), [
+    ('/goals', 119, 100), ('/particle_goals', 119, 100), ('/goals', 125, 125),
+    ('/goals', 205, 200), ('/parameter_events', 125, 100), ('/parameter_events', 131, 131)])
+def test_a_goal_that_came_while_the_controller_computed_waits_a_change_it_reports_does_not(
+        topic, told, taken):
+    source = Listed([*FRAMES, *STATES, *COMMANDS, message(topic, told)])
+    played = list(InTurn(source, '/particles', '/field/command').messages(['/particles', topic]))
+    assert next(m.t_ns for m in played if m.topic == topic) == taken
+    assert [m.t_ns for m in played] == sorted(m.t_ns for m in played)
+
+
 def test_without_recorded_answers_everything_stays_where_it_was():
     goal = message('/goals', 115)
     source = Listed([*FRAMES, goal])
