@@ -20,10 +20,10 @@ def compiled():
 
 warm_up()
 before, rng = compiled(), np.random.default_rng(0)
-for count in (1, 6, 60):
-    places, frames = rng.uniform(20, 230, (count, 2)), []
+for count in (1, 6, 90):
+    places, frames = rng.uniform(20, 580, (count, 2)), []
     for _ in range(8):
-        picture = light(250, 250)
+        picture = light(600, 600)
         for place in places + rng.normal(0, 1.5, 2):
             draw(picture, place, KINDS['disc'], -60)
         frames.append(expose(picture, 3, rng))
