@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import psutil
 import yaml
-from rclpy.qos import QoSHistoryPolicy, QoSProfile
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Image, PointCloud2, TimeReference
 
 from bench._camera_load import PIXEL_SIZE_UM
@@ -27,6 +27,7 @@ from microbot_ros.nodes.graph import Graph
 from microbot_ros.nodes.lifecycle import IMAGES_OUT, RELIABLE
 from microbot_ros.nodes.remote import Remote
 from microbot_ros.nodes.rerun import cast, recorded_parameters, rerun
+from microbot_ros.nodes.topics import KEPT
 from microbot_ros.session import RecordingWriter, open_recording
 from microbot_ros.session.as_messages import SessionMessages
 from microbot_ros.session.compare import compare
@@ -37,7 +38,6 @@ WARM_SECONDS = 10
 """In which the tracker learns what particles look like."""
 KILLS = 5
 ASKED = 25
-EVERYTHING = QoSProfile(history=QoSHistoryPolicy.KEEP_ALL)
 STEERING = Path(__file__).parents[1] / 'test' / 'data' / 'steering.mcap'
 
 
@@ -146,7 +146,7 @@ def _replaying(folder: Path, seconds: float = 120.0) -> list[Figure]:
         for message in SessionMessages(session).messages():
             writer.write(*message)
     sent = len(np.unique(session.tracks.t))
-    times, lost = _played(folder / 'small', 0, EVERYTHING, sent)
+    times, lost = _played(folder / 'small', 0, KEPT, sent)
     paced, lost_paced = _played(folder / 'small', ASKED, RELIABLE, sent)
     return [
         Figure(9, 'replay of small topics through ROS, as fast as it goes', times,

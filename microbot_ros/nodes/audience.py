@@ -6,14 +6,11 @@ from builtin_interfaces.msg import Time
 from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSHistoryPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image
 
 from microbot_ros.nodes.lifecycle import RELIABLE, RigNode
-
-_KEPT = QoSProfile(history=QoSHistoryPolicy.KEEP_ALL)
-"""Nothing that a reliable listener still lacks is given up for something newer."""
+from microbot_ros.nodes.topics import KEPT
 
 
 class Audience:
@@ -23,7 +20,7 @@ class Audience:
         self._node = node
         self._clock = node.publisher(Clock, '/clock')
         # A listener who takes no frames would cost a gigabyte in ten seconds.
-        self._outlets = {name: node.publisher(kind, name, RELIABLE if kind is Image else _KEPT)
+        self._outlets = {name: node.publisher(kind, name, RELIABLE if kind is Image else KEPT)
                          for name, kind in kinds.items()}
 
     @property

@@ -6,14 +6,15 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray, PoseStamped, Vector3Stamped
 from nav_msgs.msg import Path
 from rcl_interfaces.msg import ParameterEvent
-from rclpy.qos import QoSProfile, QoSReliabilityPolicy
+from rclpy.qos import QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
 from sensor_msgs.msg import Image, JointState, Joy, MagneticField, PointCloud2, TimeReference
 from visualization_msgs.msg import MarkerArray
 
-from microbot_ros.nodes.lifecycle import RELIABLE
-
 _IMAGES = QoSProfile(depth=50, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 """Half a second of frames at 100 Hz may wait; a node that must act on the newest takes fewer."""
+
+KEPT = QoSProfile(history=QoSHistoryPolicy.KEEP_ALL)
+"""Nothing is given up for something newer: to record by, and to play."""
 
 CHANGES = '/parameter_events'
 """Every change of a parameter of a node, made by rclpy itself."""
@@ -21,24 +22,24 @@ CHANGES = '/parameter_events'
 TOPICS: dict[str, tuple[type, QoSProfile]] = {
     'camera/image_raw': (Image, _IMAGES),
     'overlay/image_raw': (Image, _IMAGES),
-    'particles': (PointCloud2, RELIABLE),
-    'particles/poses': (PoseArray, RELIABLE),
-    'model/state': (PointCloud2, RELIABLE),
-    'goal_pose': (PoseStamped, RELIABLE),
-    'goals': (PoseArray, RELIABLE),
-    'particle_goals': (PointCloud2, RELIABLE),
-    'path': (Path, RELIABLE),
-    'joy': (Joy, RELIABLE),
-    'field/command': (Vector3Stamped, RELIABLE),
-    'field/rotation': (Vector3Stamped, RELIABLE),
-    'field/applied': (MagneticField, RELIABLE),
-    'coils/command': (JointState, RELIABLE),
-    'coils/applied': (JointState, RELIABLE),
-    'coils/measured': (JointState, RELIABLE),
-    'coil_driver/latency': (TimeReference, RELIABLE),
-    'virtual_rig/truth': (PointCloud2, RELIABLE),
-    'markers': (MarkerArray, RELIABLE),
-    '/diagnostics': (DiagnosticArray, RELIABLE),
-    CHANGES: (ParameterEvent, RELIABLE),
+    'particles': (PointCloud2, KEPT),
+    'particles/poses': (PoseArray, KEPT),
+    'model/state': (PointCloud2, KEPT),
+    'goal_pose': (PoseStamped, KEPT),
+    'goals': (PoseArray, KEPT),
+    'particle_goals': (PointCloud2, KEPT),
+    'path': (Path, KEPT),
+    'joy': (Joy, KEPT),
+    'field/command': (Vector3Stamped, KEPT),
+    'field/rotation': (Vector3Stamped, KEPT),
+    'field/applied': (MagneticField, KEPT),
+    'coils/command': (JointState, KEPT),
+    'coils/applied': (JointState, KEPT),
+    'coils/measured': (JointState, KEPT),
+    'coil_driver/latency': (TimeReference, KEPT),
+    'virtual_rig/truth': (PointCloud2, KEPT),
+    'markers': (MarkerArray, KEPT),
+    '/diagnostics': (DiagnosticArray, KEPT),
+    CHANGES: (ParameterEvent, KEPT),
 }
 """Topic → its type, and the quality of service to subscribe with."""

@@ -19,8 +19,11 @@ def draw_survey(survey: Survey, session: Session | None, path: Path) -> None:
     """Write the figure; the ending of `path` gives the format."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(11, 7), layout='constrained')
-    axes = figure.subplot_mosaic([['paths', 'direction'], ['paths', 'size'], ['rates', 'rates']])
+    heights = [2.4, 2.4, 0.8 + 0.2 * len(survey.topics)]
+    figure = Figure(figsize=(11, sum(heights)), layout='constrained')
+    axes = figure.subplot_mosaic([['paths', 'direction'], ['paths', 'size'], ['rates', 'rates']],
+                                 height_ratios=heights)
+    axes['direction'].sharex(axes['size'])
     if session is not None:
         _draw_paths(axes['paths'], session)
         _draw_commands(axes['direction'], axes['size'], session)
@@ -65,6 +68,7 @@ def _draw_rates(axes: Axes, survey: Survey) -> None:
     axes.barh(names, rates, color='0.7')
     for row, topic in enumerate(survey.topics):
         said = f' {topic.count} messages, longest gap {topic.longest_gap_s:.3g} s'
+        said = said if topic.count > 1 else ' 1 message' if topic.count else ' none'
         axes.text(topic.rate_hz, row, said, va='center', fontsize='small')
     axes.set(xlabel='rate [Hz]', title='topics', xlim=(0, 1.6 * max([*rates, 1.0])))
     axes.invert_yaxis()
