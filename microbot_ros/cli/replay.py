@@ -43,13 +43,15 @@ def command(
 ) -> None:
     """Play SESSION, a folder or an MCAP recording, through its topics, with /clock.
 
-    Nodes that are to follow its time run with use_sim_time. Ctrl-C ends it. While it plays,
+    It begins when whoever listens has been found, after 3.5 s in any case. Nodes that are to
+    follow its time run with use_sim_time. Ctrl-C ends it. While it plays,
     `microbot set player rate 5` and `seek_s 12.5` change where and how fast, and the services
     player/pause and player/step hold it and go on by a message.
 
     With --check nothing is played to the outside. Every node whose input was recorded is started
     with the parameters it had, shown each frame when all have answered the one before, and its
-    answers are compared field by field; exit status 1 where they differ.
+    answers are compared field by field; exit status 1 where they differ. Frames that a node let
+    pass when it was recorded are left out.
 
     \b
     Examples, recorded tracks through today's model at ten times the speed; what did my change do?
