@@ -17,10 +17,11 @@ class Lookout:
     """Decides for each frame whether windows around the predictions are enough.
 
     They are, for `interval` [s] after the last look at everything, while every particle has an
-    identity, stands by itself and was seen in the last frame. A window holds all detections that
-    the linker might take for the particle, and all of the picture that bears on them: within
-    `margin_px` of these, rounded up to whole cells of `grain_px`. So windows change neither
-    identities nor positions; they only delay finding somebody new.
+    identity, stands by itself, was seen in the last frame and is expected within this one. A
+    window holds all detections that the linker might take for the particle, and all of the
+    picture that bears on them: within `margin_px` of these, rounded up to whole cells of
+    `grain_px`. So windows change neither identities nor positions; they only delay finding
+    somebody new.
     """
 
     def __init__(self, interval: float, max_step_px: float, margin_px: float, grain_px: int
@@ -34,6 +35,7 @@ class Lookout:
         """Boxes (n, 4) to look at in a picture (height, width) at time `t` [s]; None for all."""
         since = t - self._everywhere
         steady = (states.id != UNNAMED) & (states.missed == 0) & (states.host < 0)
+        steady &= np.all((states.xy >= 0) & (states.xy < size[::-1]), axis=1)
         if not 0 <= since < self._interval or len(states) == 0 or not np.all(steady):
             return None
         half = (self._reach + states.radius)[:, None]

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from bench._tracker_scenes import KINDS, draw, expose, light
 from microbot_ros.tracking import Appearance, Poses, Tracker, TrackerSettings, learn
 from microbot_ros.tracking.lookout import Lookout, _apart
-from microbot_ros.tracking.states import TrackStates, born
+from microbot_ros.tracking.states import PLACE, TrackStates, born
 from microbot_ros.tracking.tracker import make_detector
 
 _HEIGHT, _WIDTH = 300, 420
@@ -119,6 +119,27 @@ def test_windows_are_for_settled_particles_and_for_a_while() -> None:
         assert lookout.windows(5.5, _states(2, **state), size) is None
     assert lookout.windows(5.5, _states(60), size) is None
     assert lookout.windows(math.nan, _states(3), size) is None
+    gone = _states(3)
+    gone.motion[1, PLACE] = _WIDTH + 100 + 50j
+    assert lookout.windows(5.5, gone, size) is None
+    gone.motion[1, PLACE] = complex(math.nan, 50)
+    assert lookout.windows(5.5, gone, size) is None
+
+
+@pytest.mark.parametrize('shape', ['round', 'any'])
+def test_who_leaves_at_high_speed_is_let_go(shape: str) -> None:
+    """Its window would lie outside the picture, or be a sliver at its edge."""
+    rng = np.random.default_rng(9)
+    pictures = []
+    for t in range(75):
+        picture = light(_HEIGHT, _WIDTH)
+        for at in ([100, 90], [110, 210], [40 + 9.3 * max(t - 6, 0), 150]):
+            draw(picture, np.array(at, float), KINDS['disc'], -60)
+        pictures.append(expose(picture, 3.0, rng))
+    poses = _run(pictures, shape, 100.0)
+    assert len(poses[20]) == len(poses[40]) == 3
+    stay = poses[20].y_px.round() != 150
+    np.testing.assert_array_equal(poses[-1].id, poses[20].id[stay])
 
 
 @settings(max_examples=60, deadline=None)
