@@ -13,7 +13,7 @@ import numpy as np
 from microbot_ros.discovery.drive_levels import curve_p_value
 from microbot_ros.discovery.experiment import next_experiment
 from microbot_ros.discovery.held_out import held_out_gap, log_e_value
-from microbot_ros.discovery.ladder import BACKWARD, FORWARD, Ladder, search, without
+from microbot_ros.discovery.ladder import BACKWARD, FORWARD, Ladder, clearly, search, without
 from microbot_ros.discovery.likelihood import Fit
 from microbot_ros.discovery.maps import residual_maps
 from microbot_ros.discovery.overlap import taken_back
@@ -169,14 +169,17 @@ def _suggestions(found: Sequence[Found]) -> list[_Case]:
     if not likely:
         return []
     # The flank of a spot could stand in for anything smooth.
-    best = next((c for c in likely if c.whole), likely[0])
+    best = next((c for c in likely if c.whole and not clearly(likely[0], c)), likely[0])
     rivals = [c for c in found if c is not best and _close(c, best)]
     return [_Case(best, log_e_value(best.fit, best.id), False, rivals, [])]
 
 
 def _close(rival: Found, own: Found) -> bool:
-    """Whether a rival that is worth a name explains about as much, as BIC or likelihood has it."""
-    return rival.p_value < FORWARD and (
+    """Whether a rival that is worth a name explains about as much, as BIC or likelihood has it.
+
+    The flank of a wide spot explains whatever a drift does: it has to explain it by less.
+    """
+    return rival.p_value < FORWARD and (rival.whole or not clearly(own, rival)) and (
         rival.delta_bic > own.delta_bic - CLOSE
         or rival.likelihood_ratio > own.likelihood_ratio - CLOSE)
 

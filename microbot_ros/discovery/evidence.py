@@ -38,7 +38,7 @@ CONTACT, BLUR = 1.05, 3.0
 JUMP = 6.0
 """Steps longer than this many times the 99th percentile are no motion."""
 
-LARGEST_CONTACT = 30e-6
+LARGEST_CONTACT = 15e-6
 """Particles that never came closer than this [m] did not touch."""
 
 FEWEST = 20

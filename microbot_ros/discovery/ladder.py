@@ -22,7 +22,7 @@ MOST = 4
 """Effects in a model: a recording that seems to need more needs another library."""
 
 CLEARLY = 3.0
-"""Gain in log p for which one effect is exchanged for another: a factor of 20."""
+"""Gain in log p for which one effect is preferred to another: a factor of 20."""
 
 Search = Callable[[Fit, Iterable[str]], list[Found]]
 
@@ -113,7 +113,7 @@ class Ladder:
         for effect in self.fit.model.effects:
             own = contribution(self.fit, effect.id)
             best = next((rival for rival in self.rivals(effect.id) if rival.whole), None)
-            if best is not None and best.log_p < own.log_p - CLEARLY:
+            if best is not None and clearly(best, own):
                 report(f'{best.id} instead of {effect.id}')
                 self.fit = self.stand(best.fit.model)
                 return True
@@ -128,6 +128,11 @@ class Ladder:
             self._rivals[name] = self.search(
                 without(self.fit, name), [other for other in EFFECTS if other not in present])
         return self._rivals[name]
+
+
+def clearly(one: Found, other: Found) -> bool:
+    """Whether one explains clearly more than another."""
+    return one.log_p < other.log_p - CLEARLY
 
 
 def without(fit: Fit, name: str) -> Fit:
