@@ -98,8 +98,6 @@ class PlayerNode(RigNode):
         self._audience = Audience(self, self._kinds)
         self._answers = [self._hear(topic) for topic in values.answers]
         self._sent = 0
-        self._unsent = None
-        self._begun = self._done = False
         self._callable: dict[str, Client] = {}
         self._asked_after = ('', 0)
         self.service(SetBool, '~/pause', self._on_pause)
@@ -117,6 +115,8 @@ class PlayerNode(RigNode):
             topics += {CHANGES} & set(source.topics)
         self._asked = self._found = time.monotonic()
         self._listeners = 0
+        self._unsent = None
+        self._begun = self._done = False
         self._playback = Playback(
             source, self._asked, rate=values.rate or math.inf, start=values.start_s,
             end=values.end_s or None, loop=values.loop, topics=topics)
