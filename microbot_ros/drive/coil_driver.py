@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -13,6 +12,7 @@ import numpy as np
 from microbot_ros.drive.amplifier import Amplifier, Command, Reading
 from microbot_ros.drive.errors import AmplifierError
 from microbot_ros.drive.gate import ZERO, Currents, Gate, Limits, Reason
+from microbot_ros.drive.real_time import hurry
 from microbot_ros.drive.self_check import SelfCheck
 from microbot_ros.errors import InputError
 
@@ -24,8 +24,6 @@ and a zero that the line damaged is not the last word."""
 _CHECK_WAIT_S = 0.002
 _BACKOFF_S = (0.1, 2.0)
 """First and longest pause between attempts to reconnect; each is twice the one before."""
-_PRIORITY = 10
-"""Among real-time threads; all others of the machine wait for any of these."""
 
 
 class CoilDriver:
@@ -140,7 +138,7 @@ class CoilDriver:
             return None
 
     def _run(self) -> None:
-        self.real_time = _hurry()
+        self.real_time = hurry()
         pause_s = _BACKOFF_S[0]
         try:
             while not self._ending.is_set():
@@ -205,12 +203,3 @@ class CoilDriver:
     def _disconnect(self) -> bool:
         self.connected = False
         return self.amplifier.close()
-
-
-def _hurry() -> bool:
-    """Let this thread go first, where the system has real-time scheduling and grants it."""
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
-    except (AttributeError, OSError):
-        return False
-    return True

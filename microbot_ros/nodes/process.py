@@ -15,6 +15,7 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
 
+from microbot_ros.drive.real_time import hurry
 from microbot_ros.errors import InputError
 from microbot_ros.nodes.graph import PARENT, READY
 from microbot_ros.nodes.lifecycle import RigNode
@@ -46,6 +47,7 @@ def make(name: str) -> RigNode:
 def run(names: list[str], arguments: list[str] | None = None) -> int:
     """Configure and activate the nodes, spin until SIGINT or SIGTERM, leave them safe.
 
+    The coil driver, alone in its process, runs in real time where the system grants that.
     A node that has finished, as a player at the end of its recording, ends the process too.
     With the id of a parent in the environment the nodes also end when that process is gone.
     Returns the exit status: 0 after a signal, 2 where a person must mend an input, 1 otherwise.
@@ -54,6 +56,8 @@ def run(names: list[str], arguments: list[str] | None = None) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda received, _frame: stopping.append(received))
     stay_local()
+    if names == ['coil_driver']:
+        hurry()
     rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     executor = EventsExecutor()
     nodes: list[RigNode] = []
