@@ -46,7 +46,7 @@ class CoilDriverParameters:
     slew_limit_A_per_s: float = setting(
         200.0, 'Fastest lasting change of a current.', lower=0.01, upper=1e5, read_only=True)
     stale_ms: float = setting(
-        80.0, 'How long a command other than zero holds without the next.', lower=10.0,
+        75.0, 'How long a command other than zero holds without the next.', lower=10.0,
         upper=2000.0, read_only=True)
     deviation_A: float = setting(
         0.2, 'How far a measured current may lie from what was commanded.', lower=0.001,

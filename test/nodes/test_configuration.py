@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[2]
 def test_the_rig_that_is_shipped_is_sound() -> None:
     rig = read_rig(ROOT / 'config' / 'rig.yaml')
     assert list(rig) == ['camera', 'tracker', 'model', 'controller', 'coil_driver', 'recorder']
-    assert rig['coil_driver']['stale_ms'] == 80.0
+    assert rig['coil_driver']['stale_ms'] == 75.0
 
 
 def test_nested_keys_are_those_with_dots(tmp_path: Path) -> None:
