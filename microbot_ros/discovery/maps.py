@@ -115,18 +115,17 @@ def _single_steps(fit: Fit) -> ResidualMap:
     """The largest step of one particle, and of all of them at once; jumps that were cut out."""
     worst, trials = 0.0, 0
     for p in fit.parts:
-        number = np.sqrt(np.maximum((p.residual != 0).sum(axis=1), 1))
-        for residual in (p.residual, _lasting(p)):
-            common = residual.sum(axis=1) / number
-            worst = max(worst, float((np.abs(residual) ** 2).max()),
-                        float((np.abs(common) ** 2).max()))
-            trials += p.count + len(common)
+        number = np.maximum((p.residual != 0).sum(axis=1, keepdims=True), 1)
+        for white in (p.residual, p.residual.sum(axis=1, keepdims=True) / np.sqrt(number)):
+            for residual in (white, _lasting(p, white)):
+                worst = max(worst, float((np.abs(residual) ** 2).max()))
+            trials += 2 * int((white != 0).sum())
     jumps = sum(p.evidence.jumps for p in fit.parts)
     p_value = 0.0 if jumps else float(min(1.0, trials * np.exp(-worst / 2)))
     return ResidualMap('single steps', 'time [s]', worst, 2, p_value, np.empty(0), {})
 
 
-def _lasting(p: Part) -> np.ndarray:
+def _lasting(p: Part, white: np.ndarray) -> np.ndarray:
     """White residuals (T, N) matched to a step that lasts, where places are known badly.
 
     The local-level filter comes after a step by a part K, its steady gain, at every frame: what
@@ -135,10 +134,10 @@ def _lasting(p: Part) -> np.ndarray:
     from scipy.signal import lfilter
 
     if p.whitening.excess <= 0:
-        return p.residual
+        return white
     ratio = 2 * p.evidence.interval / p.whitening.excess
     kept = 1 - (np.sqrt(ratio**2 + 4 * ratio) - ratio) / 2
-    matched: np.ndarray = lfilter([np.sqrt(1 - kept**2)], [1, -kept], p.residual[::-1], axis=0)
+    matched: np.ndarray = lfilter([np.sqrt(1 - kept**2)], [1, -kept], white[::-1], axis=0)
     return matched[::-1]
 
 

@@ -59,6 +59,13 @@ def test_a_step_that_lasts_shows_where_places_are_known_badly(film):
         assert maps_of(session)['single steps'].fires == fires
 
 
+def test_frames_that_nobody_saw_make_no_step(film):
+    """Of many particles at once: what the frames around a gap hold is not one particle's."""
+    session, _ = film(23, count=20, duration=20.0, half_extent=400e-6,
+                      camera=Camera(20.0, 0.0, 0.3e-6, dropped=0.1))
+    assert maps_of(session)['single steps'].p_value > 0.05
+
+
 def test_neighbours_show(film):
     session, _ = film(21, {'repulsion': {'speed_um_s': 8.0, 'range_um': 12.0}}, count=6,
                       half_extent=50e-6)
