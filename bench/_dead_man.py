@@ -17,7 +17,7 @@ import tempfile
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -50,6 +50,8 @@ class Amplifier:
             [sys.executable, '-m', 'microbot_ros.cli', 'emulate', 'serial_transfer', '--link',
              self.link, '--log', log, '--full-scale-A', str(FULL_SCALE_A), '--fault', '-'],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        with suppress(OSError):  # a board has nothing else to do
+            os.sched_setscheduler(self._process.pid, os.SCHED_FIFO, os.sched_param(10))
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._faults = self._process.stdin

@@ -16,7 +16,6 @@ from microbot_ros.drive.emulator.device import Device
 from microbot_ros.drive.emulator.faults import Faults, parse
 from microbot_ros.drive.emulator.line import Line
 from microbot_ros.drive.emulator.server import Server
-from microbot_ros.drive.real_time import hurry
 from microbot_ros.errors import InputError
 
 DEVICES = {
@@ -49,7 +48,6 @@ def run(protocol: str, link: Path, log: Path | None, full_scale_A: float,
         signal.signal(number, lambda received, _frame: signals.append(received))
     started = time.monotonic()
     planned = Faults([parse(text, started) for text in faults if text != '-'])
-    hurry()  # a board has nothing else to do
     with ExitStack() as stack:
         coils = Coils(full_scale_A, watchdog_s, stack.enter_context(_open_log(log)))
         device = make_device(protocol, coils)
