@@ -17,7 +17,7 @@ import tempfile
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import partial
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -29,6 +29,7 @@ import yaml
 from geometry_msgs.msg import Vector3Stamped
 from std_srvs.srv import SetBool
 
+from microbot_ros.drive.real_time import hurry
 from microbot_ros.nodes.remote import Remote
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 
@@ -50,8 +51,7 @@ class Amplifier:
             [sys.executable, '-m', 'microbot_ros.cli', 'emulate', 'serial_transfer', '--link',
              self.link, '--log', log, '--full-scale-A', str(FULL_SCALE_A), '--fault', '-'],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        with suppress(OSError):  # a board has nothing else to do
-            os.sched_setscheduler(self._process.pid, os.SCHED_FIFO, os.sched_param(10))
+        hurry(self._process.pid)  # a board has nothing else to do
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._faults = self._process.stdin

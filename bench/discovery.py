@@ -1,7 +1,7 @@
 """The score card of discovery on blind sessions, with its rivals on the same ones beside it.
 
 Counts come with their exact 95 % binomial intervals, since the number of sets is what the time
-allows; `out/discovery_suite.json` has every set with its seed. About 12 minutes on two cores.
+allows; `out/discovery_suite.json` has every set with its seed. About 18 minutes on two cores.
 """
 
 from __future__ import annotations

@@ -80,8 +80,7 @@ def _discover(ladder: Ladder, remarks: tuple[str, ...], report: Callable[[str], 
     report('comparing with what could stand in')
     cases = [_Case.of(ladder, effect.id) for effect in ladder.fit.model.effects]
     unexplained = _worst([m for m in after if m.fires] + [m for c in cases for m in c.doubts])
-    effects = [case.entry(bool(unexplained) and not _follows_levels(ladder.fit, case.own.id))
-               for case in cases or _suggestions(ladder.open)]
+    effects = [case.entry(bool(unexplained)) for case in cases or _suggestions(ladder.open)]
     rivals = [rival.fit.model for case in cases for rival in case.rivals]
     report('predicting what was held out')
     fit = ladder.fit
@@ -113,7 +112,8 @@ class _Case:
     """What speaks for an effect, and what against it.
 
     `own` is what it brings beside the others, `gain` the logarithm of its e-value, `sure` whether
-    both vouch for it and nothing takes it back; `rivals` explain as much in its place. `doubts`
+    both vouch for it and nothing takes it back; `rivals` explain as much in its place; nothing
+    could where it is `alone` in depending on the levels of the drive, and follows them. `doubts`
     are maps of the model without it: those that say more than it does, since something smooth
     that is in no library explains it better; all that fire, where it is not sure.
     """
@@ -121,6 +121,7 @@ class _Case:
     own: Found
     gain: float
     sure: bool
+    alone: bool
     rivals: list[Found]
     doubts: list[ResidualMap]
 
@@ -130,29 +131,25 @@ class _Case:
         rest = without(ladder.fit, name)
         own = found_in(ladder.fit, rest, name)
         gain = log_e_value(ladder.fit, name)
-        # Nothing else could stand in for what alone depends on the frequency; and halves of a
-        # recording in which the frequency was stepped once do not predict each other.
-        alone = _follows_levels(ladder.fit, name)
+        # Halves of a recording in which the frequency was stepped once predict nothing.
+        alone = name == 'drive_response' and curve_p_value(ladder.fit) < BACKWARD
         sure = own.whole and own.delta_bic > CLOSE and not taken_back(ladder.fit, name) and (
             gain > HELD_OUT or alone)
         most = own.log_p + np.log(len(EFFECTS)) - BETTER if sure else 0.0
         return cls(
-            own, gain, sure,
+            own, gain, sure, alone,
             [rival for rival in ladder.rivals(name) if _close(rival, own) and not alone],
             [m for m in residual_maps(rest) if m.fires and m.log_p < most])
 
     def entry(self, incomplete: bool) -> NamedEffect:
         """As it is named; `incomplete`: whether what is established leaves something."""
-        status: Status = 'proxy' if incomplete else 'established' if self.sure else 'suggested'
+        status: Status = 'established' if self.sure else 'suggested'
+        if incomplete and not self.alone:
+            status = 'proxy'
         return NamedEffect(
             self.own.id, status, _estimates(self.own.fit, self.own.id), self.own.delta_bic,
             self.own.p_value, float(np.exp(min(self.gain, 700.0))),
             tuple(rival.id for rival in self.rivals))
-
-
-def _follows_levels(fit: Fit, name: str) -> bool:
-    """Whether speeds at the levels of the drive vouch for an effect that alone depends on them."""
-    return name == 'drive_response' and curve_p_value(fit) < BACKWARD
 
 
 def _worst(maps: Iterable[ResidualMap]) -> tuple[ResidualMap, ...]:
@@ -171,7 +168,7 @@ def _suggestions(found: Sequence[Found]) -> list[_Case]:
     # The flank of a spot could stand in for anything smooth.
     best = next((c for c in likely if c.whole and not clearly(likely[0], c)), likely[0])
     rivals = [c for c in found if c is not best and _close(c, best)]
-    return [_Case(best, log_e_value(best.fit, best.id), False, rivals, [])]
+    return [_Case(best, log_e_value(best.fit, best.id), False, False, rivals, [])]
 
 
 def _close(rival: Found, own: Found) -> bool:

@@ -7,7 +7,7 @@ import numpy as np
 from microbot_ros.discovery.ladder import without
 from microbot_ros.discovery.likelihood import Fit, Part, evaluate, maximise
 from microbot_ros.discovery.result import Gap
-from microbot_ros.discovery.search import found_in, shown
+from microbot_ros.discovery.search import found_in
 from microbot_ros.model.model import Model
 
 HORIZON = 1.0
@@ -85,8 +85,8 @@ def _learned(fit: Fit) -> Fit:
     for effect in learned.model.effects:
         if any(p.shape for p in effect.parameters()):
             rest = maximise(_on(learned, learned.model.without(effect.id)))
-            worth = found_in(learned, rest, effect.id).delta_bic > 0
-            learned = learned if worth and shown(learned, effect.id) else rest
+            found = found_in(learned, rest, effect.id)
+            learned = learned if found.delta_bic > 0 and found.whole else rest
     return learned
 
 

@@ -22,28 +22,36 @@ def _downwards(rows):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def neighbours(parameters, near):  # type: ignore[no-untyped-def]
-    """Who lies within `near` px of each particle: those of n are other[first[n]:first[n + 1]]."""
+def _pairs(rows, near):  # type: ignore[no-untyped-def]
+    """Particles within `near` px of each other, the upper one first."""
     pairs = []
-    order = _downwards(parameters)
+    order = _downwards(rows)
     for m in range(len(order)):
         i = order[m]
         for n in range(m + 1, len(order)):
             j = order[n]
-            dx, dy = parameters[j, X] - parameters[i, X], parameters[j, Y] - parameters[i, Y]
+            dx, dy = rows[j, X] - rows[i, X], rows[j, Y] - rows[i, Y]
             if not dy < near:
                 break
             if dx * dx + dy * dy < near * near:
                 pairs.append((i, j))
-                pairs.append((j, i))
+    return pairs
+
+
+@numba.njit(cache=True)
+def neighbours(parameters, near):  # type: ignore[no-untyped-def]
+    """Who lies within `near` px of each particle: those of n are other[first[n]:first[n + 1]]."""
+    pairs = _pairs(parameters, near)
     first = np.zeros(len(parameters) + 1, np.int64)
-    for i, _ in pairs:
-        first[i + 1] += 1
-    first = np.cumsum(first)
-    other, free = np.empty(len(pairs), np.int64), first.copy()
     for i, j in pairs:
-        other[free[i]] = j
+        first[i + 1] += 1
+        first[j + 1] += 1
+    first = np.cumsum(first)
+    other, free = np.empty(2 * len(pairs), np.int64), first.copy()
+    for i, j in pairs:
+        other[free[i]], other[free[j]] = j, i
         free[i] += 1
+        free[j] += 1
     return first, other
 
 
@@ -51,16 +59,9 @@ def neighbours(parameters, near):  # type: ignore[no-untyped-def]
 def doubled(rows, good, closest):  # type: ignore[no-untyped-def]
     """Whether a particle of higher contrast, itself good, lies closer than `closest`: (N,)."""
     doubled = np.zeros(len(rows), np.bool_)
-    order = _downwards(rows)
-    for m in range(len(order)):
-        i = order[m]
-        for n in range(m + 1, len(order)):
-            j = order[n]
-            dx, dy = rows[j, X] - rows[i, X], rows[j, Y] - rows[i, Y]
-            if not dy < closest:
-                break
-            if good[i] and good[j] and dx * dx + dy * dy < closest * closest:
-                doubled[i if rows[i, CONTRAST] < rows[j, CONTRAST] else j] = True
+    for i, j in _pairs(rows, closest):
+        if good[i] and good[j]:
+            doubled[i if rows[i, CONTRAST] < rows[j, CONTRAST] else j] = True
     return doubled
 
 
