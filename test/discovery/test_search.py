@@ -111,6 +111,13 @@ def test_what_is_too_weak_for_the_model_is_suggested_whole_shapes_first(film):
     assert [case.own for case in _suggestions([plain, weak])] == [plain]
 
 
+def test_a_hint_of_a_drive_response_stands_in_where_something_is_left(film):
+    fit = Ladder(screen([film(15, rolling=True)[0]])[0]).fit
+    case, = _suggestions([replace(look(fit, 'drive_response'), likelihood_ratio=30.0)])
+    assert case.entry(incomplete=True).status == 'proxy'
+    assert case.entry(incomplete=False).status == 'suggested'
+
+
 def test_a_field_that_turns_one_way_hides_a_lag_in_phi(film):
     session, _ = film(3, duration=20.0)
     fit = Ladder(screen([session])[0]).fit
