@@ -45,19 +45,24 @@ class CommandLog:
         return float(self._rows[self._count - 1, 0]) if self._count else -np.inf
 
     def since(self, t: float, delay: float = 0.0) -> Commands:
-        """Commands delayed by `delay` [s], from the one that rules the heading at `t` on."""
-        rows = self._rows[:self._count]
-        first = max(int(np.searchsorted(rows[:, 0], t - delay, side='right')) - 1, 0)
-        steering = np.flatnonzero(rows[:first + 1, 1:3].any(axis=1))
-        rows = rows[steering[-1] if len(steering) else first:]
+        """Commands delayed by `delay` [s]: the one in force at `t`, those after it and, where that
+        one is no field, before them the last field, which rules the heading."""
+        rows = self._ruling(t - delay)
         return Commands(rows[:, 0] + delay, rows[:, 1:3], rows[:, 3])
 
     def forget_before(self, t: float) -> None:
         """Drop what no longer matters to frames from `t` on, when it has become much."""
-        first = self._count - len(self.since(t).t)
-        if first > self._ROOM:
-            self._rows = self._rows[first:].copy()
-            self._count -= first
+        kept = self._ruling(t)
+        if self._count - len(kept) > self._ROOM:
+            self._rows, self._count = kept.copy(), len(kept)
+
+    def _ruling(self, t: float) -> np.ndarray:
+        rows = self._rows[:self._count]
+        first = max(int(np.searchsorted(rows[:, 0], t, side='right')) - 1, 0)
+        if rows[first:first + 1, 1:3].any():
+            return rows[first:]
+        steering = np.flatnonzero(rows[:first, 1:3].any(axis=1))
+        return np.concatenate([rows[steering[-1:]], rows[first:]])
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,17 @@ since the start of the record. Levels make gaps trivial: a missing row is a row 
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 SMALLEST, LARGEST = 1e-4, 1e5
 """Bounds of σ²/(D h) in the search; beyond them one of the two can't be seen at all."""
+
+_GOLDEN, _SLICED_WITHIN = (math.sqrt(5) - 1) / 2, 0.02
+"""Of the search in slices: the golden section, and how well it finds log σ²/D."""
 
 
 @dataclass(frozen=True)
@@ -188,6 +193,31 @@ class GainLikelihood:
             bounds=bounds, method='bounded', options={'xatol': 1e-3},
         )
         return self.fit(float(np.exp(found.x)))
+
+    def maximum_in_slices(self) -> Iterator[GainFit | None]:
+        """`maximum` for a caller with frames to serve: None after each evaluation, last the fit.
+
+        By golden section, since SciPy's bounded search cannot be left and taken up again.
+        """
+        def value(log_ratio: float) -> float:
+            return self.at(math.exp(log_ratio)).log_likelihood
+
+        h = float(np.median(np.diff(self._times)))
+        low, high = math.log(SMALLEST * h), math.log(LARGEST * h)
+        left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
+        at_left, at_right = value(left), value(right)
+        while high - low > _SLICED_WITHIN:
+            yield None
+            if at_left > at_right:
+                high, right, at_right = right, left, at_left
+                left = high - _GOLDEN * (high - low)
+                at_left = value(left)
+            else:
+                low, left, at_left = left, right, at_right
+                right = low + _GOLDEN * (high - low)
+                at_right = value(right)
+        yield None
+        yield self.fit(math.exp((low + high) / 2))
 
     def fit(self, ratio: float) -> GainFit:
         """The fit for a known σ²/D; standard deviations as if it had been the maximum."""

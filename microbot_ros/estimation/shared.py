@@ -18,6 +18,10 @@ from microbot_ros.model.model import Model
 FIRST_REVIEW, REVIEW_EVERY = 0.5, 4.0
 """Seconds from the first frame to the first review; seconds between reviews at most."""
 
+SLICE_EVERY, MOST_SLICES = 0.01, 8
+"""One slice of a review for so long [s] since the frame before, at most so many for one frame: a
+review takes as long at 20 frames a second as at 100."""
+
 PRIOR_LOG_STD = 1.0
 """How far D and σ² may be from what was assumed, as a standard deviation of their logarithm."""
 
@@ -36,6 +40,7 @@ class SharedKnowledge:
         self._review: Iterator[Review | None] | None = None
         self._next: float | None = None
         self._pause = FIRST_REVIEW
+        self._t = -np.inf
 
     def forget_model(self) -> None:
         """Drop what was learned under another model, but the noise levels."""
@@ -51,7 +56,8 @@ class SharedKnowledge:
         self._window.add(t, ids, taken.z, taken.used)
 
     def work(self, t: float, model: Model, log: CommandLog, bank: PhasorBank) -> bool:
-        """One slice of a review, if one is due or under way; True where c was corrected by it."""
+        """Go on with a review, if one is due or under way; True where c was corrected by it."""
+        span, self._t = t - self._t, t
         if self._next is None:
             self._next = t + self._pause
         if self._review is None:
@@ -61,11 +67,13 @@ class SharedKnowledge:
             self._next = t + self._pause
             self._review = self._window.review(model, log, self.delay, self.noise)
         try:
-            result = next(self._review)
+            for _ in range(round(np.clip(span / SLICE_EVERY, 1, MOST_SLICES))):
+                if (result := next(self._review)) is not None:
+                    self._review = None
+                    return self._adopt(result, bank)
         except StopIteration:
             self._review = None
-            return False
-        return result is not None and self._adopt(result, bank)
+        return False
 
     def _adopt(self, review: Review, bank: PhasorBank) -> bool:
         self.noise = _weighed(self._prior, review.noise)

@@ -102,8 +102,9 @@ class Window:
         record = DelayedLikelihood(
             model, log.since(times[0] - HEADING_MEMORY), times, z, noise.exposure
         )
-        fit = record.at(delay.value).maximum()
-        yield None
+        search = record.at(delay.value).maximum_in_slices()
+        while (fit := next(search)) is None:
+            yield None
         excited = record.excitation(delay.value, fit.noise)
         found = Delay()
         for result in record.delay(fit.noise) if excited.shows_delay else ():

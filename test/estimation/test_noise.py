@@ -119,3 +119,18 @@ def test_gains_are_generalised_least_squares():
 def test_too_little_to_fit_is_said():
     with pytest.raises(ValueError, match='increments'):
         GainLikelihood(np.arange(3.0), np.zeros((3, 1), complex), np.zeros(3, complex))
+
+
+@pytest.mark.parametrize('sigma', [2e-9, 0.1e-6, 3e-6])
+def test_the_search_in_slices_ends_at_the_same_maximum(sigma):
+    rng = np.random.default_rng(8)
+    likelihood = GainLikelihood(
+        np.arange(400) * 0.05, diffuse(rng, 400, 3, 0.05, 1e-13, sigma), np.zeros(400, complex))
+    *waiting, found = likelihood.maximum_in_slices()
+    assert waiting == [None] * len(waiting)
+    assert len(waiting) < 25
+    expected = likelihood.maximum()
+    assert found.log_likelihood == pytest.approx(expected.log_likelihood, abs=0.01)
+    for level in ('diffusion', 'localisation'):
+        spread = getattr(expected.noise, f'{level}_std')
+        assert abs(getattr(found.noise, level) - getattr(expected.noise, level)) < 0.1 * spread

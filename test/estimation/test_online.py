@@ -142,16 +142,20 @@ def test_under_one_constant_command_drift_hides():
      LinearFlow(0.0, 0.02, 0.0, 0.0)),
 ])
 def test_an_extended_model_filters_what_the_plain_one_cannot(tmp_path, hidden, effect):
-    session, gain = experiment(5, hidden=hidden)
     nobody = ParticleParameters(np.empty(0, int), np.empty(0), np.empty(0))
     write_model(tmp_path / 'model.yaml', Model(FIELD, effects=(effect,)), nobody)
-    extended = Estimator(CONDITIONS)
-    extended.load(tmp_path / 'model.yaml')
-    with_effect, without = replay(session, extended)[-1], replay(session)[-1]
-    assert np.sqrt(np.mean(deviations(with_effect, gain) ** 2)) < 1.8
+    diffusion, told = [], []
+    for seed in range(5, 10):
+        session, gain = experiment(seed, hidden=hidden)
+        extended = Estimator(CONDITIONS)
+        extended.load(tmp_path / 'model.yaml')
+        with_effect, without = replay(session, extended)[-1], replay(session)[-1]
+        assert np.sqrt(np.mean(deviations(with_effect, gain) ** 2)) < 1.8
+        diffusion.append(with_effect.noise.diffusion / without.noise.diffusion)
+        told.append(any('does not explain' in text for text in without.diagnosis))
     # What a model leaves unexplained, it takes for diffusion.
-    assert with_effect.noise.diffusion < 0.7 * without.noise.diffusion
-    assert any('does not explain' in text for text in without.diagnosis)
+    assert np.median(diffusion) < 0.7
+    assert sum(told) >= 4
 
 
 @pytest.mark.parametrize(('hidden', 'effect', 'aged'), [
