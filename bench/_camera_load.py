@@ -1,18 +1,22 @@
-"""A camera for benchmarks: `python -m bench._camera_load WIDTH HEIGHT RATE_HZ SECONDS LISTENERS`.
+"""A camera for benchmarks: `python -m bench._camera_load WIDTH HEIGHT RATE_HZ`.
 
-Waits until that many listen, then publishes pictures of four particles on `camera/image_raw`, made
-beforehand, so that what is measured is the others.
+Waits for a listener, then publishes pictures of four particles on `camera/image_raw` until it is
+stopped. They were made beforehand, so that what is measured is the others, and are stamped with
+the moment at which they were due, so that a camera that is late is seen.
 """
 
 from __future__ import annotations
 
+import itertools
 import sys
 import time
 
 import numpy as np
 import rclpy
+from rclpy.time import Time
 from sensor_msgs.msg import Image
 
+from microbot_ros.drive.real_time import LOOP, hurry_all
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.graph import READY
 from microbot_ros.nodes.lifecycle import IMAGES_OUT
@@ -35,26 +39,24 @@ def pictures(width: int, height: int, rate: float, count: int = 40) -> list[Imag
 
 
 def main() -> None:
-    """Publish, and print how many frames were sent."""
-    width, height, listeners = int(sys.argv[1]), int(sys.argv[2]), int(sys.argv[5])
-    rate, seconds = float(sys.argv[3]), float(sys.argv[4])
+    """Publish until a signal."""
+    width, height, rate = int(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3])
     film = pictures(width, height, rate)
     stay_local()
     rclpy.init(args=[])
     node = rclpy.create_node('camera')
     outlet = node.create_publisher(Image, 'camera/image_raw', IMAGES_OUT)
-    while outlet.get_subscription_count() < listeners:
+    while not outlet.get_subscription_count():
         time.sleep(0.05)
     time.sleep(0.5)
     print(READY, flush=True)
-    begin = time.monotonic()
-    for frame in range(int(rate * seconds)):
+    hurry_all(LOOP)
+    begin, begin_ns = time.monotonic(), node.get_clock().now().nanoseconds
+    for frame in itertools.count():
         time.sleep(max(0.0, begin + frame / rate - time.monotonic()))
         image = film[frame % len(film)]
-        image.header.stamp = node.get_clock().now().to_msg()
+        image.header.stamp = Time(nanoseconds=begin_ns + round(frame * 1e9 / rate)).to_msg()
         outlet.publish(image)
-    print(f'sent {int(rate * seconds)}', flush=True)
-    time.sleep(1.0)
 
 
 if __name__ == '__main__':

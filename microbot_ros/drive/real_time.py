@@ -3,19 +3,29 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
+from pathlib import Path
 
-_PRIORITY = 10
+SAFETY, LOOP = 10, 5
+"""Priorities: of what zeroes the coils, and of the rest of the closed loop."""
 
 
-def hurry(process: int = 0) -> bool:
+def hurry(thread: int = 0, priority: int = SAFETY) -> bool:
     """Let this thread, and those it starts from now on, run in real time; False where not granted.
 
-    With a `process` id the main thread of that one.
+    With the id of another `thread`, that one; the id of a process is that of its main thread.
 
     One thread of a process is not enough: it waits for whoever holds the interpreter's lock.
     """
     try:
-        os.sched_setscheduler(process, os.SCHED_FIFO, os.sched_param(_PRIORITY))
+        os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
     except (AttributeError, OSError):
         return False
     return True
+
+
+def hurry_all(priority: int) -> None:
+    """`hurry` for every thread of this process, those of the middleware among them."""
+    with suppress(OSError):
+        for task in Path('/proc/self/task').iterdir():
+            hurry(int(task.name), priority)

@@ -15,7 +15,7 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
 
-from microbot_ros.drive.real_time import hurry
+from microbot_ros.drive.real_time import LOOP, hurry, hurry_all
 from microbot_ros.errors import InputError
 from microbot_ros.nodes.graph import PARENT, READY
 from microbot_ros.nodes.lifecycle import RigNode
@@ -33,6 +33,8 @@ NODES = {
 }
 """Node name → class in the module of the same name; imported only where it runs."""
 
+_LOOP = {'camera', 'tracker', 'model', 'controller'}
+
 # Signals are noticed between two spins: this bounds how long the coils outlive a SIGTERM.
 _SPIN_SECONDS = 0.02
 
@@ -47,7 +49,8 @@ def make(name: str) -> RigNode:
 def run(names: list[str], arguments: list[str] | None = None) -> int:
     """Configure and activate the nodes, spin until SIGINT or SIGTERM, leave them safe.
 
-    The coil driver, alone in its process, runs in real time where the system grants that.
+    The coil driver, alone in its process, runs in real time where the system grants that; so do
+    the other nodes of the closed loop, once they are active, in a process without any else.
     A node that has finished, as a player at the end of its recording, ends the process too.
     With the id of a parent in the environment the nodes also end when that process is gone.
     Returns the exit status: 0 after a signal, 2 where a person must mend an input, 1 otherwise.
@@ -70,6 +73,8 @@ def run(names: list[str], arguments: list[str] | None = None) -> int:
         # What was imported lives for good; a full collection of it would take 40 ms, in a tick.
         gc.collect()
         gc.freeze()
+        if _LOOP.issuperset(names):
+            hurry_all(LOOP)
         print(READY, *names, flush=True)
         parent = int(os.environ.get(PARENT, '0'))
         while not (stopping or any(node.finished for node in nodes)) and (

@@ -24,6 +24,7 @@ from microbot_ros.nodes.lifecycle import OK, WARN, RigNode
 from microbot_ros.nodes.snapshot import Snapshot
 from microbot_ros.nodes.topics import CHANGES, TOPICS
 from microbot_ros.session import RecordingWriter
+from microbot_ros.session.bag import typestore
 from microbot_ros.settings import setting
 
 _FRAMES, _OVERLAY = 'camera/image_raw', 'overlay/image_raw'
@@ -65,6 +66,7 @@ class RecorderNode(RigNode):
     Parameters: ClassVar[type] = RecorderParameters
 
     def setup(self) -> None:
+        typestore()  # takes 0.1 s; frames would wait for it, and some be lost
         self._writer: RecordingWriter | None = None
         self._attachments = {
             Path(name).name: _content(name) for name in self.settings.attachments}
@@ -75,7 +77,7 @@ class RecorderNode(RigNode):
             kind, qos = TOPICS[topic]
             self.subscribe(kind, topic, self._taker(topic), qos, raw=True)
         self.service(SetBool, '~/record', self._on_record)
-        self.every(0.5, self._look_around)
+        self.every(0.1, self._look_around)
 
     def start(self) -> None:
         if self.settings.recording:
