@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import getpass
 import os
 import shutil
 import sys
@@ -54,7 +55,8 @@ def command(config: Path | None, json_path: Path | None) -> None:
 
 
 def _look(config: Path | None) -> Iterator[Finding]:
-    checks: list[Callable[[], Finding]] = [_python, _ros, _shared_memory, _disk, _ports]
+    checks: list[Callable[[], Finding]] = [
+        _python, _ros, _real_time, _shared_memory, _disk, _ports]
     if config:
         checks += [lambda: _rig(config)]
     for check in checks:
@@ -78,6 +80,21 @@ def _ros() -> Finding:
         name = remote.echo()
     reach = os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE']
     return Finding('ros', 'ok', f'{name} echoes; discovery range {reach}')
+
+
+def _real_time() -> Finding:
+    """Tried in a thread, so that this process stays an ordinary one."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    from microbot_ros.drive.real_time import hurry
+
+    with ThreadPoolExecutor(1) as pool:
+        granted = pool.submit(hurry).result()
+    if granted:
+        return Finding('real time', 'ok', 'granted: the loop comes before all else here')
+    return Finding('real time', 'warn', 'not granted: other programs can hold up the loop; add '
+                   f'"{getpass.getuser()} - rtprio 10" to /etc/security/limits.conf and log in '
+                   'again')
 
 
 def _shared_memory() -> Finding:

@@ -15,7 +15,7 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
 
-from microbot_ros.drive.real_time import LOOP, hurry, hurry_all
+from microbot_ros.drive.real_time import LOOP, SAFETY, hurry_all
 from microbot_ros.errors import InputError
 from microbot_ros.nodes.graph import PARENT, READY
 from microbot_ros.nodes.lifecycle import RigNode
@@ -60,7 +60,7 @@ def run(names: list[str], arguments: list[str] | None = None) -> int:
         signal.signal(number, lambda received, _frame: stopping.append(received))
     stay_local()
     if names == ['coil_driver']:
-        hurry()
+        hurry_all(SAFETY)
     rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     executor = EventsExecutor()
     nodes: list[RigNode] = []

@@ -17,6 +17,7 @@ import psutil
 import pytest
 import yaml
 
+from microbot_ros.drive.real_time import LOOP, SAFETY
 from microbot_ros.nodes.remote import Remote
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 
@@ -105,6 +106,18 @@ def running(tmp_path: Path, film: Path, emulator: Any) -> Iterator[Running]:
     made = Running(tmp_path, film, emulator)
     yield made
     made.end()
+
+
+def test_the_whole_loop_runs_in_real_time_where_the_system_grants_it(running: Running) -> None:
+    expected = {'camera': LOOP, 'tracker': LOOP, 'model': LOOP, 'controller': LOOP,
+                'coil_driver': SAFETY}
+    found = {}
+    for name in expected:
+        process = running.node(name)
+        found[name] = {os.sched_getparam(thread.id).sched_priority for thread in process.threads()}
+    program = 'import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))'
+    granted = not subprocess.run([sys.executable, '-c', program], capture_output=True).returncode
+    assert found == {name: {number if granted else 0} for name, number in expected.items()}
 
 
 @pytest.mark.parametrize('victim', ['tracker', 'coil_driver'])
