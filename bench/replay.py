@@ -40,7 +40,7 @@ WARM_SECONDS = 10
 """In which the tracker learns what particles look like."""
 SETTLE_SECONDS = 3.0
 """After somebody has come or gone."""
-KILLS = 5
+KILLS = 20
 ASKED = 25
 STEERING = Path(__file__).parents[1] / 'test' / 'data' / 'steering.mcap'
 
