@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import fcntl
 import os
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -27,6 +29,13 @@ def _own_domain() -> int:
 os.environ['ROS_DOMAIN_ID'] = str(_own_domain())
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 os.environ.setdefault('MPLBACKEND', 'Agg')
+
+
+@pytest.fixture(scope='session')
+def real_time() -> bool:
+    """Whether the system lets a process run in real time."""
+    program = 'import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))'
+    return not subprocess.run([sys.executable, '-c', program], capture_output=True).returncode
 
 
 @pytest.fixture(scope='session')

@@ -14,8 +14,6 @@ def hurry(thread: int = 0, priority: int = SAFETY) -> bool:
     """Let this thread, and those it starts from now on, run in real time; False where not granted.
 
     With the id of another `thread`, that one; the id of a process is that of its main thread.
-
-    One thread of a process is not enough: it waits for whoever holds the interpreter's lock.
     """
     try:
         os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
@@ -25,7 +23,10 @@ def hurry(thread: int = 0, priority: int = SAFETY) -> bool:
 
 
 def hurry_all(priority: int) -> None:
-    """`hurry` for every thread of this process, those of the middleware among them."""
+    """`hurry` for every thread of this process, those of the middleware among them.
+
+    One thread is not enough: it waits for whoever holds the interpreter's lock.
+    """
     with suppress(OSError):
         for task in Path('/proc/self/task').iterdir():
             hurry(int(task.name), priority)
