@@ -12,8 +12,9 @@ from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from enum import StrEnum
 from importlib.metadata import entry_points
-from threading import Lock
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -30,23 +31,38 @@ _AGREEMENT = 0.02
 """How near a reading must be to a command to acknowledge it, as a part of full scale."""
 
 
+class Watchdog(StrEnum):
+    """What zeroes the coils when this computer dies."""
+
+    ARMED = 'armed in the device, and read back'
+    FIRMWARE = 'in the firmware, where it has one: arming tries it out'
+    NONE = 'none'
+
+
 @dataclass(frozen=True, eq=False)
 class Command:
-    """Currents [A], shape (4,), and when they went to the line [s, monotonic]."""
+    """Currents [A], shape (4,), and when they were handed to the line [s, monotonic].
+
+    `tag` is the caller's, to know the command again.
+    """
 
     t_monotonic_s: float
     currents_A: np.ndarray
+    tag: Any = None
 
 
 @dataclass(frozen=True, eq=False)
 class Reading:
     """Measured currents [A], shape (4,), and when they arrived [s, monotonic].
 
-    `acknowledges` is the oldest command that these currents agree with and that no earlier
-    reading has acknowledged; None where there is none.
+    `since_s` is when the last command went out that the device had for sure when they were taken:
+    every later one may, or may not yet, show in them. `acknowledges` is the oldest command that
+    these currents agree with and that no earlier reading has acknowledged; None where there is
+    none.
     """
 
     t_monotonic_s: float
+    since_s: float
     currents_A: np.ndarray
     acknowledges: Command | None
 
@@ -66,9 +82,10 @@ class Amplifier(ABC):
 
     `url` names its port (for a protocol with several: all, separated by commas) and
     `full_scale_A` the current of each coil at full output (a scalar means all alike).
-    One thread may write while another polls.
+    One thread calls it, but for `wake`, which any may.
     """
 
+    watchdog: ClassVar[Watchdog] = Watchdog.NONE
     resolution_A = 0.0
     """The step in which the device reports currents."""
 
@@ -82,7 +99,6 @@ class Amplifier(ABC):
         """What the device said last is wrong with it; '' where it says nothing of the kind."""
         self._tolerance_A = _AGREEMENT * self.full_scale_A + self.resolution_A / 2
         self._unacknowledged: deque[Command] = deque(maxlen=64)
-        self._lock = Lock()
 
     def connect(self) -> None:
         """Open, identify, arm the device's watchdog where it has one, zero and read back.
@@ -99,18 +115,19 @@ class Amplifier(ABC):
             self._release()
             raise
 
-    def write(self, currents_A: Sequence[float] | np.ndarray) -> Command:
-        """Send currents [A], shape (4,). Raises ValueError, with nothing sent, for any that is
-        not within the full scale (NaN is not), and AmplifierError where the line is lost.
+    def write(self, currents_A: Sequence[float] | np.ndarray, tag: Any = None) -> Command:
+        """Send currents [A], shape (4,), in place of any that a slow line has yet to take.
+
+        Zero goes out at once, ahead of all else. Raises ValueError, with nothing sent, for any
+        that is not within the full scale (NaN is not), and AmplifierError where the line is lost.
         """
         currents = np.array(currents_A, dtype=float)
         if currents.shape != (4,) or not np.all(np.abs(currents) <= self.full_scale_A):
             raise ValueError(
                 f'currents must be 4 values within ±{self.full_scale_A} A; received {currents_A}')
-        command = Command(time.monotonic(), currents)
-        with self._lock:
-            self._unacknowledged.append(command)
-        self._send(currents)
+        command = Command(time.monotonic(), currents, tag)
+        self._unacknowledged.append(command)
+        self._send(command)
         return command
 
     def zero(self) -> Command:
@@ -118,11 +135,12 @@ class Amplifier(ABC):
         return self.write(np.zeros(4))
 
     def poll(self, timeout_s: float = 0.0) -> list[Reading]:
-        """The readings that arrived; waits at most `timeout_s` for the first. Moves no current.
+        """The readings that arrived; waits at most `timeout_s` for the first. Moves no current
+        but by what was written and has yet to go out on a slow line.
 
         Raises AmplifierError where the line is lost.
         """
-        return [self._reading(t, currents) for t, currents in self._receive(timeout_s)]
+        return [self._reading(*measured) for measured in self._receive(timeout_s)]
 
     def close(self) -> bool:
         """Zero, read back, disable, release the port; True where a reading confirmed the zero.
@@ -148,26 +166,35 @@ class Amplifier(ABC):
                     return
         raise NoAnswerError(self.url, f'measured currents of zero within {READ_BACK_S:g} s')
 
-    def _reading(self, t_monotonic_s: float, currents: np.ndarray) -> Reading:
-        with self._lock:
-            for position, command in enumerate(self._unacknowledged):
-                if np.all(np.abs(currents - command.currents_A) <= self._tolerance_A):
-                    for _ in range(position + 1):  # those before it were superseded
-                        self._unacknowledged.popleft()
-                    return Reading(t_monotonic_s, currents, command)
-        return Reading(t_monotonic_s, currents, None)
+    def _reading(self, t_monotonic_s: float, since_s: float, currents: np.ndarray) -> Reading:
+        for position, command in enumerate(self._unacknowledged):
+            if np.all(np.abs(currents - command.currents_A) <= self._tolerance_A):
+                for _ in range(position + 1):  # those before it were superseded
+                    self._unacknowledged.popleft()
+                return Reading(t_monotonic_s, since_s, currents, command)
+        return Reading(t_monotonic_s, since_s, currents, None)
+
+    @abstractmethod
+    def wake(self) -> None:
+        """Let a `poll` that waits return at once; from any thread, whatever state it is in."""
+
+    @abstractmethod
+    def last_words(self) -> list[tuple[int, bytes]]:
+        """What zeroes the coils when this process no longer can: for each line its descriptor and
+        the bytes. Empty where the lines are none of the system's."""
 
     @abstractmethod
     def _open(self) -> None:
         """Open the port and make sure the right device answers, its outputs enabled at zero."""
 
     @abstractmethod
-    def _send(self, currents_A: np.ndarray) -> None:
+    def _send(self, command: Command) -> None:
         """Send currents that are known to be within the full scale."""
 
     @abstractmethod
-    def _receive(self, timeout_s: float) -> list[tuple[float, np.ndarray]]:
-        """Arrival times and measured currents, all finite."""
+    def _receive(self, timeout_s: float) -> list[tuple[float, float, np.ndarray]]:
+        """When they arrived, since when the device had what it had (`Reading.since_s`), and the
+        measured currents, all finite."""
 
     def _disable(self) -> None:  # noqa: B027 — most devices know zero and nothing beyond
         """Switch the outputs off, where the device can."""

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from contextlib import suppress
+from dataclasses import dataclass
+from queue import Empty, SimpleQueue
+from typing import Any
 
 import numpy as np
 
-from microbot_ros.drive.amplifier import Amplifier, Command, Reading
+from microbot_ros.drive.amplifier import Amplifier, Command, Reading, Watchdog
 from microbot_ros.drive.errors import AmplifierError
 from microbot_ros.drive.gate import ZERO, Currents, Gate, Limits, Reason
+from microbot_ros.drive.last_resort import LastResort
 from microbot_ros.drive.real_time import hurry
 from microbot_ros.drive.self_check import SelfCheck
 from microbot_ros.errors import InputError
@@ -21,25 +27,45 @@ _TICK_S = 0.005
 _REFRESH_S = 0.04
 """The present output goes out again this often: a device's watchdog is fed while commands hold,
 and a zero that the line damaged is not the last word."""
-_CHECK_WAIT_S = 0.002
 _BACKOFF_S = (0.1, 2.0)
 """First and longest pause between attempts to reconnect; each is twice the one before."""
+_ARMING_S = 10.0
+_DISARMING_S = 0.2
+WITHOUT_WATCHDOG = ('if this computer loses its power while coils are driven, the last currents '
+                    'flow on until somebody switches the amplifier off')
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class _Order:
+    currents_A: tuple[Any, ...]
+    given_s: float
+    tag: Any
 
 
 class CoilDriver:
-    """Drives one amplifier through one gate; a thread reads, watches and reconnects.
+    """Drives one amplifier through one gate, both in the hands of one thread.
 
-    The thread lives from `start` to `stop` and does all that must happen without being asked:
-    stale commands, silence and deviation end in zero, whatever hangs elsewhere in the process;
-    a lost line is latched as a fault and reopened with zero, still disarmed. `on_reading` is
-    called in that thread for each reading and must not block. Where the system allows it, the
-    thread runs in real time: a busy machine does not hold up the zero. With `self_check`, arming
-    sends a pulse through each coil first. Raises InputError for a current limit that is more than
-    the amplifier can give, and for limits that leave no room for the pulse.
+    The thread lives from `start` to `stop` and alone judges and writes: whatever others want is
+    left in a mailbox, in which the newest command takes the place of one that waits. It does all
+    that must happen without being asked: stale commands, silence and deviation end in zero,
+    whatever hangs elsewhere in the process; a lost line is latched as a fault and reopened with
+    zero, still disarmed. `on_sent` is called in it with each command that went out, its tag with
+    it, `on_reading` with each reading; they must not block, and if they raise, the coils go to
+    zero and the thread goes on. Where the system allows it, the thread runs in real time.
+
+    With `self_check`, arming sends a pulse through each coil first, and tries out the watchdog of
+    a device whose firmware may have one. A device without one needs `accept_no_watchdog`, and is
+    watched by a process of ours, which zeroes it when this one dies or hangs. Raises InputError
+    where that is missing, for a current limit that is more than the amplifier can give, and for
+    limits that leave no room for the pulse.
     """
 
     def __init__(self, amplifier: Amplifier, limits: Limits,
-                 on_reading: Callable[[Reading], None], *, self_check: bool = True) -> None:
+                 on_reading: Callable[[Reading], None], *,
+                 on_sent: Callable[[Command], None] = lambda _: None, self_check: bool = True,
+                 accept_no_watchdog: bool = False) -> None:
         full_scale_A = float(amplifier.full_scale_A.min())
         if not limits.current_A <= full_scale_A:
             raise InputError('current_A', f'expected at most the full scale of the amplifier, '
@@ -48,134 +74,173 @@ class CoilDriver:
         self.gate = Gate(limits)
         self.connected = False
         self.real_time = False
-        """Whether the thread that watches comes before all that is not real-time."""
+        """Whether the thread comes before all that is not real-time."""
         self.gains: list[float] | None = None
         """Measured over commanded current of each coil in the last self-check that passed."""
+        self.watchdog_s: float | None = None
+        """How long the device took to zero itself in the last arming that tried it."""
+        self._unwatched = accept_no_watchdog and amplifier.watchdog is not Watchdog.ARMED
         self._checks = self_check
+        self._tries_watchdog = amplifier.watchdog is Watchdog.FIRMWARE and not self._unwatched
+        self._refuse_unwatched()
         self._check: SelfCheck | None = None
         if self_check:
             SelfCheck(limits)  # raises now for limits that it would raise for on arming
-        self._on_reading = on_reading
-        self._lock = threading.Lock()
+        self._arming: Future[str | None] | None = None
+        self._on_reading, self._on_sent = on_reading, on_sent
+        self._mail = threading.Lock()
+        self._order: _Order | None = None
+        self._requests: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._sent: Currents = ZERO
         self._sent_s = 0.0
+        self._pause_s = _BACKOFF_S[0]
+        self._last_resort: LastResort | None = None
         self._ending = threading.Event()
+        self._confirmed = False
         self._thread: threading.Thread | None = None
+
+    def _refuse_unwatched(self) -> None:
+        if self.amplifier.watchdog is Watchdog.ARMED or self._unwatched:
+            return
+        if not (self._tries_watchdog and self._checks):
+            raise InputError('accept_no_watchdog', 'the amplifier has no watchdog that could be '
+                             f'relied on: {WITHOUT_WATCHDOG}; expected true from whoever accepts '
+                             'that')
+
+    @property
+    def warning(self) -> str:
+        """What whoever arms is to know; '' where there is nothing."""
+        return f'no watchdog in the amplifier: {WITHOUT_WATCHDOG}' if self._unwatched else ''
+
+    # For other threads ----------------------------------------------------------------------
 
     def start(self) -> None:
         """Connect, with zero current; raises AmplifierError where that fails."""
-        self.amplifier.connect()
-        self.connected = True
+        self._connect()
         self._ending.clear()
         self._thread = threading.Thread(target=self._run, name='coil driver', daemon=True)
         self._thread.start()
 
     def stop(self) -> bool:
         """Zero, read back, release the port; True where a reading confirmed the zero."""
-        with self._lock:
-            self.gate.revoke()
         self._ending.set()
+        self.amplifier.wake()
         if self._thread is not None:
             self._thread.join()
             self._thread = None
-        return self._disconnect()
+        return self._confirmed
 
     def arm(self) -> str | None:
         """Let currents flow from now on; or, where that is not safe, say why not.
 
-        Returns after the self-check, some 20 ms a coil; until then commands go nowhere.
+        Returns after the checks, some 20 ms a coil and 0.1 s for the watchdog; until then
+        commands go nowhere.
         """
-        with self._lock:
-            if not self.connected:
-                return 'the amplifier is not connected'
-            if self.amplifier.fault:
-                return self.amplifier.fault
-            if self.gate.armed:
-                return 'the self-check is going on' if self._check else None
-            refusal = self.gate.arm(time.monotonic())
-            if refusal or not self._checks:
-                return refusal
-            self._check = SelfCheck(self.gate.limits)
-        return self._await_check()
-
-    def _await_check(self) -> str | None:
-        """Why the self-check failed or was broken off; the gate sees to it that it ends."""
-        while self._check is not None and self.gate.armed:
-            time.sleep(_CHECK_WAIT_S)
-        with self._lock:
-            self._check = None
-            if self.gate.fault:
-                return f'{self.gate.fault.reason.value}: {self.gate.fault.detail}'
-            return None if self.gate.armed else 'disarmed meanwhile'
-
-    def disarm(self) -> None:
-        """Zero at once."""
-        with self._lock:
-            self.gate.revoke()
-            self._write_output()
-
-    def command(self, currents_A: Sequence[float] | np.ndarray) -> Command | None:
-        """Currents [A], shape (4,), through the gate to the line at once.
-
-        The answer is what went out, zeros if the gate tripped; None where nothing did: disarmed,
-        not connected or in the self-check.
-        """
-        with self._lock:
-            if self._check is not None:
-                return None
-            was_armed = self.gate.armed
-            self.gate.command(tuple(currents_A), time.monotonic())
-            return self._write_output() if was_armed else None
-
-    def _write_output(self) -> Command | None:
         if not self.connected:
-            return None
+            return 'the amplifier is not connected'
+        answer: Future[str | None] = Future()
+        self._request(lambda: self._begin_arming(answer))
         try:
-            self._sent, self._sent_s = self.gate.output, time.monotonic()
-            return self.amplifier.write(self._sent)
-        except AmplifierError as error:
-            self._lose(error)
-            return None
+            return answer.result(_ARMING_S)
+        except TimeoutError:
+            self.disarm()
+            return f'the driver did not answer within {_ARMING_S:g} s'
+
+    def disarm(self, fault: tuple[Reason, str] | None = None) -> None:
+        """Zero at once, and latch a fault if there is one to tell of."""
+        if self._thread is None:
+            return
+        done = threading.Event()
+
+        def revoke() -> None:
+            if fault is None or not self.gate.armed:
+                self.gate.revoke()
+            else:
+                self.gate.trip(*fault)
+            self._write()
+            done.set()
+        self._request(revoke)
+        done.wait(_DISARMING_S)
+
+    def command(self, currents_A: Sequence[float] | np.ndarray, tag: Any = None) -> bool:
+        """Leave currents [A], shape (4,), for the gate, in place of any that wait there.
+
+        Whether they may flow, as far as can be said now; `on_sent` tells what went out.
+        """
+        order = _Order(tuple(currents_A), time.monotonic(), tag)
+        with self._mail:
+            self._order = order
+        self.amplifier.wake()
+        return self.connected and self.gate.armed and self._arming is None
+
+    def _request(self, do: Callable[[], None]) -> None:
+        self._requests.put(do)
+        self.amplifier.wake()
+
+    # In the driver's thread -----------------------------------------------------------------
 
     def _run(self) -> None:
         self.real_time = hurry()
-        pause_s = _BACKOFF_S[0]
         try:
             while not self._ending.is_set():
-                if self.connected:
-                    self._serve()
-                    pause_s = _BACKOFF_S[0]
-                    continue
-                self.amplifier.close()
-                if not self._ending.wait(pause_s):
-                    pause_s = min(2 * pause_s, _BACKOFF_S[1])
-                    self._reconnect()
-        except BaseException as error:
-            with self._lock:
-                self.gate.trip(Reason.INTERNAL, repr(error))
-            self._disconnect()
-            raise
+                try:
+                    self._serve() if self.connected else self._reconnect()
+                except AmplifierError as error:
+                    self._lose(error)
+                except Exception as error:
+                    self._survive(error)
+        finally:
+            self.gate.revoke()
+            self._answer_arming('the driver stopped')
+            self._confirmed = self._disconnect()
 
     def _serve(self) -> None:
-        """Wait for readings or one tick, then let the gate judge what there is."""
-        try:
-            readings = self.amplifier.poll(_TICK_S)
-        except AmplifierError as error:
-            with self._lock:
-                self._lose(error)
-            return
-        with self._lock:
-            now = time.monotonic()
-            if self.amplifier.fault:
-                self.gate.trip(Reason.DEVICE, self.amplifier.fault)
-            for reading in readings:
-                self._judge(reading, now)
-            if self._check is not None:
-                self._go_on_checking(self._check, now)
-            if self.gate.tick(now) != self._sent or now - self._sent_s >= _REFRESH_S:
-                self._write_output()
+        """Wait for readings, mail or one tick, then let the gate judge what there is."""
+        readings = self.amplifier.poll(_TICK_S)
+        self._do_requests()
+        order = self._take_order()
+        now = time.monotonic()
+        if self.amplifier.fault:
+            self.gate.trip(Reason.DEVICE, self.amplifier.fault)
+        for reading in readings:
+            self._judge(reading, now)
+        was_armed = self.gate.armed
+        if self._check is not None:
+            self._go_on_checking(self._check, now)
+        elif order is not None:
+            self.gate.command(order.currents_A, now, order.given_s)
+        tag = order.tag if order is not None and was_armed and self._check is None else None
+        if self.gate.tick(now) != self._sent or tag is not None or self._refresh_due(now):
+            self._write(tag)
+        if not self.gate.armed:
+            self._answer_arming(self._refusal())
+        if self._last_resort is not None and not self._last_resort.feed():
+            self.gate.trip(Reason.INTERNAL, 'the process that watches over this one is gone')
+            self._replace_last_resort()
         for reading in readings:
             self._on_reading(reading)
+
+    def _refresh_due(self, now: float) -> bool:
+        silent = self._check is not None and self._check.silent
+        return now - self._sent_s >= _REFRESH_S and not silent
+
+    def _do_requests(self) -> None:
+        with suppress(Empty):
+            while True:
+                self._requests.get_nowait()()
+
+    def _take_order(self) -> _Order | None:
+        with self._mail:
+            order, self._order = self._order, None
+        return order
+
+    def _write(self, tag: Any = None) -> None:
+        if not self.connected:
+            return
+        self._sent, self._sent_s = self.gate.output, time.monotonic()
+        sent = self.amplifier.write(self._sent, tag)
+        if tag is not None:
+            self._on_sent(sent)
 
     def _judge(self, reading: Reading, now: float) -> None:
         currents: list[float] = reading.currents_A.tolist()
@@ -184,22 +249,86 @@ class CoilDriver:
             self._check.measured(currents, now)
             if self._check.complaint:
                 self.gate.trip(Reason.SELF_CHECK, self._check.complaint)
-        self.gate.measured(currents, now)
+            elif self._check.wanted != self.gate.output:
+                self.gate.command(self._check.wanted, now)
+        self.gate.measured(currents, now, reading.since_s)
+
+    def _begin_arming(self, answer: Future[str | None]) -> None:
+        if self._arming is not None or not self.connected or self.amplifier.fault:
+            answer.set_result('the self-check is going on' if self._arming is not None else
+                              self.amplifier.fault or 'the amplifier is not connected')
+            return
+        if self.gate.armed:
+            answer.set_result(None)
+            return
+        refusal = self.gate.arm(time.monotonic())
+        self._arming = answer
+        if refusal:
+            self._answer_arming(refusal)
+            return
+        if not self._checks:
+            self._answer_arming(None)
+        else:
+            self._check = SelfCheck(self.gate.limits, tries_watchdog=self._tries_watchdog)
 
     def _go_on_checking(self, check: SelfCheck, now: float) -> None:
         self.gate.command(check.wanted, now)
         if check.done:
-            self.gains, self._check = check.gains, None
+            self.gains, self.watchdog_s = check.gains, check.watchdog_s
+            self._answer_arming(None)
+
+    def _answer_arming(self, refusal: str | None) -> None:
+        if self._arming is not None:
+            self._check = None
+            self._arming.set_result(refusal)
+            self._arming = None
+
+    def _refusal(self) -> str:
+        fault = self.gate.fault
+        return f'{fault.reason.value}: {fault.detail}' if fault else 'disarmed meanwhile'
+
+    # When things go wrong -------------------------------------------------------------------
+
+    def _survive(self, error: Exception) -> None:
+        """Whatever failed, a subscriber or this code: zero, and a thread that is still there."""
+        _log.exception('in the driver of the coils')
+        self.gate.trip(Reason.INTERNAL, repr(error))
+        with suppress(Exception):
+            self._write()
+        self._answer_arming(self._refusal())
+        self._ending.wait(_TICK_S)  # not to fill the processor with failing
 
     def _lose(self, error: AmplifierError) -> None:
-        self.connected = False
         self.gate.trip(Reason.LINE, str(error))
+        self._answer_arming(self._refusal())
+        self._disconnect()
+        self._pause_s = _BACKOFF_S[0]
 
     def _reconnect(self) -> None:
+        self._do_requests()
+        self._take_order()
+        if self._ending.wait(self._pause_s):
+            return
+        self._pause_s = min(2 * self._pause_s, _BACKOFF_S[1])
         with suppress(AmplifierError):
-            self.amplifier.connect()
-            self.connected = True
+            self._connect()
+
+    def _connect(self) -> None:
+        self.amplifier.connect()
+        self._sent, self._sent_s = ZERO, time.monotonic()
+        self._replace_last_resort()
+        self.connected = True
 
     def _disconnect(self) -> bool:
         self.connected = False
-        return self.amplifier.close()
+        confirmed = self.amplifier.close()
+        if self._last_resort is not None:
+            self._last_resort.dismiss()
+            self._last_resort = None
+        return confirmed
+
+    def _replace_last_resort(self) -> None:
+        if self._last_resort is not None:
+            self._last_resort.dismiss()
+        words = self.amplifier.last_words() if self._unwatched else []
+        self._last_resort = LastResort(words) if words else None

@@ -41,6 +41,8 @@ class Limits:
     """The current that a coil bears for ever: I²t settles at its square."""
     thermal_s: float
     """Thermal time constant of a coil."""
+    idle_s: float
+    """How long the permission to drive lasts without any command, be it zero."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -56,6 +58,8 @@ class Reason(StrEnum):
     LIMIT = 'current limit'
     SLEW = 'slew limit'
     STALE = 'stale command'
+    IDLE = 'nobody commands'
+    COMMANDER = 'another commander'
     DEVIATION = 'measured current deviates'
     SILENCE = 'no measurement'
     HEAT = 'coil heat'
@@ -85,10 +89,11 @@ class Gate:
         """The currents that may flow now."""
         self.heat: Currents = ZERO
         """I²t of each coil as a part of what it bears: above 1 is a fault."""
-        self._now_s = self._commanded_s = self._measured_s = -math.inf
+        self._now_s = self._commanded_s = self._heard_s = self._measured_s = -math.inf
         self._measured: Currents = ZERO
         self._allowance = _four([limits.step_A] * 4)  # what each current may yet change
         self._replaced: deque[tuple[float, Currents]] = deque()  # when, which output
+        self._behind_s = 0.0  # the age of what the last reading showed, where that is too old
 
     def arm(self, now_s: float) -> str | None:
         """Clear the fault and affirm from now on; or, where that is not safe, say why not.
@@ -107,7 +112,7 @@ class Gate:
             return f'current flows without a command: {_amperes(self._measured)}'
         if not all(heat <= 1.0 for heat in self.heat):
             return f'a coil is too hot: {max(self.heat):.0%} of what it bears'
-        self.armed, self.fault = True, None
+        self.armed, self.fault, self._heard_s = True, None, now_s
         return None
 
     def revoke(self) -> None:
@@ -121,8 +126,12 @@ class Gate:
         self.revoke()
         return ZERO
 
-    def command(self, currents_A: Sequence[float], now_s: float) -> Currents:
-        """The wanted currents [A], four of them, if all is well; else zero."""
+    def command(self, currents_A: Sequence[float], now_s: float,
+                given_s: float | None = None) -> Currents:
+        """The wanted currents [A], four of them, if all is well; else zero.
+
+        `given_s` is when the command was given, where it waited until now.
+        """
         self.tick(now_s)
         if not self.armed:
             return ZERO
@@ -135,38 +144,79 @@ class Gate:
         left = self._allowance_after(wanted)
         if wanted != ZERO and not all(allowance >= 0.0 for allowance in left):
             return self.trip(Reason.SLEW, f'from {_amperes(self.output)} to {_amperes(wanted)}')
-        self._commanded_s = now_s
+        self._commanded_s = now_s if given_s is None else min(given_s, now_s)
+        self._heard_s = now_s
+        if wanted != ZERO and not now_s - self._commanded_s <= self.limits.stale_s:
+            return self.trip(Reason.STALE, f'given {now_s - self._commanded_s:.3f} s ago')
         return self._put(wanted)
 
-    def measured(self, currents_A: Sequence[float], now_s: float) -> Currents:
-        """Take measured currents [A] into account: the currents that may flow now."""
+    def measured(self, currents_A: Sequence[float], now_s: float,
+                 since_s: float | None = None) -> Currents:
+        """Take measured currents [A] into account: the currents that may flow now.
+
+        They are judged against every output that the coils may have followed when they were
+        taken: the present one and those that were replaced after `since_s`, less what settling
+        takes. `since_s` is now, or earlier where a slow line was still busy with older outputs.
+        Currents that agree with none of these, but all together with the outputs of one moment
+        up to `silence_s` before, are late: no fault of the coils, and no measurement of the
+        present. Any other trip.
+        """
         if not self._advance(now_s):
             return ZERO
         measured = _currents(currents_A)
         if measured is None:
             return self.trip(Reason.MALFORMED, f'measured currents of {currents_A!r}')
-        self._measured, self._measured_s = measured, now_s
-        while self._replaced and self._replaced[0][0] <= now_s - self.limits.settling_s:
+        self._measured = measured
+        since_s = now_s if since_s is None else min(since_s, now_s)
+        settled_s = since_s - self.limits.settling_s
+        while self._replaced and not self._replaced[0][0] > settled_s - self.limits.silence_s:
             self._replaced.popleft()
-        for coil, current in enumerate(measured):
-            recent = [self.output[coil], *(output[coil] for _, output in self._replaced)]
-            margin = self.limits.deviation_A
-            if not min(recent) - margin <= current <= max(recent) + margin:
-                return self.trip(Reason.DEVIATION, f'{_amperes(measured)} measured where '
-                                 f'{_amperes(self.output)} was commanded')
+        if self._agrees(measured, [self.output, *self._outputs(settled_s, now_s)]):
+            self._measured_s, self._behind_s = now_s, 0.0
+        elif (seen_s := self._last_seen(measured, settled_s)) is not None:
+            self._behind_s = now_s - seen_s
+        else:
+            self._measured_s = now_s
+            return self.trip(Reason.DEVIATION, f'{_amperes(measured)} measured where '
+                             f'{_amperes(self.output)} was commanded')
         return self.output
+
+    def _last_seen(self, measured: Currents, before_s: float) -> float | None:
+        """The last moment until then whose outputs these currents agree with, settling or not."""
+        moments = [moment_s for moment_s, _ in self._replaced if moment_s <= before_s]
+        return next((moment_s for moment_s in reversed(moments) if self._agrees(
+            measured, self._outputs(moment_s - self.limits.settling_s, moment_s))), None)
+
+    def _outputs(self, after_s: float, until_s: float) -> list[Currents]:
+        """The outputs that were replaced in that time."""
+        return [output for replaced_s, output in self._replaced if after_s < replaced_s <= until_s]
+
+    def _agrees(self, measured: Currents, outputs: list[Currents]) -> bool:
+        """Whether each current lies among these outputs, to within the deviation."""
+        margin = self.limits.deviation_A
+        return all(min(recent) - margin <= current <= max(recent) + margin
+                   for current, recent in zip(measured, zip(*outputs, strict=True), strict=True))
 
     def tick(self, now_s: float) -> Currents:
         """See what time does: the currents that may flow now."""
         if not self._advance(now_s) or not self.armed:
             return ZERO
         if not now_s - self._measured_s <= self.limits.silence_s:
-            return self.trip(Reason.SILENCE, f'none for {now_s - self._measured_s:.3f} s')
+            return self.trip(Reason.SILENCE, self._silence(now_s - self._measured_s))
         if self.output != ZERO and not now_s - self._commanded_s <= self.limits.stale_s:
             return self.trip(Reason.STALE, f'none for {now_s - self._commanded_s:.3f} s')
+        if not now_s - self._heard_s <= self.limits.idle_s:
+            return self.trip(Reason.IDLE, f'no command for {now_s - self._heard_s:.0f} s')
         if not all(heat <= 1.0 for heat in self.heat):
             return self.trip(Reason.HEAT, f'a coil is at {max(self.heat):.0%} of what it bears')
         return self.output
+
+    def _silence(self, for_s: float) -> str:
+        if not self._behind_s:
+            return f'none for {for_s:.3f} s'
+        return (f'none of the present for {for_s:.3f} s: what is measured was commanded more than '
+                f'{self._behind_s:.3f} s ago; the line or this machine is late, or a coil does '
+                'not follow')
 
     def _advance(self, now_s: float) -> bool:
         """Bring heat and slew to `now_s`. A clock that runs backwards or is not finite trips."""

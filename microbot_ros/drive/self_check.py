@@ -1,5 +1,7 @@
 """Sign and gain of each coil, from a short pulse in one after the other; pure, as the gate is.
 
+The last pulse can be left to the device: one with a watchdog ends it by itself.
+
 The pulses are commands like any other and pass the gate. What they tell is what the amplifier
 measures: that each channel drives its own coil, the right way round and as much as it is told.
 A coil whose two leads are swapped conducts as it should, and only its field shows it.
@@ -16,6 +18,8 @@ from microbot_ros.errors import InputError
 _PULSE = 3
 """The pulse is so many times what a reading may deviate by; half a gain is then off by 1.5 of
 these, an open coil by 3 and a reversed one by 6."""
+LONGEST_WATCHDOG_S = 0.5
+"""A device that lets current flow for longer without a host has no watchdog worth the name."""
 
 
 class SelfCheck:
@@ -23,12 +27,15 @@ class SelfCheck:
     last zero, `complaint` names the first coil that is not right; `gains` (4) are measured over
     commanded currents.
 
+    With `tries_watchdog` the last pulse is not taken back: while `silent`, nothing may be sent
+    and the device is to go to zero by itself; `watchdog_s` is how long it took, from the pulse.
+
     A reading agrees within the gate's `deviation_A` and has its `settling_s` to get there; one
     that no settling leads through is judged at once. Raises InputError for limits that leave no
     room for a pulse in which half a gain would show.
     """
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: Limits, *, tries_watchdog: bool = False) -> None:
         largest = min(limits.current_A, limits.step_A)
         if not largest > 2 * limits.deviation_A:
             raise InputError('deviation_A', f'expected less than half of {largest:g} A, the '
@@ -37,15 +44,19 @@ class SelfCheck:
         self.pulse_A = min(_PULSE * limits.deviation_A, largest)
         self.wanted: Currents = ZERO
         self.gains: list[float] = []
-        self.done = False
+        self.done = self.silent = False
+        self.watchdog_s: float | None = None
         self.complaint = ''
+        self._tries_watchdog = tries_watchdog
         self._limits = limits
         self._pulsed_s: float
 
     def measured(self, currents_A: Sequence[float], now_s: float) -> None:
         """Take measured currents [A] and go on as they allow."""
         coil, margin = len(self.gains), self._limits.deviation_A
-        if all(abs(current - wanted) <= margin
+        if self.silent:
+            self._await_watchdog(currents_A, now_s)
+        elif all(abs(current - wanted) <= margin
                for current, wanted in zip(currents_A, self.wanted, strict=True)):
             self._agreed(coil, currents_A, now_s)
         elif self.wanted != ZERO:
@@ -57,7 +68,9 @@ class SelfCheck:
     def _agreed(self, coil: int, currents_A: Sequence[float], now_s: float) -> None:
         if self.wanted != ZERO:
             self.gains.append(currents_A[coil] / self.pulse_A)
-            self.wanted = ZERO
+            self.silent = self._tries_watchdog and len(self.gains) == len(COILS)
+            if not self.silent:
+                self.wanted = ZERO
         elif coil == len(COILS):
             self.done = True
         else:
@@ -65,6 +78,16 @@ class SelfCheck:
             pulse[coil] = self.pulse_A
             self.wanted = (pulse[0], pulse[1], pulse[2], pulse[3])
             self._pulsed_s = now_s
+
+    def _await_watchdog(self, currents_A: Sequence[float], now_s: float) -> None:
+        lasted_s = now_s - self._pulsed_s
+        if all(abs(current) <= self._limits.deviation_A for current in currents_A):
+            self.watchdog_s, self.wanted = lasted_s, ZERO
+            self.silent, self.done = False, True
+        elif not lasted_s < LONGEST_WATCHDOG_S:
+            self.complaint = ('the amplifier has no watchdog: without a command for '
+                              f'{lasted_s:.2g} s current still flowed; where that is accepted, '
+                              'set accept_no_watchdog: true')
 
     def _diagnosis(self, coil: int, currents_A: Sequence[float]) -> str:
         margin, found = self._limits.deviation_A, currents_A[coil]

@@ -27,6 +27,7 @@ class Port:
 
     def __init__(self, url: str, baud: int, *, xon_xoff: bool = False) -> None:
         self.url = url
+        self._woken = False
         # pyserial's RFC 2217 has no write timeout: there TCP decides when a line is lost.
         write_timeout = None if url.startswith('rfc2217:') else _WRITE_TIMEOUT_S
         try:
@@ -44,13 +45,31 @@ class Port:
             self._serial.write(data)
 
     def receive(self, timeout_s: float = 0.0) -> bytes:
-        """What has arrived; waits for the first byte at most `timeout_s` (+ 5 ms), then b''."""
+        """What has arrived; waits for the first byte at most `timeout_s` (+ 5 ms), or until woken,
+        then b''."""
         deadline = time.monotonic() + timeout_s
         with self._named():
             data = self._waiting()
-            while not data and time.monotonic() < deadline:
+            while not (data or self._woken) and time.monotonic() < deadline:
                 data = bytes(self._serial.read(1)) + self._waiting()
+            self._woken = False
             return data
+
+    def wake(self) -> None:
+        """Let a `receive` that waits, or else the next one, return without waiting; from any
+        thread."""
+        self._woken = True
+        # Not every kind of port can be woken; those that cannot look every 5 ms.
+        with suppress(AttributeError, OSError, TypeError):
+            self._serial.cancel_read()
+
+    @property
+    def descriptor(self) -> int | None:
+        """The file descriptor, where the port is one of the system's."""
+        try:
+            return int(self._serial.fileno())
+        except (AttributeError, OSError):  # a port over RFC 2217 has none
+            return None
 
     def _waiting(self) -> bytes:
         """What is there to be read without waiting; a socket tells of one byte at a time."""
@@ -58,6 +77,11 @@ class Port:
         while len(data) < _MOST_AT_ONCE and (count := self._serial.in_waiting):
             data += self._serial.read(count)
         return data
+
+    def discard_output(self) -> None:
+        """Take back what was handed to the line and has not gone out."""
+        with self._named():
+            self._serial.reset_output_buffer()
 
     def discard_input(self) -> None:
         """Forget what arrived and was not read."""

@@ -108,6 +108,12 @@ class Allocator:
         outward = across > 0
         return float((self._reach[outward] / across[outward]).min())
 
+    def largest_current(self, magnitude: float) -> float:
+        """The largest current [A] that any coil needs for a field [T] that is turned all round."""
+        angles = np.radians(np.arange(360.0))
+        fields = magnitude * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        return max(float(np.abs(self.allocate(field).currents).max()) for field in fields)
+
     def price(self, direction: ArrayLike) -> float:
         """Heat for a field along a direction (2,), limits aside, over the least possible heat.
 

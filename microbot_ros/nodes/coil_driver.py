@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-import threading
-from collections import deque
+import time
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Vector3Stamped
 from sensor_msgs.msg import JointState, MagneticField, TimeReference
 from std_srvs.srv import SetBool
@@ -17,13 +15,16 @@ from std_srvs.srv import SetBool
 from microbot_ros.drive.amplifier import Command, Reading, amplifier_class
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.errors import AmplifierError
-from microbot_ros.drive.gate import Limits
+from microbot_ros.drive.gate import Limits, Reason
 from microbot_ros.errors import InputError
 from microbot_ros.files import read_yaml
 from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings
 from microbot_ros.nodes import messages
-from microbot_ros.nodes.lifecycle import ERROR, OK, WARN, RigNode
+from microbot_ros.nodes.lifecycle import ERROR, NEWEST, OK, WARN, RigNode
 from microbot_ros.settings import setting
+
+_COMMANDER_SECONDS = 2.0
+"""How long arming waits for whoever commands to be seen: both may just have been started."""
 
 
 @dataclass(frozen=True)
@@ -62,14 +63,26 @@ class CoilDriverParameters:
     thermal_s: float = setting(
         60.0, 'Thermal time constant of a coil.', lower=1.0, upper=3600.0, read_only=True)
     self_check: bool = setting(
-        True, 'Check sign and gain of each coil with a short pulse on arming; false for an '
-        'amplifier that reads no currents back.', read_only=True)
+        True, 'Check sign and gain of each coil with a short pulse on arming, and the watchdog of '
+        'a device whose firmware may have one; false for an amplifier that reads no currents '
+        'back.', read_only=True)
+    accept_no_watchdog: bool = setting(
+        False, 'Drive an amplifier without a watchdog of its own: if this computer loses its '
+        'power while coils are driven, the last currents flow on.', read_only=True)
+    full_field_mT: float = setting(
+        5.0, 'Strongest field that will be asked for: limits that do not allow it, or its '
+        'reversal at once, are refused at the start.', lower=0.001, upper=1000.0, read_only=True)
+    idle_disarm_s: float = setting(
+        10.0, 'How long the gate stays armed while nobody commands, be it zero.', lower=0.5,
+        upper=3600.0, read_only=True)
 
 
 class CoilDriverNode(RigNode):
     """`field/command` → the line; the line → `coils/…`, `field/applied`, `~/latency`.
 
     A shell: the gate, the dead-man and the reconnecting are in `drive`, and need no executor.
+    Arming is for one commander, the one publisher of `field/command` that is there then: a
+    second one, or another in its place, ends it.
     """
 
     Parameters: ClassVar[type] = CoilDriverParameters
@@ -82,19 +95,22 @@ class CoilDriverNode(RigNode):
         file = values.coils_file
         self._coils = CoilSet(read_yaml(file, CoilSettings) if file else None)
         self._allocator = Allocator(self._coils)
-        self._awaiting: deque[tuple[Command, Time]] = deque(maxlen=64)
-        self._pairing = threading.Lock()
+        limits = _limits(values)
+        _refuse_contradictions(values, self._allocator)
         self._latency = math.nan
         self._refused = 0
+        self._commander: bytes | None = None
         amplifier = amplifier_class(values.amplifier)(values.port, values.full_scale_A)
-        self._driver = CoilDriver(amplifier, _limits(values), self._on_reading,
-                                  self_check=values.self_check)
+        self._driver = CoilDriver(
+            amplifier, limits, self._on_reading, on_sent=self._on_sent,
+            self_check=values.self_check, accept_no_watchdog=values.accept_no_watchdog)
         self._wanted = self.publisher(JointState, 'coils/command')
         self._applied = self.publisher(JointState, 'coils/applied')
         self._measured = self.publisher(JointState, 'coils/measured')
         self._field = self.publisher(MagneticField, 'field/applied')
         self._latencies = self.publisher(TimeReference, '~/latency')
-        self.subscribe(Vector3Stamped, 'field/command', self._on_command)
+        self.subscribe(Vector3Stamped, 'field/command', self._on_command, NEWEST,
+                       on_matched=self._on_commanders)
         self.service(SetBool, '~/arm', self._on_arm)
         try:
             self._driver.start()
@@ -119,7 +135,10 @@ class CoilDriverNode(RigNode):
             'frames_received': counters.frames_received, 'crc_errors': counters.crc_errors,
             'discarded_bytes': counters.discarded_bytes, 'latency_ms': self._latency * 1e3,
             'commands_refused': self._refused, 'hottest_coil_percent': 100 * max(gate.heat),
-            'self_check': self._self_check(), 'real_time': self._driver.real_time}
+            'self_check': self._self_check(), 'watchdog': self._watchdog(),
+            'real_time': self._driver.real_time}
+        if gate.fault and gate.fault.reason is Reason.IDLE:
+            return WARN, f'coils at zero, disarmed: {gate.fault.detail}', values
         if gate.fault:
             sentence = f'coils at zero, {gate.fault.reason.value}: {gate.fault.detail}'
             return ERROR, sentence, values
@@ -127,7 +146,7 @@ class CoilDriverNode(RigNode):
             return ERROR, f'amplifier lost at {self.settings.port}; reconnecting', values
         if not gate.armed:
             return WARN, 'coils at zero, disarmed', values
-        return OK, 'driving', values
+        return OK, 'driving' + (self._driver.warning and f'; {self._driver.warning}'), values
 
     def _self_check(self) -> str:
         if not self.settings.self_check:
@@ -136,7 +155,13 @@ class CoilDriverNode(RigNode):
             return 'not passed yet'
         return 'passed, gains ' + ', '.join(f'{gain:.2f}' for gain in self._driver.gains)
 
+    def _watchdog(self) -> str:
+        if self._driver.watchdog_s is None:
+            return self._driver.warning or self._driver.amplifier.watchdog.value
+        return f'in the firmware, zeroed after {self._driver.watchdog_s * 1e3:.0f} ms'
+
     def _on_command(self, message: Vector3Stamped) -> None:
+        messages.in_workspace(message.header)
         age = self.seconds() - messages.to_seconds(message.header.stamp)
         if not -0.05 <= age <= self.settings.stale_ms * 1e-3:
             self._refused += 1
@@ -147,14 +172,13 @@ class CoilDriverNode(RigNode):
         wanted = (self._allocator.allocate(field).currents if np.isfinite(field).all()
                   else np.full(4, np.nan))
         stamp = message.header.stamp
-        with self._pairing:  # the acknowledgement can be faster than the next line
-            sent = self._driver.command(wanted)
-            if sent is not None:
-                self._awaiting.append((sent, stamp))
+        self._driver.command(wanted, stamp)
         self._wanted.publish(messages.currents(self._coils.names, wanted, stamp))
-        if sent is not None:
-            self._applied.publish(
-                messages.currents(self._coils.names, sent.currents_A, stamp))
+
+    def _on_sent(self, command: Command) -> None:
+        """In the driver's thread: a command has gone out, zeros where the gate tripped."""
+        self._applied.publish(
+            messages.currents(self._coils.names, command.currents_A, command.tag))
 
     def _on_reading(self, reading: Reading) -> None:
         """In the driver's thread: publish what was measured, and how long it took."""
@@ -162,22 +186,44 @@ class CoilDriverNode(RigNode):
         self._measured.publish(messages.currents(self._coils.names, reading.currents_A, now))
         field = self._allocator.matrix @ reading.currents_A + self._coils.background
         self._field.publish(messages.magnetic_field(field, now))
-        exposed = self._exposure_of(reading.acknowledges)
-        if exposed is not None:
+        acknowledged = reading.acknowledges
+        if acknowledged is not None and acknowledged.tag is not None:
+            exposed = acknowledged.tag
             self._latency = messages.to_seconds(now) - messages.to_seconds(exposed)
             message = TimeReference(time_ref=exposed, source=self.get_name())
             message.header.stamp = now
             self._latencies.publish(message)
 
-    def _exposure_of(self, acknowledged: Command | None) -> Time | None:
-        """The stamp that came with a command; forgets those that it superseded."""
-        with self._pairing:
-            while acknowledged and self._awaiting and (
-                    self._awaiting[0][0].t_monotonic_s <= acknowledged.t_monotonic_s):
-                command, exposed = self._awaiting.popleft()
-                if command is acknowledged:
-                    return exposed
-        return None
+    def _commanders(self) -> dict[bytes, str]:
+        """Who publishes `field/command` now: the endpoint's identity, the node's full name."""
+        return {bytes(found.endpoint_gid): f'{found.node_namespace.rstrip("/")}/{found.node_name}'
+                for found in self.get_publishers_info_by_topic('field/command')}
+
+    def _on_commanders(self, _: Any) -> None:
+        """Somebody who commands has come or gone: what was armed was armed for one."""
+        found = self._commanders()
+        if not self._driver.gate.armed or not found or found.keys() == {self._commander}:
+            return
+        names = ' and '.join(sorted(found.values()))
+        if len(found) > 1:
+            detail = f'{len(found)} publish field/command: {names}'
+        else:
+            detail = f'{names} is new, or back, and needs a new arm'
+        self._driver.disarm((Reason.COMMANDER, detail))
+
+    def _choose_commander(self) -> str:
+        """Remember the one who commands; or, where there is not exactly one, say so."""
+        deadline = time.monotonic() + _COMMANDER_SECONDS
+        while not (found := self._commanders()):
+            if time.monotonic() > deadline:
+                return 'nobody publishes field/command: start the controller first'
+            time.sleep(0.02)
+        if len(found) > 1:
+            names = ' and '.join(sorted(found.values()))
+            return (f'{len(found)} publish field/command, expected one: {names} (a process that '
+                    'was killed counts for some seconds)')
+        self._commander, = found
+        return ''
 
     def _on_arm(self, request: Any, response: Any) -> Any:
         if not request.data:
@@ -186,9 +232,9 @@ class CoilDriverNode(RigNode):
         elif not self.active:
             response.success, response.message = False, 'the node is not active'
         else:
-            refusal = self._driver.arm()
-            response.success = refusal is None
-            response.message = refusal or 'armed'
+            refusal = self._choose_commander() or self._driver.arm()
+            response.success = not refusal
+            response.message = refusal or '; '.join(filter(None, ['armed', self._driver.warning]))
         return response
 
 
@@ -198,4 +244,17 @@ def _limits(values: CoilDriverParameters) -> Limits:
         slew_A_per_s=values.slew_limit_A_per_s, stale_s=values.stale_ms * 1e-3,
         deviation_A=values.deviation_A, settling_s=values.settling_ms * 1e-3,
         silence_s=values.silence_ms * 1e-3, continuous_A=values.continuous_A,
-        thermal_s=values.thermal_s)
+        thermal_s=values.thermal_s, idle_s=values.idle_disarm_s)
+
+
+def _refuse_contradictions(values: CoilDriverParameters, allocator: Allocator) -> None:
+    """InputError for limits with which the first full field would be a fault."""
+    needed = allocator.largest_current(values.full_field_mT * 1e-3)
+    reversal = 2 * needed
+    for name, limit, least, what in (
+            ('current_limit_A', values.current_limit_A, needed, 'needs'),
+            ('step_limit_A', values.step_limit_A, reversal, 'needs to be reversed')):
+        if not limit >= least:
+            raise InputError(name, f'expected at least {math.ceil(least * 1e3) / 1e3:g} A, which '
+                             f'a field of {values.full_field_mT:g} mT {what} with these coils; '
+                             f'received {limit:g} A')

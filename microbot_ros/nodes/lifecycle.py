@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
@@ -21,6 +22,8 @@ from microbot_ros.settings import defaults
 
 # Small messages: deep enough for a replay at many times real time.
 RELIABLE = QoSProfile(depth=200)
+# What acts at once keeps only the newest.
+NEWEST = QoSProfile(depth=1)
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 # A best-effort subscriber matches every publisher of images, a reliable one only some.
 IMAGES_IN = QoSProfile(depth=5, reliability=QoSReliabilityPolicy.BEST_EFFORT)
@@ -109,9 +112,16 @@ class RigNode(LifecycleNode):
         return made
 
     def subscribe(self, kind: type, topic: str, callback: Callable[[Any], None],
-                  qos: QoSProfile = RELIABLE, raw: bool = False) -> None:
-        """A guarded subscription that goes with the next cleanup."""
-        made = self.create_subscription(kind, topic, self._guarded(callback), qos, raw=raw)
+                  qos: QoSProfile = RELIABLE, raw: bool = False,
+                  on_matched: Callable[[Any], None] | None = None) -> None:
+        """A guarded subscription that goes with the next cleanup.
+
+        `on_matched` is called when a publisher comes or goes, before anything that it sends.
+        """
+        events = SubscriptionEventCallbacks(
+            matched=self._guarded(on_matched) if on_matched else None)
+        made = self.create_subscription(kind, topic, self._guarded(callback), qos, raw=raw,
+                                        event_callbacks=events)
         self._created.append((self.destroy_subscription, made))
 
     def every(self, seconds: float, callback: Callable[[], None], steady: bool = True) -> None:

@@ -105,6 +105,9 @@ class Script:
         def receive(self, timeout_s: float = 0.0) -> bytes:
             return self.script._answers.pop(self.url, b'')
 
+        def discard_output(self) -> None:
+            pass
+
         def discard_input(self) -> None:
             assert not self.script._answers.get(self.url)
 

@@ -10,7 +10,7 @@ from microbot_ros.drive.gate import ZERO, Gate, Limits, Reason
 
 LIMITS = Limits(
     current_A=2.0, step_A=3.0, slew_A_per_s=10.0, stale_s=0.125, deviation_A=0.25,
-    settling_s=0.0625, silence_s=0.25, continuous_A=1.0, thermal_s=8.0)
+    settling_s=0.0625, silence_s=0.25, continuous_A=1.0, thermal_s=8.0, idle_s=64.0)
 NOT_FINITE = [math.nan, math.inf, -math.inf]
 COILS = range(4)
 
@@ -204,7 +204,7 @@ def test_current_without_a_command_trips_a_disarmed_gate_too(coil, value, within
     (0.0, False), (0.03, False), (math.nextafter(0.0625, 0), False), (0.0625, True), (0.1, True),
 ])
 def test_a_current_has_the_settling_time_to_follow(age, settled):
-    for reading in (-0.25, 0.0, 0.6, 1.25):
+    for reading in (0.26, 0.5, 0.6, 1.25):  # what no output was is no late reading either
         gate = driving(only(3, 1.0))
         still_settling = gate.measured(only(3, reading), age) != ZERO
         assert still_settling == (not settled or reading == 1.25)
@@ -220,7 +220,7 @@ def test_it_settles_from_every_command_of_the_settling_time():
     gate.command(only(0, -0.5), 0.03)
     gate.command(only(0, 0.25), 0.06)
     assert gate.measured(only(0, -0.75), 0.1) != ZERO  # 1.0 was gone at 0.03, −0.5 at 0.06
-    assert gate.measured(only(0, 0.51), 0.1) == ZERO
+    assert gate.measured(only(0, 1.3), 0.1) == ZERO
 
 
 def test_heat_follows_the_exponential_and_trips_above_what_a_coil_bears():
@@ -368,8 +368,98 @@ def test_after_disarming_the_current_may_still_fall():
     gate.revoke()
     gate.measured((1.0,) * 4, 0.06)
     assert gate.fault is None
-    gate.measured((1.0,) * 4, 0.07)
+    gate.measured((1.0,) * 4, math.nextafter(0.3125, 0))  # late, as the line may be
+    assert gate.fault is None
+    assert 'no measured currents' in gate.arm(math.nextafter(0.3125, 0))
+    gate.measured((1.0,) * 4, 0.3125)
     assert tripped(gate, Reason.DEVIATION)
+
+
+def test_readings_that_come_late_are_no_fault_of_the_coils_but_of_the_line():
+    gate = driving((1.0, -1.0, 0.5, 0.0))
+    for step in range(1, 9):  # what was measured 0.125 s ago, again and again
+        now = step * 0.03125
+        gate.command((1.0, -1.0, 0.5, 0.1 * step), now)
+        gate.measured((0.0,) * 4, now)
+    assert gate.armed
+    gate.command((1.0, -1.0, 0.5, 0.9), math.nextafter(0.28125, 1))
+    assert tripped(gate, Reason.SILENCE)
+    assert gate.fault.detail.startswith('none of the present for 0.250 s: what is measured was '
+                                        'commanded more than 0.219 s ago')
+
+
+def test_one_present_reading_makes_up_for_late_ones():
+    gate = driving((1.0,) * 4, Limits(**{**vars(LIMITS), 'stale_s': 10.0}))
+    gate.measured(ZERO, 0.125)
+    gate.measured((1.0,) * 4, 0.125)
+    gate.measured(ZERO, 0.25)
+    assert gate.tick(0.375) != ZERO
+    assert gate.tick(math.nextafter(0.375, 1)) == ZERO
+    assert tripped(gate, Reason.SILENCE)
+
+
+@pytest.mark.parametrize('coil', COILS)
+def test_one_coil_that_does_not_follow_is_not_late(coil):
+    gate = driving((1.0,) * 4)
+    measured = [1.0] * 4
+    measured[coil] = 0.0
+    assert gate.measured(measured, math.nextafter(0.0625, 0)) != ZERO
+    assert gate.measured(measured, 0.0625) == ZERO
+    assert tripped(gate, Reason.DEVIATION)
+
+
+@pytest.mark.parametrize(('since', 'agrees'), [
+    (0.1, False), (math.nextafter(0.0625, 1), False), (0.0625, False),
+    (math.nextafter(0.0625, 0), True), (0.0, True), (-10.0, True), (1e9, False),
+    *((value, value == -math.inf) for value in NOT_FINITE),
+])
+def test_a_slow_line_is_judged_by_what_it_had_then(since, agrees):
+    gate = driving((1.0,) * 4)
+    reading = (1.0, 0.5, 0.0, 1.0)  # of which two coils have heard
+    assert (gate.measured(reading, 0.1, since) != ZERO) == agrees
+    assert agrees or tripped(gate, Reason.DEVIATION)
+
+
+@pytest.mark.parametrize(('given', 'holds'), [
+    (0.25, True), (0.2, True), (0.125, True), (0.125 - 1e-12, False), (0.0, False),
+    (1e9, True), (math.nan, False), (-math.inf, False), (math.inf, True),
+])
+def test_a_command_is_as_old_as_when_it_was_given(given, holds):
+    gate = armed()
+    gate.measured(ZERO, 0.25)
+    assert gate.command(only(2, 0.5), 0.25, given) == (only(2, 0.5) if holds else ZERO)
+    assert holds or tripped(gate, Reason.STALE)
+    if holds:
+        lasts_until = min(given, 0.25) + 0.125
+        assert gate.tick(lasts_until) != ZERO
+        assert gate.tick(math.nextafter(lasts_until, 1)) == ZERO
+
+
+@pytest.mark.parametrize('commanded', [None, ZERO, (0.5,) * 4])
+@pytest.mark.parametrize(('age', 'holds'), [
+    (64.0, True), (math.nextafter(64.0, 65), False), (1e6, False)])
+def test_the_permission_ends_when_nobody_commands(commanded, age, holds):
+    limits = Limits(**{**vars(LIMITS), 'stale_s': 1e9, 'silence_s': 1e9})
+    gate = armed(limits)
+    if commanded is not None:
+        gate.measured(ZERO, 1.0)
+        gate.command(commanded, 1.0)
+        age += 1.0
+    gate.tick(age)
+    assert gate.armed == holds
+    assert holds or tripped(gate, Reason.IDLE)
+    assert holds or gate.fault.detail == f'no command for {age - (commanded is not None):.0f} s'
+
+
+def test_arming_again_starts_the_time_without_commands_anew():
+    gate = armed()
+    gate.revoke()
+    gate.measured(ZERO, 60.0)
+    assert gate.arm(60.0) is None
+    for now in np.arange(60.0, 124.0, 0.25):
+        gate.measured(ZERO, now)
+    gate.tick(124.0)
+    assert gate.armed
 
 
 @pytest.mark.parametrize('name', vars(LIMITS))

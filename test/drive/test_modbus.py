@@ -81,11 +81,13 @@ def inspecting(*values: str) -> list[tuple[str, bytes, bytes]]:
             for slave, value in enumerate(values, 1)]
 
 
+BROADCAST = ('line', frame('00 06 0001 0000'), b'')
+ZEROING = [BROADCAST, *setting('0001', *ZERO), *measuring(*ZERO)]
 COOL, HOT = '0dac 0dac 2134 0dac', '0dac 0dac 0dac 2135'
 
 
 def test_a_bridge_that_is_too_hot_says_so(scripted):
-    scripted([*IDENTIFYING, *setting('0001', *ZERO), *measuring(*ZERO), *inspecting(COOL, HOT)])
+    scripted([*IDENTIFYING, *inspecting(COOL, HOT, COOL, COOL), *ZEROING])
     amplifier = ModbusAmplifier('line', 2.0)
     amplifier.connect()
     assert amplifier.fault == 'slave 2 is too hot: 85.01 °C, at most 85'
@@ -93,10 +95,10 @@ def test_a_bridge_that_is_too_hot_says_so(scripted):
 
 def test_the_transcript_of_a_session(scripted):
     scripted([
-        *IDENTIFYING, *setting('0001', *ZERO), *measuring(*ZERO), *inspecting(*(COOL,) * 4),
+        *IDENTIFYING, *inspecting(*(COOL,) * 4), *ZEROING,
         *setting('0001', '0064', 'ffce', '0000', '0019'),
         *measuring('07d0', 'fc18', '0000', '01f4'),
-        *setting('0001', *ZERO), *measuring(*ZERO), *setting('0000', *ZERO)])
+        BROADCAST, *ZEROING, *setting('0000', *ZERO)])
     amplifier = ModbusAmplifier('line', 2.0)
     amplifier.connect()
     command = amplifier.write([2.0, -1.0, 0.0, 0.504])

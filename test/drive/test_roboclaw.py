@@ -69,7 +69,8 @@ def test_an_answer_passes_whole_and_undamaged_only(parse, data, value):
     assert parse(b'\x81\x31', whole) is None
 
 
-def connecting(timeout: bytes = b'\x01') -> list[tuple[str, bytes, bytes]]:
+def connecting(timeout: bytes = b'\x01', temperatures: tuple[str, str] = ('015e', '015e'),
+               ) -> list[tuple[str, bytes, bytes]]:
     exchanges = []
     for address in ('80', '81'):
         exchanges += [
@@ -77,8 +78,7 @@ def connecting(timeout: bytes = b'\x01') -> list[tuple[str, bytes, bytes]]:
             ('line', packet(address + '22 0000 0000'), b'\xff'),
             ('line', packet(address + '0e 01'), b'\xff'),
             ('line', *answer(address + '0f', timeout))]
-    return [*exchanges, *driving('0000 0000', '0000 0000'), *measuring(b'\0\0\0\0', b'\0\0\0\0'),
-            *inspecting('015e', '015e')]
+    return [*exchanges, *inspecting(*temperatures), *ZEROING]
 
 
 def driving(first: str, second: str) -> list[tuple[str, bytes, bytes]]:
@@ -95,8 +95,11 @@ def inspecting(first: str, second: str) -> list[tuple[str, bytes, bytes]]:
             ('line', *answer('81 52', bytes.fromhex(second)))]
 
 
+ZEROING = [*driving('0000 0000', '0000 0000'), *measuring(bytes(4), bytes(4))]
+
+
 def test_a_controller_that_is_too_hot_says_so(scripted):
-    scripted([*connecting()[:-1], *inspecting('0352', '0353')[1:]])
+    scripted(connecting(temperatures=('0352', '0353')))
     amplifier = RoboclawAmplifier('line', 2.0)
     amplifier.connect()
     assert amplifier.fault == 'controller 0x81 is too hot: 85.1 °C, at most 85'
@@ -107,7 +110,7 @@ def test_the_transcript_of_a_session(scripted):
         *connecting(),
         *driving('7fff c000', '0000 2000'),
         *measuring(bytes.fromhex('00c8 ff9c'), bytes.fromhex('0000 0032')),
-        *driving('0000 0000', '0000 0000'), *measuring(bytes(4), bytes(4))])
+        ('line', packet('80 22 0000 0000') + packet('81 22 0000 0000'), b''), *ZEROING])
     amplifier = RoboclawAmplifier('line', 2.0)
     amplifier.connect()
     command = amplifier.write([2.0, -1.00003, 0.0, 0.5])

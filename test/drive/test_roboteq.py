@@ -60,9 +60,10 @@ IDENTIFYING = [*on_both(b'\r^ECHOF 1\r', b'\r^ECHOF 1\r+\r'),
 
 def test_the_transcript_of_a_session(scripted):
     scripted([
-        *IDENTIFYING, *ZEROING, *INSPECTING,
+        *IDENTIFYING, *INSPECTING, *ZEROING,
         ('a', b'!G 1 1000\r!G 2 -500\r', b'+\r+\r'), ('b', b'!G 1 0\r!G 2 250\r', b'+\r+\r'),
-        *on_both(b'?A\r', b'A=20:-10\r', b'A=0:5\r'), *ZEROING])
+        *on_both(b'?A\r', b'A=20:-10\r', b'A=0:5\r'),
+        *on_both(b'\r!G 1 0\r!G 2 0\r', b''), *ZEROING])
     amplifier = RoboteqAmplifier('a,b', 2.0)
     amplifier.connect()
     command = amplifier.write([2.0, -1.0, 0.0, 0.5])
@@ -73,7 +74,7 @@ def test_the_transcript_of_a_session(scripted):
 
 
 def test_the_device_says_what_is_wrong(scripted):
-    scripted([*IDENTIFYING, *ZEROING, *on_both(b'?FF\r', b'FF=0\r', b'FF=5\r')])
+    scripted([*IDENTIFYING, *on_both(b'?FF\r', b'FF=0\r', b'FF=5\r'), *ZEROING])
     amplifier = RoboteqAmplifier('a,b', 2.0)
     amplifier.connect()
     assert amplifier.fault == 'b: overheat, undervoltage'

@@ -54,11 +54,11 @@ ZEROING = [*on_each(b'CURR 0.0000E+00\n', b''), *on_each(b'MEAS:CURR?\n', b'0.00
 
 def test_the_transcript_of_a_session(scripted):
     scripted([
-        *CONNECTING, *ZEROING, *on_each(b'STAT:QUES:COND?\n', b'0\n'),
+        *CONNECTING, *on_each(b'STAT:QUES:COND?\n', b'0\n'), *ZEROING,
         ('a', b'CURR 1.0000E+00\n', b''), ('b', b'CURR -5.0000E-01\n', b''),
         ('c', b'CURR 0.0000E+00\n', b''), ('d', b'CURR 2.0000E+00\n', b''),
         *on_each(b'MEAS:CURR?\n', b'1.00E0\n', b'-5.01E-1\n', b'0.00E0\n', b'1.99E0\n'),
-        *ZEROING, *on_each(b'OUTP OFF\n', b'')])
+        *on_each(b'\x1bCURR 0\n', b''), *ZEROING, *on_each(b'OUTP OFF\n', b'')])
     amplifier = ScpiAmplifier('a,b,c,d', 2.0)
     amplifier.connect()
     command = amplifier.write([1.0, -0.5, 0.0, 2.0])
@@ -74,7 +74,7 @@ def test_the_transcript_of_a_session(scripted):
 ])
 def test_the_supply_says_what_is_wrong(scripted, condition, fault):
     answers = [b'0\n', b'0\n', f'{condition}\n'.encode(), b'0\n']
-    scripted([*CONNECTING, *ZEROING, *on_each(b'STAT:QUES:COND?\n', *answers)])
+    scripted([*CONNECTING, *on_each(b'STAT:QUES:COND?\n', *answers), *ZEROING])
     amplifier = ScpiAmplifier('a,b,c,d', 2.0)
     amplifier.connect()
     assert amplifier.fault == (fault and f'c: {fault}')

@@ -15,7 +15,7 @@ from microbot_ros.errors import InputError
 FULL_SCALE_A = 2.0
 LIMITS = Limits(
     current_A=FULL_SCALE_A, step_A=2 * FULL_SCALE_A, slew_A_per_s=1e4, stale_s=0.8,
-    deviation_A=0.2, settling_s=0.5, silence_s=0.8, continuous_A=1.5, thermal_s=60.0)
+    deviation_A=0.2, settling_s=0.5, silence_s=0.8, continuous_A=1.5, thermal_s=60.0, idle_s=60.0)
 PULSE_A = 3 * LIMITS.deviation_A
 RATE_S = 0.02
 
@@ -150,7 +150,7 @@ def test_limits_without_room_for_a_pulse_are_refused(change):
     amplifier = amplifier_class('serial_transfer')('nowhere', FULL_SCALE_A)
     with pytest.raises(InputError, match='self-check'):
         CoilDriver(amplifier, limits, print)
-    CoilDriver(amplifier, limits, print, self_check=False)
+    CoilDriver(amplifier, limits, print, self_check=False, accept_no_watchdog=True)
 
 
 def test_the_pulse_stays_within_the_limits():

@@ -10,8 +10,10 @@ from functools import partial
 import numpy as np
 
 from microbot_ros.drive.modbus import codec
-from microbot_ros.drive.polled import PolledAmplifier
+from microbot_ros.drive.polled import Exchange, PolledAmplifier, Talk
 
+EVERY_SLAVE = 0
+"""Takes what all slaves are to obey and none answers (Modbus over serial line, 2.1)."""
 SLAVES = (1, 2, 3, 4)
 _HOTTEST_C = 85.0
 """What electronics of the industrial grade are made for."""
@@ -21,39 +23,51 @@ class ModbusAmplifier(PolledAmplifier):
     """Duty −1 … 1, in steps of 1 %, is ± `full_scale_A` of each coil."""
 
     baud = 1_000_000
+    gap_s = 0.002
     resolution_A = 0.001
 
-    def _identify(self) -> None:
+    def _identify(self) -> Talk[None]:
         for slave in SLAVES:
-            self._set(slave, codec.DUTY_PERCENT, 0)
-            self._set(slave, codec.ENABLE, 1)
+            yield self._set(slave, codec.DUTY_PERCENT, 0)
+            yield self._set(slave, codec.ENABLE, 1)
 
-    def _drive(self, currents_A: np.ndarray) -> None:
+    def _drive(self, currents_A: np.ndarray) -> Talk[None]:
         duties = (currents_A / self.full_scale_A).tolist()
+        if not any(duties):
+            yield Exchange(self._zeros(), rest_s=self.gap_s)
         for slave, duty in zip(SLAVES, duties, strict=True):
-            self._set(slave, codec.DUTY_PERCENT, codec.duty_percent(duty))
+            yield self._set(slave, codec.DUTY_PERCENT, codec.duty_percent(duty))
 
-    def _measure(self) -> np.ndarray:
-        return np.ravel([self._get(slave, range(codec.CURRENT_MA, codec.CURRENT_MA + 1))
-                         for slave in SLAVES]) * 1e-3
-
-    def _inspect(self) -> str:
+    def _measure(self) -> Talk[np.ndarray]:
+        currents = []
         for slave in SLAVES:
-            hottest = max(self._get(slave, codec.TEMPERATURES)) * 1e-2
+            answer, = yield self._get(slave, range(codec.CURRENT_MA, codec.CURRENT_MA + 1))
+            currents.append(answer[0] * 1e-3)
+        return np.array(currents)
+
+    def _inspect(self) -> Talk[str]:
+        fault = ''
+        for slave in SLAVES:
+            temperatures, = yield self._get(slave, codec.TEMPERATURES)
+            hottest = max(temperatures) * 1e-2
             if not hottest <= _HOTTEST_C:
-                return f'slave {slave} is too hot: {hottest:g} °C, at most {_HOTTEST_C:g}'
-        return ''
+                fault = f'slave {slave} is too hot: {hottest:g} °C, at most {_HOTTEST_C:g}'
+        return fault
 
-    def _disable(self) -> None:
-        for slave in SLAVES if self._lines else ():
-            self._set(slave, codec.ENABLE, 0)
+    def _zeros(self) -> list[bytes]:
+        return [codec.write(EVERY_SLAVE, codec.DUTY_PERCENT, 0)]
 
-    def _get(self, slave: int, registers: range) -> tuple[int, ...]:
+    def _switch_off(self) -> Talk[None]:
+        for slave in SLAVES:
+            yield self._set(slave, codec.ENABLE, 0)
+
+    def _get(self, slave: int, registers: range) -> Exchange:
         count = len(registers)
-        return self._ask([codec.read(slave, registers.start, count)],
-                         partial(codec.values, slave, count),
-                         f'registers {registers} of slave {slave}')[0]
+        return Exchange([codec.read(slave, registers.start, count)],
+                        partial(codec.values, slave, count),
+                        f'registers {registers} of slave {slave}')
 
-    def _set(self, slave: int, register: int, value: int) -> None:
+    def _set(self, slave: int, register: int, value: int) -> Exchange:
         request = codec.write(slave, register, value)
-        self._ask([request], partial(codec.written, slave, request), f'an echo of slave {slave}')
+        return Exchange([request], partial(codec.written, slave, request),
+                        f'an echo of slave {slave}')

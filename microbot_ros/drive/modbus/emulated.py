@@ -16,7 +16,7 @@ from pymodbus.pdu.register_message import (
 from microbot_ros.drive.emulator.coils import Coils
 from microbot_ros.drive.emulator.device import Device
 from microbot_ros.drive.modbus import codec
-from microbot_ros.drive.modbus.driver import SLAVES
+from microbot_ros.drive.modbus.driver import EVERY_SLAVE, SLAVES
 
 _GAP_S = 0.00175
 """Above 19 200 baud a silence of 1.75 ms ends a frame (Modbus over serial line, 2.5.1.1)."""
@@ -44,13 +44,28 @@ class Bridges(Device):
             self._pending = b''
         self._last_byte_s = now_s
         self._pending += data
+        answers = b''
+        # A host that left the gap between two requests may be heard late, and both at once.
+        while (request := self._next_request()) is not None:
+            answers += self._obey(request)
+        return answers
+
+    def _next_request(self) -> ModbusPDU | None:
         try:
             used, request = self._framer.handleFrame(self._pending, 0, 0)
         except (ModbusException, struct.error, IndexError):
             self._pending = b''
-            return b''
+            return None
         self._pending = self._pending[used:]
-        if request is None or request.dev_id not in SLAVES:
+        return request
+
+    def _obey(self, request: ModbusPDU) -> bytes:
+        if request.dev_id == EVERY_SLAVE:
+            for slave in SLAVES:
+                request.dev_id = slave
+                self._answer(request)
+            return b''
+        if request.dev_id not in SLAVES:
             return b''
         answer = self._answer(request)
         answer.dev_id = request.dev_id + len(SLAVES) if self.impostor else request.dev_id

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import numpy as np
 
+from microbot_ros.drive.amplifier import Watchdog
 from microbot_ros.drive.errors import WrongDeviceError
-from microbot_ros.drive.polled import PolledAmplifier, Reply
+from microbot_ros.drive.polled import Exchange, PolledAmplifier, Talk
 from microbot_ros.drive.roboclaw import codec
 
 ADDRESSES = (0x80, 0x81)
@@ -22,40 +24,48 @@ limits)."""
 class RoboclawAmplifier(PolledAmplifier):
     """Duty −1 … 1 is ± `full_scale_A` of each coil; the controllers' own timeout is armed."""
 
+    watchdog = Watchdog.ARMED
     resolution_A = 0.01
 
-    def _identify(self) -> None:
+    def _identify(self) -> Talk[None]:
         for address in ADDRESSES:
-            name = self._query(codec.ask_version(address), codec.version, 'a version')
+            name, = yield self._query(codec.ask_version(address), codec.version, 'a version')
             if _MODEL not in name.lower():
                 raise WrongDeviceError(self.url, 'a RoboClaw', name)
-            self._order(codec.drive(address, 0.0, 0.0))
-            self._order(codec.set_timeout(address, _WATCHDOG_S))
-            armed = self._query(codec.ask_timeout(address), codec.timeout, 'its timeout')
+            yield self._obeyed(codec.drive(address, 0.0, 0.0))
+            yield self._obeyed(codec.set_timeout(address, _WATCHDOG_S))
+            armed, = yield self._query(codec.ask_timeout(address), codec.timeout, 'its timeout')
             if not abs(armed - _WATCHDOG_S) < 1e-6:
                 expected = f'a timeout of {_WATCHDOG_S:g} s'
                 raise WrongDeviceError(self.url, expected, f'{armed:g} s')
 
-    def _drive(self, currents_A: np.ndarray) -> None:
+    def _drive(self, currents_A: np.ndarray) -> Talk[None]:
         duties = (currents_A / self.full_scale_A).tolist()
-        self._order(codec.drive(ADDRESSES[0], duties[0], duties[1]))
-        self._order(codec.drive(ADDRESSES[1], duties[2], duties[3]))
+        yield self._obeyed(codec.drive(ADDRESSES[0], duties[0], duties[1]))
+        yield self._obeyed(codec.drive(ADDRESSES[1], duties[2], duties[3]))
 
-    def _measure(self) -> np.ndarray:
-        return np.array([self._query(codec.ask_currents(address), codec.currents, 'currents')
-                         for address in ADDRESSES]).ravel()
-
-    def _inspect(self) -> str:
+    def _measure(self) -> Talk[np.ndarray]:
+        found = []
         for address in ADDRESSES:
-            found = self._query(codec.ask_temperature(address), codec.temperature, 'a temperature')
+            found += yield self._query(codec.ask_currents(address), codec.currents, 'currents')
+        return np.ravel(found)
+
+    def _inspect(self) -> Talk[str]:
+        fault = ''
+        for address in ADDRESSES:
+            found, = yield self._query(codec.ask_temperature(address), codec.temperature,
+                                       'a temperature')
             if not found <= _HOTTEST_C:
-                return (f'controller {address:#x} is too hot: {found:.1f} °C, '
-                        f'at most {_HOTTEST_C:g}')
-        return ''
+                fault = (f'controller {address:#x} is too hot: {found:.1f} °C, '
+                         f'at most {_HOTTEST_C:g}')
+        return fault
 
-    def _order(self, packet: bytes) -> None:
-        self._ask([packet], lambda received: received == codec.ACKNOWLEDGED or None, 'FF')
+    def _zeros(self) -> list[bytes]:
+        return [b''.join(codec.drive(address, 0.0, 0.0) for address in ADDRESSES)]
 
-    def _query(self, question: bytes, parse: Callable[[bytes, bytes], Reply | None],
-               expected: str) -> Reply:
-        return self._ask([question], partial(parse, question), expected)[0]
+    def _obeyed(self, packet: bytes) -> Exchange:
+        return Exchange([packet], lambda received: received == codec.ACKNOWLEDGED or None, 'FF')
+
+    def _query(self, question: bytes, parse: Callable[[bytes, bytes], Any | None],
+               expected: str) -> Exchange:
+        return Exchange([question], partial(parse, question), expected)

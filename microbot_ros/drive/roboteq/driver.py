@@ -6,8 +6,9 @@ from functools import partial
 
 import numpy as np
 
+from microbot_ros.drive.amplifier import Watchdog
 from microbot_ros.drive.errors import WrongDeviceError
-from microbot_ros.drive.polled import PolledAmplifier
+from microbot_ros.drive.polled import Exchange, PolledAmplifier, Talk
 from microbot_ros.drive.roboteq import codec
 
 _WATCHDOG_MS = 100
@@ -20,33 +21,40 @@ class RoboteqAmplifier(PolledAmplifier):
     They report currents in steps of 0.1 A.
     """
 
+    watchdog = Watchdog.ARMED
     ports = 2
     resolution_A = codec.CURRENT_STEP_A
 
-    def _identify(self) -> None:
+    def _identify(self) -> Talk[None]:
         # Once more than needed: the echo of what switches it off comes before the answer.
-        self._ask([codec.END + codec.line('^ECHOF 1')] * 2,
-                  lambda received: received.endswith(b'+' + codec.END) or None, 'no more echo')
-        names = self._ask([codec.line('?FID')] * 2, partial(codec.text, 'FID'), 'a firmware name')
+        yield Exchange([codec.END + codec.line('^ECHOF 1')] * 2,
+                       lambda received: received.endswith(b'+' + codec.END) or None,
+                       'no more echo')
+        names = yield Exchange([codec.line('?FID')] * 2, partial(codec.text, 'FID'),
+                               'a firmware name')
         for port, name in zip(self._lines, names, strict=True):
             if not name.startswith(_MODEL):
                 raise WrongDeviceError(port.url, f'a {_MODEL} controller', name)
-        self._ask([codec.drive(0.0, 0.0)] * 2, partial(codec.accepted, 2), 'a zero accepted')
-        self._ask([codec.line(f'^RWD {_WATCHDOG_MS}')] * 2, partial(codec.accepted, 1),
-                  'a watchdog accepted')
-        armed = self._ask([codec.line('~RWD')] * 2, partial(codec.text, 'RWD'), 'its watchdog')
+        yield Exchange([codec.drive(0.0, 0.0)] * 2, partial(codec.accepted, 2), 'a zero accepted')
+        yield Exchange([codec.line(f'^RWD {_WATCHDOG_MS}')] * 2, partial(codec.accepted, 1),
+                       'a watchdog accepted')
+        armed = yield Exchange([codec.line('~RWD')] * 2, partial(codec.text, 'RWD'),
+                               'its watchdog')
         if armed != [str(_WATCHDOG_MS)] * 2:
             raise WrongDeviceError(self.url, f'a watchdog of {_WATCHDOG_MS} ms', f'{armed} ms')
 
-    def _drive(self, currents_A: np.ndarray) -> None:
+    def _drive(self, currents_A: np.ndarray) -> Talk[None]:
         first, second, third, fourth = (currents_A / self.full_scale_A).tolist()
-        self._ask([codec.drive(first, second), codec.drive(third, fourth)],
-                  partial(codec.accepted, 2), 'a command accepted')
+        yield Exchange([codec.drive(first, second), codec.drive(third, fourth)],
+                       partial(codec.accepted, 2), 'a command accepted')
 
-    def _inspect(self) -> str:
-        found = self._ask([codec.line('?FF')] * 2, codec.faults, 'fault flags')
+    def _measure(self) -> Talk[np.ndarray]:
+        return np.ravel((yield Exchange([codec.line('?A')] * 2, codec.currents, 'currents')))
+
+    def _inspect(self) -> Talk[str]:
+        found = yield Exchange([codec.line('?FF')] * 2, codec.faults, 'fault flags')
         return '; '.join(f'{port.url}: {", ".join(faults)}'
                          for port, faults in zip(self._lines, found, strict=True) if faults)
 
-    def _measure(self) -> np.ndarray:
-        return np.array(self._ask([codec.line('?A')] * 2, codec.currents, 'currents')).ravel()
+    def _zeros(self) -> list[bytes]:
+        return [codec.END + codec.drive(0.0, 0.0)] * 2

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from microbot_ros.drive.amplifier import Amplifier
+from microbot_ros.drive.amplifier import Amplifier, Command, Watchdog
 from microbot_ros.drive.errors import NoAnswerError, WrongDeviceError
 from microbot_ros.drive.serial_transfer import codec
 from microbot_ros.drive.transport import Port
@@ -24,6 +24,8 @@ class SerialTransferAmplifier(Amplifier):
     connected when packets have kept coming, and gives up after `boot_s`. The watchdog is the
     firmware's own; this protocol has no message to arm one.
     """
+
+    watchdog = Watchdog.FIRMWARE
 
     def __init__(self, url: str, full_scale_A: float | Sequence[float], *, baud: int = 500_000,
                  boot_s: float = 3.0) -> None:
@@ -50,19 +52,28 @@ class SerialTransferAmplifier(Amplifier):
             raise WrongDeviceError(self.url, _EXPECTED, received)
         raise NoAnswerError(self.url, _EXPECTED)
 
-    def _send(self, currents_A: np.ndarray) -> None:
-        duties = (currents_A / self.full_scale_A).tolist()
+    def wake(self) -> None:
+        if (port := self._port) is not None:
+            port.wake()
+
+    def last_words(self) -> list[tuple[int, bytes]]:
+        descriptor = self._require_port().descriptor
+        zero = codec.encode(codec.command([0.0] * 4))
+        return [] if descriptor is None else [(descriptor, zero)]
+
+    def _send(self, command: Command) -> None:
+        duties = (command.currents_A / self.full_scale_A).tolist()
         self._require_port().send(codec.encode(codec.command(duties)))
         self.counters.frames_sent += 1
 
-    def _receive(self, timeout_s: float) -> list[tuple[float, np.ndarray]]:
+    def _receive(self, timeout_s: float) -> list[tuple[float, float, np.ndarray]]:
         data = self._require_port().receive(timeout_s)
         now = time.monotonic()
         readings = []
         for payload in self._decoder.feed(data, now):
             currents = np.array(codec.currents(payload)[:4])
             if np.all(np.abs(currents) <= _PLAUSIBLE * self.full_scale_A):
-                readings.append((now, currents))
+                readings.append((now, now, currents))
                 self.counters.frames_received += 1
             else:
                 self._decoder.crc_errors += 1
