@@ -5,14 +5,19 @@ from __future__ import annotations
 import getpass
 import os
 import shutil
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import NamedTuple
 
 import click
 
 from microbot_ros.errors import InputError
+
+_WATCH_SECONDS, _TICK_SECONDS, _LATE_MS = 2.0, 0.005, 10.0
+_BUSY = [sys.executable, '-c', 'while True: pass']
 
 
 class Finding(NamedTuple):
@@ -56,9 +61,9 @@ def command(config: Path | None, json_path: Path | None) -> None:
 
 def _look(config: Path | None) -> Iterator[Finding]:
     checks: list[Callable[[], Finding]] = [
-        _python, _ros, _real_time, _shared_memory, _disk, _ports]
+        _python, _ros, _real_time, _dead_man, _shared_memory, _disk, _ports]
     if config:
-        checks += [lambda: _rig(config)]
+        checks += [lambda: _rig(config), lambda: _watchdog(config)]
     for check in checks:
         try:
             yield check()
@@ -95,6 +100,29 @@ def _real_time() -> Finding:
     return Finding('real time', 'warn', 'not granted: other programs can hold up the loop; add '
                    f'"{getpass.getuser()} - rtprio 10" to /etc/security/limits.conf and log in '
                    'again')
+
+
+def _dead_man() -> Finding:
+    """How late a thread like the one that zeroes the coils wakes while every core is busy."""
+    from concurrent.futures import ThreadPoolExecutor
+
+    from microbot_ros.drive.real_time import hurry, lateness
+
+    def watch() -> float:
+        hurry()
+        return max(lateness(_WATCH_SECONDS, _TICK_SECONDS))
+
+    with ExitStack() as stack, ThreadPoolExecutor(1) as pool:
+        for _ in range(os.cpu_count() or 1):
+            busy = stack.enter_context(subprocess.Popen(_BUSY))
+            stack.callback(busy.kill)
+        late_ms = pool.submit(watch).result() * 1e3
+    return Finding(
+        'dead-man', 'ok' if late_ms <= _LATE_MS else 'warn',
+        f'beside {os.cpu_count()} busy programs woke at most {late_ms:.1f} ms late in '
+        f'{_WATCH_SECONDS:g} s; a zero comes so much later than coil_driver.stale_ms says'
+        + ('' if late_ms <= _LATE_MS else f', expected {_LATE_MS:g} ms: see real time above, and '
+           'what else of this machine runs in real time'))
 
 
 def _shared_memory() -> Finding:
@@ -136,3 +164,19 @@ def _rig(config: Path) -> Finding:
     if missing:
         return Finding('rig', 'fail', '; '.join(missing))
     return Finding('rig', 'ok', f'{config}: {", ".join(rig)}')
+
+
+def _watchdog(config: Path) -> Finding:
+    from microbot_ros.drive.amplifier import Watchdog, amplifier_class
+    from microbot_ros.drive.coil_driver import WITHOUT_WATCHDOG
+    from microbot_ros.nodes.configuration import read_rig
+
+    given = read_rig(config).get('coil_driver', {})
+    protocol = given.get('amplifier', 'serial_transfer')
+    watchdog = amplifier_class(protocol).watchdog
+    if given.get('accept_no_watchdog') and watchdog is not Watchdog.ARMED:
+        return Finding('watchdog', 'warn', f'{protocol}, accepted without one: {WITHOUT_WATCHDOG}')
+    if watchdog is Watchdog.NONE:
+        return Finding('watchdog', 'fail', f'{protocol} has none: {WITHOUT_WATCHDOG}; it is not '
+                       'driven unless coil_driver.accept_no_watchdog says that this is accepted')
+    return Finding('watchdog', 'ok', f'{protocol}: {watchdog.value}')

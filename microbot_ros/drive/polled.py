@@ -79,7 +79,7 @@ class PolledAmplifier(Amplifier):
         self._inspection_s = self._delivered_s + _INSPECT_S
         self._begin_again()
 
-    def _begin_again(self, *first: Exchange) -> None:
+    def _begin_again(self, first: Exchange | None = None) -> None:
         self._agenda = self._say_all(first)
         self._asked: _Asked | None = None
         self._answers: list[Any] | None = None
@@ -167,11 +167,10 @@ class PolledAmplifier(Amplifier):
         if self._answers is not None:
             self._asked = None
 
-    def _say_all(self, first: Sequence[Exchange]) -> Generator[Exchange | None, Any, None]:
+    def _say_all(self, first: Exchange | None) -> Generator[Exchange | None, Any, None]:
         """After what comes first, for ever in turn: the newest currents, the question for the
         measured ones, one exchange of the inspection; None where there is nothing to say now."""
-        for exchange in first:
-            yield exchange
+        yield first
         inspection = self._inspect_again()
         inspected: list[Any] | None = None
         while True:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import threading
+import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -30,3 +32,16 @@ def hurry_all(priority: int) -> None:
     with suppress(OSError):
         for task in Path('/proc/self/task').iterdir():
             hurry(int(task.name), priority)
+
+
+def lateness(seconds: float, tick_s: float) -> list[float]:
+    """How late [s] this thread wakes from waits of `tick_s`, one after the other for so long.
+
+    A dead-man that waits like this is that late, beside its own times.
+    """
+    waiting, late = threading.Event(), []
+    end = time.monotonic() + seconds
+    while (begin := time.monotonic()) < end:
+        waiting.wait(tick_s)
+        late.append(time.monotonic() - begin - tick_s)
+    return late

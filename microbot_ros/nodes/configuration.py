@@ -41,6 +41,7 @@ def read_rig(path: str | Path) -> dict[str, dict[str, Any]]:
         for keys, value in _flatten(section.ros__parameters):
             line = line_of(path, node, 'ros__parameters', *keys)
             rig[node]['.'.join(keys)] = _checked(path, node, '.'.join(keys), value, line)
+    _refuse_contradictions(path, rig)
     return rig
 
 
@@ -49,6 +50,19 @@ def node_class(name: str) -> type[RigNode]:
     found: type[RigNode] = getattr(
         importlib.import_module(f'microbot_ros.nodes.{name}'), NODES[name])
     return found
+
+
+def _refuse_contradictions(path: str | Path, rig: dict[str, dict[str, Any]]) -> None:
+    """InputError where the controller may ask for more than the coil driver was told it will."""
+    if not {'controller', 'coil_driver'} <= rig.keys():
+        return
+    asked, allowed = (
+        rig[node].get(name, settings.defaults(node_class(node).Parameters)[name])
+        for node, name in (('controller', 'max_field_mT'), ('coil_driver', 'full_field_mT')))
+    if not asked <= allowed:
+        raise InputError(path, f'controller: max_field_mT is {asked:g}, expected at most '
+                         f'{allowed:g}, the full_field_mT of the coil_driver',
+                         line_of(path, 'controller', 'ros__parameters', 'max_field_mT'))
 
 
 def _flatten(tree: dict[str, Any]) -> list[tuple[tuple[str, ...], Any]]:

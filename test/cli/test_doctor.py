@@ -3,7 +3,12 @@
 import os
 import threading
 
-from microbot_ros.cli.doctor import _real_time
+import psutil
+import pytest
+
+from microbot_ros.cli import doctor
+from microbot_ros.cli.doctor import _dead_man, _real_time, _watchdog
+from microbot_ros.drive.real_time import lateness
 
 
 def test_whether_real_time_is_granted_is_said_and_not_kept(monkeypatch):
@@ -16,3 +21,34 @@ def test_whether_real_time_is_granted_is_said_and_not_kept(monkeypatch):
     monkeypatch.setattr(os, 'sched_setscheduler', refused)
     assert _real_time().level == 'warn'
     assert 'limits.conf' in _real_time().detail
+
+
+def test_how_late_the_dead_man_may_be_is_measured_on_a_busy_machine(monkeypatch):
+    monkeypatch.setattr(doctor, '_WATCH_SECONDS', 0.2)
+    found = _dead_man()
+    assert f'beside {os.cpu_count()} busy programs woke at most ' in found.detail
+    assert not [child for child in psutil.Process().children() if 'while True' in child.cmdline()]
+    monkeypatch.setattr(doctor, '_LATE_MS', 0.0)
+    assert (_dead_man().level, 'expected 0 ms' in _dead_man().detail) == ('warn', True)
+
+
+def test_lateness_is_what_comes_on_top_of_the_wait():
+    late = lateness(0.1, 0.01)
+    assert 0 < len(late) <= 10
+    assert all(0.0 <= one < 10.0 for one in late)
+
+
+@pytest.mark.parametrize(('coil_driver', 'level', 'sentence'), [
+    ('amplifier: modbus', 'fail', 'modbus has none: if this computer loses its power'),
+    ('{amplifier: scpi, accept_no_watchdog: true}', 'warn', 'scpi, accepted without one'),
+    ('amplifier: roboclaw', 'ok', 'roboclaw: armed in the device, and read back'),
+    ('port: /dev/null', 'ok', 'serial_transfer: in the firmware, where it has one'),
+    ('accept_no_watchdog: true', 'warn', 'serial_transfer, accepted without one'),
+])
+def test_what_a_missing_watchdog_means_is_said(tmp_path, coil_driver, level, sentence):
+    rig = tmp_path / 'rig.yaml'
+    parameters = coil_driver if coil_driver.startswith('{') else f'{{{coil_driver}}}'
+    rig.write_text(f'coil_driver: {{ros__parameters: {parameters}}}\n')
+    found = _watchdog(rig)
+    assert found.level == level
+    assert found.detail.startswith(sentence)

@@ -1,14 +1,17 @@
 """The dead-man at work: whatever fails, the emulated amplifier's log ends in zero."""
 
+import glob
 import math
 import os
 import signal
 import subprocess
 import sys
 import threading
+import time
 
 import pytest
 
+from microbot_ros.drive.amplifier import amplifier_class
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.errors import NoAnswerError
 from microbot_ros.drive.gate import Limits, Reason
@@ -24,8 +27,9 @@ HOST = """
 import sys, time
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.gate import Limits
-from microbot_ros.drive.serial_transfer.driver import SerialTransferAmplifier
-driver = CoilDriver(SerialTransferAmplifier(sys.argv[1], 2.0), Limits(*eval(sys.argv[2])), print)
+from microbot_ros.drive.amplifier import amplifier_class
+driver = CoilDriver(amplifier_class(sys.argv[3])(sys.argv[1], 2.0), Limits(*eval(sys.argv[2])),
+                    lambda _: None, accept_no_watchdog=True)
 driver.start()
 while True:
     driver.arm()
@@ -178,17 +182,141 @@ def test_stopping_works_while_the_line_is_away(driver, board):
     assert driver.stop() is False
 
 
+@pytest.mark.parametrize(('protocol', 'options', 'cause'), [
+    ('roboclaw', (), 'watchdog'), ('roboteq', (), 'watchdog'), ('modbus', (), 'command'),
+    ('scpi', (), 'command'), ('serial_transfer', ('--no-watchdog',), 'command')])
 @pytest.mark.parametrize('number', [signal.SIGKILL, signal.SIGSTOP])
-def test_the_watchdog_of_the_device_outlives_the_host(board, number):
+def test_a_host_that_dies_or_hangs_ends_in_zero(emulate, number, protocol, options, cause):
+    """By the watchdog of the device, and where it has none, by the process that watches ours."""
+    board = emulate(protocol, *options)
     limits = str(tuple(vars(LIMITS).values()))
-    with subprocess.Popen([sys.executable, '-c', HOST, board.url, limits],
-                          stdout=subprocess.DEVNULL) as host:
+    with subprocess.Popen([sys.executable, '-c', HOST, board.url, limits, protocol]) as host:
         try:
             board.eventually_at(DRIVING)
             host.send_signal(number)
-            board.eventually_at([0] * 4, 'watchdog')
+            ended_s = time.monotonic()
+            zeroed = board.eventually_at([0] * 4, cause)
+            assert zeroed['t_monotonic_s'] - ended_s < 1.0  # how long it takes is benched
+            threading.Event().wait(0.3)
+            assert board.currents() == pytest.approx([0] * 4)
         finally:
             host.kill()
+    board.until(lambda: not sentinels(board))
+
+
+def sentinels(board):
+    """The processes that hold the line: neither the host nor its sentinel is to stay."""
+    ports = {os.path.realpath(url) for url in board.url.split(',')}
+    return [link for link in glob.glob('/proc/[0-9]*/fd/*')
+            if link_target(link) in ports]
+
+
+def link_target(link):
+    try:
+        return os.readlink(link)
+    except OSError:
+        return ''
+
+
+def test_without_its_sentinel_an_unwatched_device_is_not_driven(emulate):
+    board = emulate('serial_transfer', '--no-watchdog')
+    driver = CoilDriver(SerialTransferAmplifier(board.url, FULL_SCALE_A), LIMITS, lambda _: None,
+                        accept_no_watchdog=True)
+    driver.start()
+    try:
+        drive(driver, board)
+        driver._last_resort._process.kill()
+        assert command_until_fault(driver).detail.startswith('the process that watches over')
+        board.eventually_at([0] * 4)
+        drive(driver, board)  # with another one
+    finally:
+        assert driver.stop()
+    assert not sentinels(board)
+
+
+def test_a_firmware_without_a_watchdog_is_found_out_on_arming(emulate):
+    board = emulate('serial_transfer', '--no-watchdog')
+    driver = CoilDriver(SerialTransferAmplifier(board.url, FULL_SCALE_A), LIMITS, lambda _: None)
+    driver.start()
+    try:
+        board.until(lambda: 'the amplifier has no watchdog' in driver.arm())
+        board.eventually_at([0] * 4, 'command')
+        assert not driver.gate.armed
+    finally:
+        driver.stop()
+
+
+def test_a_firmware_with_a_watchdog_shows_it_on_arming(board):
+    driver = CoilDriver(SerialTransferAmplifier(board.url, FULL_SCALE_A), LIMITS, lambda _: None)
+    driver.start()
+    try:
+        board.until(lambda: driver.arm() is None)
+        assert 0.09 < driver.watchdog_s < 0.5
+        assert board.entries()[-1]['cause'] == 'watchdog'
+        assert driver.command(DRIVING)
+        board.eventually_at(DRIVING)
+    finally:
+        driver.stop()
+
+
+@pytest.mark.parametrize(('protocol', 'self_check'), [
+    ('modbus', True), ('scpi', True), ('serial_transfer', False)])
+def test_what_has_no_watchdog_must_be_accepted(protocol, self_check):
+    amplifier = amplifier_class(protocol)('a,b,c,d' if protocol == 'scpi' else 'a', FULL_SCALE_A)
+    with pytest.raises(InputError, match='accept_no_watchdog'):
+        CoilDriver(amplifier, LIMITS, print, self_check=self_check)
+    assert 'loses its power' in CoilDriver(amplifier, LIMITS, print, self_check=self_check,
+                                           accept_no_watchdog=True).warning
+
+
+def test_the_newest_command_takes_the_place_of_one_that_waits(driver, board, monkeypatch):
+    drive(driver, board)
+    busy, sent = threading.Event(), []
+    write = driver.amplifier.write
+
+    def slow(currents, tag=None):
+        sent.append(list(currents))
+        busy.wait(0.3)
+        return write(currents, tag)
+
+    monkeypatch.setattr(driver.amplifier, 'write', slow)
+    for share in range(1, 21):
+        driver.command([share / 20, 0, 0, 0])
+        threading.Event().wait(0.02)
+    busy.set()
+    board.eventually_at([1.0, 0, 0, 0])
+    assert 2 <= len({tuple(currents) for currents in sent}) < 10
+
+
+def test_the_thread_alone_writes(driver, board, monkeypatch):
+    writers = set()
+    write = driver.amplifier.write
+
+    def watched(currents, tag=None):
+        writers.add(threading.current_thread().name)
+        return write(currents, tag)
+
+    monkeypatch.setattr(driver.amplifier, 'write', watched)
+    drive(driver, board)
+    driver.disarm()
+    board.eventually_at([0] * 4)
+    assert writers == {'coil driver'}
+
+
+def test_what_went_out_is_told_with_its_tag(board):
+    told = []
+    driver = CoilDriver(SerialTransferAmplifier(board.url, FULL_SCALE_A), LIMITS,
+                        lambda reading: told.append(reading.acknowledges), on_sent=told.append)
+    driver.start()
+    try:
+        board.until(lambda: driver.arm() is None)
+        driver.command(DRIVING, 'frame 1')
+        board.until(lambda: sum(one is not None and one.tag == 'frame 1' for one in told) == 2)
+        driver.command([math.nan] * 4, 'frame 2')
+        last = board.until(lambda: next((one for one in told if one and one.tag == 'frame 2'), 0))
+        assert last.currents_A == pytest.approx([0] * 4)
+    finally:
+        driver.stop()
 
 
 def test_firmware_without_a_watchdog_keeps_its_last_command(emulate):

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rclpy
 from geometry_msgs.msg import Vector3Stamped
 from sensor_msgs.msg import MagneticField, TimeReference
 from std_srvs.srv import SetBool
@@ -81,7 +82,9 @@ def test_a_field_that_is_no_number_latches_zero(
     assert level == b'\x02'
     assert 'not four finite numbers' in sentence
     _command(graph, 3e-3, 0.0)  # and stays latched
-    graph.until(lambda: not graph.nodes['coil_driver']._awaiting)
+    sent = driver._driver.amplifier.counters
+    begin = sent.frames_sent
+    graph.until(lambda: sent.frames_sent > begin + 2)
     assert emulator.zero
 
 
@@ -153,16 +156,138 @@ def test_a_coil_that_is_reversed_cannot_be_armed_and_is_named(
 
 
 def test_without_a_self_check_the_diagnostics_say_so(emulator: Any, ros: Any) -> None:
-    graph = _start(emulator, ros, self_check=False)
+    graph = _start(emulator, ros, self_check=False, accept_no_watchdog=True)
     graph.until(lambda: _arm(graph).success)
     assert not any(any(entry['currents_A']) for entry in emulator.entries())
     assert graph.nodes['coil_driver'].health()[2]['self_check'].startswith('not checked: ')
+
+
+def _driving(graph: Any, emulator: Any) -> None:
+    graph.until(lambda: _arm(graph).success)
+    graph.until(lambda: _command(graph, 3e-3, 0.0) or not emulator.zero)
+
+
+def _fault(graph: Any) -> str:
+    found = graph.nodes['coil_driver']._driver.gate.fault
+    return f'{found.reason.value}: {found.detail}' if found else ''
+
+
+def test_the_permission_ends_when_nobody_commands(emulator: Any, ros: Any) -> None:
+    graph = _start(emulator, ros, idle_disarm_s=1.5)
+    driver = graph.nodes['coil_driver']
+    graph.until(lambda: _arm(graph).success)
+    since = time.monotonic()
+    graph.until(lambda: _command(graph, 0.0, 0.0) or time.monotonic() > since + 2.0)
+    assert not _fault(graph)  # a zero is a command
+    graph.until(lambda: not driver._driver.gate.armed)
+    level, sentence, _ = driver.health()
+    assert level == b'\x01'
+    assert 'no command for' in sentence
+    begin = len(emulator.entries())
+    since = time.monotonic()
+    graph.until(lambda: _command(graph, 3e-3, 0.0) or time.monotonic() > since + 0.3)
+    assert len(emulator.entries()) == begin
+    _driving(graph, emulator)
+
+
+def test_arming_is_for_somebody(emulator: Any, ros: Any) -> None:
+    graph = _start(emulator, ros)
+    graph.probe.destroy_publisher(graph.commands)
+    driver = graph.nodes['coil_driver']
+    graph.until(lambda: not driver._commanders())
+    answer = _arm(graph)
+    assert (answer.success, answer.message) == (
+        False, 'nobody publishes field/command: start the controller first')
+
+
+def test_a_second_commander_trips_and_both_are_named(emulator: Any, ros: Any) -> None:
+    graph = _start(emulator, ros)
+    _driving(graph, emulator)
+    other = rclpy.create_node('intruder', namespace='/elsewhere')
+    try:
+        other.create_publisher(Vector3Stamped, '/field/command', 10)
+        graph.until(lambda: emulator.zero and not graph.nodes['coil_driver']._driver.gate.armed)
+        assert _fault(graph).startswith('another commander: 2 publish field/command: ')
+        answer = _arm(graph)
+        assert not answer.success
+        assert '/elsewhere/intruder and /probe' in answer.message
+    finally:
+        other.destroy_node()
+    graph.until(lambda: _arm(graph).success)
+
+
+def test_a_commander_that_is_back_needs_a_new_arm(emulator: Any, ros: Any) -> None:
+    graph = _start(emulator, ros)
+    graph.until(lambda: _arm(graph).success)  # at rest: nothing goes stale
+    driver = graph.nodes['coil_driver']
+    graph.probe.destroy_publisher(graph.commands)
+    graph.until(lambda: not driver._commanders())
+    assert driver._driver.gate.armed
+    begin = len(emulator.entries())
+    graph.commands = graph.probe.create_publisher(Vector3Stamped, 'field/command', 10)
+    graph.until(lambda: _command(graph, 3e-3, 0.0) or not driver._driver.gate.armed)
+    assert len(emulator.entries()) == begin
+    assert _fault(graph) == ('another commander: /probe is new, or back, and needs a new arm')
+    _driving(graph, emulator)
+
+
+def test_a_command_in_another_frame_is_none(emulator: Any, ros: Any) -> None:
+    graph = _start(emulator, ros)
+    graph.until(lambda: _arm(graph).success)
+    driver = graph.nodes['coil_driver']
+    begin = len(emulator.entries())
+
+    def refused() -> bool:
+        stamp = messages.to_stamp(driver.seconds())
+        message = messages.field_vector(np.array([3e-3, 0.0]), stamp)
+        message.header.frame_id = 'camera'
+        graph.commands.publish(message)
+        return "expected the frame 'workspace'" in driver._complaint
+    graph.until(refused)
+    assert len(emulator.entries()) == begin
+
+
+@pytest.fixture
+def unwatched(emulator: Any, tmp_path: Any) -> Any:
+    """A board whose firmware keeps the last command for ever."""
+    emulator.end()
+    board = type(emulator)(tmp_path, '--no-watchdog')
+    yield board
+    board.end()
+
+
+def test_a_board_without_a_watchdog_cannot_be_armed(unwatched: Any, ros: Any) -> None:
+    graph = _start(unwatched, ros)
+    graph.until(lambda: 'has no watchdog' in _arm(graph).message)
+    graph.until(lambda: unwatched.zero)
+    assert 'accept_no_watchdog: true' in _fault(graph)
+
+
+def test_unless_it_is_accepted_by_name(unwatched: Any, ros: Any) -> None:
+    graph = _start(unwatched, ros, accept_no_watchdog=True)
+    graph.until(lambda: _arm(graph).success)
+    assert 'loses its power' in _arm(graph).message
+    _driving(graph, unwatched)
+    assert 'loses its power' in graph.nodes['coil_driver'].health()[1]
+
+
+def test_the_watchdog_of_a_board_is_tried_on_arming(emulator: Any, ros: Any) -> None:
+    graph = _start(emulator, ros)
+    graph.until(lambda: _arm(graph).success)
+    causes = [entry['cause'] for entry in emulator.entries() if not any(entry['currents_A'])]
+    assert causes[-1] == 'watchdog'
+    told = graph.nodes['coil_driver'].health()[2]['watchdog']
+    assert told.startswith('in the firmware, zeroed after ')
 
 
 @pytest.mark.parametrize(('parameters', 'expected'), [
     ({}, 'expected a parameter port'),
     ({'port': 'x', 'deviation_A': 1.0}, 'self-check'),
     ({'port': '/nowhere/tty'}, '/nowhere/tty'),
+    ({'port': 'x', 'current_limit_A': 1.0}, 'current_limit_A: expected at least 1.166 A, which a '
+     'field of 5 mT needs with these coils; received 1 A'),
+    ({'port': 'x', 'step_limit_A': 2.0}, 'step_limit_A: expected at least 2.332 A'),
+    ({'port': 'x', 'amplifier': 'modbus'}, 'accept_no_watchdog: the amplifier has no watchdog'),
     ({'port': 'x', 'amplifier': 'steam'}, "received 'steam'"),
     ({'port': 'x', 'coils_file': '/nowhere/coils.yaml'}, '/nowhere/coils.yaml'),
 ])

@@ -33,6 +33,8 @@ def test_nested_keys_are_those_with_dots(tmp_path: Path) -> None:
     ('tracker:\n  ros__parameters:\n    pixel_size_um: .nan\n', 3, 'must be finite'),
     ('tracker:\n  ros__parameters:\n    pixel_size_um: wide\n', 3, 'must be a number'),
     ('tracker:\n  parameters: {}\n', 2, "unknown key 'tracker.parameters'"),
+    ('controller:\n  ros__parameters:\n    max_field_mT: 8.0\ncoil_driver:\n'
+     '  ros__parameters: {}\n', 3, 'max_field_mT is 8, expected at most 5, the full_field_mT'),
     ('- tracker\n', 1, 'expected keys and values'),
     ('tracker: [\n', 2, 'expected YAML'),
 ])
