@@ -246,7 +246,7 @@ class CoilDriver:
         currents: list[float] = reading.currents_A.tolist()
         if self._check is not None:
             # Before the gate, which would trip at the same current and could not name the coil.
-            self._check.measured(currents, now)
+            self._check.measured(currents, now, reading.since_s)
             if self._check.complaint:
                 self.gate.trip(Reason.SELF_CHECK, self._check.complaint)
             elif self._check.wanted != self.gate.output:

@@ -51,8 +51,13 @@ class SelfCheck:
         self._limits = limits
         self._pulsed_s: float
 
-    def measured(self, currents_A: Sequence[float], now_s: float) -> None:
-        """Take measured currents [A] and go on as they allow."""
+    def measured(self, currents_A: Sequence[float], now_s: float,
+                 since_s: float | None = None) -> None:
+        """Take measured currents [A] and go on as they allow.
+
+        `since_s`: they show what was wanted then, where the line is too slow for what is now.
+        """
+        since_s = now_s if since_s is None else since_s
         coil, margin = len(self.gains), self._limits.deviation_A
         if self.silent:
             self._await_watchdog(currents_A, now_s)
@@ -62,7 +67,7 @@ class SelfCheck:
         elif self.wanted != ZERO:
             settling = all(min(wanted, 0.0) - margin <= current <= max(wanted, 0.0) + margin
                            for current, wanted in zip(currents_A, self.wanted, strict=True))
-            if not settling or now_s - self._pulsed_s >= self._limits.settling_s:
+            if not settling or since_s - self._pulsed_s >= self._limits.settling_s:
                 self.complaint = self._diagnosis(coil, currents_A)
 
     def _agreed(self, coil: int, currents_A: Sequence[float], now_s: float) -> None:

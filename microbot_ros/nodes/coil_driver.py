@@ -95,14 +95,13 @@ class CoilDriverNode(RigNode):
         file = values.coils_file
         self._coils = CoilSet(read_yaml(file, CoilSettings) if file else None)
         self._allocator = Allocator(self._coils)
-        limits = _limits(values)
         _refuse_contradictions(values, self._allocator)
         self._latency = math.nan
         self._refused = 0
         self._commander: bytes | None = None
         amplifier = amplifier_class(values.amplifier)(values.port, values.full_scale_A)
         self._driver = CoilDriver(
-            amplifier, limits, self._on_reading, on_sent=self._on_sent,
+            amplifier, limits(values), self._on_reading, on_sent=self._on_sent,
             self_check=values.self_check, accept_no_watchdog=values.accept_no_watchdog)
         self._wanted = self.publisher(JointState, 'coils/command')
         self._applied = self.publisher(JointState, 'coils/applied')
@@ -238,7 +237,7 @@ class CoilDriverNode(RigNode):
         return response
 
 
-def _limits(values: CoilDriverParameters) -> Limits:
+def limits(values: CoilDriverParameters) -> Limits:
     return Limits(
         current_A=values.current_limit_A, step_A=values.step_limit_A,
         slew_A_per_s=values.slew_limit_A_per_s, stale_s=values.stale_ms * 1e-3,

@@ -110,6 +110,46 @@ def test_a_reading_that_no_settling_leads_through_is_judged_at_once(currents, se
     assert check.complaint.startswith(f'coil_plus_y {sentence}')
 
 
+def test_a_slow_line_has_its_own_time_to_bring_the_pulse():
+    check = pulsed()
+    check.measured(ZERO, 9.0, next_to(1.5, BELOW))
+    assert check.complaint == ''
+    check.measured(ZERO, 9.0, 1.5)
+    assert 'is open' in check.complaint
+
+
+def watched():
+    check = SelfCheck(EXACT, tries_watchdog=True)
+    for coil in range(4):
+        check.measured(ZERO, 1.0)
+        assert not check.silent
+        check.measured([0.75 * (index == coil) for index in range(4)], 1.0)
+    return check
+
+
+@pytest.mark.parametrize('currents', [ZERO, [0.25, -0.25, 0.25, -0.25]])
+def test_the_last_pulse_is_left_to_the_watchdog(currents):
+    check = watched()
+    assert (check.silent, check.done) == (True, False)
+    assert check.wanted == (0.0, 0.0, 0.0, 0.75)
+    check.measured([0, 0, 0, 0.75], 1.1)
+    check.measured([0, 0, 0, next_to(0.25, ABOVE)], 1.1)
+    assert check.silent
+    check.measured(currents, 1.125)
+    assert (check.done, check.silent, check.wanted, check.watchdog_s) == (True, False, ZERO, 0.125)
+    assert check.complaint == ''
+
+
+@pytest.mark.parametrize('currents', [[0, 0, 0, 0.75], [0, 0, 0, math.nan], [0.26, 0, 0, 0]])
+def test_current_that_flows_on_is_no_watchdog(currents):
+    check = watched()
+    check.measured(currents, next_to(1.5, BELOW))
+    assert check.complaint == ''
+    check.measured(currents, 1.5)
+    assert check.complaint.startswith('the amplifier has no watchdog: without a command for 0.5 s')
+    assert not check.done
+
+
 def test_channels_that_are_swapped_or_joined_are_named():
     swapped, _ = run(lambda wanted, _: [wanted[1], wanted[0], wanted[2], wanted[3]])
     assert 'coil_plus_y drives coil_plus_x: channels are swapped' in swapped.complaint

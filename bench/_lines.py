@@ -1,0 +1,123 @@
+"""The dead-man of every amplifier over slow lines: from the last command, or the host's end, to
+zero.
+
+The emulated device answers late by so many milliseconds, as behind a USB adapter; the host is a
+process of its own that commands at 60 Hz with the limits that the node has by default.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from bench._emulator import Emulator
+from microbot_ros.drive.emulator.process import DEVICES
+
+DELAYS_MS = (1, 4, 16)
+FULL_SCALE_A = 2.0
+_DEADLINE_S = 5.0
+_WAYS = {'kill -9': signal.SIGKILL, 'stop': signal.SIGSTOP}
+
+
+class Host:
+    """A driver in a process of its own, which commands, or is silent, as it is told."""
+
+    def __init__(self, protocol: str, url: str) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, '-m', 'bench._lines', protocol, url],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+
+    def say(self, word: str) -> str:
+        """Tell it, and what it answers."""
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        self.process.stdin.write(word + '\n')
+        self.process.stdin.flush()
+        return self.process.stdout.readline().strip()
+
+    def end(self) -> None:
+        """Leave nothing running."""
+        self.process.kill()
+        self.process.communicate()
+
+
+@contextmanager
+def driving(protocol: str, board: Emulator) -> Iterator[Host]:
+    """A host that drives the coils."""
+    host = Host(protocol, board.url)
+    try:
+        if host.say('drive') != 'driving':
+            raise RuntimeError(f'{protocol}: the coils were never driven')
+        yield host
+    finally:
+        host.end()
+
+
+def spent_s(tries: int, host_tries: int) -> dict[tuple[str, int, str], list[float]]:
+    """(protocol, delay [ms], what ended) → seconds to zero, of each try."""
+    random.seed(3)
+    spent: dict[tuple[str, int, str], list[float]] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for protocol in DEVICES:
+            for delay in DELAYS_MS:
+                with Emulator(Path(folder), protocol, '--fault', f'delay={delay}') as board:
+                    spent[protocol, delay, 'commands'] = list(_silent(protocol, board, tries))
+                    for way in _WAYS:
+                        spent[protocol, delay, way] = [
+                            _ended(protocol, board, way) for _ in range(host_tries)]
+    return spent
+
+
+def _silent(protocol: str, board: Emulator, tries: int) -> Iterator[float]:
+    with driving(protocol, board) as host:
+        for _ in range(tries):
+            host.say('drive')
+            time.sleep(random.uniform(0.05, 0.15))
+            last = float(host.say('silence'))
+            yield board.zero_after(last, _DEADLINE_S) - last
+
+
+def _ended(protocol: str, board: Emulator, way: str) -> float:
+    with driving(protocol, board) as host:
+        time.sleep(random.uniform(0.05, 0.15))
+        ended = time.monotonic()
+        os.kill(host.process.pid, _WAYS[way])
+        return board.zero_after(ended, _DEADLINE_S) - ended
+
+
+def _host(protocol: str, url: str) -> None:
+    """What the host's process does: a line on standard input says what next."""
+    import select
+
+    from microbot_ros.drive.amplifier import amplifier_class
+    from microbot_ros.drive.coil_driver import CoilDriver
+    from microbot_ros.drive.real_time import SAFETY, hurry_all
+    from microbot_ros.nodes.coil_driver import CoilDriverParameters, limits
+
+    hurry_all(SAFETY)
+    driver = CoilDriver(amplifier_class(protocol)(url, FULL_SCALE_A),
+                        limits(CoilDriverParameters()), lambda _: None, accept_no_watchdog=True)
+    driver.start()
+    commanding, last = False, 0.0
+    while True:
+        if commanding:
+            last = time.monotonic()
+            driver.command([0.5, -0.5, 0.25, 0.0])
+        if not select.select([sys.stdin], [], [], 1 / 60)[0]:
+            continue
+        commanding = sys.stdin.readline().strip() == 'drive'
+        while commanding and not driver.gate.armed and driver.arm() is not None:
+            time.sleep(0.01)
+        print('driving' if commanding else last, flush=True)
+
+
+if __name__ == '__main__':
+    _host(*sys.argv[1:])
