@@ -6,18 +6,15 @@ forked from a server that has imported everything, which makes a killed one retu
 
 from __future__ import annotations
 
-import json
 import multiprocessing as mp
 import os
 import random
 import signal
-import subprocess
 import sys
 import tempfile
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import partial
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -27,79 +24,35 @@ import cv2
 import numpy as np
 import yaml
 from geometry_msgs.msg import Vector3Stamped
+from sensor_msgs.msg import Joy
 from std_srvs.srv import SetBool
 
-from microbot_ros.drive.real_time import hurry
+from bench._emulator import FULL_SCALE_A, Emulator
 from microbot_ros.nodes.remote import Remote
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 
-FULL_SCALE_A = 2.0
 NODES = ('camera', 'tracker', 'model', 'controller', 'coil_driver')
 _FORKING = mp.get_context('forkserver')
 _FRAME_RATE_HZ = 30.0
 _HEARD_S, _SILENT_S = 0.06, 0.04
 _DEADLINE_S = 60.0
-
-
-class Amplifier:
-    """An emulated coil board in a process of its own, with faults on command."""
-
-    def __init__(self, folder: Path) -> None:
-        self.link = folder / 'coils'
-        log = folder / 'log.jsonl'
-        self._process = subprocess.Popen(
-            [sys.executable, '-m', 'microbot_ros.cli', 'emulate', 'serial_transfer', '--link',
-             self.link, '--log', log, '--full-scale-A', str(FULL_SCALE_A), '--fault', '-'],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        hurry(self._process.pid)  # a board has nothing else to do
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._faults = self._process.stdin
-        self._process.stdout.readline()
-        self._log = log.open()
-        self._unfinished = ''
-        self.changes: list[tuple[float, bool]] = []
-        """When the currents changed [s, monotonic], and whether all were zero from then on."""
-
-    def read(self) -> None:
-        """Bring `changes` up to date."""
-        *lines, self._unfinished = (self._unfinished + self._log.read()).split('\n')
-        for entry in map(json.loads, lines):
-            self.changes.append((entry['t_monotonic_s'], not any(entry['currents_A'])))
-
-    def unplug(self) -> None:
-        """Take the line away for a moment."""
-        self._faults.write('unplug+0.2\n')
-        self._faults.flush()
-
-    def end(self) -> None:
-        """Switch off."""
-        self._process.terminate()
-        self._process.communicate()
-        self._log.close()
-
-
-@contextmanager
-def amplifier() -> Iterator[Amplifier]:
-    """An amplifier that is switched off at the end."""
-    with tempfile.TemporaryDirectory() as folder:
-        made = Amplifier(Path(folder))
-        try:
-            yield made
-        finally:
-            made.end()
+_JOY_S = 0.05
 
 
 class _Rig:
     """Five nodes that drive the amplifier; what was ended is started again by `drive`."""
 
-    def __init__(self, folder: Path, board: Amplifier, remote: Remote) -> None:
+    def __init__(self, folder: Path, board: Emulator, remote: Remote) -> None:
         self.board = board
         self._parameters = _parameters(folder, board)
         self._remote = remote
         self._nodes: dict[str, BaseProcess] = {}
         self._commands: deque[float] = deque(maxlen=100)
         self._offset_s = time.time() - time.monotonic()
+        self._joystick = remote.node.create_publisher(Joy, 'joy', 1)
+        self._stick = 0.0
+        """Deflection of a joystick that lives; 0 where there is none."""
+        self._moved_s = 0.0
         self._arming = remote.node.create_client(SetBool, 'coil_driver/arm')
         remote.node.create_subscription(
             Vector3Stamped, 'field/command', self._on_command, 50)
@@ -112,7 +65,7 @@ class _Rig:
         """Make sure that every node runs, and that currents flow by command and go on to."""
         for name in NODES:
             if (node := self._nodes.get(name)) is None or not node.is_alive():
-                if node is not None and node.exitcode != -signal.SIGKILL:
+                if node is not None and node.exitcode not in (-signal.SIGKILL, 0):
                     raise RuntimeError(f'{name} ended by itself, status {node.exitcode}')
                 self._nodes[name] = _FORKING.Process(
                     target=_run_node, args=(name, self._parameters), daemon=True)
@@ -121,8 +74,8 @@ class _Rig:
         while not (self._armed() and self._within(1.0, self._driving)):
             if time.monotonic() > deadline:
                 raise TimeoutError('the coils were never driven')
-            self._remote.spin(0.02)
-        self._remote.spin(random.uniform(0.02, 0.06))
+            self._spin(0.02)
+        self._spin(random.uniform(0.02, 0.06))
         if not self._driving():
             self.drive()
 
@@ -165,9 +118,30 @@ class _Rig:
         while not true():
             if time.monotonic() > deadline:
                 return False
-            self._remote.spin(0.002)
+            self._spin(0.002)
             self.board.read()
         return True
+
+    def _spin(self, seconds: float) -> None:
+        if self._stick and time.monotonic() - self._moved_s >= _JOY_S:
+            self._moved_s = time.monotonic()
+            stick = Joy(axes=[self._stick, 0.0])
+            stick.header.stamp = self._remote.node.get_clock().now().to_msg()
+            self._joystick.publish(stick)
+        self._remote.spin(seconds)
+
+    def steer_by_hand(self, deflection: float) -> None:
+        """Let a joystick drive, or else the controller that needs nobody."""
+        self._stick = deflection
+        self._remote.set('controller', controller='teleop' if deflection else 'open_loop')
+
+    def joystick_dies_s(self) -> float:
+        """From the last word of a joystick that is deflected to zero."""
+        self.drive()
+        deflection, self._stick = self._stick, 0.0
+        zeroed = self.board.zero_after(self._moved_s, _DEADLINE_S)
+        self._stick = deflection
+        return zeroed - self._moved_s
 
     def send(self, name: str, number: int) -> None:
         """Send a signal to a node."""
@@ -194,7 +168,7 @@ def _run_node(name: str, parameters: Path) -> None:
     sys.exit(run([name], ['--ros-args', '--params-file', str(parameters)]))
 
 
-def _parameters(folder: Path, board: Amplifier) -> Path:
+def _parameters(folder: Path, board: Emulator) -> Path:
     """A film of three particles that rest, and a controller that drives one way."""
     scope = Microscope(MicroscopeSettings(), seed=3)
     place = np.array([[-60.0, 20.0], [10.0, -40.0], [70.0, 30.0]]) * 1e-6
@@ -206,7 +180,7 @@ def _parameters(folder: Path, board: Amplifier) -> Path:
         'tracker': {'pixel_size_um': 0.45}, 'model': {},
         'controller': {'controller': 'open_loop', 'open_loop.durations_s': [3600.0],
                        'open_loop.directions_deg': [45.0]},
-        'coil_driver': {'port': str(board.link), 'full_scale_A': FULL_SCALE_A}}
+        'coil_driver': {'port': str(board.url), 'full_scale_A': FULL_SCALE_A}}
     path = folder / 'parameters.yaml'
     path.write_text(yaml.safe_dump(
         {node: {'ros__parameters': values} for node, values in nodes.items()}))
@@ -223,7 +197,10 @@ def _ends(rig: _Rig) -> dict[str, tuple[Callable[[], None], Callable[[], None], 
     for what, name in (('a stopped driver', 'coil_driver'), ('a hung controller', 'controller')):
         ends[what] = (partial(rig.send, name, signal.SIGSTOP),
                       partial(rig.send, name, signal.SIGCONT), name == 'coil_driver')
-    return {**ends, 'an unplugged line': (rig.board.unplug, nothing, True)}
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        ends[f'{number.name} to the driver'] = (
+            partial(rig.send, 'coil_driver', number), nothing, True)
+    return {**ends, 'an unplugged line': (partial(rig.board.fault, 'unplug+0.2'), nothing, True)}
 
 
 def spent_s(tries: int) -> dict[str, list[float]]:
@@ -234,7 +211,8 @@ def spent_s(tries: int) -> dict[str, list[float]]:
         *(f'microbot_ros.nodes.{name}' for name in NODES)])
     random.seed(2)
     spent: dict[str, list[float]] = {}
-    with tempfile.TemporaryDirectory() as folder, amplifier() as board, Remote('bench') as remote:
+    with (tempfile.TemporaryDirectory() as folder,
+          Emulator(Path(folder), 'serial_transfer') as board, Remote('bench') as remote):
         rig = _Rig(Path(folder), board, remote)
         try:
             for name, (end, mend, deaf) in _ends(rig).items():
@@ -242,6 +220,9 @@ def spent_s(tries: int) -> dict[str, list[float]]:
                     rig.drive()
                     spent.setdefault(name, []).append(rig.spent_s(end, deaf))
                     mend()
+            rig.drive()
+            rig.steer_by_hand(1.0)
+            spent['a dead joystick'] = [rig.joystick_dies_s() for _ in range(tries)]
         finally:
             rig.end()
     return spent

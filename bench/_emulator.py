@@ -10,6 +10,8 @@ from pathlib import Path
 
 from microbot_ros.drive.real_time import hurry
 
+FULL_SCALE_A = 2.0
+
 
 class Emulator:
     """Speaks a protocol at `url` until the end of the context; `fault` lets one happen."""
@@ -18,7 +20,7 @@ class Emulator:
         link, log = folder / f'{protocol}-line', folder / f'{protocol}.jsonl'
         self._process = subprocess.Popen(
             [sys.executable, '-m', 'microbot_ros.cli', 'emulate', protocol, '--link', str(link),
-             '--log', str(log), '--full-scale-A', '2', '--fault', '-', *options],
+             '--log', str(log), '--full-scale-A', str(FULL_SCALE_A), '--fault', '-', *options],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         hurry(self._process.pid)  # a device has nothing else to do
         assert self._process.stdout is not None

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import tempfile
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 
-from bench._dead_man import FULL_SCALE_A, amplifier
+from bench._emulator import FULL_SCALE_A, Emulator
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.gate import Limits
 from microbot_ros.drive.serial_transfer.driver import SerialTransferAmplifier
@@ -20,16 +22,17 @@ _DEADLINE_S = 20.0
 
 def left_over(sessions: int = 30) -> int:
     """Threads and open descriptors that are there afterwards and were not before."""
-    with amplifier() as board:
+    with (tempfile.TemporaryDirectory() as folder,
+          Emulator(Path(folder), 'serial_transfer') as board):
         before = _open_things()
         for _ in range(sessions):
-            _await(board.link.exists)
-            driver = CoilDriver(SerialTransferAmplifier(str(board.link), FULL_SCALE_A), _LIMITS,
+            _await(Path(board.url).exists)
+            driver = CoilDriver(SerialTransferAmplifier(board.url, FULL_SCALE_A), _LIMITS,
                                 lambda _: None)
             driver.start()
             _await(lambda: driver.arm() is None)  # noqa: B023 — called before the next is made
             driver.command([1.0, -1.0, 0.5, 0.0])
-            board.unplug()
+            board.fault('unplug+0.2')
             _await(lambda: not driver.gate.armed)  # noqa: B023
             driver.stop()
         return _open_things() - before

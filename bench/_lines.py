@@ -18,11 +18,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from bench._emulator import Emulator
+from bench._emulator import FULL_SCALE_A, Emulator
 from microbot_ros.drive.emulator.process import DEVICES
 
 DELAYS_MS = (1, 4, 16)
-FULL_SCALE_A = 2.0
 _DEADLINE_S = 5.0
 _WAYS = {'kill -9': signal.SIGKILL, 'stop': signal.SIGSTOP}
 
