@@ -8,9 +8,9 @@ import ctypes
 import json
 import math
 import shutil
-import signal
 import struct
 import subprocess
+import threading
 import time
 from pathlib import Path
 
@@ -18,6 +18,8 @@ import numpy as np
 import pytest
 import serial
 
+from microbot_ros.drive.coil_driver import CoilDriver
+from microbot_ros.drive.gate import Limits
 from microbot_ros.drive.serial_transfer import codec
 from microbot_ros.drive.serial_transfer.driver import SerialTransferAmplifier
 
@@ -32,24 +34,31 @@ MISSING = [name for name, found in NEEDED.items() if not found]
 needs_simulator = pytest.mark.skipif(bool(MISSING), reason=f'not installed: {MISSING}')
 DEADLINE_S = 30.0
 STEP = 1.01 / 255  # of the outputs
+GROWTH = 31 / 256  # of a duty in one period, at 240 A/s and 2 A
+OFF = [0.0] * 6
+
+
+def build(folder: Path, *settings: str) -> subprocess.CompletedProcess:
+    return subprocess.run(['make', '--silent', '-C', SOURCE, f'BUILD={folder}', *settings, 'all',
+                           'simulator'], stderr=subprocess.PIPE, text=True)
 
 
 @pytest.fixture(scope='module')
 def built(tmp_path_factory):
     folder = tmp_path_factory.mktemp('firmware')
-    subprocess.run(['make', '--silent', '-C', SOURCE, f'BUILD={folder}', 'all', 'simulator'],
-                   check=True)
+    build(folder).check_returncode()
     return folder
 
 
 class Board:
     """The simulated board: the name of its terminal and what its outputs did."""
 
-    def __init__(self, built: Path, log: Path) -> None:
+    def __init__(self, built: Path, log: Path, *options: str) -> None:
         self.log = log
         with log.open('w') as stream:
             self.process = subprocess.Popen(
-                [built / 'simulate', built / 'coil_board.elf'], stdout=stream)
+                [built / 'simulate', built / 'coil_board.elf', *options],
+                stdin=subprocess.PIPE, stdout=stream, text=True)
         self.url = self.until(lambda: self.lines()[1:] and self.lines()[0])
 
     def lines(self) -> list[str]:
@@ -57,6 +66,15 @@ class Board:
 
     def entries(self) -> list[dict]:
         return [json.loads(line) for line in self.lines()[1:]]
+
+    def duties(self, since: int = 0) -> np.ndarray:
+        """All six duties in every PWM period in which one of them changed."""
+        return np.array([entry['duties'] for entry in self.entries()[since:]])
+
+    def tell(self, line: str) -> None:
+        """Change the world around the board; see simulate.c."""
+        self.process.stdin.write(line + '\n')
+        self.process.stdin.flush()
 
     def until(self, condition):
         deadline = time.monotonic() + DEADLINE_S
@@ -66,17 +84,35 @@ class Board:
             time.sleep(0.002)
         raise AssertionError('the awaited condition never came true')
 
-    def until_at(self, duties):
-        return self.until(lambda: (last := self.entries()[-1])['duties'][:4]
-                          == pytest.approx(duties, abs=STEP) and last)
+    def until_at(self, duties, since: int = 0):
+        """The first entry from the one numbered `since` on that has these duties."""
+        wanted = pytest.approx([*duties, *OFF[len(duties):]], abs=STEP)
+        return self.until(lambda: next(
+            (entry for entry in self.entries()[since:] if entry['duties'] == wanted), None))
+
+    def end(self) -> None:
+        self.process.terminate()
+        self.process.wait(DEADLINE_S)
+        self.process.stdin.close()
 
 
 @pytest.fixture
-def board(built, tmp_path):
-    board = Board(built, tmp_path / 'log.jsonl')
-    yield board
-    board.process.terminate()
-    board.process.wait(DEADLINE_S)
+def start(built, tmp_path):
+    """A function that powers up a board, with options of the simulator; all end with the test."""
+    boards = []
+
+    def start(*options: str, folder: Path = built) -> Board:
+        boards.append(Board(folder, tmp_path / f'{len(boards)}.jsonl', *options))
+        return boards[-1]
+
+    yield start
+    for board in boards:
+        board.end()
+
+
+@pytest.fixture
+def board(start):
+    return start()
 
 
 @pytest.fixture
@@ -85,6 +121,47 @@ def amplifier(board):
     amplifier.connect()
     yield amplifier
     amplifier.close()
+
+
+def raw_command(duties: list[float]) -> bytes:
+    return codec.encode(struct.pack('<17f', *[0.0] * 11, *duties, *[0.0] * (6 - len(duties))))
+
+
+class Line:
+    """A host that sends what it likes to all six channels."""
+
+    def __init__(self, url: str) -> None:
+        self._port = serial.Serial(url, 500_000, exclusive=True)
+        self.await_board()
+
+    def await_board(self) -> None:
+        """Wait until the board listens: it reports from then on. What came before is gone."""
+        self._port.reset_input_buffer()
+        self._decoder = codec.Decoder(codec.MEASUREMENT_BYTES)
+        self.report()
+
+    def send(self, duties: list[float]) -> None:
+        self._port.write(raw_command(duties))
+
+    def write(self, data: bytes) -> None:
+        self._port.write(data)
+
+    def report(self) -> tuple[float, ...]:
+        """The next measured currents [A]; the last of them where several came."""
+        while True:
+            data = self._port.read(self._port.in_waiting or 1)
+            if payloads := self._decoder.feed(data, time.monotonic()):
+                return codec.currents(payloads[-1])
+
+    def close(self) -> None:
+        self._port.close()
+
+
+@pytest.fixture
+def line(board):
+    line = Line(board.url)
+    yield line
+    line.close()
 
 
 @needs_simulator
@@ -100,10 +177,12 @@ def test_commands_flow_and_are_measured(amplifier, board):
 
 @needs_simulator
 def test_a_host_that_dies_leaves_zero_after_100_ms(amplifier, board):
+    before = len(board.entries())
     amplifier.write([1.0, -1.0, 0.5, 2.0])
-    driven = board.until_at([0.5, -0.5, 0.25, 1.0])
+    board.until_at([0.5, -0.5, 0.25, 1.0], before)
     amplifier._release()
-    zeroed = board.until_at([0.0] * 4)
+    driven = board.entries()[before]  # the first period in which the command shows
+    zeroed = board.until_at(OFF, before)
     elapsed_s = zeroed['t_device_s'] - driven['t_device_s']
     assert 0.095 <= elapsed_s <= 0.102
     assert zeroed['restarts'] == 0
@@ -114,31 +193,187 @@ def test_every_output_is_off_at_start_and_after_a_reset(amplifier, board):
     assert board.entries()[0]['duties'] == [0.0] * 6
     amplifier.write([2.0, 2.0, -2.0, -2.0])
     board.until_at([1.0, 1.0, -1.0, -1.0])
-    board.process.send_signal(signal.SIGUSR1)
+    board.tell('reset')
     first = board.until(lambda: next((e for e in board.entries() if e['restarts'] == 1), None))
     assert first['duties'] == [0.0] * 6
-    amplifier.write([1.0, 0.0, 0.0, 0.0])
-    board.until_at([0.5, 0.0, 0.0, 0.0])
-
-
-def raw_command(duties: list[float]) -> bytes:
-    return codec.encode(struct.pack('<17f', *[0.0] * 11, *duties, *[0.0] * (6 - len(duties))))
+    board.until(lambda: amplifier.write([1.0, 0.0, 0.0, 0.0])  # lost until it listens again
+                and board.duties()[-1] == pytest.approx([0.5, *OFF[1:]], abs=STEP))
 
 
 @needs_simulator
-def test_what_is_no_command_changes_nothing(board):
+def test_what_is_no_command_changes_nothing(line, board):
     good = raw_command([0.5, 0.25, 0.0, 0.0])
     wrong_crc = good[:-2] + bytes((good[-2] ^ 1, good[-1]))
     bad = [raw_command([value, 0, 0, 0]) for value in (math.nan, math.inf, -math.inf, 1.01, -2)]
-    with serial.Serial(board.url, 500_000, exclusive=True) as port:
-        for damaged in (*bad, wrong_crc, good[:-1], good[1:], b'\x7e\x00\xff\x44', b'\x7e' * 40):
-            port.write(damaged)
-        decoder, reports = codec.Decoder(codec.MEASUREMENT_BYTES), 0
-        while reports < 10:  # that long it has had to act on any of them
-            reports += len(decoder.feed(port.read(port.in_waiting or 1), time.monotonic()))
-        assert len(board.entries()) == 1
-        port.write(good)
-        board.until_at([0.5, 0.25, 0.0, 0.0])
+    for damaged in (*bad, wrong_crc, good[:-1], good[1:], b'\x7e\x00\xff\x44', b'\x7e' * 40):
+        line.write(damaged)
+    for _ in range(10):  # that long it has had to act on any of them
+        line.report()
+    assert not board.duties().any()
+    line.write(good)
+    board.until_at([0.5, 0.25, 0.0, 0.0])
+
+
+@needs_simulator
+def test_a_byte_with_a_wrong_stop_bit_spoils_its_packet(line, board):
+    board.tell('damage')
+    line.send([0.5])
+    for _ in range(10):
+        line.report()
+    assert not board.duties().any()
+    line.send([0.25])
+    board.until_at([0.25])
+
+
+@needs_simulator
+def test_the_pins_are_low_during_a_reset_because_the_wiring_pulls_them_down(start):
+    for options, duty in ((), 0.0), (('--no-pull-downs',), 1.0):
+        board = start(*options)
+        line = Line(board.url)
+        board.tell('reset')
+        board.until(lambda: board.entries()[-1]['restarts'])  # noqa: B023
+        line.await_board()
+        assert [(entry['restarts'], entry['floating'], entry['duties'])
+                for entry in board.entries()] == [
+                    (0, 12, [duty] * 6), (0, 0, OFF), (1, 12, [duty] * 6), (1, 0, OFF)]
+        line.close()
+
+
+@needs_simulator
+def test_nothing_of_the_duty_before_comes_back_when_driving_resumes(line, board):
+    for _ in range(10):
+        before = len(board.entries())
+        line.send([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
+        board.until_at([1.0, -1.0, 1.0, -1.0, 1.0, -1.0], before)
+        before = len(board.entries())
+        line.send(OFF)
+        board.until_at(OFF, before)
+        before = len(board.entries())
+        line.send([0.2, -0.2, 0.2, -0.2, 0.2, -0.2])
+        board.until_at([0.2, -0.2, 0.2, -0.2, 0.2, -0.2], before)
+        resumed = board.duties(before) * [1, -1, 1, -1, 1, -1]
+        assert resumed.min() >= 0.0 and resumed.max() <= 0.2 + STEP
+
+
+@needs_simulator
+def test_a_sign_never_turns_under_the_magnitude_of_before(line, board):
+    for _ in range(10):
+        before = len(board.entries())
+        line.send([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
+        board.until_at([1.0, -1.0, 1.0, -1.0, 1.0, -1.0], before)
+        before = len(board.entries())
+        line.send([-0.2, 0.2, -0.2, 0.2, -0.2, 0.2])
+        board.until_at([-0.2, 0.2, -0.2, 0.2, -0.2, 0.2], before)
+        turned = board.duties(before - 1) * [-1, 1, -1, 1, -1, 1]
+        assert turned.max() <= 0.2 + STEP
+        assert not np.any((turned[:-1] < 0) & (turned[1:] > 0))  # always a period of zero between
+
+
+@needs_simulator
+def test_whatever_the_host_sends_currents_grow_no_faster_than_the_slew_limit(line, board):
+    random = np.random.default_rng(7)
+    for _ in range(60):
+        for _ in range(5):
+            line.send(random.choice([-1.0, 0.0, 1.0], 6).tolist())
+        line.report()
+    sizes = np.abs(board.duties())
+    assert sizes.max() > 2 * GROWTH
+    assert np.diff(sizes, axis=0).max() <= GROWTH + 1e-6
+
+
+@needs_simulator
+def test_a_command_beyond_the_limit_of_the_board_is_none(start, tmp_path):
+    assert build(tmp_path / 'limited').returncode == 0
+    assert build(tmp_path / 'limited', 'LIMIT_A=1').returncode == 0
+    board = start(folder=tmp_path / 'limited')
+    line = Line(board.url)
+    before = len(board.entries())
+    line.send([0.0, 0.0, 0.0, 0.0, 0.5, -0.5])
+    board.until_at([0.0, 0.0, 0.0, 0.0, 0.5, -0.5], before)
+    for channel in range(6):
+        for duty in (0.51, -0.51, 1.0):
+            line.send([duty if index == channel else 0.25 for index in range(6)])
+            line.report()
+    driven, zeroed = board.entries()[before], board.until_at(OFF, before)
+    assert 0.095 <= zeroed['t_device_s'] - driven['t_device_s'] <= 0.102  # it kept nothing on
+    assert not board.duties(before)[:, :4].any()
+    line.close()
+
+
+@needs_simulator
+@pytest.mark.parametrize('setting', ['LIMIT_A=2.1', 'LIMIT_A=0', 'LIMIT_A=-1', 'SLEW_A_PER_S=0'])
+def test_a_board_with_a_limit_that_limits_nothing_is_not_built(tmp_path, setting):
+    assert f'"{setting.split("=")[0]}:' in build(tmp_path, setting).stderr
+
+
+@needs_simulator
+@pytest.mark.parametrize('channel', range(6))
+def test_a_channel_that_carries_what_it_was_not_told_ends_all(line, board, channel):
+    duties = [0.4] * 6
+    duties[channel] = 0.0
+    line.send(duties)
+    board.until_at(duties)
+    told = len(board.entries())
+    board.tell(f'carry {channel + 1} 0.5')
+    after = 0
+    while after < 30:  # as many commands without an effect
+        line.send(duties)
+        line.report()
+        after = 0 if board.duties()[-1].any() else after + 1
+    carried, zeroed = board.entries()[told], board.until_at(OFF, told)
+    assert 0.095 <= zeroed['t_device_s'] - carried['t_device_s'] <= 0.125
+    board.tell(f'carry {channel + 1} 0')
+    board.tell('reset')
+    board.until(lambda: board.entries()[-1]['restarts'])
+    line.await_board()
+    before = len(board.entries())
+    line.send(duties)
+    board.until_at(duties, before)
+
+
+@needs_simulator
+@pytest.mark.parametrize('part', [-1.0, 0.15])
+def test_a_board_whose_sense_lines_are_off_at_the_start_does_not_drive(line, board, part):
+    board.tell(f'carry 6 {part}')
+    board.tell('reset')
+    board.until(lambda: board.entries()[-1]['restarts'])
+    line.await_board()
+    for _ in range(20):
+        line.send([0.5])
+        line.report()
+    assert not board.duties().any()
+
+
+@needs_simulator
+def test_a_program_that_hangs_ends_in_zero_through_the_watchdog(line, board):
+    line.send([0.5] * 6)
+    board.until_at([0.5] * 6)
+    before = len(board.entries())
+    board.tell('hang')
+    reset = board.until(lambda: next((e for e in board.entries() if e['restarts']), None))
+    assert reset['duties'] == OFF
+    assert reset['t_device_s'] - board.entries()[before]['t_device_s'] <= 0.13
+    line.await_board()
+    assert board.entries()[-1]['restarts'] == 1
+    line.send([0.25])
+    board.until_at([0.25], before)
+
+
+@needs_simulator
+def test_a_host_within_its_limits_does_not_notice_the_limits_of_the_board(board):
+    limits = Limits(current_A=2.0, step_A=4.0, slew_A_per_s=200.0, stale_s=1.0, deviation_A=0.2,
+                    settling_s=0.1, silence_s=1.0, continuous_A=2.0, thermal_s=60.0)
+    driver = CoilDriver(SerialTransferAmplifier(board.url, 2.0, boot_s=DEADLINE_S), limits,
+                        lambda _: None)
+    driver.start()
+    try:
+        board.until(lambda: driver.arm() is None)
+        for sign in [1, -1] * 20:  # the largest step, as often as it may come
+            assert driver.command([2.0 * sign, -2.0 * sign, 0.0, 2.0 * sign]) is not None
+            threading.Event().wait(0.022)
+        assert driver.gate.fault is None
+    finally:
+        driver.stop()
 
 
 @pytest.fixture(scope='module')
