@@ -51,7 +51,8 @@ enum {
 };
 #define LIMIT_STEPS ((int16_t)(FULL_STEPS * LIMIT_A / FULL_SCALE_A + 0.5f))
 #define GROWTH ((int16_t)(FULL_STEPS * SLEW_A_PER_S / FULL_SCALE_A * TICK_US * 1e-6f))
-_Static_assert(LIMIT_STEPS >= 1 && LIMIT_STEPS <= FULL_STEPS, "LIMIT_A: 0 < LIMIT_A <= FULL_SCALE_A");
+_Static_assert(LIMIT_STEPS >= 1 && LIMIT_STEPS <= FULL_STEPS,
+               "LIMIT_A: 0 < LIMIT_A <= full scale");
 _Static_assert(GROWTH >= 1 && GROWTH <= FULL_STEPS, "SLEW_A_PER_S: 1 to 255 steps in 1.024 ms");
 
 static volatile uint8_t received[128], received_head;

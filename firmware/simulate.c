@@ -10,11 +10,13 @@
  * simavr gives a compare value to the output at once. The output unit is therefore modelled here,
  * after the ATmega328P data sheet (15.7.3, 16.9.3 and 18.7.3, fast PWM): a compare value is taken
  * over at BOTTOM; the output is set or cleared there and at the match, and keeps its state while
- * no pin is connected to it; a match at TOP is none (notes to tables 15-3, 15-4 and 16-2).
+ * no pin is connected to it; a match at TOP is none (notes to tables 15-3, 15-6, 16-2, 18-3 and
+ * 18-6).
  *
- * Lines on its input, each logged too, change the world around the board: `reset`; `carry CHANNEL PART`, a channel
- * carries that part of full scale more than it is told; `damage`, the next byte from the host
- * comes with a wrong stop bit; `hang`, the program stops in a loop with interrupts off.
+ * Lines on its input, each logged too, change the world around the board: `reset`;
+ * `carry CHANNEL PART`, a channel carries that part of full scale more than it is told; `damage`,
+ * the next byte from the host comes with a wrong stop bit; `hang`, the program stops in a loop
+ * with interrupts off.
  */
 #define _GNU_SOURCE
 #include <fcntl.h>

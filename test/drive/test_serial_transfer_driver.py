@@ -100,6 +100,14 @@ def test_a_missing_port_is_named(url):
         SerialTransferAmplifier(url, 2.0).connect()
 
 
+def test_a_command_for_a_coil_that_the_board_has_not_is_none(board):
+    with serial.Serial(board.url, 500_000, exclusive=True) as port:
+        for duties in ([0.5, 0.0, 0.0, 0.0, 0.1], [0.5, 0.0, 0.0, 0.0, 0.0, -0.1], [0.25]):
+            port.write(codec.encode(codec.command(duties)))
+        board.eventually_at([0.5, 0, 0, 0])
+    assert [entry['currents_A'][0] for entry in board.entries()] == [0.0, 0.5]
+
+
 def test_an_unplugged_line_is_named(amplifier, board):
     def use() -> None:
         for _ in range(1000):

@@ -14,7 +14,8 @@ class Board(Device):
 
     It reports at 50 Hz whatever happens, as the laboratory's firmware does, and besides at once
     after each command it accepts, so that a host can time the acknowledgement. A packet with a
-    duty that is not within −1 … 1 is not a command: it changes nothing and feeds no watchdog.
+    duty that is not within −1 … 1, or with one for the fifth or sixth coil, which this board has
+    not, is not a command: it changes nothing and feeds no watchdog.
     """
 
     def __init__(self, coils: Coils) -> None:
@@ -25,7 +26,7 @@ class Board(Device):
         answer = b''
         for payload in self._decoder.feed(data, now_s):
             duties = codec.duties(payload)
-            if duties is not None:
+            if duties is not None and not any(duties[4:]):
                 scale = self.coils.full_scale_A
                 self.coils.command([duty * scale for duty in duties[:4]])
                 answer += self._report()
