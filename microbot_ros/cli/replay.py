@@ -21,8 +21,11 @@ from microbot_ros.errors import InputError
 @click.option('--loop', is_flag=True, help='Begin again at the end.')
 @click.option('--topic', 'topics', multiple=True,
               help='Play only this topic; may be given several times.')
+@click.option('--into-live-rig', is_flag=True,
+              help='Play even where nodes of a rig are live: goals and commands of the past drive '
+                   'it.')
 @click.option('--check', is_flag=True,
-              help="Put it through today's nodes in lock-step, and compare with what was "
+              help="Put it through today's nodes, and compare with what was "
                    'recorded.')
 @click.option('--node', 'nodes', multiple=True,
               type=click.Choice(['tracker', 'model', 'controller', 'coil_driver']),
@@ -38,20 +41,22 @@ from microbot_ros.errors import InputError
               help='With --check: also write the differences as JSON.')
 def command(
     session: Path, rate: float, start: float, end: float, loop: bool, topics: tuple[str, ...],
-    check: bool, nodes: tuple[str, ...], tolerance: float, config: Path | None,
-    out: Path | None, json_path: Path | None,
+    into_live_rig: bool, check: bool, nodes: tuple[str, ...], tolerance: float,
+    config: Path | None, out: Path | None, json_path: Path | None,
 ) -> None:
     """Play SESSION, a folder or an MCAP recording, through its topics, with /clock.
 
     It begins when whoever listens has been found, after 3.5 s in any case. Nodes that are to
-    follow its time run with use_sim_time. Ctrl-C ends it. While it plays,
-    `microbot set player rate 5` and `seek_s 12.5` change where and how fast, and the services
-    player/pause and player/step hold it and go on by a message.
+    follow its time run with use_sim_time; beside one that does not, a live rig, it is refused, and
+    stopped where that comes later, unless --into-live-rig allows it. Ctrl-C ends it. While it
+    plays, `microbot set player rate 5` and `seek_s 12.5` change where and how fast, and the
+    services player/pause and player/step hold it and go on by a message.
 
     With --check nothing is played to the outside. Every node whose input was recorded is started
-    with the parameters it had, shown each frame when all have answered the one before, and its
-    answers are compared field by field; exit status 1 where they differ. Frames that a node let
-    pass when it was recorded are left out.
+    with the parameters it had and given what it took then, in the order in which it took it, and
+    its answers are compared field by field; exit status 1 where they differ. Frames that a node
+    let pass when it was recorded are left out; those that can't be judged are counted, with the
+    reason.
 
     \b
     Examples, recorded tracks through today's model at ten times the speed; what did my change do?
@@ -61,8 +66,9 @@ def command(
     if check:
         from microbot_ros.cli.replay_check import run_check
 
-        if rate != 1.0 or start or loop or topics:
-            raise InputError('--rate, --start, --loop, --topic', 'expected only without --check')
+        if rate != 1.0 or start or loop or topics or into_live_rig:
+            raise InputError('--rate, --start, --loop, --topic, --into-live-rig',
+                             'expected only without --check')
         sys.exit(run_check(session, nodes, end, tolerance, config, out, json_path))
     if nodes or tolerance or config or out or json_path:
         raise InputError('--node, --tolerance, --config, --out, --json',
@@ -75,7 +81,7 @@ def command(
         Playback(source, 0.0, rate=rate or math.inf, start=start, end=end or None, loop=loop,
                  topics=topics or None)
     parameters = {'session': session, 'rate': rate, 'start_s': start, 'end_s': end,
-                  'loop': str(loop).lower()}
+                  'loop': str(loop).lower(), 'into_live_rig': str(into_live_rig).lower()}
     arguments = ['--ros-args']
     for name, value in parameters.items():
         arguments += ['-p', f'{name}:={value}']

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
+import signal
 import tempfile
-from collections.abc import Collection
+from collections import Counter
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,60 +17,103 @@ from rich.console import Console
 from microbot_ros.errors import InputError
 from microbot_ros.files import write_text
 from microbot_ros.session import is_recording, open_recording
+from microbot_ros.session.accounts import Doubt
+from microbot_ros.session.compare import TopicDifference, compare
 from microbot_ros.session.lockstep import header_stamp_ns
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from microbot_ros.session.compare import TopicDifference
+    from microbot_ros.nodes.rerun import Cast, Rerun
     from microbot_ros.session.recording import Recording
 
 
 def run_check(session: Path, nodes: Collection[str], end: float, tolerance: float,
               config: Path | None, out: Path | None, json_path: Path | None) -> int:
-    """Replay, compare, tell: 0 where every answer is the same, 1 where some differ."""
+    """Replay, compare, tell: 0 where every answer that can be judged is the same, else 1."""
     console = Console(highlight=False, width=None if Console().is_terminal else 150)
     if session.exists() and not is_recording(session):
         raise InputError(session, 'expected a recording to check, found a folder of CSV files')
-    with tempfile.TemporaryDirectory() as name:
+    with ends_tidily(), tempfile.TemporaryDirectory() as name:
         found, failure = _replay(session, nodes, end, tolerance, config,
                                  out or Path(name) / 'replayed', Path(name))
     if failure:
         Console(stderr=True, highlight=False).print(f'{session}: {failure}')
         return 1
     console.print(_table(found))
-    same = all(topic.same for topic in found)
-    console.print(f'{session}: ' + ('every answer is the same' if same else 'answers differ'))
+    for topic in found:
+        for reason, count in Counter(topic.unjudged.values()).most_common():
+            console.print(f'{topic.topic}: {count} frames cannot be judged: {reason}')
+    same, verdict = _verdict(found)
+    console.print(f'{session}: {verdict}')
     if json_path:
         entries = {'same': same, 'topics': [_entry(topic) for topic in found]}
         write_text(json_path, json.dumps(entries, indent=1, allow_nan=False) + '\n')
     return 0 if same else 1
 
 
+def _verdict(found: list[TopicDifference]) -> tuple[bool, str]:
+    """Whether all is well, and that in words. What can't be judged at all is not well."""
+    if not all(topic.same for topic in found):
+        return False, 'answers differ'
+    blind = [topic.topic for topic in found if topic.unjudged and not topic.pairs]
+    if blind:
+        return False, f'no answer on {blind[0]} can be judged'
+    doubtful = any(topic.unjudged for topic in found)
+    return True, 'every answer is the same' + (', where it can be judged' if doubtful else '')
+
+
+@contextlib.contextmanager
+def ends_tidily() -> Iterator[None]:
+    """SIGTERM and SIGHUP end this as Ctrl-C does, so that nothing of ours is left."""
+    def end(number: int, _: object) -> None:
+        raise SystemExit(128 + number)
+
+    numbers = [number for number in (signal.SIGTERM, signal.SIGHUP)
+               if signal.getsignal(number) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, end) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
 def _replay(session: Path, nodes: Collection[str], end: float, tolerance: float,
             config: Path | None, out: Path, scratch: Path) -> tuple[list[TopicDifference], str]:
     """The differences, and why the replay was given up, or ''."""
     from microbot_ros.nodes.configuration import read_rig
-    from microbot_ros.nodes.rerun import cast, recorded_parameters, rerun
-    from microbot_ros.session.compare import compare
+    from microbot_ros.nodes.rerun import Rerun, cast, recorded_parameters
 
     progress = Console(stderr=True, highlight=False)
     with open_recording(session) as recorded:
         players = cast(recorded, session, nodes)
         parameters = read_rig(config) if config else recorded_parameters(
             recorded, players.nodes, scratch)
+        run = Rerun(session, out, players, parameters, end)
         length = end or (recorded.end_ns - recorded.start_ns) / 1e9
         with progress.status(f'{length:.0f} s through {", ".join(players.nodes)}'):
-            if failure := rerun(session, out, players, parameters, end):
+            if failure := run.run():
                 return [], failure
-        stamps = {header_stamp_ns(message.data) for message in recorded.messages(
-            [players.frame], end_ns=recorded.start_ns + round(length * 1e9) + 1)}
         with open_recording(out) as replayed:
-            return [difference for answer, topics in players.answers.items()
-                    for difference in compare(
-                        recorded, replayed,
-                        {*topics}.intersection([*recorded.topics, *replayed.topics]),
-                        _answered(recorded, answer, stamps, progress), tolerance)], ''
+            return _compared(recorded, replayed, players, run, tolerance, progress), ''
+
+
+def _compared(recorded: Recording, replayed: Recording, players: Cast, run: Rerun,
+              tolerance: float, progress: Console) -> list[TopicDifference]:
+    """Node after node, since one that was given something else may say something else."""
+    found: list[TopicDifference] = []
+    doubts: list[Doubt] = []
+    for answer, topics in players.answers.items():
+        own = run.doubts[answer]
+        here = compare(
+            recorded, replayed, {*topics}.intersection([*recorded.topics, *replayed.topics]),
+            _answered(recorded, answer, run.played[answer], progress), tolerance, doubts + own)
+        unjudged = {stamp: reason for topic in here for stamp, reason in topic.unjudged.items()}
+        doubts += [Doubt(stamp, stamp, reason) for stamp, reason in unjudged.items()]
+        doubts += [doubt for doubt in own if unjudged and doubt.last_ns == math.inf]
+        found += here
+    return found
 
 
 def _answered(
@@ -78,10 +124,11 @@ def _answered(
     One that was started later, was ended earlier, or held poses for too old let frames pass.
     """
     answered = stamps.intersection(header_stamp_ns(message.data)
-                                   for message in recorded.messages([answer])) or stamps
+                                   for message in recorded.messages([answer])
+                                   if answer in recorded.topics) or stamps
     if passed := len(stamps) - len(answered):
         progress.print(f'{answer}: left out {passed} of {len(stamps)} frames, which were not '
-                       'answered when it was recorded')
+                       'answered when it was recorded', soft_wrap=True)
     return answered
 
 
@@ -89,7 +136,7 @@ def _table(found: list[TopicDifference]) -> Table:
     from rich.table import Table
 
     table = Table('topic', 'compared', 'differ', 'only recorded', 'only replayed',
-                  'first difference', 'largest', box=None)
+                  'not judged', 'first difference', 'largest', box=None)
     for topic in found:
         first = topic.first
         where = '' if first is None else (
@@ -97,7 +144,7 @@ def _table(found: list[TopicDifference]) -> Table:
         field, size = max(topic.largest.items(), key=lambda entry: entry[1], default=('', 0.0))
         largest = '' if not size else f'{field} by {size:.3g}'
         table.add_row(topic.topic, str(topic.pairs), str(topic.unequal), str(topic.only_a),
-                      str(topic.only_b), where, largest)
+                      str(topic.only_b), str(len(topic.unjudged)), where, largest)
     return table
 
 
@@ -107,6 +154,7 @@ def _entry(topic: TopicDifference) -> dict[str, Any]:
     return {
         'topic': topic.topic, 'compared': topic.pairs, 'differ': topic.unequal,
         'only_recorded': topic.only_a, 'only_replayed': topic.only_b,
+        'not_judged': dict(Counter(topic.unjudged.values())),
         'first': None if first is None else {
             't_s': first.t_s, 'field': first.field, 'recorded': first.a, 'replayed': first.b},
         'largest': {field: size if math.isfinite(size) else None

@@ -213,6 +213,8 @@ class Controller(ABC):
     interface_version: ClassVar[int]
     summary: ClassVar[str]
     Parameters: ClassVar[type] = NoParameters
+    repeatable: ClassVar[bool] = True
+    """Whether its commands follow from what it is given, and not from how fast the machine is."""
 
     def __init__(self) -> None:
         self.parameters: Any = self.Parameters()

@@ -75,6 +75,7 @@ class Predictive(Ensemble):
     interface_version = 1
     summary = 'All particles to their goals by planning with all the model knows.'
     Parameters = PredictiveParameters
+    repeatable = False
 
     def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
         super().__init__()

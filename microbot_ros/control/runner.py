@@ -22,11 +22,12 @@ class Runner:
     by a fresh one with the same parameters.
     """
 
-    def __init__(self, name: str, controller: Controller, patience: float) -> None:
+    def __init__(self, name: str, controller: Controller, patience: float,
+                 worker: Callable[[float], Worker] = Worker) -> None:
         self._name = name
         self._controller = controller
         self._parameters = controller.parameters
-        self._worker = Worker(patience)
+        self._worker = worker(patience)
         self._configured: Call | None = None
         self._active = False
 

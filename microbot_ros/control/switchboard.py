@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,7 +24,7 @@ from microbot_ros.control.contract import (
 from microbot_ros.control.field_record import FieldRecord
 from microbot_ros.control.forecast import look_ahead
 from microbot_ros.control.runner import Runner, reason
-from microbot_ros.control.worker import LateError
+from microbot_ros.control.worker import LateError, Worker
 
 _log = logging.getLogger(__name__)
 
@@ -54,16 +55,18 @@ class Switchboard:
     `controllers` by name, `active` the first to drive. A tick waits at most `deadline` [s] for
     its controller and gives it up after `patience` [s]. Poses older than `stale_after` [s] mean
     no command. Particles that would be out of the workspace within `border` [s] turn the field;
-    0: never. Whatever goes wrong, the field falls to zero at the allowed slew, and the outcome
-    says why. After a fault the controller is not asked again before the next successful swap.
+    0: never. `worker` makes, from that patience, what calls a controller. Whatever goes wrong, the
+    field falls to zero at the allowed slew, and the outcome says why. After a fault the controller
+    is not asked again before the next successful swap.
     """
 
     def __init__(
         self, controllers: dict[str, Controller], active: str, *,
         deadline: float = 0.01, patience: float = 0.5, stale_after: float = 0.2,
-        border: float = 0.5,
+        border: float = 0.5, worker: Callable[[float], Worker] = Worker,
     ) -> None:
-        self._runners = {name: Runner(name, it, patience) for name, it in controllers.items()}
+        self._runners = {name: Runner(name, it, patience, worker)
+                         for name, it in controllers.items()}
         self._active = active
         self._deadline = deadline
         self._stale_after = stale_after

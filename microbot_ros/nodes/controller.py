@@ -65,6 +65,7 @@ class ControllerNode(RigNode):
     """`model/state`, goals → `field/command`. A shell around the switchboard."""
 
     Parameters: ClassVar[type] = ControllerParameters
+    accounts_for = 'model/state'
 
     @classmethod
     def known_parameters(cls) -> dict[str, tuple[type, str]]:
@@ -80,11 +81,12 @@ class ControllerNode(RigNode):
             classes = controller_classes(required=values.controller)
         except PluginError as error:
             raise InputError(self.get_name(), str(error)) from None
+        self._repeatable = {name for name, kind in classes.items() if kind.repeatable}
         self._summaries = {name: kind.summary for name, kind in classes.items()}
         self._switchboard = Switchboard(
             {name: kind() for name, kind in classes.items()}, active=values.controller,
             deadline=values.deadline_ms * 1e-3, stale_after=values.stale_ms * 1e-3,
-            border=values.border_s)
+            border=values.border_s, worker=self.account.worker)
         for name, kind in classes.items():
             ParameterSet(self, kind.Parameters, self._configure(name), prefix=f'{name}.')
         self.add_on_set_parameters_callback(self._restart)
@@ -111,6 +113,12 @@ class ControllerNode(RigNode):
         named = any(p.name == 'controller' and p.value == board.active for p in parameters)
         answer = board.swap(board.active) if named and board.fault else Answer(True)
         return SetParametersResult(successful=answer.ok, reason=answer.message)
+
+    @property
+    def unrepeatable(self) -> str:  # type: ignore[override]
+        """Of the controller that drives."""
+        name = self._switchboard.active
+        return '' if name in self._repeatable else f'{name} thinks for as long as it may'
 
     def setup(self) -> None:
         self._goals, self._path, self._joystick = Goals(), np.empty((0, 2)), np.zeros(2)
@@ -208,6 +216,7 @@ class ControllerNode(RigNode):
         """Poses that stop coming: let go once, then stay silent."""
         age = self.seconds() - self._last_t
         if self._driving and not age <= self.settings.stale_ms * 1e-3:
+            self.account.act('_watch')
             self.make_safe()
             self._outcome = Outcome(None, Result.STALE, f'poses are {age:.2f} s old')
 
@@ -221,7 +230,7 @@ class ControllerNode(RigNode):
         """
         values: ControllerParameters = self.settings
         dt = stamp - self._last_t if math.isfinite(self._last_t) else 0.0
-        age = self.seconds() - stamp
+        age = self.account.taken_s - stamp
         fresh = abs(age) <= values.stale_ms * 1e-3
         self._last_t = stamp
         seen = [self._seen.get(int(i)) for i in points['id']]

@@ -16,6 +16,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 
 from microbot_ros.errors import InputError
+from microbot_ros.nodes.account import Account
 from microbot_ros.nodes.messages import MessageError, to_seconds
 from microbot_ros.nodes.parameters import ParameterSet, refuse_unknown
 from microbot_ros.settings import defaults
@@ -43,10 +44,16 @@ class RigNode(LifecycleNode):
     """
 
     Parameters: ClassVar[type]
+    accounts_for: ClassVar[str] = ''
+    """The topic that sets the node going, where it says on `~/account` what it took; or ''."""
+    Account: ClassVar[type[Account]] = Account
+    unrepeatable = ''
+    """Why the same inputs need not have the same answers; '' where they do."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
         self.active = False
+        self.account = self.Account(self)
         self.fault = ''
         """Why setup failed or the node is not doing its work; '' when all is well."""
         self._complaint = ''
@@ -118,6 +125,8 @@ class RigNode(LifecycleNode):
 
         `on_matched` is called when a publisher comes or goes, before anything that it sends.
         """
+        if self.accounts_for and not raw:
+            callback = self.account.keeping(topic, callback)
         events = SubscriptionEventCallbacks(
             matched=self._guarded(on_matched) if on_matched else None)
         made = self.create_subscription(kind, topic, self._guarded(callback), qos, raw=raw,
@@ -193,6 +202,8 @@ class RigNode(LifecycleNode):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         self.fault = ''
+        if self.accounts_for:
+            self.account.begin()
         done = self._transition('configure', self.setup)
         if done != TransitionCallbackReturn.SUCCESS:
             self._discard()

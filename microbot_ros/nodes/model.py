@@ -52,6 +52,7 @@ class ModelNode(RigNode):
     """`particles` and the field → `model/state`."""
 
     Parameters: ClassVar[type] = ModelParameters
+    accounts_for = 'particles'
 
     def setup(self) -> None:
         values: ModelParameters = self.settings

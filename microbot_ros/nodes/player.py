@@ -20,6 +20,7 @@ from std_srvs.srv import SetBool, Trigger
 from microbot_ros.errors import InputError
 from microbot_ros.nodes.audience import Audience
 from microbot_ros.nodes.lifecycle import OK, RigNode
+from microbot_ros.nodes.live_rig import LiveRig
 from microbot_ros.nodes.topics import CHANGES, TOPICS
 from microbot_ros.session.lockstep import LockStep, frame_topic, header_stamp_ns
 from microbot_ros.session.playback import Playback, open_source
@@ -38,6 +39,8 @@ and what it says first of all gets lost at times."""
 _ACKNOWLEDGED_SECONDS = 3.5
 """At the end, how long listeners may take to confirm that they have it all: Fast DDS asks them
 every 3 s."""
+_LOOK_SECONDS, _FIRST_LOOKS_SECONDS = 1.0, 0.05
+"""How often to look whether a rig is live, while it plays and before."""
 _TURN_SECONDS = 0.1
 """After this a node that has not answered is asked whether it has nothing to say."""
 
@@ -56,6 +59,9 @@ class PlayerParameters:
     loop: bool = setting(False, 'Begin again at the end.', read_only=True)
     topics: list[str] = setting([], 'What to play; empty plays all there is.', read_only=True)
     seek_s: float = setting(0.0, 'Set it to go to that time.', lower=0.0, upper=1e6)
+    into_live_rig: bool = setting(
+        False, 'Play even where nodes are live that do not follow `/clock`: they act on what is '
+        'played.', read_only=True)
     answers: list[str] = setting(
         [], 'Lock-step: topics on which a frame must be answered, with its stamp, before the next '
         'is sent, in the order of the nodes. Empty plays by time alone.', read_only=True)
@@ -96,6 +102,9 @@ class PlayerNode(RigNode):
         self._source = self._open.enter_context(open_source(values.session))
         self._kinds = self._find_kinds(set(values.topics))
         self._audience = Audience(self, self._kinds)
+        self._rig = LiveRig(self, self._kinds)
+        self._look_due = 0.0
+        self._alone = values.into_live_rig
         self._answers = [self._hear(topic) for topic in values.answers]
         self._sent = 0
         self._callable: dict[str, Client] = {}
@@ -106,7 +115,8 @@ class PlayerNode(RigNode):
 
     def start(self) -> None:
         values: PlayerParameters = self.settings
-        source, topics, frame = self._source, [*self._kinds], frame_topic(self._kinds)
+        source, topics = self._source, [*self._kinds]
+        frame = frame_topic(self._kinds, self._answers)
         if self._answers:
             # The controller's, where it is in play: it is what people change.
             source = InTurn(source, frame, next(
@@ -155,6 +165,10 @@ class PlayerNode(RigNode):
 
     def _play(self) -> None:
         now = time.monotonic()
+        if not self.settings.into_live_rig and now >= self._look_due:
+            self._look(now)
+        if self.finished:
+            return
         # Told a turn of the executor later, so that who heard the last answer too has taken it.
         self._done = self._lockstep.finished and not self._unsent and (
             bool(self._answers) or now - self._asked > _ACKNOWLEDGED_SECONDS
@@ -168,6 +182,14 @@ class PlayerNode(RigNode):
         elif now - self._asked > _TURN_SECONDS:
             self._ask_after()
 
+    def _look(self, now: float) -> None:
+        """Play into no rig that is live, nor into one that comes alive meanwhile."""
+        self._look_due = now + (_LOOK_SECONDS if self._begun else _FIRST_LOOKS_SECONDS)
+        live, self._alone = self._rig.look()
+        if live:
+            self.fault = (f'{live} is live, and would take the past for the present: end it, run '
+                          'it with use_sim_time, or replay with --into-live-rig (into_live_rig)')
+
     def _gather(self, now: float) -> None:
         """Begin when whoever listens is there; in lock-step that is somebody for every topic."""
         listeners = self._audience.count
@@ -178,7 +200,8 @@ class PlayerNode(RigNode):
         incomplete = missing or not listeners or now - self._found < _SETTLED_SECONDS
         if self._answers and missing and now - self._asked > self.settings.patience_s:
             self._give_up(f'not everybody is there for {missing[0]}')
-        if incomplete and (self._answers or now - self._asked < _NOBODY_SECONDS):
+        if not self._alone or (incomplete and (
+                self._answers or now - self._asked < _NOBODY_SECONDS)):
             return
         self._begun = True
         if not self._playback.paused:

@@ -22,7 +22,7 @@ from std_srvs.srv import SetBool
 from microbot_ros.errors import InputError
 from microbot_ros.nodes.lifecycle import OK, WARN, RigNode
 from microbot_ros.nodes.snapshot import Snapshot
-from microbot_ros.nodes.topics import CHANGES, TOPICS
+from microbot_ros.nodes.topics import CHANGES, TOPICS, type_name
 from microbot_ros.session import RecordingWriter
 from microbot_ros.session.bag import typestore
 from microbot_ros.settings import setting
@@ -142,30 +142,11 @@ class RecorderNode(RigNode):
             self._snapshot.look()
 
     def _keep_parameters(self, node: str, values: dict[str, Any]) -> None:
-        """A ROS parameter file of each node, and the files that it names."""
-        if self._writer is None:
-            return
-        plain = {name: value.tolist() if isinstance(value, array.array) else value
-                 for name, value in values.items()}
-        text = yaml.safe_dump({node: {'ros__parameters': plain}}, allow_unicode=True)
-        self._writer.attach(f'parameters/{node}.yaml', text)
-        self._keep_files(plain)
-        if node == 'model':
-            self._writer.describe('session', {name: str(plain[name]) for name in _CONDITIONS})
-
-    def _keep_files(self, values: dict[str, Any]) -> None:
-        """Attach, under the name that the parameter holds, every file that a parameter names."""
-        for name, value in values.items():
-            if name.endswith('_file') and value and value not in self._kept:
-                self._kept.add(value)
-                with contextlib.suppress(InputError):  # the node itself has said what is wrong
-                    assert self._writer is not None
-                    self._writer.attach(value, _content(value))
+        if self._writer is not None:
+            keep_parameters(self._writer, node, values, self._kept)
 
     def _taker(self, topic: str) -> Callable[[bytes], None]:
-        kind = TOPICS[topic][0]
-        name = self.resolve_topic_name(topic)
-        type_name = f'{kind.__module__.partition(".")[0]}/msg/{kind.__name__}'
+        name, kind = self.resolve_topic_name(topic), type_name(TOPICS[topic][0])
 
         def take(data: bytes) -> None:
             now = self.get_clock().now().nanoseconds
@@ -174,17 +155,38 @@ class RecorderNode(RigNode):
                 return
             if topic == _FRAMES and not self._wants_frame():
                 return
-            self._writer.write(name, type_name, now, data)
+            self._writer.write(name, kind, now, data)
             if topic == CHANGES:
                 event = deserialize_message(data, ParameterEvent)
-                self._keep_files({one.name: parameter_value_to_python(one.value)
-                                  for one in event.changed_parameters})
+                _keep_files(self._writer, {one.name: parameter_value_to_python(one.value)
+                                           for one in event.changed_parameters}, self._kept)
         return take
 
     def _wants_frame(self) -> bool:
         self._seen_frames += 1
         every = self.settings.frame_every
         return every > 0 and self._seen_frames % every == 0
+
+
+def keep_parameters(writer: RecordingWriter, node: str, values: dict[str, Any],
+                    kept: set[str]) -> None:
+    """Keep a ROS parameter file of a node, and those files it names that are not in `kept`."""
+    plain = {name: value.tolist() if isinstance(value, array.array) else value
+             for name, value in values.items()}
+    text = yaml.safe_dump({node: {'ros__parameters': plain}}, allow_unicode=True)
+    writer.attach(f'parameters/{node}.yaml', text)
+    _keep_files(writer, plain, kept)
+    if node == 'model':
+        writer.describe('session', {name: str(plain[name]) for name in _CONDITIONS})
+
+
+def _keep_files(writer: RecordingWriter, values: dict[str, Any], kept: set[str]) -> None:
+    """Attach, under the name that the parameter holds, every file that a parameter names."""
+    for name, value in values.items():
+        if name.endswith('_file') and value and value not in kept:
+            kept.add(value)
+            with contextlib.suppress(InputError):  # the node itself has said what is wrong
+                writer.attach(value, _content(value))
 
 
 def _content(name: str) -> bytes:

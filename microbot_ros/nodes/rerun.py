@@ -1,9 +1,9 @@
-"""A session put once more through today's nodes, in lock-step. Imports no ROS: it starts it."""
+"""A session put once more through today's nodes, each in the order in which it took things."""
 
 from __future__ import annotations
 
-import os
-import subprocess
+import contextlib
+import math
 import sys
 import tempfile
 from collections.abc import Collection
@@ -14,22 +14,17 @@ from typing import Any
 import yaml
 
 from microbot_ros.errors import InputError
-from microbot_ros.nodes.graph import PARENT, Graph
+from microbot_ros.nodes.graph import Graph
+from microbot_ros.nodes.offline import alone, end_offline, make_offline
+from microbot_ros.nodes.part import Part, SilentError, Stage
+from microbot_ros.nodes.recorder import keep_parameters
+from microbot_ros.nodes.topics import CHANGES
+from microbot_ros.session import RecordingWriter
+from microbot_ros.session.accounts import Doubt
 from microbot_ros.session.lockstep import FRAMES, frame_topic
-from microbot_ros.session.playback import Source
+from microbot_ros.session.playback import Source, open_source
 from microbot_ros.session.recording import Recording
 from microbot_ros.session.topics import is_topic
-
-
-@dataclass(frozen=True)
-class Stage:
-    """What a node takes, the topic on which it answers each frame, what else it then says."""
-
-    node: str
-    takes: tuple[str, ...]
-    answer: str
-    also: tuple[str, ...] = ()
-
 
 STAGES = (
     Stage('tracker', ('camera/image_raw', 'field/applied', 'field/command', 'field/rotation'),
@@ -44,8 +39,6 @@ STAGES = (
 """The nodes whose answers follow from what is recorded, in the order of the graph."""
 
 _READY_SECONDS = 30.0
-_NO_DEADLINES = {'controller': {'deadline_ms': 1000.0}}
-"""In lock-step the clock waits for whoever computes."""
 
 
 @dataclass(frozen=True)
@@ -133,40 +126,78 @@ def recorded_parameters(recording: Recording, nodes: Collection[str], folder: Pa
 
 def rerun(session: Path, out: Path, players: Cast, parameters: dict[str, dict[str, Any]],
           end_s: float = 0.0) -> str:
-    """Play `session` to the nodes in lock-step, and record that to `out`.
+    """Put `session` through the nodes and write that to `out`; why that was given up, or ''."""
+    return Rerun(session, out, players, parameters, end_s).run()
 
-    Up to `end_s`, or to the end if that is 0. All nodes share a process that nobody else on the
-    network sees or is seen by; a coil driver drives an emulated amplifier. Returns why the
-    replay was given up, or ''. InputError where a node does not take its parameters, or the
-    player the recording.
+
+class Rerun:
+    """Recorded inputs once more through today's nodes, in the order in which each node took them:
+    a loop over frames, without a graph, a clock or a deadline.
+
+    What is played, up to `end_s` or the end if that is 0, and what the nodes say to it is written
+    to `out`, a recording. A coil driver drives an emulated amplifier.
     """
-    nodes = {node: {**parameters.get(node, {}), **_NO_DEADLINES.get(node, {})}
-             for node in players.nodes}
-    heard = [topic.removeprefix(f'{players.namespace}/')
-             for topic in (*players.played, *players.outputs)]
-    nodes['recorder'] = {'folder': str(out), 'topics': [*heard, '/parameter_events']}
-    nodes['player'] = {
-        'session': str(session), 'rate': 0.0, 'end_s': end_s, 'topics': list(players.played),
-        'answers': [stage.answer for stage in players.stages]}
-    with tempfile.TemporaryDirectory() as name, Graph(lambda *_: None) as graph:
-        file, port = Path(name) / 'parameters.yaml', Path(name) / 'amplifier'
-        if 'coil_driver' in nodes:
-            nodes['coil_driver'] |= {'amplifier': 'serial_transfer', 'port': str(port)}
+
+    def __init__(self, session: Path, out: Path, players: Cast,
+                 parameters: dict[str, dict[str, Any]], end_s: float = 0.0) -> None:
+        if not 0 <= end_s < math.inf:
+            raise InputError(session, f'end_s must be finite; received {end_s:g}')
+        self._session, self._out, self._players, self._end_s = session, out, players, end_s
+        self._parameters = parameters
+        self.played: dict[str, set[int]] = {}
+        """By answer: the stamps [ns] of the frames that were played."""
+        self.doubts: dict[str, list[Doubt]] = {}
+        """By answer: frames that can't be judged."""
+
+    def run(self) -> str:
+        """Play it all. Why it was given up, or ''; InputError where a node refuses to begin."""
+        with contextlib.ExitStack() as leaving:
+            source = leaving.enter_context(open_source(self._session))
+            folder = Path(leaving.enter_context(tempfile.TemporaryDirectory()))
+            parameters = self._with_amplifier(folder, leaving)
+            leaving.enter_context(alone(self._players.namespace, parameters, folder))
+            writer = leaving.enter_context(RecordingWriter(self._out))
+            end_ns = source.start_ns + round(self._end_s * 1e9) if self._end_s else source.end_ns
+            parts = self._parts(source, writer, end_ns, leaving)
+            inputs = source.messages(
+                {*self._players.played, CHANGES} & set(source.topics), end_ns=end_ns + 1)
+            try:
+                while moving := [part for part in parts if not part.over]:
+                    # Two that wait for each other can't be, but for what is not recorded.
+                    part = next((part for part in moving if part.ready(parts)), moving[0])
+                    while part is parts[0] and (kept := next(inputs, None)) is not None:
+                        writer.write(*kept)
+                        if kept.t_ns >= part.now_ns:
+                            break
+                    part.step(parts)
+                for kept in inputs:
+                    writer.write(*kept)
+            except SilentError as error:
+                return str(error)
+            self.played = {part.answer: part.played for part in parts}
+            self.doubts = {part.answer: part.doubts for part in parts}
+        return ''
+
+    def _with_amplifier(self, folder: Path, leaving: contextlib.ExitStack,
+                        ) -> dict[str, dict[str, Any]]:
+        """The parameters of each node; those of a coil driver lead to an emulated amplifier."""
+        found = {node: dict(self._parameters.get(node, {})) for node in self._players.nodes}
+        if 'coil_driver' in found:
+            port = folder / 'amplifier'
+            found['coil_driver'] |= {'amplifier': 'serial_transfer', 'port': str(port)}
+            graph = leaving.enter_context(Graph(lambda *_: None))
             graph.start('amplifier', [sys.executable, '-m', 'microbot_ros.cli', 'emulate',
                                       'serial_transfer', '--link', str(port)], 'serving')
             graph.wait_ready(_READY_SECONDS)
-        file.write_text(yaml.safe_dump({
-            f'/**/{node}': {'ros__parameters': {**values, 'use_sim_time': True}}
-            for node, values in nodes.items()}))
-        done = subprocess.run(
-            [sys.executable, '-m', 'microbot_ros.nodes', *nodes, '--ros-args', '--params-file',
-             str(file), '-r', f'__ns:={players.namespace or "/"}',
-             # What is read back from the emulator is not what moved the particles.
-             '-r', 'coil_driver:field/applied:=coil_driver/field/applied'],
-            env={**os.environ, PARENT: str(os.getpid()), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'OFF'},
-            stdin=subprocess.DEVNULL, capture_output=True, text=True)
-    said = done.stderr.strip().splitlines() or [f'ended with status {done.returncode}']
-    reason = said[-1].removeprefix('microbot: ')
-    if done.returncode == 2:
-        raise InputError(session, reason)
-    return reason if done.returncode else ''
+        return found
+
+    def _parts(self, source: Source, writer: RecordingWriter, end_ns: int,
+               leaving: contextlib.ExitStack) -> list[Part]:
+        players, kept = (self._players.namespace, self._players.frame), set[str]()
+        parts: list[Part] = []
+        for stage in self._players.stages:
+            node = make_offline(stage.node)
+            leaving.callback(end_offline, node)
+            keep_parameters(writer, stage.node, node.values, kept)
+            parts.append(Part(node, stage, source, players, writer, end_ns))
+        return parts

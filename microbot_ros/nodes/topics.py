@@ -8,6 +8,7 @@ from nav_msgs.msg import Path
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.qos import QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
 from sensor_msgs.msg import Image, JointState, Joy, MagneticField, PointCloud2, TimeReference
+from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 _IMAGES = QoSProfile(depth=50, reliability=QoSReliabilityPolicy.BEST_EFFORT)
@@ -39,7 +40,15 @@ TOPICS: dict[str, tuple[type, QoSProfile]] = {
     'coil_driver/latency': (TimeReference, KEPT),
     'virtual_rig/truth': (PointCloud2, KEPT),
     'markers': (MarkerArray, KEPT),
+    'tracker/account': (String, KEPT),
+    'model/account': (String, KEPT),
+    'controller/account': (String, KEPT),
     '/diagnostics': (DiagnosticArray, KEPT),
     CHANGES: (ParameterEvent, KEPT),
 }
 """Topic → its type, and the quality of service to subscribe with."""
+
+
+def type_name(kind: type) -> str:
+    """The name of a message type as recordings have it: 'sensor_msgs/msg/Image'."""
+    return f'{kind.__module__.partition(".")[0]}/msg/{kind.__name__}'

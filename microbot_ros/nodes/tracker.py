@@ -60,6 +60,7 @@ class TrackerNode(RigNode):
     """`camera/image_raw` and the field → `particles`, `particles/poses`, `overlay/image_raw`."""
 
     Parameters: ClassVar[type] = TrackerParameters
+    accounts_for = 'camera/image_raw'
 
     def setup(self) -> None:
         warm_up()

@@ -21,6 +21,14 @@ def typestore() -> Any:
     return get_typestore(Stores.ROS2_JAZZY)
 
 
+def whole(data: bytes, msgtype: str) -> bytes:
+    """A serialised message without what may follow it: rclpy reserves room by an estimate."""
+    definition = typestore().get_msgdef(msgtype)
+    read = definition.deserialize_cdr_le if data[1] & 1 else definition.deserialize_cdr_be
+    _, end = read(data[4:], 0, definition.cls, typestore())
+    return data[:4 + end]
+
+
 def metadata_text(summaries: dict[Path, Summary]) -> str:
     """The content of `metadata.yaml` for the files of a recording, in order."""
     counts: Counter[str] = Counter()

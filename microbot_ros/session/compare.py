@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections import Counter
-from collections.abc import Collection, Iterator
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from microbot_ros.session.accounts import Doubt, unjudgeable
 from microbot_ros.session.cloud import cloud_table, is_cloud
 from microbot_ros.session.from_recording import stamp_ns
 from microbot_ros.session.recording import Recording
@@ -33,7 +34,8 @@ class TopicDifference:
     """How one topic differs between recordings a and b.
 
     `pairs` messages have a partner, `unequal` of them differ in some field; `only_a` and
-    `only_b` have none. `largest` is the largest difference between numbers, by field.
+    `only_b` have none. `largest` is the largest difference between numbers, by field. What can't
+    be judged counts in none of these but in `unjudged`: its stamp [ns] → why.
     """
 
     topic: str
@@ -43,6 +45,7 @@ class TopicDifference:
     only_b: int
     first: Parting | None
     largest: dict[str, float]
+    unjudged: dict[int, str] = dataclasses.field(default_factory=dict)
 
     @property
     def same(self) -> bool:
@@ -53,26 +56,42 @@ class TopicDifference:
 def compare(
     a: Recording, b: Recording, topics: Collection[str] | None = None,
     stamps: Collection[int] | None = None, tolerance: float = 0.0,
+    doubts: Sequence[Doubt] = (),
 ) -> list[TopicDifference]:
     """Every topic of either recording (or those chosen), compared field by field.
 
     With `stamps` [ns] only messages whose header bears one of them count. Numbers are the same
-    within `tolerance` of the largest in their field.
+    within `tolerance` of the largest in their field. Differences that `doubts` explain are left
+    unjudged.
 
     Messages with a header are paired by its stamp, others by their order; times of receipt do
     not count, and serialised bytes are never compared, since their padding is arbitrary. NaN
     equals NaN.
     """
     names = sorted({*a.topics, *b.topics} if topics is None else topics)
-    return [_compare_topic(a, b, name, stamps, tolerance) for name in names]
+    return [_compare_topic(a, b, name, stamps, tolerance, doubts) for name in names]
+
+
+@dataclass
+class _Frame:
+    """What of a topic bears one stamp: whether all of it is the same, and where not."""
+
+    pairs: int = 0
+    unequal: int = 0
+    only: list[int] = dataclasses.field(default_factory=lambda: [0, 0])
+    first: Parting | None = None
+    largest: dict[str, float] = dataclasses.field(default_factory=dict)
+
+    @property
+    def same(self) -> bool:
+        return not (self.unequal or any(self.only))
 
 
 def _compare_topic(
     a: Recording, b: Recording, topic: str, stamps: Collection[int] | None, tolerance: float,
+    doubts: Sequence[Doubt],
 ) -> TopicDifference:
-    pairs = unequal = 0
-    first: Parting | None = None
-    largest: dict[str, float] = {}
+    frames: defaultdict[int, _Frame] = defaultdict(_Frame)
     unpaired: list[dict[_Key, tuple[int, dict[str, Any]]]] = [{}, {}]
     for side, key, item in _keyed(a, b, topic):
         if stamps is not None and key[0] not in stamps:
@@ -81,16 +100,36 @@ def _compare_topic(
         if key not in unpaired[1 - side]:
             continue
         (t_ns, left), (_, right) = (entries.pop(key) for entries in unpaired)
-        pairs += 1
-        t_s = (t_ns - a.start_ns) / 1e9
-        partings = list(_partings(left, right, tolerance))
-        unequal += bool(partings)
-        for field, place, x, y, size in partings:
+        _pair(frames[key[0]], (t_ns - a.start_ns) / 1e9, left, right, tolerance)
+    for side, entries in enumerate(unpaired):
+        for stamp, _ in entries:
+            frames[stamp].only[side] += 1
+    unjudged = unjudgeable({stamp: frame.same for stamp, frame in frames.items()}, doubts)
+    return _sum(topic, [frame for stamp, frame in frames.items() if stamp not in unjudged],
+                unjudged)
+
+
+def _pair(frame: _Frame, t_s: float, left: dict[str, Any], right: dict[str, Any],
+          tolerance: float) -> None:
+    partings = list(_partings(left, right, tolerance))
+    frame.pairs += 1
+    frame.unequal += bool(partings)
+    for field, place, x, y, size in partings:
+        frame.largest[field] = max(frame.largest.get(field, 0.0), size)
+        frame.first = frame.first or Parting(t_s, field + place, x, y)
+
+
+def _sum(topic: str, frames: list[_Frame], unjudged: dict[int, str]) -> TopicDifference:
+    largest: dict[str, float] = {}
+    for frame in frames:
+        for field, size in frame.largest.items():
             largest[field] = max(largest.get(field, 0.0), size)
-            if first is None or t_s < first.t_s:
-                first = Parting(t_s, field + place, x, y)
+    first = min((frame.first for frame in frames if frame.first), key=lambda one: one.t_s,
+                default=None)
     return TopicDifference(
-        topic, pairs, unequal, len(unpaired[0]), len(unpaired[1]), first, largest)
+        topic, sum(frame.pairs for frame in frames), sum(frame.unequal for frame in frames),
+        sum(frame.only[0] for frame in frames), sum(frame.only[1] for frame in frames), first,
+        largest, unjudged)
 
 
 def _keyed(

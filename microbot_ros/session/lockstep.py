@@ -11,12 +11,19 @@ from microbot_ros.session.recording import Message
 from microbot_ros.session.topics import is_topic
 
 FRAMES = ('camera/image_raw', 'particles', 'model/state', 'field/command')
-"""What sets the nodes going; of those that are played, the first is the frame."""
+"""What sets the nodes going; each answers the one before."""
 
 
-def frame_topic(topics: Collection[str]) -> str:
-    """The one of these topics that sets the nodes going; '' where none does."""
-    return next((topic for name in FRAMES for topic in topics if is_topic(topic, name)), '')
+def frame_topic(topics: Collection[str], answers: Collection[str] = ()) -> str:
+    """The one of these topics that sets the nodes going; '' where none does.
+
+    The first in the order of the graph, but for what the first of the nodes that give `answers`
+    only takes beside its frame: a controller is set going by `model/state`, not by `particles`.
+    """
+    places = [place for place, name in enumerate(FRAMES[1:]) for answer in answers
+              if is_topic(answer, name)]
+    names = [*FRAMES[min(places, default=0):], *FRAMES]
+    return next((topic for name in names for topic in topics if is_topic(topic, name)), '')
 
 
 class LockStep:

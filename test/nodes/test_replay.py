@@ -242,3 +242,90 @@ def test_a_rolling_robot_is_the_same_by_topics_as_by_rows(
     for name in ('speed', 'phi'):
         apart = np.abs(last[name] - getattr(estimates, name))
         assert apart < 1e-3 * getattr(estimates, f'{name}_std')
+
+
+# Beside a live rig ------------------------------------------------------------------------------
+
+GOALS_TOPIC = ['goals']
+
+
+def past(folder: Path) -> Path:
+    """A recording of somebody sending commands and a goal for 3 s."""
+    session = folder / 'past'
+    with RecordingWriter(session) as writer:
+        for k in range(90):
+            t_ns = 10**18 + k * 33_000_000
+            stamp = Time(sec=t_ns // 10**9, nanosec=t_ns % 10**9)
+            field = messages.field_vector(np.array([5e-3, 0.0]), stamp)
+            writer.write('/field/command', 'geometry_msgs/msg/Vector3Stamped', t_ns,
+                         serialize_message(field))
+            goals = messages.poses(np.array([[1e-5, 0.0]]), np.zeros(1), stamp)
+            writer.write('/goals', 'geometry_msgs/msg/PoseArray', t_ns, serialize_message(goals))
+    return session
+
+
+class Playing:
+    """`microbot replay` in its own process, while the executor of a graph spins."""
+
+    def __init__(self, *words: object) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, '-m', 'microbot_ros.cli', 'replay', *map(str, words)],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+    def end(self, graph: Any, seconds: float = 60.0) -> tuple[int, list[str]]:
+        """Its exit status and what it said on standard error."""
+        graph.until(lambda: self.process.poll() is not None, seconds)
+        _, errors = self.process.communicate()
+        return self.process.returncode, errors.strip().splitlines()
+
+
+@pytest.mark.graph
+def test_beside_a_live_coil_driver_a_replay_is_refused_and_drives_nothing(
+        ros: Any, emulator: Any, tmp_path: Path) -> None:
+    graph = ros({'coil_driver': {'port': str(emulator.port)}})
+    driver = graph.add('coil_driver')
+    fields = graph.hear(Vector3Stamped, 'field/command')
+    status, errors = Playing(past(tmp_path), '--topic', 'field/command').end(graph)
+    assert status == 1
+    [line] = errors
+    assert '/coil_driver is live' in line
+    assert '--into-live-rig' in line
+    assert fields == []
+    assert driver.active
+    status, errors = Playing(
+        past(tmp_path / 'again'), '--topic', 'field/command', '--into-live-rig').end(graph)
+    assert (status, errors) == (0, [])
+    assert len(fields) == 90
+
+
+@pytest.mark.graph
+def test_a_live_controller_gets_no_goals_of_the_past_one_that_follows_the_clock_does(
+        ros: Any, tmp_path: Path) -> None:
+    session = past(tmp_path)
+    parameters = {'session': str(session), 'topics': GOALS_TOPIC, 'rate': 100.0}
+    graph = ros({'player': parameters, 'controller': {}})
+    controller = graph.add('controller')
+    player = graph.add('player')
+    graph.until(lambda: player.finished)
+    assert player.fault.startswith('/controller is live')
+    assert len(controller._goals) == 0
+    graph.end()
+    graph = ros({'player': parameters, 'controller': {'use_sim_time': True}})
+    controller = graph.add('controller')
+    player = graph.add('player')
+    graph.until(lambda: player.finished)
+    assert player.fault == ''
+    assert len(controller._goals) == 1
+
+
+@pytest.mark.graph
+def test_a_replay_ends_when_a_rig_comes_alive(ros: Any, emulator: Any, tmp_path: Path) -> None:
+    graph = ros({'player': {'session': str(past(tmp_path)), 'topics': ['field/command'],
+                            'loop': True},
+                 'coil_driver': {'port': str(emulator.port)}})
+    fields = graph.hear(Vector3Stamped, 'field/command')
+    player = graph.add('player')
+    graph.until(lambda: fields)
+    graph.add('coil_driver')
+    graph.until(lambda: player.finished, 3.0)
+    assert player.fault.startswith('/coil_driver is live')
