@@ -1,7 +1,7 @@
 """A recording through the model and the controller, on simulated time.
 
-`ros2 launch microbot_ros replay_launch.py session:=PATH rate:=1.0`; beside a live rig it is refused
-unless `into_live_rig:=true`.
+`ros2 launch microbot_ros replay_launch.py session:=PATH rate:=1.0`; beside a live rig it is
+refused unless `into_live_rig:=true`.
 """
 
 from launch import LaunchDescription

@@ -49,14 +49,14 @@ class _Script(Account):
         """It was noted when it happened."""
 
     def worker(self, patience: float) -> Worker:
-        return _Scripted(patience, lambda: next(self._next, IN_TIME))
+        return ScriptedWorker(patience, lambda: next(self._next, IN_TIME))
 
     def set(self, at_ns: int, verdicts: str) -> None:
         """What is taken next is taken at this time [ns], with these verdicts."""
         self.taken_s, self._next = at_ns * 1e-9, iter(verdicts)
 
 
-class _Scripted(Worker):
+class ScriptedWorker(Worker):
     """A worker whose calls come out as they did."""
 
     def __init__(self, patience: float, verdict: Callable[[], str]) -> None:

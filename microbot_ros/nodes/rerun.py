@@ -18,7 +18,7 @@ from microbot_ros.nodes.graph import Graph
 from microbot_ros.nodes.offline import alone, end_offline, make_offline
 from microbot_ros.nodes.part import Part, SilentError, Stage
 from microbot_ros.nodes.recorder import keep_parameters
-from microbot_ros.nodes.topics import CHANGES
+from microbot_ros.nodes.topics import CHANGES, TOPICS, type_name
 from microbot_ros.session import RecordingWriter
 from microbot_ros.session.accounts import Doubt
 from microbot_ros.session.lockstep import FRAMES, frame_topic
@@ -153,6 +153,7 @@ class Rerun:
         """Play it all. Why it was given up, or ''; InputError where a node refuses to begin."""
         with contextlib.ExitStack() as leaving:
             source = leaving.enter_context(open_source(self._session))
+            self._check_types(source)
             folder = Path(leaving.enter_context(tempfile.TemporaryDirectory()))
             parameters = self._with_amplifier(folder, leaving)
             leaving.enter_context(alone(self._players.namespace, parameters, folder))
@@ -177,6 +178,13 @@ class Rerun:
             self.played = {part.answer: part.played for part in parts}
             self.doubts = {part.answer: part.doubts for part in parts}
         return ''
+
+    def _check_types(self, source: Source) -> None:
+        for topic in self._players.played:
+            kind = next(kind for name, (kind, _) in TOPICS.items() if is_topic(topic, name))
+            if source.topics[topic].type != type_name(kind):
+                raise InputError(self._session, f'expected a {kind.__name__} on {topic}, found '
+                                                'another type')
 
     def _with_amplifier(self, folder: Path, leaving: contextlib.ExitStack,
                         ) -> dict[str, dict[str, Any]]:

@@ -108,7 +108,7 @@ def kept_turns(source: Source, topic: str, node: str, frame: str) -> Iterator[Tu
         taken += more
         whole = taken[-1].name == frame
         stamp = taken[-1].stamp_ns if whole else taken[-1].at_ns
-        if number < turn:
+        if number < turn + whole:
             doubts.append(lasting(stamp, f'the {node} was started again'))
         elif number > turn + whole:
             what = 'of which no account was kept' if turn else 'before the recording began'

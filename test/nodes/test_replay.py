@@ -3,24 +3,41 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import subprocess
 import sys
+import threading
+import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 import yaml
-from geometry_msgs.msg import Vector3Stamped
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PoseArray, Vector3Stamped
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import MagneticField, PointCloud2
 
+from microbot_ros.control.contract import Controller, FieldCommand, Situation
+from microbot_ros.control.switchboard import Switchboard
+from microbot_ros.control.testkit import situation
+from microbot_ros.control.worker import Worker
 from microbot_ros.estimation.batch import fit
 from microbot_ros.estimation.online import Estimates, Estimator
+from microbot_ros.nodes import messages
+from microbot_ros.nodes.account import NotingWorker
+from microbot_ros.nodes.offline import ScriptedWorker
 from microbot_ros.nodes.rerun import cast, recorded_parameters, rerun
 from microbot_ros.records import Commands, Conditions, Session, Tracks
 from microbot_ros.session import RecordingWriter, open_recording, read_session
+from microbot_ros.session.accounts import BUSY, HUNG, IN_TIME, LATE
 from microbot_ros.session.cloud import cloud_table
 from microbot_ros.session.compare import compare
 from microbot_ros.session.lockstep import header_stamp_ns
@@ -246,9 +263,6 @@ def test_a_rolling_robot_is_the_same_by_topics_as_by_rows(
 
 # Beside a live rig ------------------------------------------------------------------------------
 
-GOALS_TOPIC = ['goals']
-
-
 def past(folder: Path) -> Path:
     """A recording of somebody sending commands and a goal for 3 s."""
     session = folder / 'past'
@@ -302,7 +316,7 @@ def test_beside_a_live_coil_driver_a_replay_is_refused_and_drives_nothing(
 def test_a_live_controller_gets_no_goals_of_the_past_one_that_follows_the_clock_does(
         ros: Any, tmp_path: Path) -> None:
     session = past(tmp_path)
-    parameters = {'session': str(session), 'topics': GOALS_TOPIC, 'rate': 100.0}
+    parameters = {'session': str(session), 'topics': ['goals'], 'rate': 100.0}
     graph = ros({'player': parameters, 'controller': {}})
     controller = graph.add('controller')
     player = graph.add('player')
@@ -329,3 +343,190 @@ def test_a_replay_ends_when_a_rig_comes_alive(ros: Any, emulator: Any, tmp_path:
     graph.add('coil_driver')
     graph.until(lambda: player.finished, 3.0)
     assert player.fault.startswith('/coil_driver is live')
+
+
+# What each answer was made from -----------------------------------------------------------------
+
+FRAMES = 90
+KEPT = ['particles', 'field/applied', 'model/state', 'field/command', 'goals', 'model/account',
+        'controller/account', '/parameter_events']
+
+
+def steered_live(ros: Any, folder: Path) -> Path:
+    """Two particles, goals, a swap of controllers and poses that come too late, recorded live."""
+    out = folder / 'live'
+    graph = ros({'recorder': {'folder': str(out), 'topics': KEPT},
+                 'model': {'radius_um': 2.3, 'viscosity_mPa_s': 1.245},
+                 'controller': {'deadline_ms': 500.0}})
+    for name in ('recorder', 'model', 'controller'):
+        graph.add(name)
+    states = graph.hear(PointCloud2, 'model/state')
+    fields = graph.hear(Vector3Stamped, 'field/command')
+    particles = graph.probe.create_publisher(PointCloud2, 'particles', 10)
+    applied = graph.probe.create_publisher(MagneticField, 'field/applied', 10)
+    goals = graph.probe.create_publisher(PoseArray, 'goals', 10)
+    topics = [graph.probe.resolve_topic_name(topic) for topic in KEPT]
+    graph.until(lambda: particles.get_subscription_count() == 3
+                and applied.get_subscription_count() == goals.get_subscription_count() == 2
+                and all(graph.probe.count_publishers(topic) for topic in topics))
+    graph.until(lambda: {'model', 'controller'} <= graph.nodes['recorder']._snapshot.answered)
+    points = np.zeros(2, messages.PARTICLE)
+    points['id'], points['sigma'] = [1, 2], 1e-7
+    rng = np.random.default_rng(5)
+    answered = 0
+    for frame in range(FRAMES):
+        now = graph.probe.get_clock().now().nanoseconds * 1e-9
+        for k in range(3):
+            field = 5e-3 * np.array([np.cos(frame / 9 + k), np.sin(frame / 9 + k)])
+            applied.publish(messages.magnetic_field(field, messages.to_stamp(now - 4e-3 * k)))
+        if frame in (20, 60):
+            goals.publish(messages.poses(
+                rng.normal(0, 2e-5, (2, 2)), np.zeros(2), messages.to_stamp(now)))
+        if frame in (10, 50):
+            name = Parameter('controller', value='waypoint' if frame == 10 else 'formation')
+            graph.call(SetParameters, 'controller/set_parameters',
+                       SetParameters.Request(parameters=[name.to_parameter_msg()]))
+        points['x'], points['y'] = rng.normal(0, 1e-7, (2, 2)) + frame * 5e-8
+        late = frame in (30, 31, 70)
+        stamp = now if not late else now - 1.0 + frame * 1e-3
+        particles.publish(messages.cloud(points, messages.to_stamp(stamp)))
+        answered += not late
+        graph.until(lambda frame=frame: len(states) > frame)
+        graph.until(lambda answered=answered: sum(
+            any(field.header.stamp == state.header.stamp for state in states[-9:])
+            for field in fields[-9:]) >= min(answered, 5))
+    writer = graph.nodes['recorder']._writer
+    graph.until(lambda: writer.status().counts.get('/controller/account', 0) >= FRAMES)
+    graph.end()
+    return out
+
+
+def copied(source: Path, out: Path, apart_ms: float, without: str = 'nothing') -> Path:
+    """A recording as a busy recorder would have made it: each topic in its order, but up to so
+    much later than the others; without topics of that name."""
+    rng = np.random.default_rng(8)
+    with open_recording(source) as whole, RecordingWriter(out) as writer:
+        for name, content in whole.attachments().items():
+            writer.attach(name, content)
+        moved = []
+        for topic in whole.topics:
+            kept = [*whole.messages([topic])]
+            late = rng.uniform(0, apart_ms * 1e6, len(kept)).astype(int).tolist()
+            times = sorted(m.t_ns + delay for m, delay in zip(kept, late, strict=True))
+            moved += [m._replace(t_ns=t) for m, t in zip(kept, times, strict=True)
+                      if not topic.endswith(without)]
+        for message in sorted(moved, key=lambda m: m.t_ns):
+            writer.write(*message)
+    return out
+
+
+@pytest.mark.graph
+def test_a_recording_that_came_in_another_order_is_answered_alike(
+        ros: Any, tmp_path: Path) -> None:
+    shuffled = copied(steered_live(ros, tmp_path), tmp_path / 'shuffled', 80.0)
+    for nodes in ([], ['--node', 'model'], ['--node', 'controller']):
+        done = replay(shuffled, '--check', *nodes, '--json', tmp_path / 'a.json')
+        assert done.returncode == 0, done.stdout + done.stderr
+        found = {topic['topic']: topic
+                 for topic in json.loads((tmp_path / 'a.json').read_text())['topics']}
+        assert all(topic['not_judged'] == {} for topic in found.values())
+        if nodes != ['--node', 'controller']:
+            assert found['/model/state']['compared'] == FRAMES
+        if nodes != ['--node', 'model']:
+            assert found['/field/command']['compared'] >= FRAMES - 3
+    with open_recording(shuffled) as recording:
+        fields = [recording.decode(m).vector for m in recording.messages(['/field/command'])]
+    assert len({(field.x, field.y) for field in fields}) > 20
+
+
+@pytest.mark.graph
+def test_an_order_that_nobody_kept_is_named_and_no_difference(ros: Any, tmp_path: Path) -> None:
+    shuffled = copied(steered_live(ros, tmp_path), tmp_path / 'shuffled', 2.0, 'account')
+    done = replay(shuffled, '--check', '--json', tmp_path / 'a.json')
+    assert done.returncode == 0, done.stdout + done.stderr
+    for topic in json.loads((tmp_path / 'a.json').read_text())['topics']:
+        assert topic['differ'] == topic['only_recorded'] == topic['only_replayed'] == 0
+        for reason in topic['not_judged']:
+            assert reason.startswith(('the order of', 'why a frame was not answered'))
+
+
+@pytest.mark.graph
+def test_what_was_not_recorded_is_named(ros: Any, tmp_path: Path) -> None:
+    lacking = copied(steered_live(ros, tmp_path), tmp_path / 'lacking', 0.0, 'goals')
+    done = replay(lacking, '--check', '--node', 'controller')
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert 'cannot be judged: what the controller took from goals was not rec' in done.stdout
+
+
+class Slow(Controller):
+    """Counts its ticks; in some of them it waits until it is let go on."""
+
+    interface_version = 1
+    summary = 'Slow.'
+    waits: ClassVar[set[int]] = set()
+    let = threading.Event()
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.ticks = 0
+
+    def compute(self, situation: Situation) -> FieldCommand:
+        self.ticks += 1
+        if self.ticks in self.waits:
+            self.let.wait(10.0)
+        return FieldCommand(np.array([1e-4 * self.ticks, 0.0]))
+
+
+def board(worker: Callable[[float], Worker]) -> Switchboard:
+    return Switchboard({'slow': Slow()}, 'slow', deadline=0.1, patience=0.4, border=0.0,
+                       worker=worker)
+
+
+def test_what_came_too_late_comes_out_the_same_without_any_hurry(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    verdicts: list[str] = []
+    monkeypatch.setattr(Slow, 'waits', {3})
+    live = board(lambda patience: NotingWorker(patience, verdicts.append))
+    before = [live.tick(situation(t=0.01 * k, dt=0.01)) for k in range(6)]
+    hung = time.monotonic() + 0.5
+    while time.monotonic() < hung:
+        before.append(live.tick(situation(t=0.01 * len(before), dt=0.01)))
+    monkeypatch.setattr(Slow, 'waits', set())
+    before += [live.tick(situation(t=0.01 * (len(before) + k), dt=0.01)) for k in range(4)]
+    assert set(verdicts) == {IN_TIME, LATE, BUSY, HUNG}
+    kept = iter(verdicts)
+    again = board(lambda patience: ScriptedWorker(patience, lambda: next(kept)))
+    for k, outcome in enumerate(before):
+        now = again.tick(situation(t=0.01 * k, dt=0.01))
+        assert now.result == outcome.result
+        assert now.command is not None
+        assert outcome.command is not None
+        assert now.command.field.tolist() == outcome.command.field.tolist()
+    Slow.let.set()
+
+
+# Ending -----------------------------------------------------------------------------------------
+
+@pytest.mark.graph
+@pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+def test_a_signal_ends_a_check_at_once_and_leaves_nothing(
+        tmp_path: Path, number: signal.Signals) -> None:
+    scratch = tmp_path / 'scratch'
+    scratch.mkdir()
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'microbot_ros.cli', 'replay', str(STEERING), '--check'],
+        env={**os.environ, 'TMPDIR': str(scratch)}, stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 60.0
+    while not [*scratch.rglob('replayed_0.mcap')]:
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    assert [*scratch.rglob('amplifier')]
+    process.send_signal(number)
+    process.wait(2.0)
+    assert process.returncode in (128 + number, 130)
+    assert [*scratch.iterdir()] == []
+    commands = [path.read_bytes() for path in Path('/proc').glob('[0-9]*/cmdline')
+                if path.exists()]
+    assert not any(str(scratch).encode() in command for command in commands)
