@@ -132,7 +132,8 @@ class Offline(RigNode):
         return cast(Publisher, _Outlet(lambda message: self.said.put((topic, message))))
 
     def subscribe(self, kind: type, topic: str, callback: Callable[[Any], None],
-                  qos: QoSProfile = RELIABLE, raw: bool = False) -> None:
+                  qos: QoSProfile = RELIABLE, raw: bool = False,
+                  on_matched: Callable[[Any], None] | None = None) -> None:
         self.inlets[topic] = kind, self._guarded(callback)
 
     def every(self, seconds: float, callback: Callable[[], None], steady: bool = True) -> None:
