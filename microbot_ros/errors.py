@@ -1,4 +1,4 @@
-"""The one kind of error that a person is meant to read."""
+"""The errors that a person is meant to read."""
 
 from __future__ import annotations
 
@@ -18,3 +18,11 @@ class InputError(ValueError):
         self.line = line
         place = self.source if line is None else f'{self.source}:{line}'
         super().__init__(f'{place}: {expected}' if place else expected)
+
+
+class RigError(RuntimeError):
+    """A running rig did not do what it was asked: a node is missing, is silent or refuses.
+
+    The message is one line that names the node. Commands print it on standard error and exit
+    with 1.
+    """

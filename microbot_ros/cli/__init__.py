@@ -9,7 +9,7 @@ import sys
 import click
 
 from microbot_ros import __version__
-from microbot_ros.errors import InputError
+from microbot_ros.errors import InputError, RigError
 
 # Command → one line for `microbot --help`; the module of the same name defines `command`.
 _COMMANDS = {
@@ -65,6 +65,9 @@ def main() -> None:
     except InputError as error:
         print(f'microbot: {error}', file=sys.stderr)
         status = 2
+    except RigError as error:
+        print(f'microbot: {error}', file=sys.stderr)
+        status = 1
     except click.UsageError as error:
         where = f'microbot {error.ctx.info_name}' if error.ctx and error.ctx.parent else 'microbot'
         print(f'{where}: {error.format_message()} (see --help)', file=sys.stderr)

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import click
 
+from microbot_ros.cli.namespace import namespace_option
+
 
 @click.command()
 @click.option('--off', is_flag=True, help='Disarm: the coils go to zero and stay there.')
-def command(off: bool) -> None:
+@namespace_option
+def command(off: bool, namespace: str) -> None:
     """Arm the safety gate of the running coil driver, or disarm it.
 
-    Arming sends a short pulse through each coil to check its sign and gain. It is refused, with
-    the reason, where a coil is not right or a fault stands.
+    Arming sends a short pulse through each coil to check its sign and gain. Ends with 1
+    and the reason where the coil driver is not there, does not answer or refuses: where a coil is
+    not right or a fault stands.
 
     \b
     Example:
@@ -20,6 +24,6 @@ def command(off: bool) -> None:
     """
     from microbot_ros.nodes.remote import Remote
 
-    with Remote() as remote:
+    with Remote(namespace=namespace) as remote:
         remote.arm(not off)
     click.echo('disarmed: the coils are at zero' if off else 'armed')

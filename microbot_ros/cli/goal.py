@@ -6,14 +6,27 @@ import math
 import sys
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from microbot_ros import units
+from microbot_ros.cli.namespace import namespace_option
 from microbot_ros.cli.within import Within
 from microbot_ros.errors import InputError
 
+if TYPE_CHECKING:
+    from microbot_ros.nodes.remote import Remote
+
 Places = list[tuple[float, float]]
+
+_NO_GOALS = ('hold', 'open_loop', 'teleop', 'path_following')
+_NO_PATHS = ('hold', 'open_loop', 'teleop', 'waypoint', 'ensemble', 'formation', 'predictive',
+             'roller')
+"""The controllers of this package that do not act on goals, on a path."""
+
+_HEALTH_SECONDS = 1.5
+"""Within this a node says on `/diagnostics` how it is, once a second."""
 
 
 # Unknown options are taken as positions, for those may begin with a minus sign.
@@ -26,9 +39,13 @@ Places = list[tuple[float, float]]
 @click.option('--cancel', is_flag=True, help='Forget goals and path.')
 @click.option('--wait', 'seconds', type=Within(0, 86400), metavar='SECONDS',
               help='Tell the progress and wait for the arrival; exit 1 if it takes longer.')
+@namespace_option
 def command(positions_um: tuple[str, ...], file: Path | None, as_path: bool, cancel: bool,
-            seconds: float | None) -> None:
+            seconds: float | None, namespace: str) -> None:
     """Send goals to the running controller, in micrometres of the workspace, in order.
+
+    Ends when the controller has taken them; with 1 and the reason where it is not there or does
+    not answer. Says so where the controller is not one for them, or the coils are disarmed.
 
     \b
     Examples:
@@ -45,16 +62,32 @@ def command(positions_um: tuple[str, ...], file: Path | None, as_path: bool, can
         raise InputError(str(file), 'expected no column particle in a path')
     from microbot_ros.nodes.remote import Remote
 
-    with Remote() as remote:
-        if as_path or cancel:
-            remote.send_path(places)
-        if not as_path:
-            stamp = remote.send_goals(places, particles)
-            if seconds is not None:
-                _wait(remote, stamp, seconds)
-                return
-    click.echo('cancelled' if cancel else
-               f'path of {len(places)} points sent' if as_path else f'{len(places)} goals sent')
+    with Remote(namespace=namespace) as remote:
+        if cancel:
+            remote.send_path([])
+            remote.send_goals([])
+            click.echo('cancelled')
+            return
+        coils = _Coils(remote)
+        taken = remote.send_path(places) if as_path else remote.send_goals(places, particles)
+        count = len(places)
+        what = f'path of {count} points' if as_path else f'{count} goal{"s" * (count > 1)}'
+        idle = taken.controller in (_NO_PATHS if as_path else _NO_GOALS)
+        said = f"{what} taken by controller '{taken.controller}'" + (
+            ', which does not go there: ' + _swap(as_path, namespace) if idle else '')
+        if seconds is None:
+            click.echo(said)
+            coils.listen()
+            return
+        if idle:
+            click.echo(said, err=True)
+        _wait(remote, taken.stamp, seconds)
+
+
+def _swap(path: bool, namespace: str) -> str:
+    """The command that puts a controller for a path, or for goals, in charge."""
+    where = '' if namespace == '/' else f' --namespace {namespace}'
+    return f'microbot set controller controller {"path_following" if path else "waypoint"}{where}'
 
 
 def _position(text: str) -> tuple[float, float]:
@@ -81,30 +114,45 @@ def _read(file: Path) -> tuple[Places, list[int] | None]:
     return places, particle.astype(int).tolist()
 
 
-def _wait(remote, stamp: float, seconds: float) -> None:  # type: ignore[no-untyped-def]
+class _Coils:
+    """Says on standard error why the coils will not act, once for each reason."""
+
+    def __init__(self, remote: Remote) -> None:
+        self._remote = remote
+        self._heard = ''
+        remote.watch_health(self._on_health)
+
+    def listen(self) -> None:
+        """Wait until the coil driver has spoken, if there is one."""
+        if self._remote.alone('coil_driver'):
+            self._remote.until(lambda: self._heard, _HEALTH_SECONDS)
+
+    def _on_health(self, node: str, level: bytes, sentence: str, _: dict[str, str]) -> None:
+        if node != 'coil_driver' or sentence == self._heard or not self._remote.alone(node):
+            return
+        self._heard = sentence
+        if level != b'\0':
+            click.echo(f'{node}: {sentence}', err=True)
+
+
+def _wait(remote: Remote, stamp: float, seconds: float) -> None:
     """Tell the progress until arrival; InputError where the goals are refused, else exit 1."""
-    heard, next_line = ['', 'nothing was heard of the controller'], 0.0
+    heard, next_line = ['', 'nothing more was heard of the controller'], 0.0
 
     def tell(_level: bytes, sentence: str, values: dict[str, str]) -> None:
         nonlocal next_line
-        if float(values['goals_stamp_s']) < stamp:
+        told = float(values['goals_stamp_s'])
+        if told != stamp:
+            heard[:] = (('replaced', 'other goals have taken their place') if told > stamp else
+                        ('', 'the controller no longer has these goals'))
             return
         heard[:] = 'done' if values.get('done') == 'True' else values['result'], sentence
         if time.monotonic() >= next_line:
             next_line = time.monotonic() + 1.0
             click.echo(sentence, err=True)
 
-    def warn(node: str, level: bytes, sentence: str, _values: dict[str, str]) -> None:
-        if node == 'coil_driver' and level != b'\0' and warned[:1] != [sentence]:
-            warned[:] = [sentence]
-            click.echo(f'{node}: {sentence}', err=True)
-
-    warned: list[str] = []
-    remote.watch_health(warn)
     remote.watch_progress(tell)
-    deadline = time.monotonic() + seconds
-    while heard[0] not in ('done', 'bad goal', 'fault') and time.monotonic() < deadline:
-        remote.spin(0.1)
+    remote.until(lambda: heard[0] in ('done', 'bad goal', 'fault', 'replaced'), seconds)
     if heard[0] == 'bad goal':
         raise InputError('', heard[1])
     click.echo('arrived' if heard[0] == 'done' else f'not arrived: {heard[1]}')

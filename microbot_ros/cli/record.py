@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from microbot_ros.cli.namespace import namespace_option
+
 
 @click.command()
 @click.option('--stop', is_flag=True, help='End the recording.')
@@ -13,11 +15,13 @@ import click
 @click.option('--notes', default='', help='Whatever else is worth knowing.')
 @click.option('--folder', type=click.Path(path_type=Path),
               help='Where to; otherwise ./recordings, named after the time.')
-def command(stop: bool, title: str, notes: str, folder: Path | None) -> None:
+@namespace_option
+def command(stop: bool, title: str, notes: str, folder: Path | None, namespace: str) -> None:
     """Tell the recorder of a running rig to begin a recording, or with --stop to end it.
 
     For a recorder with the parameter recording: false; others record from the start, and can be
-    told to stop and to begin another.
+    told to stop and to begin another. Ends with 1 and the reason where the recorder is not there,
+    does not answer or refuses.
 
     \b
     Example:
@@ -26,7 +30,7 @@ def command(stop: bool, title: str, notes: str, folder: Path | None) -> None:
     """
     from microbot_ros.nodes.remote import Remote
 
-    with Remote() as remote:
+    with Remote(namespace=namespace) as remote:
         if not stop:
             remote.set('recorder', title=title, notes=notes,
                        folder=str(folder.resolve()) if folder else '')

@@ -5,13 +5,18 @@ from __future__ import annotations
 import click
 import yaml
 
+from microbot_ros.cli.namespace import namespace_option
+
 
 @click.command()
 @click.argument('node')
 @click.argument('parameter')
 @click.argument('value')
-def command(node: str, parameter: str, value: str) -> None:
+@namespace_option
+def command(node: str, parameter: str, value: str, namespace: str) -> None:
     """Change PARAMETER of the running NODE to VALUE; it may refuse, and says why.
+
+    Ends with 2 where the value is refused, with 1 where the node is not there or does not answer.
 
     \b
     Example, swapping the controller while running:
@@ -19,7 +24,7 @@ def command(node: str, parameter: str, value: str) -> None:
     """
     from microbot_ros.nodes.remote import Remote
 
-    with Remote() as remote:
+    with Remote(namespace=namespace) as remote:
         remote.set(node, **{parameter: _typed(value)})
     click.echo(f'{node}: {parameter} is now {value}')
 

@@ -122,7 +122,7 @@ class ControllerNode(RigNode):
 
     def setup(self) -> None:
         self._goals, self._path, self._joystick = Goals(), np.empty((0, 2)), np.zeros(2)
-        self._goals_stamp = 0.0
+        self._goals_stamp = self._path_stamp = 0.0
         self._seen: dict[int, np.void] = {}
         self._last_t = -math.inf
         self._driving = self._rolling = False
@@ -162,7 +162,7 @@ class ControllerNode(RigNode):
         outcome, name = self._outcome, self._switchboard.active
         values: dict[str, object] = {
             'controller': name, 'result': outcome.result.value, 'goals': len(self._goals),
-            'goals_stamp_s': repr(self._goals_stamp)}
+            'goals_stamp_s': repr(self._goals_stamp), 'path_stamp_s': repr(self._path_stamp)}
         if outcome.command is not None:
             values['distance_um'] = outcome.command.progress.distance * 1e6
             values['done'] = outcome.command.progress.done
@@ -202,11 +202,19 @@ class ControllerNode(RigNode):
         messages.in_workspace(header)
         self._goals = Goals(np.array([(p.x, p.y) for p in places]).reshape(-1, 2), ids)
         self._goals_stamp = messages.to_seconds(header.stamp)
+        self._answer()
 
     def _on_path(self, message: Path) -> None:
         messages.in_workspace(message.header)
         self._path = np.array([
             (p.pose.position.x, p.pose.position.y) for p in message.poses]).reshape(-1, 2)
+        self._path_stamp = messages.to_seconds(message.header.stamp)
+        self._answer()
+
+    def _answer(self) -> None:
+        """Say at once what was taken; what came of the places before says nothing of these."""
+        self._outcome = Outcome(None, Result.STALE, 'no poses since it was told where to go')
+        self._tell()
 
     def _on_joy(self, message: Joy) -> None:
         if len(message.axes) >= 2:

@@ -104,7 +104,8 @@ class RecorderNode(RigNode):
     def _on_record(self, request: Any, response: Any) -> Any:
         response.success = self.active and request.data != (self._writer is not None)
         if not response.success:
-            response.message = ('already recording' if self._writer else 'not recording')
+            response.message = (f'already recording to {self._folder}'
+                                if self._writer else 'not recording')
         elif request.data:
             try:
                 self._begin()

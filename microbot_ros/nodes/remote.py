@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,28 +13,72 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 from rcl_interfaces.srv import GetParameters, SetParameters
+from rclpy.exceptions import InvalidNamespaceException, NameValidationException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from rclpy.validate_namespace import validate_namespace
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
-from microbot_ros.errors import InputError
+from microbot_ros.errors import InputError, RigError
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.transport import stay_local
 
+_FIND_SECONDS = 5.0
+"""So long a node may take to be seen: what a process says of itself when it starts may be lost,
+and is said again after 1 s."""
+
+_TAKE_SECONDS = 5.0
+"""So long a controller may take to say that it took goals or a path."""
+
+_REPEAT_SECONDS = 0.3
+"""They are sent again as often as this until it does."""
+
+_ASK_AGAIN_SECONDS = 3.0
+"""A service that has not answered by then is asked again: longer than any takes for its work."""
+
+_ANSWER_SECONDS = 12.0
+"""A service that has not answered by then will not."""
+
+Tell = Callable[[bytes, str, dict[str, str]], None]
+
+
+@dataclass(frozen=True)
+class Taken:
+    """What a controller said of goals or a path that it took: their stamp [s], and which one it
+    is."""
+
+    stamp: float
+    controller: str
+
 
 class Remote:
-    """A client of the graph with a node of its own. Use as a context."""
+    """A client of the graph with a node of its own, beside the nodes of one namespace.
 
-    def __init__(self, name: str = 'microbot') -> None:
+    Use as a context. What it asks of a node ends with that node's answer, or with RigError: the
+    node is not there, says nothing or refuses.
+    """
+
+    def __init__(self, name: str = 'microbot', namespace: str = '/') -> None:
+        namespace = f'/{namespace.strip("/")}'
+        try:
+            validate_namespace(namespace)
+        except InvalidNamespaceException:
+            raise InputError('--namespace', f'expected a name such as rig_2; received {namespace}'
+                             ) from None
         stay_local()
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        self.node = rclpy.create_node(name)
+        self.node = rclpy.create_node(name, namespace=namespace)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
+        # At once: by the time that somebody waits for an answer it has long been matched.
+        self._progress_watchers: list[Tell] = []
+        self.node.create_subscription(
+            DiagnosticStatus, 'controller/progress', self._on_progress, 10)
 
     def __enter__(self) -> Remote:
         return self
@@ -48,6 +93,25 @@ class Remote:
         deadline = time.monotonic() + seconds
         while (left := deadline - time.monotonic()) > 0:
             self._executor.spin_once(timeout_sec=left)
+
+    def until(self, true: Callable[[], Any], seconds: float) -> bool:
+        """Serve callbacks until something is true, at most that long; whether it is."""
+        deadline = time.monotonic() + seconds
+        while not true():
+            left = deadline - time.monotonic()
+            if left <= 0:
+                return False
+            self._executor.spin_once(timeout_sec=min(left, 0.02))
+        return True
+
+    def namespaces_of(self, node: str) -> list[str]:
+        """The namespaces in which a node of that name runs, as far as the graph is known."""
+        return [namespace for name, namespace in self.node.get_node_names_and_namespaces()
+                if name == node]
+
+    def alone(self, node: str) -> bool:
+        """Whether our namespace has that node and no other has: `/diagnostics` are of all."""
+        return self.namespaces_of(node) == [self.node.get_namespace()]
 
     def watch_health(self, tell: Callable[[str, bytes, str, dict[str, str]], None]) -> None:
         """Call `tell(node, level, sentence, values)` for every diagnostic status."""
@@ -79,21 +143,33 @@ class Remote:
         return name
 
     def arm(self, armed: bool = True) -> None:
-        """Arm or disarm the gate of the coil driver. InputError with its reason if it refuses."""
-        answer = self._call(SetBool, 'coil_driver/arm', SetBool.Request(data=armed))
+        """Arm or disarm the gate of the coil driver. RigError with its reason if it refuses.
+
+        Asked twice is asked once: a gate that is armed stays as it is.
+        """
+        answer = self._call(SetBool, 'coil_driver/arm', SetBool.Request(data=armed))[-1]
         if not answer.success:
-            raise InputError('coil_driver', answer.message)
+            raise RigError(f'coil_driver: {answer.message}')
 
     def record(self, begin: bool) -> str:
-        """Begin or end a recording; which folder. InputError with the recorder's reason."""
-        answer = self._call(SetBool, 'recorder/record', SetBool.Request(data=begin))
-        if not answer.success:
-            raise InputError('recorder', answer.message)
-        message: str = answer.message
-        return message
+        """Begin or end a recording; which folder. RigError with the recorder's reason.
+
+        To be as it was told to be is a refusal only to the first request: a later one is sent
+        because the answer to that was lost.
+        """
+        answers = self._call(SetBool, 'recorder/record', SetBool.Request(data=begin))
+        done = [answer.message for answer in answers if answer and answer.success]
+        refusal: str = answers[-1].message
+        if not done and len(answers) > 1 and begin and refusal.startswith('already recording'):
+            done = [refusal.removeprefix('already ')]
+        elif not done and len(answers) > 1 and not begin and refusal == 'not recording':
+            done = ['the recording has ended']
+        if not done:
+            raise RigError(f'recorder: {refusal}')
+        return done[0]
 
     def set(self, node: str, **values: Any) -> None:
-        """Set parameters of a node. InputError with its reason if it refuses."""
+        """Set parameters of a node. InputError with its reason if it refuses a value."""
         try:
             request = SetParameters.Request(parameters=[
                 Parameter(name, value=value).to_parameter_msg()
@@ -101,64 +177,108 @@ class Remote:
         except (TypeError, ValueError, AssertionError):
             raise InputError(node, 'expected booleans, numbers, texts or lists of one of them; '
                                    f'received {values}') from None
-        for result in self._call(SetParameters, f'{node}/set_parameters', request).results:
+        answer = self._call(SetParameters, f'{node}/set_parameters', request)[-1]
+        for result in answer.results:
             if not result.successful:
                 raise InputError(node, result.reason)
 
     def get(self, node: str, *names: str) -> dict[str, Any]:
-        """Values of parameters of a node. InputError where it does not answer."""
+        """Values of parameters of a node."""
         request = GetParameters.Request(names=list(names))
-        answer = self._call(GetParameters, f'{node}/get_parameters', request)
+        answer = self._call(GetParameters, f'{node}/get_parameters', request)[-1]
         return {name: parameter_value_to_python(value)
                 for name, value in zip(names, answer.values, strict=True)}
 
     def send_goals(self, positions: Sequence[tuple[float, float]],
-                   particles: Sequence[int] | None = None) -> float:
-        """Publish where to go, in order [m], once a controller listens; the stamp [s].
+                   particles: Sequence[int] | None = None) -> Taken:
+        """Where to go, in order [m], until the controller has taken it.
 
         With `particles` the goal of each of those; no position cancels.
         """
         xy, stamp = np.array(positions, float).reshape(-1, 2), self.node.get_clock().now().to_msg()
         if particles is None:
-            self._publish('goals', messages.poses(xy, np.zeros(len(xy)), stamp))
-        else:
-            goals = np.zeros(len(xy), messages.GOAL)
-            goals['id'], goals['x'], goals['y'] = particles, *xy.T
-            self._publish('particle_goals', messages.cloud(goals, stamp))
-        return messages.to_seconds(stamp)
+            return self._hand_over('goals', messages.poses(xy, np.zeros(len(xy)), stamp), 'goals')
+        goals = np.zeros(len(xy), messages.GOAL)
+        goals['id'], goals['x'], goals['y'] = particles, *xy.T
+        return self._hand_over('particle_goals', messages.cloud(goals, stamp), 'goals')
 
-    def send_path(self, positions: Sequence[tuple[float, float]]) -> None:
-        """Publish a path to follow [m], once a controller listens; no position cancels."""
+    def send_path(self, positions: Sequence[tuple[float, float]]) -> Taken:
+        """A path to follow [m], until the controller has taken it; no position cancels."""
         array = messages.poses(np.array(positions, float).reshape(-1, 2),
                                np.zeros(len(positions)), self.node.get_clock().now().to_msg())
-        self._publish('path', Path(header=array.header, poses=[
-            PoseStamped(header=array.header, pose=pose) for pose in array.poses]))
+        return self._hand_over('path', Path(header=array.header, poses=[
+            PoseStamped(header=array.header, pose=pose) for pose in array.poses]), 'path')
 
-    def watch_progress(self, tell: Callable[[bytes, str, dict[str, str]], None]) -> None:
+    def watch_progress(self, tell: Tell) -> None:
         """Call `tell(level, sentence, values)` several times a second for the controller's."""
-        def heard(message: DiagnosticStatus) -> None:
-            tell(message.level, message.message,
-                 {pair.key: pair.value for pair in message.values})
-        self.node.create_subscription(DiagnosticStatus, 'controller/progress', heard, 10)
+        self._progress_watchers.append(tell)
 
-    def _publish(self, topic: str, message: Any, seconds: float = 5.0) -> None:
+    def _on_progress(self, message: DiagnosticStatus) -> None:
+        values = {pair.key: pair.value for pair in message.values}
+        for tell in self._progress_watchers:
+            tell(message.level, message.message, values)
+
+    def _hand_over(self, topic: str, message: Any, what: str) -> Taken:
+        """Publish to the controller, again and again, until it says that it has this stamp.
+
+        That somebody listens says nothing: it may be a recorder. To be told twice changes
+        nothing for a controller, whose goals are the same then.
+        """
+        stamp = messages.to_seconds(message.header.stamp)
+        told: dict[str, str] = {}
+
+        def taken() -> bool:
+            return float(told.get(f'{what}_stamp_s', 'nan')) == stamp
+        self.watch_progress(lambda _level, _sentence, values: told.update(values))
+        self._find('controller', lambda: self._listens('controller', topic), f'takes no {topic}')
         publisher = self.node.create_publisher(type(message), topic, 10)
-        deadline = time.monotonic() + seconds
-        while publisher.get_subscription_count() == 0:
+        deadline = time.monotonic() + _TAKE_SECONDS
+        while not taken():
             if time.monotonic() > deadline:
-                raise InputError(topic, 'nobody listens; is the controller running?')
-            self.spin(0.05)
-        publisher.publish(message)
+                reason = ('it answers, but not to these' if told else
+                          'it says nothing; is it active?')
+                raise RigError(f'controller did not take the {what} within {_TAKE_SECONDS:g} s: '
+                               + reason)
+            publisher.publish(message)
+            self.until(taken, _REPEAT_SECONDS)
+        self.node.destroy_publisher(publisher)
+        return Taken(stamp, told['controller'])
 
-    def _call(self, kind: type, name: str, request: Any, seconds: float = 5.0) -> Any:
-        client = self.node.create_client(kind, name)
+    def _listens(self, node: str, topic: str) -> bool:
+        return any((end.node_name, end.node_namespace) == (node, self.node.get_namespace())
+                   for end in self.node.get_subscriptions_info_by_topic(topic))
+
+    def _find(self, node: str, true: Callable[[], bool], lack: str) -> None:
+        """Wait until it is true of a node; RigError with what is known of it otherwise."""
+        if self.until(true, _FIND_SECONDS):
+            return
+        here, places = self.node.get_namespace(), self.namespaces_of(node)
+        if here in places:
+            raise RigError(f'{node} is there, but {lack}')
+        hint = f'; there is one in --namespace {places[0]}' if places else ''
+        raise RigError(f'{node} was not found in the namespace {here} within {_FIND_SECONDS:g} s: '
+                       f'is it running?{hint}')
+
+    def _call(self, kind: type, name: str, request: Any) -> list[Any]:
+        """What a node answered to each time it was asked: None where that was lost, not the last.
+
+        A server that does not know yet where to send an answer drops it; it is asked again.
+        """
+        node = name.rpartition('/')[0]
         try:
-            if not client.wait_for_service(timeout_sec=seconds):
-                raise InputError(name, f'no such service within {seconds:g} s; is it running?')
-            future = client.call_async(request)
-            self._executor.spin_until_future_complete(future, timeout_sec=seconds)
-            if not future.done():
-                raise InputError(name, f'no answer within {seconds:g} s')
-            return future.result()
+            client = self.node.create_client(kind, name)
+        except NameValidationException:
+            raise InputError('', f"expected the name of a node; received '{node}'") from None
+        try:
+            self._find(node, client.service_is_ready, f'has no service {name}')
+            asked: list[Future] = []
+            deadline = time.monotonic() + _ANSWER_SECONDS
+            while not (asked and asked[-1].done()):
+                if time.monotonic() > deadline:
+                    raise RigError(f'{node} did not answer within {_ANSWER_SECONDS:g} s')
+                if not any(future.done() for future in asked):
+                    asked.append(client.call_async(request))
+                self.until(asked[-1].done, _ASK_AGAIN_SECONDS)
+            return [future.result() if future.done() else None for future in asked]
         finally:
             self.node.destroy_client(client)

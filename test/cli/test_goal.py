@@ -12,8 +12,9 @@ class Graph:
     """Stands in for a running graph: notes what is sent, and answers with its progress."""
 
     answers = ()
+    controller = 'waypoint'
 
-    def __init__(self):
+    def __init__(self, namespace='/'):
         self.sent = []
         Graph.last = self
 
@@ -25,10 +26,13 @@ class Graph:
 
     def send_goals(self, places, particles=None):
         self.sent.append(('goals', places, particles))
-        return 5.0
+        return remote.Taken(5.0, self.controller)
 
     def send_path(self, places):
         self.sent.append(('path', places))
+        return remote.Taken(5.0, self.controller)
+
+    left = ()
 
     def watch_progress(self, tell):
         self.tell, self.left = tell, list(self.answers)
@@ -38,8 +42,11 @@ class Graph:
             tell('coil_driver', level, sentence, {})
         tell('tracker', b'\1', 'no frames', {})
 
-    def spin(self, seconds):
-        if self.left:
+    def alone(self, node):
+        return True
+
+    def until(self, true, seconds):
+        while not true() and self.left:
             stamp, sentence, values = self.left.pop(0)
             self.tell(b'\0', sentence, {'goals_stamp_s': str(stamp), **values})
 
@@ -89,6 +96,38 @@ def test_waits_for_the_arrival_at_these_goals(monkeypatch):
     result = run('1,1', '--wait', '60')
     assert isinstance(result.exception, InputError)
     assert 'goal 1 is outside' in str(result.exception)
+
+
+def test_goals_that_others_replaced_are_waited_for_no_longer(monkeypatch):
+    done, on = {'result': 'ok', 'done': 'True'}, {'result': 'ok'}
+    monkeypatch.setattr(Graph, 'answers', [
+        (5.0, 'far', on), (6.0, 'elsewhere', on), (6.0, 'there', done), (5.0, 'near', done)])
+    result = run('1,1', '--wait', '60')
+    assert (result.exit_code, result.stdout) == (
+        1, 'not arrived: other goals have taken their place\n')
+    monkeypatch.setattr(Graph, 'answers', [(5.0, 'far', on), (0.0, 'waits', on)])
+    result = run('1,1', '--wait', '60')
+    assert (result.exit_code, result.stdout) == (
+        1, 'not arrived: the controller no longer has these goals\n')
+    monkeypatch.setattr(Graph, 'answers', ())
+    result = run('1,1', '--wait', '60')
+    assert (result.exit_code, result.stdout) == (
+        1, 'not arrived: nothing more was heard of the controller\n')
+
+
+@pytest.mark.parametrize(('controller', 'arguments', 'said'), [
+    ('waypoint', ('1,1',), "1 goal taken by controller 'waypoint'\n"),
+    ('hold', ('1,1', '2,2'), "2 goals taken by controller 'hold', which does not go there: "
+     'microbot set controller controller waypoint\n'),
+    ('waypoint', ('--path', '1,1', '2,2', '--namespace', 'rig_2'),
+     "path of 2 points taken by controller 'waypoint', which does not go there: microbot set "
+     'controller controller path_following --namespace rig_2\n')])
+def test_who_took_them_is_told_and_what_keeps_them_from_being_acted_on(
+        monkeypatch, controller, arguments, said):
+    monkeypatch.setattr(Graph, 'controller', controller)
+    result = run(*arguments)
+    assert (result.exit_code, result.stdout) == (0, said)
+    assert result.stderr == 'coil_driver: not armed\n'
 
 
 @pytest.mark.parametrize(('content', 'complaint'), [

@@ -162,7 +162,7 @@ def test_the_command_begins_and_ends_a_recording(ros: Any, tmp_path: Path) -> No
     run = str(tmp_path / 'run')
     assert record('--title', 'batch 7', '--folder', run) == (0, f'recording to {run}\n', '')
     assert record('--stop') == (0, f'recorded {run}\n', '')
-    assert record('--stop') == (2, '', 'microbot: recorder: not recording\n')
+    assert record('--stop') == (1, '', 'microbot: recorder: not recording\n')
     with open_recording(run) as recording:
         assert recording.metadata()['recording']['title'] == 'batch 7'
 

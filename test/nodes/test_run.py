@@ -18,6 +18,7 @@ import pytest
 import yaml
 
 from microbot_ros.drive.real_time import LOOP, SAFETY
+from microbot_ros.errors import RigError
 from microbot_ros.nodes.remote import Remote
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 
@@ -66,7 +67,7 @@ class Running:
                 try:
                     remote.arm()
                     break
-                except ValueError:
+                except RigError:
                     assert time.monotonic() < deadline
             self.until(lambda: not emulator.zero, 30)
 
