@@ -15,10 +15,14 @@ from microbot_ros.cli.calibrate_camera import camera
 from microbot_ros.magnetics.settings import CoilSettings
 
 
-class _Rig(pydantic.BaseModel):
-    """The one section of a rig's file that matters here; others are not looked at."""
+class _AnyFile(pydantic.RootModel[dict[str, Any]]):
+    pass
 
-    coils: CoilSettings = CoilSettings()
+
+class _Section(pydantic.BaseModel):
+    """Coils in a file with much else, which is not looked at."""
+
+    coils: CoilSettings
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,8 @@ command.add_command(camera)
 @click.option('--out', type=click.Path(path_type=Path), required=True, metavar='DIR',
               help='Folder for coils.yaml, calibration.json and calibration.png.')
 @click.option('--config', type=click.Path(path_type=Path),
-              help="Rig's YAML with the geometry in its section coils (else the default rig).")
+              help="The coils as known so far: a coils.yaml, or the rig's file that names one in "
+              'coil_driver.coils_file. Else the default rig.')
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
               help='Also write the result here.')
 def coils(source: Path, out: Path, config: Path | None, json_path: Path | None) -> None:
@@ -60,7 +65,8 @@ def coils(source: Path, out: Path, config: Path | None, json_path: Path | None) 
     pair over the x pair, its lean and the background field; it cannot give the strength of all
     coils together, a turn common to all, or one coil of a pair by itself.
 
-    coils.yaml is the section for the rig's file, with what was found.
+    coils.yaml holds the coils with what was found; the rig's file names it as coils_file of the
+    node coil_driver. What it started from is said.
 
     \b
     Examples:
@@ -69,8 +75,8 @@ def coils(source: Path, out: Path, config: Path | None, json_path: Path | None) 
     """
     import yaml
 
-    from microbot_ros.files import output_folder, read_yaml, write_text
-    settings = (read_yaml(config, _Rig) if config else _Rig()).coils
+    from microbot_ros.files import output_folder, write_text
+    settings, origin = _known_coils(config)
     tracks = source.is_dir() or source.suffix == '.mcap'
     found = (_from_tracks if tracks else _from_readings)(source, settings)
     section = found.settings.model_dump(mode='json', exclude_none=True)
@@ -81,8 +87,32 @@ def coils(source: Path, out: Path, config: Path | None, json_path: Path | None) 
         found.draw(folder / 'calibration.png')
     if json_path:
         write_text(json_path, result)
-    for line in [*found.lines, f'written to {out}']:
+    file = (out / 'coils.yaml').resolve()
+    for line in [f'started from {origin}', *found.lines, f'written to {out}; to drive by it, in '
+                 f"the rig's file: coil_driver: coils_file: {file}"]:
         click.echo(line)
+
+
+def _known_coils(config: Path | None) -> tuple[CoilSettings, str]:
+    """The coils that are to be corrected, and in words whose they are."""
+    from microbot_ros.errors import InputError
+    from microbot_ros.files import read_yaml
+    from microbot_ros.nodes.configuration import read_rig
+
+    if config is None:
+        return CoilSettings(), 'the coils of the default rig'
+    keys = set(read_yaml(config, _AnyFile).root)
+    if 'coils' in keys:
+        return read_yaml(config, _Section).coils, f'the coils of {config}'
+    if keys & set(CoilSettings.model_fields):
+        return read_yaml(config, CoilSettings), f'the coils of {config}'
+    if 'coil_driver' not in keys:
+        raise InputError(config, 'expected coils, with a key coils or windings, or the file of a '
+                         f'rig, with a section coil_driver; found {", ".join(keys) or "nothing"}')
+    named = read_rig(config)['coil_driver'].get('coils_file', '')
+    if not named:
+        return CoilSettings(), f'the coils of the default rig: {config} names no coils_file'
+    return read_yaml(named, CoilSettings), f'the coils of {named}, named in {config}'
 
 
 def _from_readings(source: Path, settings: CoilSettings) -> _Found:

@@ -156,14 +156,33 @@ def _rig(config: Path) -> Finding:
     from microbot_ros.nodes.configuration import read_rig
 
     rig = read_rig(config)
-    missing = []
+    problems = []
     for node, name in (('coil_driver', 'port'), ('camera', 'source')):
         device = str(rig.get(node, {}).get(name, ''))
         if device.startswith('/') and not Path(device).exists():
-            missing.append(f'{node}.{name} {device} is not there')
-    if missing:
-        return Finding('rig', 'fail', '; '.join(missing))
-    return Finding('rig', 'ok', f'{config}: {", ".join(rig)}')
+            problems.append(f'{node}.{name} {device} is not there')
+    coils = ''
+    if 'coil_driver' in rig:
+        try:
+            coils = '; ' + _coils(rig['coil_driver'].get('coils_file', ''))
+        except InputError as error:
+            problems.append(str(error))
+    if problems:
+        return Finding('rig', 'fail', '; '.join(problems))
+    return Finding('rig', 'ok', f'{config}: {", ".join(rig)}{coils}')
+
+
+def _coils(file: str) -> str:
+    """Whose coils the driver makes its currents by; InputError where it cannot."""
+    from microbot_ros.files import read_yaml
+    from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings
+
+    coils = CoilSet(read_yaml(file, CoilSettings) if file else None)
+    try:
+        Allocator(coils)
+    except InputError as error:
+        raise InputError(file, str(error)) from None
+    return f'coils of {file}' if file else 'coils of the default rig, for there is no coils_file'
 
 
 def _watchdog(config: Path) -> Finding:

@@ -1,9 +1,9 @@
-"""The coils as a person describes them: the section `coils:` of a rig's YAML file."""
+"""The coils as a person describes them, in a YAML file of their own."""
 
 from __future__ import annotations
 
 from itertools import combinations
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 import pydantic
@@ -91,6 +91,15 @@ class CoilSettings(Settings):
     windings: tuple[Winding, ...] = Field(default_factory=_four_in_plane)
     background_mT: tuple[float, float] = (0.0, 0.0)
 
+    @pydantic.model_validator(mode='wrap')
+    @classmethod
+    def _from_a_file(cls, content: Any, validated: pydantic.ModelWrapValidatorHandler[Self],
+                     ) -> CoilSettings:
+        """A file of coils has them under the one key `coils`; those without it are read too."""
+        if isinstance(content, dict) and 'coils' in content:
+            return _CoilsFile.model_validate(content).coils
+        return validated(content)
+
     @pydantic.field_validator('windings')
     @classmethod
     def _are_four_apart(cls, windings: tuple[Winding, ...]) -> tuple[Winding, ...]:
@@ -102,3 +111,7 @@ class CoilSettings(Settings):
             if one.coincides_with(other):
                 raise ValueError(f"'{one.name}' and '{other.name}' lie in the same place")
         return windings
+
+
+class _CoilsFile(Settings):
+    coils: CoilSettings

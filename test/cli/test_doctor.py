@@ -5,10 +5,12 @@ import threading
 
 import psutil
 import pytest
+import yaml
 
 from microbot_ros.cli import doctor
-from microbot_ros.cli.doctor import _dead_man, _real_time, _watchdog
+from microbot_ros.cli.doctor import _dead_man, _real_time, _rig, _watchdog
 from microbot_ros.drive.real_time import lateness
+from microbot_ros.magnetics import CoilSettings
 
 
 def test_whether_real_time_is_granted_is_said_and_not_kept(monkeypatch):
@@ -52,3 +54,20 @@ def test_what_a_missing_watchdog_means_is_said(tmp_path, coil_driver, level, sen
     found = _watchdog(rig)
     assert found.level == level
     assert found.detail.startswith(sentence)
+
+
+def test_whose_coils_a_rig_is_driven_by_is_said_and_that_they_can_be(tmp_path):
+    coils, rig = tmp_path / 'coils.yaml', tmp_path / 'rig.yaml'
+    rig.write_text(f'coil_driver:\n  ros__parameters:\n    coils_file: {coils}\n')
+    section = CoilSettings().model_dump(mode='json', exclude_none=True)
+    coils.write_text(yaml.safe_dump({'coils': section}))
+    assert (_rig(rig).level, _rig(rig).detail) == (
+        'ok', f'{rig}: coil_driver; coils of {coils}')
+    coils.write_text('coil: {}\n')
+    assert (_rig(rig).level, _rig(rig).detail) == (
+        'fail', f"{coils}:1: unknown key 'coil'; expected one of: background_mT, windings")
+    coils.write_text('coils: {background_mT: [50, 0]}\n')
+    assert _rig(rig).level == 'fail'
+    assert _rig(rig).detail.startswith(f'{coils}: background_mT: expected a field that the coils')
+    rig.write_text('coil_driver: {}\n')
+    assert _rig(rig).detail.endswith('coils of the default rig, for there is no coils_file')

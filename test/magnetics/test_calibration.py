@@ -12,6 +12,7 @@ from click.testing import CliRunner
 
 from microbot_ros.cli.calibrate import command
 from microbot_ros.errors import InputError
+from microbot_ros.files import read_yaml
 from microbot_ros.magnetics import CoilSet, CoilSettings, Loop
 from microbot_ros.magnetics.calibration import calibrate, read_readings
 
@@ -165,3 +166,59 @@ def test_files_that_are_none(tmp_path):
     path.write_text(','.join(HEADER) + '\n' + ','.join(['1'] * 9 + ['a bit']) + '\n')
     with pytest.raises(InputError, match=r"readings.csv:2: .* in bz_mT, found 'a bit'"):
         read_readings(path, CoilSettings())
+
+
+def run(*arguments):
+    return CliRunner().invoke(command, ['coils', *map(str, arguments)], catch_exceptions=False)
+
+
+def test_it_starts_from_the_coils_that_a_rig_names_and_says_so(tmp_path):
+    readings, rig = write(tmp_path / 'readings.csv', rows()), tmp_path / 'rig.yaml'
+    known = CoilSettings().model_dump(mode='json', exclude_none=True)
+    known['windings'][0]['turns'] = 500
+    coils = tmp_path / 'known.yaml'
+    rig.write_text(yaml.safe_dump({
+        'camera': {'ros__parameters': {'source': 'film'}},
+        'coil_driver': {'ros__parameters': {'coils_file': str(coils)}}}))
+    for content in (known, {'coils': known}):  # as it is written, and without the key
+        coils.write_text(yaml.safe_dump(content))
+        for config, named in ((rig, f', named in {rig}'), (coils, '')):
+            found = run(readings, '--config', config, '--out', tmp_path / 'out')
+            assert f'started from the coils of {coils}{named}\n' in found.stdout
+            section = yaml.safe_load((tmp_path / 'out' / 'coils.yaml').read_text())['coils']
+            assert [winding['turns'] for winding in section['windings']] == [500, 400, 400, 400]
+    assert 'started from the coils of the default rig\n' in run(
+        readings, '--out', tmp_path / 'out').stdout
+    rig.write_text('coil_driver:\n  ros__parameters:\n    port: /dev/ttyACM0\n')
+    said = run(readings, '--config', rig, '--out', tmp_path / 'out').stdout
+    assert f'started from the coils of the default rig: {rig} names no coils_file\n' in said
+
+
+@pytest.mark.parametrize(('content', 'complaint'), [
+    ('', 'expected coils, .* or the file of a rig, with a section coil_driver; found nothing'),
+    ('camera: {}\n', 'expected coils, .* found camera'),
+    ('coil_driver:\n  ros__parameters:\n    coils_file: /nowhere.yaml\n',
+     '/nowhere.yaml: expected a readable YAML file'),
+    ('coil_driver:\n  ros__parameters:\n    coil_file: a\n', r'rig\.yaml:3: unknown parameter'),
+    ('coils:\n', r"rig\.yaml:1: 'coils'"),
+    ('coils:\n  windings: []\n', r"rig\.yaml:2: 'coils\.windings': expected four coils"),
+])
+def test_a_file_without_coils_is_not_taken_for_the_default_rig(content, complaint, tmp_path):
+    config = tmp_path / 'rig.yaml'
+    config.write_text(content)
+    with pytest.raises(InputError, match=complaint) as error:
+        run(write(tmp_path / 'readings.csv', rows()), '--config', config, '--out', tmp_path / 'o')
+    assert '\n' not in str(error.value)
+    assert not (tmp_path / 'o').exists()
+
+
+def test_what_is_wrong_in_a_file_of_coils_is_said_where_it_stands(tmp_path):
+    path = tmp_path / 'coils.yaml'
+    for key in ('', 'coils:'):
+        path.write_text(f'{key}\n{" " * bool(key)}background_mT: [0, 0]\n'
+                        f'{" " * bool(key)}winding: []\n')
+        with pytest.raises(InputError, match=rf"coils\.yaml:3: unknown key '{key[:-1]}.?winding'"):
+            read_yaml(path, CoilSettings)
+    path.write_text('coils: {background_mT: [0, 0]}\nbackground_mT: [0, 0]\n')
+    with pytest.raises(InputError, match=r"coils\.yaml:2: unknown key 'background_mT'"):
+        read_yaml(path, CoilSettings)

@@ -20,7 +20,7 @@ ENABLE, DUTY_PERCENT, CURRENT_MA = 0, 1, 5
 TEMPERATURES = range(7, 11)
 """Registers of the bridge's temperatures, in steps of 0.01 °C."""
 
-# A late answer is nothing for the terminal; whoever wants to hear of it has a handler of their own.
+# A late answer is nothing for the terminal; who wants to hear of it has a handler of their own.
 logging.getLogger('pymodbus.logging').addHandler(logging.NullHandler())
 _framer = FramerRTU(DecodePDU(is_server=False))
 Message = TypeVar('Message', bound=ModbusPDU)
