@@ -145,9 +145,11 @@ class Remote:
     def arm(self, armed: bool = True) -> None:
         """Arm or disarm the gate of the coil driver. RigError with its reason if it refuses.
 
-        Asked twice is asked once: a gate that is armed stays as it is.
+        Asked twice is asked once: a gate that is armed stays as it is. Without an answer it is
+        asked to disarm, lest it arm when nobody expects it any more.
         """
-        answer = self._call(SetBool, 'coil_driver/arm', SetBool.Request(data=armed))[-1]
+        answer = self._call(SetBool, 'coil_driver/arm', SetBool.Request(data=armed),
+                            instead=SetBool.Request(data=False))[-1]
         if not answer.success:
             raise RigError(f'coil_driver: {answer.message}')
 
@@ -259,10 +261,11 @@ class Remote:
         raise RigError(f'{node} was not found in the namespace {here} within {_FIND_SECONDS:g} s: '
                        f'is it running?{hint}')
 
-    def _call(self, kind: type, name: str, request: Any) -> list[Any]:
+    def _call(self, kind: type, name: str, request: Any, instead: Any = None) -> list[Any]:
         """What a node answered to each time it was asked: None where that was lost, not the last.
 
-        A server that does not know yet where to send an answer drops it; it is asked again.
+        A server that does not know yet where to send an answer drops it; it is asked again. One
+        that never answers is left with the request `instead`.
         """
         node = name.rpartition('/')[0]
         try:
@@ -275,6 +278,8 @@ class Remote:
             deadline = time.monotonic() + _ANSWER_SECONDS
             while not (asked and asked[-1].done()):
                 if time.monotonic() > deadline:
+                    if instead is not None:
+                        client.call_async(instead)
                     raise RigError(f'{node} did not answer within {_ANSWER_SECONDS:g} s')
                 if not any(future.done() for future in asked):
                     asked.append(client.call_async(request))

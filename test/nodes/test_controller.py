@@ -236,3 +236,23 @@ def test_each_keeps_its_parameters(ros: Any) -> None:
     answer = loop.set(waypoint__arrival_um=3.0)
     assert answer.successful
     assert loop.node._switchboard._runners['waypoint']._parameters.arrival_um == 3.0
+
+
+def test_what_became_of_goals_is_not_said_of_the_next(ros: Any) -> None:
+    """New goals are answered at once, also where no pose comes that could be acted on."""
+    loop = Loop(ros, controller='waypoint', delay_ms=0.0)
+    told = loop.graph.hear(DiagnosticStatus, 'controller/progress')
+
+    def values() -> dict[str, str]:
+        return {pair.key: pair.value for pair in told[-1].values} if told else {}
+    loop.go((1e-6, 0.0))
+    loop.graph.until(lambda: loop.keep_seeing() or values().get('done') == 'True')
+    goals = messages.poses(np.array([(90e-6, 0.0)]), np.zeros(1), messages.to_stamp(8.25))
+    loop._goals.publish(goals)
+    loop.graph.until(lambda: values()['goals_stamp_s'] == '8.25')
+    assert 'done' not in values()
+    assert 'no poses since' in told[-1].message
+    path = loop.graph.probe.create_publisher(Path, 'path', 10)
+    loop.graph.until(path.get_subscription_count)
+    path.publish(Path(header=goals.header))
+    loop.graph.until(lambda: values()['path_stamp_s'] == '8.25')

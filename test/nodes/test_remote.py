@@ -1,0 +1,199 @@
+"""What is said to a running rig is taken, or the command says that it was not: real processes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from rclpy.service import Service
+
+from microbot_ros.nodes.graph import Graph
+from microbot_ros.nodes.remote import Remote
+
+pytestmark = [pytest.mark.graph, pytest.mark.timeout(240)]
+
+Answer = tuple[int, str, str]
+"""Exit status, standard output, standard error."""
+
+
+def _start(*words: str) -> subprocess.Popen[str]:
+    return subprocess.Popen([sys.executable, '-m', 'microbot_ros.cli', *words],
+                            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def _end(process: subprocess.Popen[str]) -> Answer:
+    out, error = process.communicate(timeout=60)
+    return process.returncode, out, error
+
+
+def _microbot(*words: str) -> Answer:
+    return _end(_start(*words))
+
+
+def _parameters(folder: Path, nodes: dict[str, dict[str, Any]]) -> Path:
+    file = folder / 'rig.yaml'
+    file.write_text(yaml.safe_dump({
+        f'/**/{node}': {'ros__parameters': values} for node, values in nodes.items()}))
+    return file
+
+
+def test_goals_are_taken_each_time_beside_a_recorder_that_was_there_first(
+        tmp_path: Path) -> None:
+    parameters = _parameters(tmp_path, {'recorder': {'folder': str(tmp_path / 'recording')}})
+    heard: list[dict[str, str]] = []
+    with Graph(lambda *_: None) as graph, Remote('test') as remote:
+        for node in ('recorder', 'controller'):
+            graph.start_nodes([node], parameters)
+            graph.wait_ready(60.0)
+        remote.watch_progress(lambda _level, _sentence, values: heard.append(values))
+        assert remote.until(lambda: heard, 10)
+
+        def has(goals: int, path: bool) -> bool:
+            """Whether the controller holds so many goals, and a path of its own."""
+            last = heard[-1]
+            return int(last['goals']) == goals and (float(last['path_stamp_s']) > 0) == path
+        for count in range(1, 11):
+            status, out, error = _microbot('goal', *['10,10'] * count)
+            assert (status, error) == (0, '')
+            assert out.startswith(f'{count} goal')
+            assert "taken by controller 'hold', which does not go there" in out
+            # It is there when the command ends, and not some time later.
+            heard.clear()
+            assert remote.until(lambda: heard, 10)
+            assert remote.until(lambda count=count: has(count, False), 1.0)
+        status, out, _ = _microbot('goal', '--path', '0,0', '10,0')
+        assert (status, out[:16]) == (0, 'path of 2 points')
+        assert remote.until(lambda: has(10, True), 1.0)
+        assert _microbot('goal', '--cancel') == (0, 'cancelled\n', '')
+        assert remote.until(lambda: has(0, True), 1.0)
+
+
+@pytest.mark.parametrize('words', [
+    ('goal', '1,1'), ('arm',), ('record',), ('set', 'controller', 'controller', 'hold')])
+def test_a_node_that_is_not_there_is_one_and_the_reason(words: tuple[str, ...]) -> None:
+    node = {'goal': 'controller', 'arm': 'coil_driver', 'record': 'recorder'}.get(
+        words[0], 'controller')
+    assert _microbot(*words) == (1, '', f'microbot: {node} was not found in the namespace / '
+                                 'within 5 s: is it running?\n')
+
+
+def test_what_is_no_name_is_two() -> None:
+    assert _microbot('arm', '--namespace', 'rig 2') == (
+        2, '', 'microbot: --namespace: expected a name such as rig_2; received /rig 2\n')
+    assert _microbot('set', 'no node', 'a', '1') == (
+        2, '', "microbot: expected the name of a node; received 'no node'\n")
+
+
+def test_each_command_speaks_to_the_rig_of_its_namespace(tmp_path: Path, emulator: Any) -> None:
+    parameters = _parameters(tmp_path, {
+        'recorder': {'recording': False},
+        'coil_driver': {'port': str(emulator.port), 'full_scale_A': 2.0}})
+    nodes = ['controller', 'recorder', 'coil_driver']
+    with Graph(lambda *_: None) as graph:
+        graph.start('rig', [sys.executable, '-m', 'microbot_ros.nodes', *nodes, '--ros-args',
+                            '-r', '__ns:=/rig_2', '--params-file', str(parameters)])
+        graph.wait_ready(60.0)
+        there, folder = ('--namespace', 'rig_2'), str(tmp_path / 'run')
+        assert _microbot('goal', '1,1', *there) == (
+            0, "1 goal taken by controller 'hold', which does not go there: microbot set "
+            'controller controller waypoint --namespace rig_2\n',
+            'coil_driver: coils at zero, disarmed\n')
+        assert _microbot('set', 'controller', 'controller', 'waypoint', *there)[0] == 0
+        assert _microbot('record', '--folder', folder, *there) == (
+            0, f'recording to {folder}\n', '')
+        assert _microbot('arm', *there) == (0, 'armed\n', '')
+        assert _microbot('goal', '1,1', *there) == (
+            0, "1 goal taken by controller 'waypoint'\n", '')
+        elsewhere = [_start('goal', '1,1'), _start('arm', '--off'), _start('record', '--stop')]
+        for command, node in zip(elsewhere, nodes[:1] + nodes[:0:-1], strict=True):
+            assert _end(command) == (
+                1, '', f'microbot: {node} was not found in the namespace / within 5 s: is it '
+                'running?; there is one in --namespace /rig_2\n')
+
+
+@pytest.fixture
+def lose(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], list[str]]:
+    """Makes the first answer of a service go astray, as one does whose way is not known yet."""
+    deliver, lost = Service.send_response, []
+
+    def lose_first(name: str) -> list[str]:
+        def send(service: Service, *answer: Any) -> None:
+            if service.srv_name == name and name not in lost:
+                lost.append(name)
+            else:
+                deliver(service, *answer)
+        monkeypatch.setattr(Service, 'send_response', send)
+        return lost
+    return lose_first
+
+
+def _command(graph: Any, *words: str) -> Answer:
+    """A command beside nodes of this process, which must be served meanwhile."""
+    process = _start(*words)
+    graph.until(lambda: process.poll() is not None, 60)
+    return _end(process)
+
+
+def test_a_controller_that_does_not_answer_is_one_and_the_reason(ros: Any) -> None:
+    graph = ros({})
+    graph.add('controller').trigger_deactivate()
+    assert _command(graph, 'goal', '1,1', '--wait', '60') == (
+        1, '', 'microbot: controller did not take the goals within 5 s: it says nothing; is it '
+        'active?\n')
+    assert len(graph.nodes['controller']._goals) == 0
+
+
+def test_a_recorder_whose_answer_was_lost_has_done_it(
+        ros: Any, tmp_path: Path, lose: Callable[[str], list[str]]) -> None:
+    graph = ros({'recorder': {'recording': False}})
+    recorder = graph.add('recorder')
+    run, twice = str(tmp_path / 'run'), ('record', '--folder', str(tmp_path / 'other'))
+    lost = lose('~/record')
+    assert _command(graph, 'record', '--folder', run) == (0, f'recording to {run}\n', '')
+    assert lost
+    assert recorder.health()[1] == f'recording to {run}'
+    # Without a loss the same words are a refusal.
+    assert _command(graph, *twice) == (
+        1, '', f'microbot: recorder: already recording to {run}\n')
+    lost.clear()
+    assert _command(graph, 'record', '--stop') == (0, 'the recording has ended\n', '')
+    assert lost
+    assert recorder.health()[1] == 'not recording'
+    assert _command(graph, 'record', '--stop') == (1, '', 'microbot: recorder: not recording\n')
+
+
+def test_arming_whose_answer_was_lost_is_asked_for_again(
+        ros: Any, emulator: Any, lose: Callable[[str], list[str]]) -> None:
+    graph = ros({'coil_driver': {'port': str(emulator.port), 'full_scale_A': 2.0}})
+    driver = graph.add('coil_driver')
+    lost = lose('~/arm')
+    assert _command(graph, 'arm') == (0, 'armed\n', '')
+    assert lost
+    assert driver.health()[2]['armed']
+    assert _command(graph, 'arm', '--off') == (0, 'disarmed: the coils are at zero\n', '')
+    emulator.end()
+    graph.until(lambda: driver.health()[0] == b'\x02')
+    assert _command(graph, 'arm') == (
+        1, '', 'microbot: coil_driver: the amplifier is not connected\n')
+
+
+@pytest.mark.filterwarnings('ignore:failed to send response:RuntimeWarning')
+def test_arming_that_was_given_up_does_not_come_true_later(ros: Any, emulator: Any) -> None:
+    """A driver that hangs while it is asked finds the requests when it goes on."""
+    graph = ros({'coil_driver': {'port': str(emulator.port), 'full_scale_A': 2.0}})
+    driver = graph.add('coil_driver')
+    asked: list[bool] = []
+    answer = driver._driver.arm
+    driver._driver.arm = lambda: asked.append(True) or answer()
+    disarm = driver._driver.disarm
+    driver._driver.disarm = lambda: asked.append(False) or disarm()
+    assert _microbot('arm') == (1, '', 'microbot: coil_driver did not answer within 12 s\n')
+    graph.until(lambda: len(asked) > 1 and not asked[-1])
+    assert asked[0]
+    assert not driver.health()[2]['armed']
+    assert emulator.zero
