@@ -1,6 +1,7 @@
 """The SerialTransfer driver against the emulated board, over a real pseudo-terminal."""
 
 import contextlib
+import math
 import os
 import pty
 import socket
@@ -222,3 +223,35 @@ def test_the_bytes_of_a_session_and_no_others():
              + bytes.fromhex('0000803f 000000bf 00000000 0000803e') + bytes(8))
     crc = codec.crc8(drive[4:])
     assert received == zero + drive + bytes((crc, 0x81)) + zero
+
+
+@pytest.mark.parametrize(('fifth', 'sixth', 'fault'), [
+    (0.199, -0.199, ''), (0.201, 0.0, 'coil 5 carries 0.2 A'), (0.0, -2.0, 'coil 6 carries -2 A'),
+    (3.0, 3.0, 'coil 5 carries 3 A, and was never told to; coil 6 carries 3 A'),
+])
+def test_coils_that_are_never_driven_must_carry_nothing(fifth, sixth, fault):
+    amplifier = SerialTransferAmplifier('nowhere', FULL_SCALE)
+    hears(amplifier, codec.encode(codec.measurement([1.0, 0.0, 0.0, 0.0, fifth, sixth])))
+    reading, = amplifier.poll()
+    assert reading.currents_A == pytest.approx([1.0, 0, 0, 0])
+    assert amplifier.fault.startswith(fault)
+    assert bool(amplifier.fault) == bool(fault)
+    hears(amplifier, codec.encode(codec.measurement([0.0] * 6)))
+    assert amplifier.poll()
+    assert amplifier.fault == ''
+
+
+@pytest.mark.parametrize('channel', range(6))
+@pytest.mark.parametrize('value', [math.nan, math.inf, -math.inf, 4.001])
+def test_a_report_that_cannot_be_is_none(channel, value):
+    amplifier = SerialTransferAmplifier('nowhere', FULL_SCALE)
+    currents = [0.0] * 6
+    currents[channel] = value
+    hears(amplifier, codec.encode(codec.measurement(currents)))
+    assert amplifier.poll() == []
+    assert amplifier.counters.crc_errors == 1
+
+
+def hears(amplifier, data):
+    """Let the bytes be all that comes in, as from a port."""
+    amplifier._port = SimpleNamespace(receive=lambda _: data)

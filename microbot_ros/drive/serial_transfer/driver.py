@@ -14,6 +14,7 @@ from microbot_ros.drive.transport import Port
 
 _EXPECTED = 'SerialTransfer packets of six measured currents'
 _RUNNING_S = 0.035  # two periods: longer than a board that opening the port resets lives on
+_STRAY = 0.1  # of full scale: more than the noise of a sense line
 _PLAUSIBLE = 2.0  # a reading beyond this part of full scale is damage that the CRC-8 let through
 
 
@@ -71,15 +72,23 @@ class SerialTransferAmplifier(Amplifier):
         now = time.monotonic()
         readings = []
         for payload in self._decoder.feed(data, now):
-            currents = np.array(codec.currents(payload)[:4])
-            if np.all(np.abs(currents) <= _PLAUSIBLE * self.full_scale_A):
-                readings.append((now, now, currents))
+            currents = np.array(codec.currents(payload))
+            if np.all(np.abs(currents) <= _PLAUSIBLE * self.full_scale_A.max()):
+                readings.append((now, now, currents[:4]))
+                self.fault = self._stray(currents[4:])
                 self.counters.frames_received += 1
             else:
                 self._decoder.crc_errors += 1
         self.counters.crc_errors = self._decoder.crc_errors
         self.counters.discarded_bytes = self._decoder.discarded_bytes
         return readings
+
+    def _stray(self, currents_A: np.ndarray) -> str:
+        """What is wrong with the coils that are never driven, +Z and −Z; '' for nothing."""
+        stray = [f'coil {5 + index} carries {current:.2g} A, and was never told to'
+                 for index, current in enumerate(currents_A.tolist())
+                 if not abs(current) <= _STRAY * self.full_scale_A.max()]
+        return '; '.join(stray)
 
     def _release(self) -> None:
         if self._port is not None:
