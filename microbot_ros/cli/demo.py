@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import sys
 import time
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +14,10 @@ import click
 import numpy as np
 import yaml
 
+from microbot_ros.ending import Ending, Stopped
 from microbot_ros.errors import InputError
 from microbot_ros.files import output_folder, write_text
+from microbot_ros.nodes.graph import Graph
 
 SPEEDS_UM_S = [3.71, 4.38, 4.98, 4.1]
 PHIS_RAD = [-1.09, 3.82, 2.64, 0.6]
@@ -32,6 +36,20 @@ PIXEL_SIZE_UM = 0.45
 
 NODES = ('recorder', 'tracker', 'model', 'controller', 'coil_driver', 'virtual_rig')
 _FEWEST_SECONDS = 15.0
+_SPARE_SECONDS = 2.5
+"""Left over for a place to be visited: courses are not straight, and turns take time."""
+
+
+@dataclass
+class _Run:
+    """What was asked of the loop, and what cut it."""
+
+    goals: np.ndarray
+    """Where to go, in order (n, 2) [m]."""
+    armed_at: float
+    """ROS time [s]."""
+    controllers: list[str]
+    faults: list[str]
 
 
 @click.command()
@@ -45,8 +63,11 @@ def command(seconds: float, seed: int, out: Path, json_path: Path | None) -> Non
     """Steer a microrobot on the virtual rig, over a real ROS graph and a real serial line.
 
     Every node is a process. The model learns speed and offset angle of each particle from
-    nothing; then the controller is swapped and one particle visits three places. Leaves
-    summary.json, an MCAP recording, an overlay video and a figure.
+    nothing; then the controller is swapped and one particle visits three places, or as many as
+    there is time for. Leaves summary.json, an MCAP recording, an overlay video and a figure.
+
+    Ends with 0 if every place was reached; with 1, and all files, if not or if the loop was cut.
+    Stopped before the end (Ctrl-C, SIGTERM, SIGHUP) it leaves nothing: 128 and the signal.
 
     \b
     Example:
@@ -55,69 +76,84 @@ def command(seconds: float, seed: int, out: Path, json_path: Path | None) -> Non
     if not seconds >= _FEWEST_SECONDS:
         raise InputError('--seconds', f'expected at least {_FEWEST_SECONDS:g}; got {seconds:g}')
     began = time.monotonic()
-    with output_folder(out) as folder:
-        goal, armed_at, controllers, faults = _run(folder, seconds, seed, began)
-        summary = _look_back(folder, out, goal, armed_at, controllers, began)
+    try:
+        run, summary = _demo(seconds, seed, out, began)
+    except Stopped as stopped:
+        _say(began, f'stopped by {stopped}: the coils are at zero, nothing was kept')
+        sys.exit(stopped.status)
     _print(summary, out)
     if json_path:
         write_text(json_path, json.dumps(summary, indent=1) + '\n')
-    if faults:
-        _say(began, f'the loop was cut: {"; ".join(faults)}')
+    if run.faults:
+        _say(began, f'the loop was cut: {"; ".join(run.faults)}')
+    missed = summary['goals'] - summary['goals_reached']
+    if missed:
+        _say(began, f'{missed} of {summary["goals"]} places not reached; the particle ended '
+                    f'{summary["goal_error_um"]:.1f} µm from the last')
+    if run.faults or missed:
         sys.exit(1)
 
 
-def _run(folder: Path, seconds: float, seed: int, began: float,
-         ) -> tuple[np.ndarray, float, list[str], list[str]]:
-    """The whole graph for that long.
+def _demo(seconds: float, seed: int, out: Path, began: float) -> tuple[_Run, dict[str, Any]]:
+    graph = Graph(lambda who, line: _say(began, f'{who}: {line}'))
+    with Ending(graph.tell_to_end) as ending, output_folder(out) as folder:
+        with graph:
+            run = _run(graph, ending, folder, seconds, seed, began)
+            _say(began, 'stopping; the coils are at zero')
+        with ending.interrupts():
+            return run, _look_back(folder, out, run, began)
 
-    The last goal [m], the ROS time [s] of arming, the controllers used, in order, and faults.
-    """
-    from microbot_ros.nodes.graph import Graph
-    from microbot_ros.nodes.remote import Remote
 
+def _run(graph: Graph, ending: Ending, folder: Path, seconds: float, seed: int,
+         began: float) -> _Run:
+    """The whole graph for that long."""
     port, log = folder / 'amplifier', folder / 'amplifier.jsonl'
     rig = folder / 'rig.yaml'
     write_text(rig, _rig_file(folder, port, log, seed))
     _say(began, f'starting the emulated amplifier and {len(NODES)} nodes')
-    with Graph(lambda who, line: _say(began, f'{who}: {line}')) as graph:
-        graph.start('amplifier', [
-            sys.executable, '-m', 'microbot_ros.cli', 'emulate', 'serial_transfer',
-            '--link', str(port), '--log', str(log), '--full-scale-A', '2'],
-            says_when_ready='serving')
-        graph.wait_ready(20.0)  # the log must be there before the virtual rig reads it
-        for node in NODES:
+    graph.start('amplifier', [
+        sys.executable, '-m', 'microbot_ros.cli', 'emulate', 'serial_transfer',
+        '--link', str(port), '--log', str(log), '--full-scale-A', '2'],
+        says_when_ready='serving')
+    # The log must be there before the virtual rig reads it. Particles swim as soon as that
+    # lives: everybody else is to be there by then.
+    for nodes, patience_s in ((), 20.0), (NODES[:-1], 120.0), (NODES[-1:], 60.0):
+        for node in nodes:
             graph.start_nodes([node], rig)
-            if node == NODES[-2]:
-                # Particles swim as soon as the rig lives: everybody else is to be there by then.
-                graph.wait_ready(120.0)
-        graph.wait_ready(60.0)
-        with Remote() as remote:
-            watch = _Watch(remote, graph, began)
-            watch.until_tracked(60.0)
-            remote.arm()
-            armed_at = time.time()
-            remote.set('controller', controller='open_loop')
-            start = time.monotonic()
-            _say(began, f'armed; {LEARN_SECONDS:g} s of fixed directions to learn v and φ')
-            watch.until(start + LEARN_SECONDS)
-            goals = watch.place() + GOALS_UM * 1e-6
-            remote.set('controller', controller='waypoint')
-            remote.send_goals([tuple(goal) for goal in goals.tolist()])
-            _say(began, 'swapped to waypoint: ' + ' → '.join(
-                f'({x:.0f}, {y:.0f}) µm' for x, y in goals * 1e6))
-            watch.until(start + seconds)
-            remote.set('controller', controller='hold')
-            remote.arm(False)
-        _say(began, 'stopping; the coils are at zero')
-        graph.stop(['recorder', 'controller', 'model', 'tracker', 'virtual_rig', 'coil_driver'])
-        graph.stop(['amplifier'])
-    return goals[-1], armed_at, ['hold', 'open_loop', 'waypoint', 'hold'], sorted(watch.faults)
+        with ending.interrupts():
+            graph.wait_ready(patience_s)
+    with ending.interrupts():
+        return _steer(graph, seconds, began)
+
+
+def _steer(graph: Graph, seconds: float, began: float) -> _Run:
+    """Learn, then visit places, for that long."""
+    from microbot_ros.nodes.remote import Remote
+
+    with Remote() as remote:
+        watch = _Watch(remote, graph, began)
+        watch.until_tracked(60.0)
+        remote.arm()
+        armed_at = time.time()
+        remote.set('controller', controller='open_loop')
+        start = time.monotonic()
+        _say(began, f'armed; {LEARN_SECONDS:g} s of fixed directions to learn v and φ')
+        watch.until(start + LEARN_SECONDS)
+        goals = watch.places_within(start + seconds - time.monotonic())
+        remote.set('controller', controller='waypoint')
+        remote.send_goals([tuple(goal) for goal in goals.tolist()])
+        _say(began, 'swapped to waypoint: ' + ' → '.join(
+            f'({x:.0f}, {y:.0f}) µm' for x, y in goals * 1e6))
+        watch.until(start + seconds)
+        remote.set('controller', controller='hold')
+        remote.arm(False)
+    return _Run(goals, armed_at, ['hold', 'open_loop', 'waypoint', 'hold'], sorted(watch.faults))
 
 
 class _Watch:
     """Listens while the demo runs: estimates, faults, what the nodes print."""
 
-    def __init__(self, remote: Any, graph: Any, began: float) -> None:
+    def __init__(self, remote: Any, graph: Graph, began: float) -> None:
         self._remote, self._graph, self._began = remote, graph, began
         self._estimates: Any = np.empty(0)
         self.faults: set[str] = set()
@@ -148,14 +184,18 @@ class _Watch:
             self.faults.add(sentence)
             _say(self._began, f'{node}: FAULT {sentence}')
 
-    def place(self) -> np.ndarray:
-        """Where the steered particle is (2,) [m]: the one with the lowest identity."""
+    def places_within(self, seconds: float) -> np.ndarray:
+        """Those of the places, in order (n, 2) [m], that the steered particle has time for: the
+        one with the lowest identity. One at least.
+        """
         first = self._estimates[self._estimates['id'].argmin()]
-        return np.array([first['x'], first['y']], float)
+        legs = np.diff(GOALS_UM, axis=0, prepend=0.0) * 1e-6
+        needed = np.hypot(*legs.T).cumsum() / first['speed'] + _SPARE_SECONDS
+        return np.array([first['x'], first['y']], float) + (
+            GOALS_UM[:max(1, np.sum(needed <= seconds))] * 1e-6)
 
 
-def _look_back(folder: Path, out: Path, goal: np.ndarray, armed_at: float,
-               controllers: list[str], began: float) -> dict[str, Any]:
+def _look_back(folder: Path, out: Path, asked: _Run, began: float) -> dict[str, Any]:
     """Summary, figure and video of the recording, written beside it."""
     from microbot_ros.cli.demo_figure import draw
     from microbot_ros.cli.demo_results import DemoRun, summarise
@@ -163,10 +203,10 @@ def _look_back(folder: Path, out: Path, goal: np.ndarray, armed_at: float,
 
     recording = folder / 'recording'
     run = DemoRun.read(recording)
-    summary = {**summarise(run, goal, armed_at), 'nodes': list(NODES), 'controllers': controllers,
-               'recording': str(out / 'recording')}
+    summary = {**summarise(run, asked.goals, asked.armed_at), 'nodes': list(NODES),
+               'controllers': asked.controllers, 'recording': str(out / 'recording')}
     write_text(folder / 'summary.json', json.dumps(summary, indent=1) + '\n')
-    draw(run, goal, folder / 'demo.png')
+    draw(run, asked.goals[-1], folder / 'demo.png')
     _say(began, 'drawing the video')
     write_video(run, recording, PIXEL_SIZE_UM * 1e-6, folder / 'demo.mp4')
     return summary
@@ -205,7 +245,8 @@ def _print(summary: dict[str, Any], out: Path) -> None:
     console.print(table)
     latency = summary['latency_ms']
     console.print(
-        f'distance to the last goal, mean of the last 5 s: {summary["goal_error_um"]:.1f} µm\n'
+        f'reached {summary["goals_reached"]} of {summary["goals"]} places; distance to the last, '
+        f'mean of the last 5 s: {summary["goal_error_um"]:.1f} µm\n'
         f'frames {summary["frames"]}, dropped {summary["frames_dropped"]}; exposure to amplifier '
         f'p50 {latency["p50"]:.1f} ms, p99 {latency["p99"]:.1f} ms; CRC errors '
         f'{summary["amplifier"]["crc_errors"]}\n'
@@ -213,5 +254,6 @@ def _print(summary: dict[str, Any], out: Path) -> None:
 
 
 def _say(began: float, line: str) -> None:
-    print(f'[{time.monotonic() - began:5.1f} s] {line.removeprefix("microbot: ")}',
-          file=sys.stderr, flush=True)
+    with suppress(OSError):  # a closed terminal must not end the clean-up
+        print(f'[{time.monotonic() - began:5.1f} s] {line.removeprefix("microbot: ")}',
+              file=sys.stderr, flush=True)

@@ -17,6 +17,9 @@ from microbot_ros.session import open_recording
 LAST_SECONDS = 5.0
 """The goal error is the mean over the end of the run."""
 
+_REACHED_UM = 3.0
+"""A place counts as reached from this close, in truth; the controller takes 2 µm."""
+
 
 @dataclass
 class DemoRun:
@@ -83,20 +86,23 @@ class DemoRun:
         return np.array(rows).reshape(-1, 3) - [self.origin, 0.0, 0.0]
 
 
-def summarise(run: DemoRun, goal: np.ndarray, armed_at: float) -> dict[str, Any]:
-    """The numbers of `summary.json` that the recording holds; `goal` [m] is the last one.
+def summarise(run: DemoRun, goals: np.ndarray, armed_at: float) -> dict[str, Any]:
+    """The numbers of `summary.json` that the recording holds; `goals` (n, 2) [m] in order.
 
     Frames count from `armed_at` [s, ROS time]: before, the tracker is learning what particles
     look like and lets frames pass.
     """
     truth = run.path(run.truth, run.matches[run.steered])
     end = truth[truth[:, 0] > truth[-1, 0] - LAST_SECONDS]
-    error = np.hypot(*(end[:, 1:] - goal).T).mean()
+    error = np.hypot(*(end[:, 1:] - goals[-1]).T).mean()
+    given = min((t for t, _ in run.goals), default=math.inf) - run.origin
     # Nothing may be in flight at the end: what was exposed last had no time to be tracked.
     expected = [t for t in run.truth if armed_at <= t <= max(run.truth) - 0.2]
     driver = run.health['coil_driver']
     return {
         'goal_error_um': round(float(units.from_si('x_um', error)), 3),
+        'goals': len(goals),
+        'goals_reached': goals_reached(truth[truth[:, 0] >= given, 1:], goals),
         'frames': len(expected),
         'frames_dropped': sum(t not in run.particles for t in expected),
         'latency_ms': {
@@ -105,6 +111,15 @@ def summarise(run: DemoRun, goal: np.ndarray, armed_at: float) -> dict[str, Any]
                       'crc_errors': int(driver['crc_errors'])},
         'estimate': dict(_estimates(run)),
     }
+
+
+def goals_reached(path: np.ndarray, goals: np.ndarray) -> int:
+    """How many of some places (n, 2) [m] a path (m, 2) [m] comes to, one after the other."""
+    reached = 0
+    for place in path:
+        if reached < len(goals) and np.hypot(*(place - goals[reached])) <= _REACHED_UM * 1e-6:
+            reached += 1
+    return reached
 
 
 def _estimates(run: DemoRun) -> Iterator[tuple[str, dict[str, float]]]:

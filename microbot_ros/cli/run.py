@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-import signal
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import click
+
+from microbot_ros.ending import Ending, Stopped
+from microbot_ros.nodes.graph import Graph
 
 
 @click.command()
@@ -16,10 +19,11 @@ import click
 @click.option('--one-process', is_flag=True, help='All nodes in one process: less latency for '
               'large frames, but one crash ends all.')
 def command(config: Path, arm: bool, one_process: bool) -> None:
-    """Run the nodes beside a rig until Ctrl-C, which leaves the coils at zero.
+    """Run the nodes beside a rig until Ctrl-C, SIGTERM or SIGHUP: the coils go to zero at once.
 
     Nothing drives the coils before the gate is armed: with --arm, or from another terminal
-    with `microbot arm`. A node that ends is reported, and the others go on.
+    with `microbot arm`. A node that ends is reported, and the others go on. At the end a
+    recorder has 15 s to write what it holds. Ends with 0, or with 1 if a node had to be killed.
 
     \b
     Example:
@@ -27,25 +31,26 @@ def command(config: Path, arm: bool, one_process: bool) -> None:
       microbot arm
     """
     from microbot_ros.nodes.configuration import read_rig
-    from microbot_ros.nodes.graph import Graph
     from microbot_ros.nodes.process import NODES
 
     nodes = [name for name in NODES if name in read_rig(config)]
-    stopping: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda received, _frame: stopping.append(received))
-    with Graph(_say) as graph:
-        if one_process:
-            graph.start_nodes(nodes, config)
-        else:
-            for name in nodes:
-                graph.start_nodes([name], config)
-        graph.wait_ready(30.0)
-        _say('microbot', f'running: {", ".join(nodes)}; Ctrl-C stops')
-        _watch(graph, stopping, arm)
+    graph = Graph(_say)
+    with Ending(graph.tell_to_end) as ending, graph:
+        for group in [nodes] if one_process else [[name] for name in nodes]:
+            graph.start_nodes(group, config)
+        try:
+            with ending.interrupts():
+                graph.wait_ready(30.0)
+                _say('microbot', f'running: {", ".join(nodes)}; Ctrl-C stops')
+                _watch(graph, arm)
+        except Stopped as stopped:
+            _say('microbot', f'stopping on {stopped}')
+    if graph.killed:
+        sys.exit(1)
 
 
-def _watch(graph, stopping: list[int], arm: bool) -> None:  # type: ignore[no-untyped-def]
+def _watch(graph: Graph, arm: bool) -> None:
+    """Tell what changes, until every node has ended."""
     from microbot_ros.nodes.remote import Remote
 
     last: dict[str, tuple[bytes, str]] = {}
@@ -61,16 +66,16 @@ def _watch(graph, stopping: list[int], arm: bool) -> None:  # type: ignore[no-un
         if arm:
             remote.arm()
             _say('microbot', 'armed')
-        while not stopping and len(reported) < graph.count:
+        while len(reported) < graph.count:
             graph.pump(0.0)
             remote.spin(0.1)
             for name, status in graph.ended().items():
                 if name not in reported:
                     reported.add(name)
                     _say(name, f'ended with status {status}; the other nodes go on')
-    _say('microbot', 'stopping')
 
 
 def _say(who: str, line: str) -> None:
-    print(f'{who}: {line.removeprefix("microbot: ").removeprefix(f"{who}: ")}', file=sys.stderr,
-          flush=True)
+    with suppress(OSError):  # a closed terminal must not end the clean-up
+        print(f'{who}: {line.removeprefix("microbot: ").removeprefix(f"{who}: ")}',
+              file=sys.stderr, flush=True)

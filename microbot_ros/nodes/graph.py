@@ -1,32 +1,40 @@
-"""Starts a graph of nodes as processes, watches them, stops them in order. Needs no launch."""
+"""Starts a graph of nodes as processes, watches them, stops them. Needs no launch."""
 
 from __future__ import annotations
 
+import math
 import os
 import selectors
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from microbot_ros.ending import PARENT
 from microbot_ros.errors import InputError
 
 READY = 'microbot: ready'
 """What a child prints on standard output when it does its work."""
 
-PARENT = 'MICROBOT_PARENT'
-"""Environment variable with the process id that a node must not outlive."""
+_PATIENCE_S = 15.0
+"""How long children may take to end: a recorder on a slow disk has much to write."""
+_REMARK_S = 1.0
+"""After this it is said who is still ending."""
 
 
 @dataclass
 class _Child:
     name: str
-    process: subprocess.Popen[str]
+    nodes: tuple[str, ...]
+    process: subprocess.Popen[bytes]
     says_when_ready: str
     ready: bool = False
+    unfinished: bytes = b''
+    """What it has printed of a line that has no end yet."""
     said: list[str] = field(default_factory=list)
 
 
@@ -37,16 +45,20 @@ class Graph:
     """
 
     def __init__(self, tell: Callable[[str, str], None]) -> None:
+        self.killed: list[str] = []
+        """Children that did not end when they were told to."""
         self._tell = tell
         self._environment = {**os.environ, PARENT: str(os.getpid())}
         self._children: dict[str, _Child] = {}
         self._selector = selectors.DefaultSelector()
+        self._ending = False
+        self._starting = threading.Lock()
 
     def __enter__(self) -> Graph:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.stop(list(reversed(self._children)))
+        self.stop(list(self._children))
         self._selector.close()
 
     @property
@@ -56,17 +68,26 @@ class Graph:
 
     def start_nodes(self, names: Sequence[str], parameters: Path) -> None:
         """Start one process with these nodes and a ROS parameter file."""
-        self.start('+'.join(names), [sys.executable, '-m', 'microbot_ros.nodes', *names,
-                                     '--ros-args', '--params-file', str(parameters)])
+        self._start('+'.join(names), [sys.executable, '-m', 'microbot_ros.nodes', *names,
+                                      '--ros-args', '--params-file', str(parameters)],
+                    READY, tuple(names))
 
     def start(self, name: str, command: Sequence[str], says_when_ready: str = READY) -> None:
-        """Start any child; it is in a session of its own, so that Ctrl-C reaches only us."""
-        process = subprocess.Popen(
-            command, env=self._environment, text=True, bufsize=1, stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True)
-        child = _Child(name, process, says_when_ready)
-        self._children[name] = child
-        self._selector.register(process.stdout, selectors.EVENT_READ, child)  # type: ignore[arg-type]
+        """Start a child that is no node, as an emulated amplifier: it ends after the nodes."""
+        self._start(name, command, says_when_ready, ())
+
+    def _start(self, name: str, command: Sequence[str], says_when_ready: str,
+               nodes: tuple[str, ...]) -> None:
+        with self._starting:
+            # In a session of its own, so that Ctrl-C reaches only us.
+            process = subprocess.Popen(
+                command, env=self._environment, bufsize=0, stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True)
+            child = self._children[name] = _Child(name, nodes, process, says_when_ready)
+            if self._ending:
+                _end([child])
+        os.set_blocking(_output(child), False)
+        self._selector.register(_output(child), selectors.EVENT_READ, child)
 
     def wait_ready(self, seconds: float) -> None:
         """Return when every child does its work. InputError when one ends or is late."""
@@ -74,26 +95,45 @@ class Graph:
         while waiting := [c for c in self._children.values() if not c.ready]:
             self.pump(0.1)
             for child in waiting:
-                if not child.ready and child.process.poll() is not None:
-                    self.pump(0.1)
+                ended = child.process.poll() is not None
+                if ended:
+                    self._read(child)  # its last words came before its end
+                if ended and not child.ready:
                     last = child.said[-1] if child.said else 'it said nothing'
                     raise InputError(child.name, f'ended while starting: {last}')
-                if time.monotonic() > deadline:
+                if not child.ready and time.monotonic() > deadline:
                     raise InputError(child.name, f'did not get ready within {seconds:g} s')
 
     def pump(self, seconds: float) -> None:
         """Pass on what children print, for at most that long or until one has printed."""
         for key, _ in self._selector.select(seconds):
-            child: _Child = key.data
-            line = key.fileobj.readline()  # type: ignore[union-attr]
-            if not line:
-                self._selector.unregister(key.fileobj)
-            elif line.startswith(child.says_when_ready):
-                child.ready = True
-            else:
-                child.said.append(line.rstrip())
-                del child.said[:-20]
-                self._tell(child.name, line.rstrip())
+            self._read(key.data)
+
+    def _read(self, child: _Child) -> None:
+        """Pass on every line that a child has printed up to now, the last one even unfinished
+        where nothing can follow.
+        """
+        output = _output(child)
+        while output in self._selector.get_map():
+            try:
+                data = os.read(output, 65536)
+            except BlockingIOError:
+                return
+            if not data:
+                self._selector.unregister(output)
+            *lines, child.unfinished = (child.unfinished + data).split(b'\n')
+            if not data and child.unfinished:
+                lines.append(child.unfinished)
+            for line in lines:
+                self._heard(child, line.decode(errors='replace').rstrip())
+
+    def _heard(self, child: _Child, line: str) -> None:
+        if line.startswith(child.says_when_ready):
+            child.ready = True
+        else:
+            child.said.append(line)
+            del child.said[:-20]
+            self._tell(child.name, line)
 
     def ended(self) -> dict[str, int]:
         """Children that have ended by themselves, with their exit status."""
@@ -106,20 +146,60 @@ class Graph:
         """The process id of a child."""
         return self._children[name].process.pid
 
-    def stop(self, names: Sequence[str], seconds: float = 5.0) -> None:
-        """SIGTERM the named children, one after the other, and see each end; kill what hangs."""
-        for name in names:
-            child = self._children.pop(name)
-            if child.process.poll() is None:
-                child.process.send_signal(signal.SIGTERM)
-            deadline = time.monotonic() + seconds
-            while child.process.poll() is None:
-                self.pump(0.02)
-                if time.monotonic() > deadline:
-                    self._tell(name, f'did not end within {seconds:g} s: killed')
-                    child.process.kill()
-                    child.process.wait()
+    def tell_to_end(self) -> None:
+        """SIGTERM every node, the coil driver first, without waiting; from any thread.
+
+        What is started from now on is told at once.
+        """
+        with self._starting:
+            self._ending = True
+            _end([child for child in self._children.values() if child.nodes])
+
+    def stop(self, names: Sequence[str], seconds: float = _PATIENCE_S) -> None:
+        """SIGTERM the named children, the coil driver first, and see them end, side by side.
+
+        What is no node, as an emulated amplifier, is told when the nodes have ended. What hangs
+        is killed.
+        """
+        children = [self._children[name] for name in names]
+        for group in ([child for child in children if child.nodes],
+                      [child for child in children if not child.nodes]):
+            _end(group)
+            self._see_end(group, seconds)
+            for child in group:
+                del self._children[child.name]
+
+    def _see_end(self, children: list[_Child], seconds: float) -> None:
+        for child in self._await_end(children, _REMARK_S):
+            self._tell(child.name, f'still ending; it has {seconds:g} s')
+        for child in self._await_end(children, seconds - _REMARK_S):
+            self._tell(child.name, f'did not end within {seconds:g} s: killed')
+            self.killed.append(child.name)
+            child.process.kill()
+        self._await_end(children, math.inf)
+        for child in children:
+            self._read(child)
+            if _output(child) in self._selector.get_map():  # a child of its own has it open
+                self._selector.unregister(_output(child))
             assert child.process.stdout is not None
-            while child.process.stdout in self._selector.get_map():
-                self.pump(0.1)
             child.process.stdout.close()
+
+    def _await_end(self, children: list[_Child], seconds: float) -> list[_Child]:
+        """Those that have not ended within that time."""
+        deadline = time.monotonic() + seconds
+        while alive := [child for child in children if child.process.poll() is None]:
+            self.pump(0.02)
+            if time.monotonic() > deadline:
+                break
+        return alive
+
+
+def _output(child: _Child) -> int:
+    assert child.process.stdout is not None
+    return child.process.stdout.fileno()
+
+
+def _end(children: Sequence[_Child]) -> None:
+    """SIGTERM, the coil driver before all others."""
+    for child in sorted(children, key=lambda child: 'coil_driver' not in child.nodes):
+        child.process.send_signal(signal.SIGTERM)

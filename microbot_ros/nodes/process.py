@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import gc
 import importlib
-import os
-import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -16,8 +14,9 @@ from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
 
 from microbot_ros.drive.real_time import LOOP, SAFETY, hurry_all
+from microbot_ros.ending import Ending, find_launcher
 from microbot_ros.errors import InputError
-from microbot_ros.nodes.graph import PARENT, READY
+from microbot_ros.nodes.graph import READY
 from microbot_ros.nodes.lifecycle import RigNode
 from microbot_ros.nodes.transport import stay_local
 
@@ -35,7 +34,7 @@ NODES = {
 
 _LOOP = {'camera', 'tracker', 'model', 'controller'}
 
-# Signals are noticed between two spins: this bounds how long the coils outlive a SIGTERM.
+# The end is noticed between two spins. The coils do not wait for that.
 _SPIN_SECONDS = 0.02
 
 
@@ -47,54 +46,64 @@ def make(name: str) -> RigNode:
 
 
 def run(names: list[str], arguments: list[str] | None = None) -> int:
-    """Configure and activate the nodes, spin until SIGINT or SIGTERM, leave them safe.
+    """Configure and activate the nodes, spin until it is to end (`Ending`), leave them safe.
 
+    The coils go to zero at once, whatever another node or the executor is doing.
     The coil driver, alone in its process, runs in real time where the system grants that; so do
     the other nodes of the closed loop, once they are active, in a process without any else.
     A node that has finished, as a player at the end of its recording, ends the process too.
-    With the id of a parent in the environment the nodes also end when that process is gone.
     Returns the exit status: 0 after a signal, 2 where a person must mend an input, 1 otherwise.
     """
-    stopping: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda received, _frame: stopping.append(received))
-    stay_local()
-    if names == ['coil_driver']:
-        hurry_all(SAFETY)
-    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-    executor = EventsExecutor()
     nodes: list[RigNode] = []
-    try:
-        for name in names:
-            nodes.append(make(name))
-            executor.add_node(nodes[-1])
-        for node in nodes:
-            _activate(node)
-        # What was imported lives for good; a full collection of it would take 40 ms, in a tick.
-        gc.collect()
-        gc.freeze()
-        if _LOOP.issuperset(names):
-            hurry_all(LOOP)
-        print(READY, *names, flush=True)
-        parent = int(os.environ.get(PARENT, '0'))
-        while not (stopping or any(node.finished for node in nodes)) and (
-                not parent or os.getppid() == parent):
-            executor.spin_once(timeout_sec=_SPIN_SECONDS)
-        faults = [node.fault for node in nodes if node.finished and node.fault]
-        for fault in faults:
-            print(f'microbot: {fault}', file=sys.stderr)
-        return 1 if faults else 0
-    except InputError as error:
-        print(f'microbot: {error}', file=sys.stderr)
-        return 2
-    finally:
-        for node in reversed(nodes):
-            node.end()
-        for node in reversed(nodes):
-            executor.remove_node(node)
-            node.destroy_node()
-        executor.shutdown()
-        rclpy.try_shutdown()
+    with Ending(lambda: _zero(nodes), find_launcher()) as ending:
+        stay_local()
+        if names == ['coil_driver']:
+            hurry_all(SAFETY)
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        executor = EventsExecutor()
+        try:
+            for name in names:
+                nodes.append(make(name))
+                executor.add_node(nodes[-1])
+            for node in nodes:
+                _activate(node)
+            # What was imported lives for good; a full collection of it would take 40 ms, in a
+            # tick.
+            gc.collect()
+            gc.freeze()
+            if _LOOP.issuperset(names):
+                hurry_all(LOOP)
+            print(READY, *names, flush=True)
+            while not (ending.due or any(node.finished for node in nodes)):
+                executor.spin_once(timeout_sec=_SPIN_SECONDS)
+            return _told_faults(nodes)
+        except InputError as error:
+            print(f'microbot: {error}', file=sys.stderr)
+            return 2
+        finally:
+            _zero(nodes)
+            for node in reversed(nodes):
+                node.end()
+            for node in reversed(nodes):
+                executor.remove_node(node)
+                node.destroy_node()
+            executor.shutdown()
+            rclpy.try_shutdown()
+
+
+def _told_faults(nodes: list[RigNode]) -> int:
+    """Say why nodes have finished; the exit status."""
+    faults = [node.fault for node in nodes if node.finished and node.fault]
+    for fault in faults:
+        print(f'microbot: {fault}', file=sys.stderr)
+    return 1 if faults else 0
+
+
+def _zero(nodes: list[RigNode]) -> None:
+    """Zero the coils, before any other node of the process takes its time; from any thread."""
+    for node in nodes:
+        if type(node).__name__ == NODES['coil_driver']:
+            node.make_safe()
 
 
 def _activate(node: RigNode) -> None:

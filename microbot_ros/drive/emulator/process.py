@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import os
-import signal
 import sys
 import time
 from contextlib import ExitStack
@@ -16,6 +15,7 @@ from microbot_ros.drive.emulator.device import Device
 from microbot_ros.drive.emulator.faults import Faults, parse
 from microbot_ros.drive.emulator.line import Line
 from microbot_ros.drive.emulator.server import Server
+from microbot_ros.ending import Ending, find_launcher
 from microbot_ros.errors import InputError
 
 DEVICES = {
@@ -37,18 +37,15 @@ def make_device(protocol: str, coils: Coils) -> Device:
 
 def run(protocol: str, link: Path, log: Path | None, full_scale_A: float,
         watchdog_s: float | None, faults: list[str]) -> None:
-    """Emulate until SIGINT or SIGTERM; then the coils are at zero and the link is gone.
+    """Emulate until it is to end (`Ending`); then the coils are at zero and the link is gone.
 
     A protocol with several ports gets the links `link`-1, `link`-2 and so on. A fault `-` means
     that more come on standard input, one a line. Raises InputError for a link or a log that
     cannot be made and for a fault that is none.
     """
-    signals: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, lambda received, _frame: signals.append(received))
     started = time.monotonic()
     planned = Faults([parse(text, started) for text in faults if text != '-'])
-    with ExitStack() as stack:
+    with Ending(launcher=find_launcher()) as ending, ExitStack() as stack:
         coils = Coils(full_scale_A, watchdog_s, stack.enter_context(_open_log(log)))
         device = make_device(protocol, coils)
         lines = []
@@ -58,7 +55,7 @@ def run(protocol: str, link: Path, log: Path | None, full_scale_A: float,
         stack.callback(coils.zero, 'power_off')
         server = Server(device, lines, planned, sys.stdin.fileno() if '-' in faults else None)
         print('serving', protocol, 'at', *(line.link for line in lines), flush=True)
-        server.run(lambda: bool(signals))
+        server.run(lambda: ending.due)
 
 
 def _open_log(log: Path | None) -> TextIO:
