@@ -40,7 +40,7 @@ def command(config: Path, arm: bool, one_process: bool) -> None:
             graph.start_nodes(group, config)
         try:
             with ending.interrupts():
-                graph.wait_ready(30.0)
+                graph.wait_ready(120.0)
                 _say('microbot', f'running: {", ".join(nodes)}; Ctrl-C stops')
                 _watch(graph, arm)
         except Stopped as stopped:

@@ -1,0 +1,197 @@
+"""How one node ends that `ros2 run`, a launcher or a person started: at zero, and with whom."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+import yaml
+from geometry_msgs.msg import Vector3Stamped
+from rcl_interfaces.msg import ParameterEvent
+from rclpy.parameter import Parameter
+
+from microbot_ros.ending import PARENT
+from microbot_ros.errors import InputError
+from microbot_ros.nodes import messages
+from microbot_ros.nodes.remote import Remote
+
+pytestmark = [pytest.mark.graph, pytest.mark.timeout(120)]
+
+ZERO_S = 0.1
+_LAUNCHER = """
+import os, subprocess, sys, time
+if {tells}:
+    os.environ['MICROBOT_PARENT'] = str(os.getpid())
+node = subprocess.Popen(sys.argv[1:], start_new_session=True)
+print(node.pid, flush=True)
+time.sleep(3600)
+"""
+
+
+class Bench:
+    """An emulated amplifier, whoever commands it, and what was started."""
+
+    def __init__(self, folder: Path, emulator: Any) -> None:
+        self.folder = folder
+        self.emulator = emulator
+        self.remote = Remote('commander')
+        self._started: list[psutil.Process] = []
+        self._open = ExitStack()
+        self._commands = self.remote.node.create_publisher(Vector3Stamped, 'field/command', 1)
+        # Long enough that no zero in time is one of a stale command.
+        self.parameters = {
+            'coil_driver': {'port': str(emulator.port), 'full_scale_A': 2.0, 'stale_ms': 2000.0},
+            'recorder': {'folder': str(folder / 'recording')}}
+
+    def command_line(self, *nodes: str) -> list[str]:
+        """What runs nodes."""
+        file = self.folder / 'parameters.yaml'
+        file.write_text(yaml.safe_dump(
+            {node: {'ros__parameters': values} for node, values in self.parameters.items()}))
+        return [sys.executable, '-m', 'microbot_ros.nodes', *nodes, '--ros-args',
+                '--params-file', str(file)]
+
+    def start(self, *words: str, **options: Any) -> subprocess.Popen[str]:
+        """A process that is ended with the test."""
+        process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True,
+                                   env={**os.environ, PARENT: ''}, **options)
+        self._open.enter_context(process)
+        self.watch(process.pid)
+        return process
+
+    def watch(self, process: int) -> psutil.Process:
+        """A process that is ended with the test."""
+        self._started.append(psutil.Process(process))
+        return self._started[-1]
+
+    def command(self) -> None:
+        """Ask once for a field."""
+        now = self.remote.node.get_clock().now().to_msg()
+        self._commands.publish(messages.field_vector(np.array([2e-3, 0.0]), now))
+        self.remote.spin(0.01)
+
+    def drive(self) -> None:
+        """Arm and command until current flows."""
+        deadline = time.monotonic() + 60
+        while self.emulator.zero:
+            assert time.monotonic() < deadline
+            with suppress(InputError):
+                self.remote.arm()
+            for _ in range(50):
+                self.command()
+
+    def zero_after(self, moment: float) -> float:
+        """Go on commanding until no current flows; how long after a moment that was [s]."""
+        while not self.emulator.zero:
+            assert time.monotonic() < moment + 10
+            self.command()
+        last = self.emulator.entries()[-1]
+        assert last['cause'] == 'command'  # of the driver: the device's watchdog had no part
+        return float(last['t_monotonic_s'] - moment)
+
+    def end(self) -> None:
+        """Leave nothing behind."""
+        self.remote.__exit__()
+        for process in self._started:
+            with suppress(psutil.NoSuchProcess):
+                process.kill()
+        self._open.close()
+
+
+@pytest.fixture
+def bench(tmp_path: Path, emulator: Any) -> Iterator[Bench]:
+    """A coil driver's surroundings."""
+    made = Bench(tmp_path, emulator)
+    yield made
+    made.end()
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_driver_by_itself_is_at_zero_after_any_signal(bench: Bench, number: int) -> None:
+    node = bench.start(*bench.command_line('coil_driver'))
+    bench.drive()
+    moment = time.monotonic()
+    node.send_signal(number)
+    assert bench.zero_after(moment) < ZERO_S
+    assert node.wait(10) == 0
+
+
+def test_zero_waits_for_no_other_node_of_the_process(bench: Bench) -> None:
+    node = bench.start(*bench.command_line('coil_driver', 'recorder'))
+    events = bench.remote.node.create_publisher(ParameterEvent, '/parameter_events', 10)
+    bench.drive()
+    # The recorder keeps the files that parameters name: of a pipe it waits for the end.
+    pipe = bench.folder / 'pipe'
+    os.mkfifo(pipe)
+    named = Parameter('model_file', value=str(pipe)).to_parameter_msg()
+    while (writer := _writer(pipe)) is None:
+        events.publish(ParameterEvent(node='/model', changed_parameters=[named]))
+        bench.command()
+    moment = time.monotonic()
+    node.send_signal(signal.SIGTERM)
+    assert bench.zero_after(moment) < ZERO_S
+    assert node.poll() is None
+    os.close(writer)
+    assert node.wait(10) == 0
+
+
+def _writer(pipe: Path) -> int | None:
+    """The end to write to, once somebody reads."""
+    try:
+        return os.open(pipe, os.O_WRONLY | os.O_NONBLOCK)
+    except OSError:
+        return None
+
+
+@pytest.mark.parametrize('kind', ['launch', 'ros2'])
+def test_a_node_ends_with_its_launcher(bench: Bench, kind: str) -> None:
+    script = bench.folder / kind
+    script.write_text(_LAUNCHER.format(tells=kind == 'launch'))
+    launcher = bench.start(sys.executable, str(script), *bench.command_line('coil_driver'))
+    assert launcher.stdout is not None
+    node = bench.watch(int(launcher.stdout.readline()))
+    bench.drive()
+    moment = time.monotonic()
+    launcher.kill()
+    assert bench.zero_after(moment) < ZERO_S
+    node.wait(10)
+
+
+def test_an_emulator_ends_with_its_launcher(bench: Bench) -> None:
+    link = bench.folder / 'second'
+    script = bench.folder / 'launch'
+    script.write_text(_LAUNCHER.format(tells=True))
+    launcher = bench.start(sys.executable, str(script), sys.executable, '-m', 'microbot_ros.cli',
+                           'emulate', 'serial_transfer', '--link', str(link))
+    assert launcher.stdout is not None
+    emulator = bench.watch(int(launcher.stdout.readline()))
+    assert 'serving' in launcher.stdout.readline()
+    launcher.kill()
+    emulator.wait(10)
+    assert not link.is_symlink()
+
+
+def test_a_node_outlives_the_shell_that_it_was_started_from(bench: Bench) -> None:
+    words = ' '.join(bench.command_line('coil_driver'))
+    shell = bench.start('sh', '-c', f'nohup {words} & echo $!', stderr=subprocess.DEVNULL)
+    assert shell.stdout is not None
+    node = bench.watch(int(shell.stdout.readline()))
+    assert shell.wait(10) == 0
+    bench.drive()
+    node.send_signal(signal.SIGHUP)  # nohup
+    assert bench.remote.get('coil_driver', 'stale_ms') == {'stale_ms': 2000.0}
+    assert not bench.emulator.zero
+    moment = time.monotonic()
+    node.send_signal(signal.SIGTERM)
+    assert bench.zero_after(moment) < ZERO_S
+    node.wait(10)
