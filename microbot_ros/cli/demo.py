@@ -84,14 +84,18 @@ def command(seconds: float, seed: int, out: Path, json_path: Path | None) -> Non
     _print(summary, out)
     if json_path:
         write_text(json_path, json.dumps(summary, indent=1) + '\n')
-    if run.faults:
-        _say(began, f'the loop was cut: {"; ".join(run.faults)}')
+    sys.exit(tell_shortcomings(run.faults, summary, began))
+
+
+def tell_shortcomings(faults: list[str], summary: dict[str, Any], began: float) -> int:
+    """Say what cut the loop and which places were not reached; the exit status."""
+    if faults:
+        _say(began, f'the loop was cut: {"; ".join(faults)}')
     missed = summary['goals'] - summary['goals_reached']
     if missed:
         _say(began, f'{missed} of {summary["goals"]} places not reached; the particle ended '
                     f'{summary["goal_error_um"]:.1f} µm from the last')
-    if run.faults or missed:
-        sys.exit(1)
+    return 1 if faults or missed else 0
 
 
 def _demo(seconds: float, seed: int, out: Path, began: float) -> tuple[_Run, dict[str, Any]]:
@@ -139,7 +143,7 @@ def _steer(graph: Graph, seconds: float, began: float) -> _Run:
         start = time.monotonic()
         _say(began, f'armed; {LEARN_SECONDS:g} s of fixed directions to learn v and φ')
         watch.until(start + LEARN_SECONDS)
-        goals = watch.places_within(start + seconds - time.monotonic())
+        goals = places_within(start + seconds - time.monotonic(), watch.estimates)
         remote.set('controller', controller='waypoint')
         remote.send_goals([tuple(goal) for goal in goals.tolist()])
         _say(began, 'swapped to waypoint: ' + ' → '.join(
@@ -155,15 +159,15 @@ class _Watch:
 
     def __init__(self, remote: Any, graph: Graph, began: float) -> None:
         self._remote, self._graph, self._began = remote, graph, began
-        self._estimates: Any = np.empty(0)
+        self.estimates: Any = np.empty(0)
         self.faults: set[str] = set()
-        remote.watch_estimates(lambda points: setattr(self, '_estimates', points))
+        remote.watch_estimates(lambda points: setattr(self, 'estimates', points))
         remote.watch_health(self._on_health)
 
     def until_tracked(self, seconds: float) -> None:
         """Return when the tracker has learned what particles look like and found some."""
         deadline = time.monotonic() + seconds
-        while not len(self._estimates):
+        while not len(self.estimates):
             if time.monotonic() > deadline:
                 raise InputError('tracker', f'found no particle within {seconds:g} s')
             self._remote.spin(0.1)
@@ -175,7 +179,7 @@ class _Watch:
             self._remote.spin(min(1.0, left))
             self._graph.pump(0.0)
             known = [f'{e["speed"] * 1e6:.2f}±{1.96 * e["speed_std"] * 1e6:.2f}'
-                     for e in self._estimates if np.isfinite(e['speed_std'])]
+                     for e in self.estimates if np.isfinite(e['speed_std'])]
             line = f'v = {", ".join(known)} µm/s' if known else 'no estimate yet'
             _say(self._began, line)
 
@@ -184,15 +188,17 @@ class _Watch:
             self.faults.add(sentence)
             _say(self._began, f'{node}: FAULT {sentence}')
 
-    def places_within(self, seconds: float) -> np.ndarray:
-        """Those of the places, in order (n, 2) [m], that the steered particle has time for: the
-        one with the lowest identity. One at least.
-        """
-        first = self._estimates[self._estimates['id'].argmin()]
-        legs = np.diff(GOALS_UM, axis=0, prepend=0.0) * 1e-6
-        needed = np.hypot(*legs.T).cumsum() / first['speed'] + _SPARE_SECONDS
-        return np.array([first['x'], first['y']], float) + (
-            GOALS_UM[:max(1, np.sum(needed <= seconds))] * 1e-6)
+
+def places_within(seconds: float, estimates: np.ndarray) -> np.ndarray:
+    """Those of the places, in order (n, 2) [m], that there is time for; one at least.
+
+    They lie about the particle that is steered, the one with the lowest identity.
+    """
+    first = estimates[estimates['id'].argmin()]
+    legs = np.diff(GOALS_UM, axis=0, prepend=0.0) * 1e-6
+    needed = np.hypot(*legs.T).cumsum() / first['speed'] + _SPARE_SECONDS
+    count = max(1, np.count_nonzero(needed <= seconds))
+    return np.array([first['x'], first['y']], float) + GOALS_UM[:count] * 1e-6
 
 
 def _look_back(folder: Path, out: Path, asked: _Run, began: float) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from microbot_ros.ending import PARENT
 from microbot_ros.errors import InputError
+from microbot_ros.nodes.transport import clear_shared_memory
 
 READY = 'microbot: ready'
 """What a child prints on standard output when it does its work."""
@@ -60,6 +61,7 @@ class Graph:
     def __exit__(self, *_: object) -> None:
         self.stop(list(self._children))
         self._selector.close()
+        clear_shared_memory()
 
     @property
     def count(self) -> int:

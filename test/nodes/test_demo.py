@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
+import time
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import cv2
 import numpy as np
+import psutil
 import pytest
 from mcap.reader import make_reader
+
+from microbot_ros.cli.demo import GOALS_UM, places_within, tell_shortcomings
+from microbot_ros.cli.demo_results import goals_reached
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(300)]
 
@@ -35,6 +42,7 @@ def summary(demo: Path) -> dict[str, Any]:
 
 
 def test_the_steered_particle_is_at_its_goal(summary: dict[str, Any]) -> None:
+    assert summary['goals_reached'] == summary['goals']
     assert 0 < summary['goal_error_um'] <= 5
 
 
@@ -96,3 +104,105 @@ def test_bad_options_are_one_line_and_two(tmp_path: Path, arguments: list[str]) 
     assert done.returncode == 2
     assert len(done.stderr.strip().splitlines()) == 1
     assert not list(tmp_path.iterdir())
+
+
+class Demo:
+    """A demo that is not left to its end."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._said = folder / 'said.txt'
+        with self._said.open('w') as said:
+            self.process = subprocess.Popen(
+                [sys.executable, '-m', 'microbot_ros.cli', 'demo', '--seconds', '15', '--out',
+                 str(folder / 'out')], stderr=said, stdout=subprocess.DEVNULL)
+
+    @property
+    def said(self) -> str:
+        """What it has printed so far."""
+        return self._said.read_text()
+
+    def until(self, line: str) -> list[psutil.Process]:
+        """Wait for it to say something; the processes that it has by then."""
+        deadline = time.monotonic() + 200
+        while line not in self.said:
+            assert time.monotonic() < deadline, self.said
+            assert self.process.poll() is None, self.said
+            time.sleep(0.01)
+        return psutil.Process(self.process.pid).children()
+
+    def log(self) -> TextIO:
+        """The amplifier's log, which can be read on when its name is gone."""
+        return next(self.folder.glob('.out.*/amplifier.jsonl')).open()
+
+
+@pytest.fixture
+def begun(tmp_path: Path) -> Iterator[Demo]:
+    """A demo that has begun."""
+    demo = Demo(tmp_path)
+    yield demo
+    demo.process.kill()
+    demo.process.wait(20)
+
+
+def _zero_after(log: TextIO, moment: float) -> float:
+    """How long after a moment the last current ended [s]."""
+    entries = [json.loads(line) for line in log]
+    assert not any(entries[-1]['currents_A'])
+    last = max(n for n, entry in enumerate(entries) if any(entry['currents_A']))
+    return float(entries[last + 1]['t_monotonic_s'] - moment)
+
+
+@pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGHUP])
+def test_a_stopped_demo_is_at_zero_says_so_and_leaves_nothing(begun: Demo, number: int) -> None:
+    children = begun.until('s] v = ')
+    with begun.log() as log:
+        moment = time.monotonic()
+        begun.process.send_signal(number)
+        assert begun.process.wait(30) == 128 + number
+        assert _zero_after(log, moment) < 0.1
+    assert f'stopped by {signal.Signals(number).name}' in begun.said
+    assert not any(child.is_running() for child in children)
+    assert [path.name for path in begun.folder.iterdir()] == ['said.txt']
+
+
+def test_a_demo_stopped_while_it_starts_leaves_nothing(begun: Demo) -> None:
+    begun.until('starting')
+    begun.process.send_signal(signal.SIGINT)
+    assert begun.process.wait(30) == 130
+    assert [path.name for path in begun.folder.iterdir()] == ['said.txt']
+
+
+def test_nobody_outlives_a_killed_demo(begun: Demo) -> None:
+    children = begun.until('s] armed')
+    assert len(children) == 7
+    begun.process.kill()
+    _, alive = psutil.wait_procs(children, timeout=20)
+    assert not alive
+
+
+def test_places_are_reached_one_after_the_other() -> None:
+    goals = np.array([(0.0, 0.0), (9.0, 0.0), (0.0, 9.0)]) * 1e-6
+    there = np.array([(0.0, 20.0), (1.0, 1.0), (5.0, 0.0), (9.0, 2.5)]) * 1e-6
+    assert goals_reached(there, goals) == 2
+    assert goals_reached(there[2:], goals) == 0
+    assert goals_reached(np.vstack([there, goals[2:]]), goals) == 3
+
+
+def test_the_places_are_as_many_as_there_is_time_for() -> None:
+    estimates = np.array([(1, 5e-6, 0.0, 2e-6), (0, 1e-6, 2e-6, 4e-6)], [
+        ('id', int), ('x', float), ('y', float), ('speed', float)])
+    for seconds, count in (9.0, 1), (16.0, 2), (24.0, 3), (0.0, 1):
+        places = places_within(seconds, estimates) * 1e6
+        assert places == pytest.approx(GOALS_UM[:count] + np.array([1.0, 2.0]))
+
+
+@pytest.mark.parametrize(('faults', 'reached', 'status'), [
+    ([], 3, 0), ([], 2, 1), (['silent'], 3, 1)])
+def test_the_status_says_whether_every_place_was_reached(
+        faults: list[str], reached: int, status: int, capsys: pytest.CaptureFixture[str]) -> None:
+    assert tell_shortcomings(
+        faults, {'goals': 3, 'goals_reached': reached, 'goal_error_um': 22.0}, 0.0) == status
+    said = capsys.readouterr().err
+    assert ('1 of 3 places not reached' in said) == (reached == 2)
+    assert ('the loop was cut: silent' in said) == bool(faults)
