@@ -4,12 +4,15 @@ The emulated amplifier is at the other end of a real serial line (a pseudo-termi
 stays disarmed until `ros2 service call /coil_driver/arm std_srvs/srv/SetBool '{data: true}'`.
 """
 
+import os
 import tempfile
 from pathlib import Path
 
 from launch import LaunchDescription
-from launch.actions import ExecuteProcess
+from launch.actions import ExecuteProcess, SetEnvironmentVariable
 from launch_ros.actions import LifecycleNode
+
+from microbot_ros.ending import PARENT
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -21,8 +24,11 @@ def generate_launch_description() -> LaunchDescription:
         'coil_driver': {'port': port},
     }
     return LaunchDescription([
+        # The nodes and the amplifier end with the launcher, whatever becomes of it.
+        SetEnvironmentVariable(PARENT, str(os.getpid())),
         ExecuteProcess(cmd=['microbot', 'emulate', 'serial_transfer', '--link', port,
-                            '--log', log, '--full-scale-A', '2'], output='screen'),
+                            '--log', log, '--full-scale-A', '2', '--leave-nothing'],
+                       output='screen'),
         *(
             LifecycleNode(package='microbot_ros', executable=f'{name}_node', name=name,
                           namespace='', parameters=[own.get(name, {})], output='screen',

@@ -4,11 +4,15 @@
 refused unless `into_live_rig:=true`.
 """
 
+import os
+
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
+from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode
 from launch_ros.parameter_descriptions import ParameterValue
+
+from microbot_ros.ending import PARENT
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -18,6 +22,8 @@ def generate_launch_description() -> LaunchDescription:
     into_live_rig = ParameterValue(LaunchConfiguration('into_live_rig'), value_type=bool)
     simulated = {'use_sim_time': True}
     return LaunchDescription([
+        # The nodes end with the launcher, whatever becomes of it.
+        SetEnvironmentVariable(PARENT, str(os.getpid())),
         DeclareLaunchArgument('session', description='folder or MCAP recording to play'),
         DeclareLaunchArgument('rate', default_value='1.0', description='times real time'),
         DeclareLaunchArgument('into_live_rig', default_value='false',

@@ -11,6 +11,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType, TracebackType
 
+from microbot_ros.drive.real_time import hurry
+
 PARENT = 'MICROBOT_PARENT'
 """Environment variable with the process id that a node must not outlive; 0 for none."""
 
@@ -104,6 +106,7 @@ class Ending:
         """In a thread: wait for the byte that the interpreter writes for a signal, or the end of
         the launcher.
         """
+        hurry()
         awaited = [self._reader]
         try:
             if self._launcher is not None:

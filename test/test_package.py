@@ -96,7 +96,7 @@ def test_launch_files_start_nodes_with_parameters_that_exist(
     started: list[dict[str, Any]] = []
     stand_in = types.ModuleType('stand_in')
     for kind in ('LaunchDescription', 'DeclareLaunchArgument', 'LaunchConfiguration',
-                 'ExecuteProcess', 'ParameterValue'):
+                 'ExecuteProcess', 'ParameterValue', 'SetEnvironmentVariable'):
         setattr(stand_in, kind, lambda *arguments, **_: arguments)
     stand_in.LifecycleNode = lambda **arguments: started.append(arguments)  # type: ignore[attr-defined]
     stand_in.get_package_share_directory = lambda _: str(ROOT)  # type: ignore[attr-defined]
@@ -104,7 +104,9 @@ def test_launch_files_start_nodes_with_parameters_that_exist(
                    'launch_ros.actions', 'launch_ros.parameter_descriptions',
                    'ament_index_python', 'ament_index_python.packages'):
         monkeypatch.setitem(sys.modules, module, stand_in)
-    runpy.run_path(str(ROOT / f'launch/{name}_launch.py'))['generate_launch_description']()
+    [description] = runpy.run_path(
+        str(ROOT / f'launch/{name}_launch.py'))['generate_launch_description']()
+    assert description[0] == ('MICROBOT_PARENT', str(os.getpid()))  # nodes end with the launcher
     scripts = {entry.name for entry in entry_points(group='console_scripts')}
     assert started
     for node in started:

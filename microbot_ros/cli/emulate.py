@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 import click
@@ -24,12 +25,16 @@ _WATCHDOG_MS = 100.0
               help='Zero the coils this long after the last good command.  [default: 100]')
 @click.option('--no-watchdog', is_flag=True,
               help='Keep the last command for ever, as much laboratory firmware does.')
+@click.option('--leave-nothing', is_flag=True,
+              help='At the end remove the log and, once it is empty, the folder of the link.')
 @click.option('--fault', 'faults', multiple=True, metavar='KIND[=VALUE][@START][+DURATION]',
               help='What goes wrong, when and for how long [s]; may be repeated. A single - reads '
                    'faults from standard input, one a line, as they come.')
 def command(protocol: str, link: Path, log: Path | None, full_scale_a: float,
-            watchdog_ms: float | None, no_watchdog: bool, faults: tuple[str, ...]) -> None:
-    """Emulate an amplifier that speaks PROTOCOL on a pseudo-terminal, until Ctrl-C or SIGTERM.
+            watchdog_ms: float | None, no_watchdog: bool, leave_nothing: bool,
+            faults: tuple[str, ...]) -> None:
+    """Emulate an amplifier that speaks PROTOCOL on a pseudo-terminal, until a signal: Ctrl-C,
+    SIGTERM or SIGHUP.
 
     The watchdog of a serial_transfer board is on, as in the project's reference firmware;
     --no-watchdog models firmware that keeps the last command when its host dies. Of the other
@@ -51,3 +56,8 @@ def command(protocol: str, link: Path, log: Path | None, full_scale_a: float,
                                'serial_transfer only')
     watchdog_s = None if no_watchdog else (watchdog_ms or _WATCHDOG_MS) * 1e-3
     process.run(protocol, link, log, full_scale_a, watchdog_s, list(faults))
+    if leave_nothing:
+        if log is not None:
+            log.unlink(missing_ok=True)
+        with suppress(OSError):  # somebody else has put something there
+            link.parent.rmdir()

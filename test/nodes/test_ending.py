@@ -20,6 +20,7 @@ from geometry_msgs.msg import Vector3Stamped
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.parameter import Parameter
 
+from microbot_ros.drive.real_time import hurry
 from microbot_ros.ending import PARENT
 from microbot_ros.errors import InputError
 from microbot_ros.nodes import messages
@@ -44,6 +45,7 @@ class Bench:
     def __init__(self, folder: Path, emulator: Any) -> None:
         self.folder = folder
         self.emulator = emulator
+        hurry(emulator.process.pid)  # a board has nothing else to do
         self.remote = Remote('commander')
         self._started: list[psutil.Process] = []
         self._open = ExitStack()
@@ -168,17 +170,19 @@ def test_a_node_ends_with_its_launcher(bench: Bench, kind: str) -> None:
 
 
 def test_an_emulator_ends_with_its_launcher(bench: Bench) -> None:
-    link = bench.folder / 'second'
+    (bench.folder / 'own').mkdir()
+    link = bench.folder / 'own' / 'amplifier'
     script = bench.folder / 'launch'
     script.write_text(_LAUNCHER.format(tells=True))
     launcher = bench.start(sys.executable, str(script), sys.executable, '-m', 'microbot_ros.cli',
-                           'emulate', 'serial_transfer', '--link', str(link))
+                           'emulate', 'serial_transfer', '--link', str(link), '--log',
+                           str(link.with_name('log')), '--leave-nothing')
     assert launcher.stdout is not None
     emulator = bench.watch(int(launcher.stdout.readline()))
     assert 'serving' in launcher.stdout.readline()
     launcher.kill()
     emulator.wait(10)
-    assert not link.is_symlink()
+    assert not link.parent.exists()
 
 
 def test_a_node_outlives_the_shell_that_it_was_started_from(bench: Bench) -> None:
