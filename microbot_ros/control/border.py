@@ -48,6 +48,7 @@ def kept_in_view(situation: Situation, command: FieldCommand, horizon: float) ->
 def _concerned(situation: Situation, command: FieldCommand) -> np.ndarray:
     """Which particles (N,) are to be kept in view."""
     known = situation.learned(KNOWN_WELL_ENOUGH) & (situation.speed > 0)
+    known &= np.isfinite(situation.speed) & np.isfinite(situation.expected).all(1)
     if command.particles is not None:
         known &= np.isin(situation.ids, command.particles)
     return known

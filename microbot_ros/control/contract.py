@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import enum
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -77,11 +78,19 @@ class NoSolutionError(ControllerError):
 
 @dataclass(frozen=True)
 class Limits:
-    """What a command must keep: `field` [T], its `slew` [T/s], `frequency` [Hz]."""
+    """What a command must keep: `field` [T], its `slew` [T/s], `frequency` [Hz].
+
+    ValueError for one that is not finite or below 0: it would limit nothing.
+    """
 
     field: float = 5e-3
     slew: float = 1.0
     frequency: float = 100.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not 0 <= value < math.inf:
+                raise ValueError(f'{name} must be finite and 0 or more; received {value}')
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from microbot_ros.control.contract import Controller, ControllerError, FieldCommand, Situation
-from microbot_ros.control.worker import Call, HungError, LateError, Worker
+from microbot_ros.control.worker import BusyError, Call, HungError, LateError, Worker
 
 CONFIGURING = 30.0
 """How long [s] taking new parameters may last: files are read and code is compiled meanwhile."""
@@ -31,15 +31,36 @@ class Runner:
         self._configured: Call | None = None
         self._active = False
 
+    @property
+    def parameters(self) -> Any:
+        """What it was configured with."""
+        return self._parameters
+
     def configure(self, parameters: Any) -> None:
-        """Give it other parameters; if it raises, it keeps those it has."""
+        """Give it other parameters; if it raises, it keeps those it has.
+
+        Where that is late it is replaced: it may take them after all, when nobody waits.
+        """
         controller = self._controller
         try:
             self._call(lambda: controller.configure(parameters), CONFIGURING)
+        except BusyError:
+            raise
+        except LateError:
+            self.renew()
+            raise
         except Exception:
             controller.parameters = self._parameters
             raise
         self._parameters, self._configured = parameters, None
+
+    def restore(self, parameters: Any) -> None:
+        """Give back parameters that it had. If it can't, it does not drive before it has them."""
+        try:
+            self.configure(parameters)
+        except Exception:
+            self._parameters = parameters
+            self.renew()
 
     def activate(self, situation: Situation, deadline: float) -> None:
         """Let it get ready. Where that is late it is replaced: what it did is not known."""

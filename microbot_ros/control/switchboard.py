@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -58,6 +58,10 @@ class Switchboard:
     0: never. `worker` makes, from that patience, what calls a controller. Whatever goes wrong, the
     field falls to zero at the allowed slew, and the outcome says why. After a fault the controller
     is not asked again before the next successful swap.
+
+    Every command starts from the field that flows: the last command, or zero after stale poses,
+    after a gap between frames of more than `stale_after`, which no dead-man lets pass, and after
+    `let_go` and `reset`. Whoever drives the coils calls `let_go` when it puts them to zero.
     """
 
     def __init__(
@@ -94,6 +98,26 @@ class Switchboard:
             return Answer(False, f'{name}: {reason(error)}')
         return Answer(True)
 
+    def change(self, parameters: Mapping[str, Any], drives: str = '') -> Answer:
+        """New parameters for the controllers named, then another one that drives: all or nothing.
+
+        `drives` is '' where the same goes on driving.
+        """
+        before = {name: self._runners[name].parameters for name in parameters}
+        taken: list[str] = []
+        answer = Answer(True)
+        for name, values in parameters.items():
+            answer = self.configure(name, values)
+            if not answer.ok:
+                break
+            taken.append(name)
+        if answer.ok and drives:
+            answer = self.swap(drives)
+        if not answer.ok:
+            for name in taken:
+                self._runners[name].restore(before[name])
+        return answer
+
     def swap(self, name: str) -> Answer:
         """Let another controller drive from the next tick on; if it can't, nothing changes.
 
@@ -118,8 +142,14 @@ class Switchboard:
         self._active, self._fault = name, ''
         return Answer(True, f'{name} drives')
 
+    def let_go(self) -> None:
+        """No field flows any more: the next command starts from zero."""
+        self._field = np.zeros(2)
+
     def reset(self) -> None:
-        """Every controller forgets what it learned and did."""
+        """Let go, and every controller forgets what it learned and did."""
+        self.let_go()
+        self._record.clear()
         for runner in self._runners.values():
             runner.renew()
 
@@ -128,9 +158,11 @@ class Switchboard:
 
         Particles without a finite position are left out before the controller looks.
         """
-        if not abs(situation.age) <= self._stale_after:
-            self._field = np.zeros(2)
+        fresh = abs(situation.age) <= self._stale_after
+        if not fresh or situation.dt > self._stale_after:
+            self.let_go()
             self._record.clear()
+        if not fresh:
             return Outcome(None, Result.STALE, f'poses are {situation.age:.2f} s old')
         situation = _with_delay_of_model(_usable(situation))
         situation = dataclasses.replace(
@@ -154,9 +186,10 @@ class Switchboard:
             return no_field(self._fault), Result.FAULT, self._fault
         try:
             command = self._runners[self._active].compute(situation, self._deadline)
-            _check(command, situation.limits)
+            command = _checked(command, situation.limits)
             if self._border > 0:
                 command = kept_in_view(situation, command, self._border)
+                command = _checked(command, situation.limits)
             return command, Result.OK, command.progress.message
         except ControllerError as error:
             result, why = error.result, str(error)
@@ -186,18 +219,26 @@ def _with_delay_of_model(situation: Situation) -> Situation:
         situation, delay=situation.delay + model.delay, model=model.without('command_delay'))
 
 
-def _check(command: FieldCommand, limits: Limits) -> None:
-    """ValueError unless the command is finite and within the limits."""
-    strength = float(np.hypot(*np.asarray(command.field, dtype=float).reshape(2)))
+def _checked(command: FieldCommand, limits: Limits) -> FieldCommand:
+    """The command with a field of its own, (2,); ValueError unless finite and within limits."""
+    field = np.array(command.field, dtype=float).reshape(2)
+    strength = float(np.hypot(*field))
     if not strength <= limits.field * (1 + 1e-9):
         raise ValueError(f'commanded {strength * 1e3:g} mT; the limit is {limits.field * 1e3:g}')
     if not 0 <= command.frequency <= limits.frequency:
         raise ValueError(f'commanded {command.frequency:g} Hz; expected 0 to {limits.frequency:g}')
+    return dataclasses.replace(command, field=field, frequency=float(command.frequency))
 
 
 def _approach(now: np.ndarray, wanted: np.ndarray, situation: Situation) -> np.ndarray:
-    """The wanted field, or as far towards it as the slew lets one tick go."""
-    dt = min(situation.dt, LONGEST_STEP) if situation.dt > 0 else 0.0
-    step = np.asarray(wanted, dtype=float) - now
-    length, longest = float(np.hypot(*step)), situation.limits.slew * dt
-    return now + step * (longest / length) if length > longest else now + step
+    """The wanted field, or as far towards it as the slew lets one tick go.
+
+    A clock that stands or runs backwards gives no time to change in: the field stays. Letting
+    go needs none.
+    """
+    if not situation.dt > 0:
+        return now if wanted.any() else wanted
+    step = wanted - now
+    length, longest = float(np.hypot(*step)), situation.limits.slew * min(
+        situation.dt, LONGEST_STEP)
+    return now + step if length <= longest else now + step * (longest / length)

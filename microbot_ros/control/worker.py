@@ -21,6 +21,10 @@ class LateError(Exception):
     """A call has not returned within its deadline; it goes on, and nothing else is begun."""
 
 
+class BusyError(LateError):
+    """An earlier call has not returned yet; this one was not begun."""
+
+
 class HungError(Exception):
     """A call has not returned for so long that it was left behind."""
 
@@ -105,7 +109,7 @@ class Worker:
         if waited > self._patience:
             self.leave_behind()
             raise HungError(f'did not return for {waited:.1f} s')
-        raise LateError('has not returned from the tick before')
+        raise BusyError('has not returned from the tick before')
 
 
 def _serve(calls: queue.SimpleQueue[Call | None]) -> None:

@@ -417,3 +417,90 @@ def test_nothing_unsafe_comes_out_of_random_swaps_among_all_controllers_and_faul
         assert 0 <= outcome.command.frequency <= LIMITS.frequency
         assert (outcome.result is Result.FAULT) == (board.active in faulty)
         before = field
+
+
+class Fussy(East):
+    """Takes parameters, but not bad ones; keeps what it was given last."""
+
+    @dataclass(frozen=True)
+    class Parameters:
+        strength: float = 1.0
+
+    def configure(self, parameters):
+        self.given = parameters.strength
+        if self.given < 0:
+            raise ValueError('strength must be above 0')
+        super().configure(parameters)
+
+
+def three():
+    fussy, other = Fussy(), Fussy()
+    board = make(fussy=fussy, other=other, refuses=Refuses())
+    run(board, 1)
+    return board, fussy, other
+
+
+@pytest.mark.parametrize(('parameters', 'drives', 'said'), [
+    ({'fussy': 2.0, 'other': -1.0}, '', 'other: strength must be'),
+    ({'fussy': 2.0, 'other': 3.0}, 'refuses', 'refuses: particle 3'),
+    ({'fussy': 2.0, 'other': -1.0}, 'east', 'other: strength must be'),
+    ({'fussy': 2.0}, 'nobody', "no controller 'nobody'")])
+def test_a_change_is_taken_whole_or_not_at_all(parameters, drives, said):
+    board, fussy, other = three()
+    wanted = {name: Fussy.Parameters(value) for name, value in parameters.items()}
+    answer = board.change(wanted, drives)
+    assert not answer.ok
+    assert said in answer.message
+    assert board.active == 'hold'
+    assert [one.parameters.strength for one in (fussy, other)] == [1.0, 1.0]
+    assert fussy.given == 1.0
+
+
+def test_a_change_that_all_take_is_made_before_the_swap():
+    board, fussy, _ = three()
+    assert board.change({'fussy': Fussy.Parameters(2.0)}, 'fussy').ok
+    assert (board.active, fussy.given, fussy.calls) == ('fussy', 2.0, ['activate'])
+
+
+def test_what_can_not_be_taken_back_does_not_drive(tmp_path):
+    """The file it had is gone: rather no field than one by parameters that were refused."""
+    first, second = tmp_path / 'a.csv', tmp_path / 'b.csv'
+    for file in (first, second):
+        file.write_text('t_s,bx_mT,by_mT\n0,1,0\n9,0,0\n')
+    board = Switchboard({'open_loop': OpenLoop(), 'refuses': Refuses()}, 'open_loop', deadline=2.0)
+    assert board.configure('open_loop', OpenLoopParameters(file=str(first))).ok
+    assert np.any(run(board, 1)[0].command.field)
+    first.unlink()
+    refused = board.change({'open_loop': OpenLoopParameters(file=str(second))}, 'refuses')
+    assert not refused.ok
+    outcomes = run(board, 3)
+    assert {outcome.result for outcome in outcomes} == {Result.FAULT}
+    assert 'a.csv' in outcomes[0].message
+    assert not np.any(outcomes[-1].command.field)
+
+
+def test_parameters_that_are_taken_too_late_are_not_taken(monkeypatch):
+    """It was refused, so what goes on with them is another one, which nobody asks."""
+    monkeypatch.setattr('microbot_ros.control.runner.CONFIGURING', 0.05)
+    goes_on = threading.Event()
+
+    class Slow(Fussy):
+        def configure(self, parameters):
+            if parameters.strength == 2.0:
+                goes_on.wait(30)
+            super().configure(parameters)
+
+    board = Switchboard({'slow': Slow()}, 'slow', deadline=0.5)
+    refused = board.configure('slow', Slow.Parameters(2.0))
+    assert not refused.ok
+    goes_on.set()
+    run(board, 1)
+    assert board._runners['slow']._controller.parameters.strength == 1.0
+    assert board._runners['slow'].parameters.strength == 1.0
+
+
+@pytest.mark.parametrize('field', [np.array([[1e-3], [0]]), [1e-3, 0], (np.float32(1e-3), 0)])
+def test_a_field_of_another_shape_leaves_as_two_numbers(field):
+    board = Switchboard({'answers': Answers(FieldCommand(field))}, 'answers', deadline=0.2,
+                        border=0.0)
+    assert run(board, 2)[-1].command.field == pytest.approx([1e-3, 0])
