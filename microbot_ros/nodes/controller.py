@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import time
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -13,20 +15,26 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Point, PoseArray, PoseStamped, Vector3Stamped
 from nav_msgs.msg import Path
-from rcl_interfaces.msg import SetParametersResult
-from rclpy.parameter import Parameter
 from sensor_msgs.msg import Joy, PointCloud2
 from std_msgs.msg import Header, String
 from visualization_msgs.msg import MarkerArray
 
-from microbot_ros.control.contract import FieldCommand, Goals, Limits, Result, Situation, Workspace
+from microbot_ros.control.contract import (
+    FieldCommand,
+    Goals,
+    Limits,
+    Result,
+    Situation,
+    Workspace,
+    no_field,
+)
 from microbot_ros.control.registry import PluginError, controller_classes
-from microbot_ros.control.switchboard import Answer, Outcome, Switchboard
+from microbot_ros.control.switchboard import Outcome, Switchboard
 from microbot_ros.errors import InputError
 from microbot_ros.model.model import Model
 from microbot_ros.model.model_file import read_model
 from microbot_ros.nodes import messages
-from microbot_ros.nodes.lifecycle import ERROR, LATCHED, OK, WARN, RigNode, status
+from microbot_ros.nodes.lifecycle import ERROR, LATCHED, NEWEST, OK, WARN, RigNode, status
 from microbot_ros.nodes.markers import markers
 from microbot_ros.nodes.parameters import ParameterSet
 from microbot_ros.settings import defaults, setting
@@ -47,6 +55,9 @@ class ControllerParameters:
                                       upper=1000.0, read_only=True)
     stale_ms: float = setting(200.0, 'Age of the poses beyond which nothing is commanded.',
                               lower=10.0, upper=5000.0, read_only=True)
+    joy_timeout_ms: float = setting(
+        250.0, 'Age of the joystick beyond which it counts as centred; its driver must repeat.',
+        lower=20.0, upper=2000.0, read_only=True)
     deadline_ms: float = setting(10.0, 'How long a controller may think.', lower=1.0,
                                  upper=1000.0, read_only=True)
     workspace_um: list[float] = setting(
@@ -87,9 +98,12 @@ class ControllerNode(RigNode):
             {name: kind() for name, kind in classes.items()}, active=values.controller,
             deadline=values.deadline_ms * 1e-3, stale_after=values.stale_ms * 1e-3,
             border=values.border_s, worker=self.account.worker)
-        for name, kind in classes.items():
-            ParameterSet(self, kind.Parameters, self._configure(name), prefix=f'{name}.')
-        self.add_on_set_parameters_callback(self._restart)
+        answer = self._switchboard.change({
+            name: ParameterSet(self, kind.Parameters, prefix=f'{name}.',
+                               beside=self._parameters_of_node).values
+            for name, kind in classes.items()})
+        if not answer.ok:
+            raise InputError(self.get_name(), answer.message)
 
     def veto(self, proposed: ControllerParameters) -> str:
         low_x, low_y, high_x, high_y = (*proposed.workspace_um, *4 * [math.nan])[:4]
@@ -101,18 +115,18 @@ class ControllerNode(RigNode):
                 read_model(proposed.model_file)
             except InputError as error:
                 return str(error)
-        if not hasattr(self, '_switchboard') or proposed.controller == self.settings.controller:
-            return ''
-        answer = self._switchboard.swap(proposed.controller)
-        self.get_logger().info(answer.message)
-        return '' if answer.ok else answer.message
+        return ''
 
-    def _restart(self, parameters: list[Parameter]) -> SetParametersResult:
-        """Naming the controller that drives changes nothing, but starts it again after a fault."""
-        board = self._switchboard
-        named = any(p.name == 'controller' and p.value == board.active for p in parameters)
-        answer = board.swap(board.active) if named and board.fault else Answer(True)
-        return SetParametersResult(successful=answer.ok, reason=answer.message)
+    def take(self, changed: Mapping[str, Any], named: Collection[str]) -> str:
+        """Configure, then swap. Naming the controller that drives restarts it after a fault."""
+        board, wanted = self._switchboard, changed.get('', self.settings).controller
+        swap = 'controller' in named and (wanted != board.active or board.fault)
+        answer = board.change(
+            {prefix.removesuffix('.'): values for prefix, values in changed.items() if prefix},
+            wanted if swap else '')
+        if answer.message:
+            self.get_logger().info(answer.message)
+        return '' if answer.ok else answer.message
 
     @property
     def unrepeatable(self) -> str:  # type: ignore[override]
@@ -121,9 +135,9 @@ class ControllerNode(RigNode):
         return '' if name in self._repeatable else f'{name} thinks for as long as it may'
 
     def setup(self) -> None:
-        self._goals, self._path, self._joystick = Goals(), np.empty((0, 2)), np.zeros(2)
+        self._goals, self._path = Goals(), np.empty((0, 2))
         self._goals_stamp = self._path_stamp = 0.0
-        self._seen: dict[int, np.void] = {}
+        self._joystick, self._joystick_t, self._joystick_silent = np.zeros(2), -math.inf, ''
         self._last_t = -math.inf
         self._driving = self._rolling = False
         self._outcome = Outcome(None, Result.STALE, 'no poses yet')
@@ -134,13 +148,12 @@ class ControllerNode(RigNode):
         self._rotations = self.publisher(Vector3Stamped, 'field/rotation')
         self.publisher(String, '~/controllers', LATCHED).publish(
             String(data=yaml.safe_dump(self._summaries, sort_keys=False)))
-        self.subscribe(PointCloud2, 'particles', self._on_particles)
-        self.subscribe(PointCloud2, 'model/state', self._on_state)
+        self.subscribe(PointCloud2, 'model/state', self._on_state, NEWEST)
         self.subscribe(PoseArray, 'goals', self._on_goals)
         self.subscribe(PoseStamped, 'goal_pose', self._on_goal_pose)
         self.subscribe(PointCloud2, 'particle_goals', self._on_particle_goals)
         self.subscribe(Path, 'path', self._on_path)
-        self.subscribe(Joy, 'joy', self._on_joy)
+        self.subscribe(Joy, 'joy', self._on_joy, NEWEST)
         self.every(0.05, self._watch)
         self._progress = self.publisher(DiagnosticStatus, '~/progress')
         self.every(0.2, self._tell)
@@ -149,10 +162,13 @@ class ControllerNode(RigNode):
         self.make_safe()
 
     def make_safe(self) -> None:
+        """Let go: zero once, if anything may flow, and the next command starts from there."""
+        self._switchboard.let_go()
         if getattr(self, '_driving', False):
             self._driving = False
-            self._commands.publish(
-                messages.field_vector(np.zeros(2), self.get_clock().now().to_msg()))
+            self._publish(no_field(''), self.get_clock().now().to_msg())
+            if self._outcome.result is Result.OK:
+                self._outcome = Outcome(None, Result.STALE, 'no poses since the field was let go')
 
     def teardown(self) -> None:
         if hasattr(self, '_switchboard'):
@@ -169,17 +185,8 @@ class ControllerNode(RigNode):
         level = {Result.OK: OK, Result.FAULT: ERROR}.get(outcome.result, WARN)
         return level, f'{name}: {outcome.message or "driving"}', values
 
-    def _configure(self, name: str) -> Any:
-        def veto(parameters: Any) -> str:
-            answer = self._switchboard.configure(name, parameters)
-            return '' if answer.ok else answer.message
-        return veto
-
-    def _on_particles(self, message: PointCloud2) -> None:
-        self._seen = {int(p['id']): p for p in messages.points(message, messages.PARTICLE)}
-
     def _on_state(self, message: PointCloud2) -> None:
-        points = messages.points(message, messages.ESTIMATE)
+        points = messages.estimates(message)
         stamp = messages.to_seconds(message.header.stamp)
         self._tick(self._situation(points, stamp), message.header.stamp)
         if self._markers.get_subscription_count() and time.monotonic() > self._markers_due:
@@ -217,15 +224,41 @@ class ControllerNode(RigNode):
         self._tell()
 
     def _on_joy(self, message: Joy) -> None:
-        if len(message.axes) >= 2:
-            self._joystick = np.array(message.axes[:2], float)
+        axes, now = np.array(message.axes[:2], float), self.seconds()
+        self._joystick = np.zeros(2)
+        if not (len(axes) == 2 and np.isfinite(axes).all()):
+            raise messages.MessageError(
+                f'joy: expected two finite axes; received {axes.tolist()}: counted as centred')
+        self._joystick = axes / max(1.0, float(np.hypot(*axes)))
+        # A driver may leave the stamp out; one that is ahead of its time is not believed.
+        self._joystick_t = min(messages.to_seconds(message.header.stamp) or now, now)
+
+    def _joystick_at(self, t: float) -> np.ndarray:
+        """The stick (2,) at an exposure `t` [s]: centred where it was silent for too long.
+
+        A frame may be exposed before the stick moved, but no longer than poses may be old.
+        """
+        values, age = self.settings, t - self._joystick_t
+        fresh = -values.stale_ms * 1e-3 <= age <= values.joy_timeout_ms * 1e-3
+        before, self._joystick_silent = self._joystick_silent, ''
+        if fresh or not self._joystick.any():
+            return self._joystick
+        since = (f'has been silent for {age:.2f} s' if age > 0 else
+                 f'is stamped {-age:.2f} s after the frame')
+        self._joystick_silent = f'the joystick {since}: counted as centred'
+        if not before:
+            self.complain(self._joystick_silent)
+        return np.zeros(2)
 
     def _watch(self) -> None:
-        """Poses that stop coming: let go once, then stay silent."""
+        """Poses that stop coming: let go once, then stay silent, and say for how long."""
         age = self.seconds() - self._last_t
-        if self._driving and not age <= self.settings.stale_ms * 1e-3:
+        if math.isinf(age) or abs(age) <= self.settings.stale_ms * 1e-3:
+            return
+        if self._driving:
             self.account.act('_watch')
-            self.make_safe()
+        self.make_safe()
+        if not self._switchboard.fault:
             self._outcome = Outcome(None, Result.STALE, f'poses are {age:.2f} s old')
 
     def _tell(self) -> None:
@@ -241,13 +274,12 @@ class ControllerNode(RigNode):
         age = self.account.taken_s - stamp
         fresh = abs(age) <= values.stale_ms * 1e-3
         self._last_t = stamp
-        seen = [self._seen.get(int(i)) for i in points['id']]
         known = np.isfinite(points['speed_std'])
         return Situation(
             t=stamp, dt=dt, age=0.0 if fresh else age, ids=points['id'].astype(int),
             position=np.stack([points['x'], points['y']], axis=1).astype(float),
             sigma=points['x_std'].astype(float),
-            theta=np.array([math.nan if p is None else p['theta'] for p in seen], float),
+            theta=points['theta'].astype(float),
             speed=points['speed'].astype(float), phi=points['phi'].astype(float),
             speed_std=np.where(known, points['speed_std'], math.inf).astype(float),
             phi_std=np.where(known, points['phi_std'], math.inf).astype(float),
@@ -256,17 +288,19 @@ class ControllerNode(RigNode):
             workspace=Workspace(np.array(values.workspace_um[:2]) * 1e-6,
                                 np.array(values.workspace_um[2:]) * 1e-6),
             delay=values.delay_ms * 1e-3, goals=self._goals, path=self._path,
-            joystick=self._joystick, model=self._present_model())
+            joystick=self._joystick_at(stamp), model=self._present_model())
 
     def _tick(self, situation: Situation, stamp: Time) -> None:
-        self._outcome = self._switchboard.tick(situation)
-        if self._outcome.command is None:
+        outcome = self._switchboard.tick(situation)
+        said = '; '.join(filter(None, [outcome.message, self._joystick_silent]))
+        self._outcome = dataclasses.replace(outcome, message=said)
+        if outcome.command is None:
             self.make_safe()
         else:
-            self._send(self._outcome.command, stamp)
+            self._driving = True
+            self._publish(outcome.command, stamp)
 
-    def _send(self, command: FieldCommand, stamp: Time) -> None:
-        self._driving = True
+    def _publish(self, command: FieldCommand, stamp: Time) -> None:
         self._commands.publish(messages.field_vector(command.field, stamp))
         rolling = command.frequency > 0
         if rolling or self._rolling:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, ClassVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -23,12 +23,15 @@ from microbot_ros.settings import defaults
 
 # Small messages: deep enough for a replay at many times real time.
 RELIABLE = QoSProfile(depth=200)
-# What acts at once keeps only the newest.
+# For what is to be acted on: a node that was held up takes the newest, not a queue of old ones.
 NEWEST = QoSProfile(depth=1)
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 # A best-effort subscriber matches every publisher of images, a reliable one only some.
 IMAGES_IN = QoSProfile(depth=5, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 IMAGES_OUT = QoSProfile(depth=5)
+
+SILENCE_SECONDS = 1.0
+"""A node that hears nothing for longer says so."""
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
@@ -63,7 +66,7 @@ class RigNode(LifecycleNode):
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self.create_timer(1.0, self._report, clock=self._steady)
         self._parameters_of_node: ParameterSet[Any] = ParameterSet(
-            self, self.Parameters, self.veto)
+            self, self.Parameters, self.veto, take=self.take)
         self.declare_more()
         refuse_unknown(self)
 
@@ -78,7 +81,15 @@ class RigNode(LifecycleNode):
         """Declare parameters beyond `Parameters`."""
 
     def veto(self, proposed: Any) -> str:
-        """Why these parameters can't be taken, or ''."""
+        """Why these parameters can't be taken, or ''. Changes nothing: others may refuse yet."""
+        return ''
+
+    def take(self, changed: Mapping[str, Any], named: Collection[str]) -> str:
+        """Hand parameters that nobody vetoed to what runs with them: all, or none and why.
+
+        `changed` holds the new values of each set by its prefix, '' for `Parameters`; `named` are
+        the parameters that were set, to what they were or not.
+        """
         return ''
 
     def setup(self) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import array
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import Any
 
 import cv2
@@ -14,7 +14,7 @@ from sensor_msgs.msg import Image, JointState, MagneticField, PointCloud2, Point
 from std_msgs.msg import Header
 
 WORKSPACE = 'workspace'
-"""Frame of every position: metres, x right, y up."""
+"""Frame of every position and every field: x right, y up."""
 
 PARTICLE = np.dtype([
     ('id', '<u4'), ('x', '<f4'), ('y', '<f4'), ('theta', '<f4'), ('vx', '<f4'), ('vy', '<f4'),
@@ -26,9 +26,10 @@ ESTIMATE = np.dtype([
     ('id', '<u4'), ('x', '<f4'), ('y', '<f4'), ('speed', '<f4'), ('phi', '<f4'),
     ('force', '<f4'), ('x_std', '<f4'), ('y_std', '<f4'), ('speed_std', '<f4'),
     ('phi_std', '<f4'), ('force_std', '<f4'), ('x_ahead', '<f4'), ('y_ahead', '<f4'),
-    ('ahead_std', '<f4'),
+    ('ahead_std', '<f4'), ('theta', '<f4'),
 ])
-"""A point of `model/state`: SI; NaN for what is not known yet. `*_ahead`: a horizon later."""
+"""A point of `model/state`: SI; NaN for what is not known yet. `*_ahead`: a horizon later.
+`theta` is the heading that the tracker saw in that frame."""
 
 GOAL = np.dtype([('id', '<u4'), ('x', '<f4'), ('y', '<f4')])
 """A point of `particle_goals`: where one particle is to go [m]."""
@@ -78,18 +79,29 @@ def cloud(points: np.ndarray, stamp: Time) -> PointCloud2:
 
 
 def in_workspace(header: Header) -> None:
-    """MessageError for positions in a frame that is not the workspace's; '' stands for it."""
+    """MessageError for positions or a field in a frame other than the workspace's.
+
+    '' stands for it.
+    """
     if header.frame_id not in ('', WORKSPACE):
         raise MessageError(f"expected the frame '{WORKSPACE}'; received '{header.frame_id}'")
 
 
-def points(message: PointCloud2, kind: np.dtype) -> np.ndarray:
+def estimates(message: PointCloud2) -> np.ndarray:
+    """`model/state` as `points` gives it; `theta` is NaN in a recording from before it was there.
+    """
+    return points(message, ESTIMATE, optional=('theta',))
+
+
+def points(message: PointCloud2, kind: np.dtype, optional: Collection[str] = ()) -> np.ndarray:
     """The points of a cloud as a structured array (N,) of type `kind`, whatever its own layout.
 
-    Raises MessageError where a field of `kind` is missing or the data are shorter than promised.
+    Raises MessageError where it is not in the workspace, a field of `kind` is missing or the data
+    are shorter than promised. `optional` fields are NaN where they are missing.
     """
+    in_workspace(message.header)
     names = [field.name for field in message.fields]
-    missing = [name for name in kind.names or () if name not in names]
+    missing = [name for name in kind.names or () if name not in {*names, *optional}]
     if missing:
         raise MessageError(f'expected a point field {missing[0]!r}, found {", ".join(names)}')
     count = message.width * message.height
@@ -105,7 +117,7 @@ def points(message: PointCloud2, kind: np.dtype) -> np.ndarray:
         return raw
     result = np.empty(count, kind)
     for name in kind.names or ():
-        result[name] = raw[name]
+        result[name] = raw[name] if name in names else np.nan
     return result
 
 

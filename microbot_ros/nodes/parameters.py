@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, Generic, TypeVar
 
 from rcl_interfaces.msg import (
@@ -24,9 +24,11 @@ ValuesT = TypeVar('ValuesT')
 class ParameterSet(Generic[ValuesT]):
     """The parameters of a node, or of a part of it under `prefix`, as one immutable `values`.
 
-    A change is accepted whole or refused whole with a reason: first each value against its own
-    range, then `veto(new_values)` (a reason, or '' to accept). `values` changes only after that,
-    in one assignment.
+    A change is accepted whole or refused whole with a reason, over all sets of the node, which
+    are made `beside` its first: each value against its own range, then every
+    `veto(new_values)` (a reason, or '' to accept), neither of which has effects; then the first
+    set's `take(changed, named)`, which hands the new values, by prefix, to what runs with them,
+    and may refuse too if it leaves everything as it was. `values` change only after that.
     """
 
     def __init__(
@@ -35,9 +37,14 @@ class ParameterSet(Generic[ValuesT]):
         kind: type[ValuesT],
         veto: Callable[[ValuesT], str] = lambda _: '',
         prefix: str = '',
+        *,
+        take: Callable[[Mapping[str, Any], Collection[str]], str] = lambda *_: '',
+        beside: ParameterSet[Any] | None = None,
     ) -> None:
         self._kind = kind
         self._veto = veto
+        self._take = take
+        self._sets: dict[str, ParameterSet[Any]] = {} if beside is None else beside._sets
         self._prefix = prefix
         initial = {}
         for name, default in settings.defaults(kind).items():
@@ -51,8 +58,10 @@ class ParameterSet(Generic[ValuesT]):
         reason = veto(self.values)
         if reason:
             raise InputError(node.get_name(), reason)
-        node.add_on_set_parameters_callback(self._validate)
-        node.add_post_set_parameters_callback(self._apply)
+        self._sets[prefix] = self
+        if beside is None:
+            node.add_on_set_parameters_callback(self._validate)
+            node.add_post_set_parameters_callback(self._apply)
 
     def _converted(self, node: Node, name: str, value: Any) -> Any:
         try:
@@ -71,14 +80,20 @@ class ParameterSet(Generic[ValuesT]):
 
     def _validate(self, parameters: list[Parameter]) -> SetParametersResult:
         try:
-            proposed = self._changed(parameters)
+            proposed = {prefix: each._changed(parameters) for prefix, each in self._sets.items()}
         except ValueError as error:
             return SetParametersResult(successful=False, reason=str(error))
-        reason = '' if proposed == self.values else self._veto(proposed)
+        changed = {prefix: values for prefix, values in proposed.items()
+                   if values != self._sets[prefix].values}
+        reasons = (self._sets[prefix]._veto(values) for prefix, values in changed.items())
+        reason = next(filter(None, reasons), '')
+        if not reason:
+            reason = self._take(changed, {parameter.name for parameter in parameters})
         return SetParametersResult(successful=not reason, reason=reason)
 
     def _apply(self, parameters: list[Parameter]) -> None:
-        self.values = self._changed(parameters)
+        for each in self._sets.values():
+            each.values = each._changed(parameters)
 
 
 def refuse_unknown(node: Node) -> None:

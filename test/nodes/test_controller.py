@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import time
 from typing import Any
 
@@ -12,12 +13,14 @@ import yaml
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseArray, PoseStamped, Vector3Stamped
 from nav_msgs.msg import Path
-from rcl_interfaces.srv import SetParameters
+from numpy.lib.recfunctions import repack_fields
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import Joy, PointCloud2
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
+from microbot_ros.control.contract import no_field
 from microbot_ros.control.open_loop import OpenLoop
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import LATCHED
@@ -28,7 +31,8 @@ class Loop:
 
     def __init__(self, ros: Any, **parameters: Any) -> None:
         # A shared machine may pause for longer than a controller may think.
-        self.graph = ros({'controller': {'deadline_ms': 200.0, **parameters}})
+        given = {name.replace('__', '.'): value for name, value in parameters.items()}
+        self.graph = ros({'controller': {'deadline_ms': 200.0, **given}})
         self.node = self.graph.add('controller')
         assert self.node.active, self.node.fault
         self.fields = self.graph.hear(Vector3Stamped, 'field/command')
@@ -256,3 +260,244 @@ def test_what_became_of_goals_is_not_said_of_the_next(ros: Any) -> None:
     loop.graph.until(path.get_subscription_count)
     path.publish(Path(header=goals.header))
     loop.graph.until(lambda: values()['path_stamp_s'] == '8.25')
+class Stick:
+    """A joystick driver: says where the stick is, and when that was."""
+
+    def __init__(self, loop: Loop) -> None:
+        self._loop = loop
+        self._joy = loop.graph.probe.create_publisher(Joy, 'joy', 10)
+        loop.graph.until(lambda: self._joy.get_subscription_count() == 1)
+
+    def push(self, *axes: float, ahead: float = 0.0, stamped: bool = True) -> float:
+        """The stamp [s] of what was said."""
+        now = self._loop.node.seconds() + ahead
+        message = Joy(axes=list(axes))
+        message.header.stamp = messages.to_stamp(now if stamped else 0.0)
+        self._joy.publish(message)
+        return now
+
+
+@pytest.mark.parametrize('stamped', [True, False])
+def test_a_joystick_that_dies_while_deflected_counts_as_centred(
+        ros: Any, stamped: bool) -> None:
+    """Judged at exposure, so that every frame is on one side of it: live or replayed."""
+    loop = Loop(ros, controller='teleop')
+    stick = Stick(loop)
+    loop.graph.until(lambda: (stick.push(1.0, 0.0, stamped=stamped), loop.see(),
+                              loop.fields and loop.strength() > 4.9e-3)[-1])
+    last = stick.push(0.0, 1.0, stamped=stamped)
+    loop.graph.until(lambda: loop.keep_seeing() or loop.fields[-1].vector.y > 4.9e-3)
+    since = len(loop.fields)
+    loop.graph.until(lambda: loop.keep_seeing() or loop.strength() == 0)
+    count = len(loop.fields)
+    loop.graph.until(lambda: loop.keep_seeing() or len(loop.fields) > count + 10)
+    slack = 0.0 if stamped else 0.1  # without a stamp its arrival counts
+    for field in loop.fields[since:]:
+        age = messages.to_seconds(field.header.stamp) - last
+        if age <= 0.25 - 1e-6 or age > 0.25 + slack + 1e-6:
+            assert math.hypot(field.vector.x, field.vector.y) == pytest.approx(
+                5e-3 if age <= 0.25 else 0.0)
+    _, sentence, _ = loop.node.health()
+    assert re.search(r'the joystick has been silent for \d\.\d\d s: counted as centred', sentence)
+    assert 'the joystick has been silent' in loop.node._complaint
+    loop.graph.until(lambda: (stick.push(-1.0, 0.0), loop.see(),
+                              loop.fields[-1].vector.x < -4.9e-3)[-1])
+    assert 'joystick' not in loop.node.health()[1]
+
+
+@pytest.mark.parametrize('axes', [
+    (math.nan, 1.0), (1.0, math.nan), (math.inf, 0.0), (0.0, -math.inf), (1.0,), ()])
+def test_a_joystick_that_says_no_number_counts_as_centred(
+        ros: Any, axes: tuple[float, ...]) -> None:
+    loop = Loop(ros, controller='teleop')
+    stick = Stick(loop)
+    loop.graph.until(lambda: (stick.push(1.0, 1.0), loop.see(),
+                              loop.fields and loop.strength() > 4.9e-3)[-1])
+    stick.push(*axes)
+    loop.graph.until(lambda: 'counted as centred' in loop.node._complaint)
+    last = loop.node.seconds()
+    loop.graph.until(lambda: loop.keep_seeing() or messages.to_seconds(
+        loop.fields[-1].header.stamp) > last + 0.04)
+    assert loop.strength() == 0
+    assert loop.node._switchboard.fault == ''
+
+
+def test_a_joystick_ahead_of_its_time_does_not_live_longer(ros: Any) -> None:
+    """An hour ahead: its stamp alone would keep it fresh for that long."""
+    loop = Loop(ros, controller='teleop')
+    stick = Stick(loop)
+    loop.graph.until(lambda: (stick.push(1.0, 0.0, ahead=3600.0), loop.see(),
+                              loop.fields and loop.strength() > 4.9e-3)[-1])
+    loop.graph.until(lambda: loop.keep_seeing() or loop.strength() == 0, 3.0)
+
+
+def drive_slowly(ros: Any, **parameters: Any) -> Loop:
+    """At full field, which only changes by 0.5 mT a frame, at most by 2 mT a gap."""
+    loop = Loop(ros, controller='open_loop', slew_mT_per_s=20.0, border_s=0.0, **parameters)
+    loop.graph.until(lambda: loop.keep_seeing() or (loop.fields and loop.strength() > 4.9e-3))
+    return loop
+
+
+def go_quiet(loop: Loop) -> None:
+    """No frames until the controller has let go."""
+    loop.graph.until(lambda: loop.strength() == 0)
+
+
+def get_an_old_pose(loop: Loop) -> None:
+    """It comes in between, from a camera that is late."""
+    loop.see(age=3.0)
+    go_quiet(loop)
+
+
+def be_deactivated(loop: Loop) -> None:
+    """And activated."""
+    loop.node.trigger_deactivate()
+    go_quiet(loop)
+    loop.node.trigger_activate()
+
+
+def be_cleaned_up(loop: Loop) -> None:
+    """And set up again."""
+    loop.node.trigger_deactivate()
+    loop.node.trigger_cleanup()
+    go_quiet(loop)
+    loop.node.trigger_configure()
+    loop.node.trigger_activate()
+    loop.graph.until(lambda: loop._state.get_subscription_count() == 1)
+
+
+def stumble(loop: Loop) -> None:
+    """A cloud with a kind of number that there is not, which is an exception in a callback."""
+    cloud = messages.cloud(np.zeros(1, messages.ESTIMATE), messages.to_stamp(loop.node.seconds()))
+    cloud.fields[0].datatype = 99
+    loop._state.publish(cloud)
+    go_quiet(loop)
+
+
+@pytest.mark.parametrize('controller', ['open_loop', 'hold'])
+@pytest.mark.parametrize(
+    'interrupt', [go_quiet, get_an_old_pose, be_deactivated, be_cleaned_up, stumble])
+def test_the_first_command_after_letting_go_starts_from_zero(
+        ros: Any, interrupt: Any, controller: str) -> None:
+    loop = drive_slowly(ros)
+    interrupt(loop)
+    assert 'driving' not in loop.node.health()[1]
+    assert loop.set(controller=controller).successful
+    zeros = len(loop.fields)
+    loop.graph.until(lambda: loop.see() or len(loop.fields) > zeros)
+    first = loop.fields[zeros].vector
+    assert math.hypot(first.x, first.y) <= 0.02 * 0.1 * (controller != 'hold')
+    if controller != 'hold':
+        loop.graph.until(lambda: loop.keep_seeing() or loop.strength() > 4.9e-3)
+
+
+def test_rollers_are_told_that_the_field_no_longer_turns(ros: Any) -> None:
+    loop = Loop(ros, controller='open_loop', open_loop__frequency_hz=2.0, border_s=0.0)
+    turns = loop.graph.hear(Vector3Stamped, 'field/rotation')
+    loop.graph.until(lambda: loop.keep_seeing() or (turns and abs(turns[-1].vector.y) > 12.0))
+    loop.graph.until(lambda: turns[-1].vector.x == turns[-1].vector.y == 0)
+
+
+def test_a_controller_that_was_held_up_acts_on_the_newest(ros: Any) -> None:
+    """Thirty states came while it was: none of them is worked through but the last."""
+    loop = Loop(ros)
+    loop.graph.until(lambda: loop.see() or loop.fields)
+    loop.graph.until(lambda: loop.node.seconds() - messages.to_seconds(
+        loop.fields[-1].header.stamp) > 0.1)  # all that was under way has come
+    count = len(loop.fields)
+    for _ in range(30):  # nobody spins meanwhile
+        loop.see()
+    newest = loop.node.seconds()
+    loop.graph.until(lambda: len(loop.fields) > count and messages.to_seconds(
+        loop.fields[-1].header.stamp) > newest - 5e-3)
+    assert len(loop.fields) - count <= 2
+
+
+@pytest.mark.parametrize(('values', 'said'), [
+    ({'open_loop.field_mT': 1.5, 'waypoint.arrival_um': -1.0}, 'arrival_um'),
+    ({'open_loop.field_mT': 1.5, 'open_loop.durations_s': [1.0, 2.0]}, 'one duration per dir'),
+    ({'waypoint.arrival_um': 3.0, 'open_loop.field_mT': 1.5, 'open_loop.durations_s': [1.0]},
+     'one duration per dir'),
+    ({'open_loop.field_mT': 1.5, 'open_loop.durations_s': [1.0], 'waypoint.arrival_um': 3.0},
+     'one duration per dir'),
+    ({'open_loop.field_mT': 1.5, 'workspace_um': [0.0, 0.0, 1.0, 1.0]}, 'read-only'),
+    ({'open_loop.field_mT': 1.5, 'delay_ms': -1.0}, 'delay_ms'),
+    ({'open_loop.field_mT': 1.5, 'use_sim_time': 'yes'}, ''),
+    ({'open_loop.field_mT': 1.5, 'controller': 'steam'}, "no controller 'steam'"),
+    ({'open_loop.field_mT': 1.5, 'model_file': '/nowhere.yaml'}, '/nowhere.yaml'),
+    ({'controller': 'waypoint', 'waypoint.arrival_um': -1.0}, 'arrival_um'),
+    ({'controller': 'waypoint', 'waypoint.arrival_um': 3.0, 'open_loop.durations_s': [1.0]},
+     'one duration per dir')])
+@pytest.mark.parametrize('atomically', [True, False])
+def test_what_the_node_says_and_what_runs_are_the_same(
+        ros: Any, values: dict[str, Any], said: str, atomically: bool) -> None:
+    loop = Loop(ros, controller='open_loop')
+    loop.graph.until(lambda: loop.see() or loop.fields)
+    parameters = [Parameter(name, value=value).to_parameter_msg()
+                  for name, value in values.items()]
+    if atomically:
+        results = [loop.graph.call(
+            SetParametersAtomically, 'controller/set_parameters_atomically',
+            SetParametersAtomically.Request(parameters=parameters)).result]
+    else:
+        results = loop.graph.call(SetParameters, 'controller/set_parameters',
+                                  SetParameters.Request(parameters=parameters)).results
+    refused = [result for result in results if not result.successful]
+    assert len(refused) == 1
+    assert said in refused[0].reason
+    board, told = loop.node._switchboard, loop.node.get_parameter
+    for name in ('open_loop', 'waypoint'):
+        for field, runs in vars(board._runners[name]._controller.parameters).items():
+            parameter = told(f'{name}.{field}').value
+            assert (list(parameter) if isinstance(runs, list) else parameter) == runs
+            if atomically:
+                assert runs == getattr(type(board._runners[name]._controller).Parameters(), field)
+    assert board.active == told('controller').value == loop.node.settings.controller
+    assert board.active == 'open_loop' or not atomically
+    if atomically:
+        loop.graph.until(lambda: loop.keep_seeing() or loop.strength() > 4.9e-3)
+
+
+def test_a_set_that_is_refused_does_not_restart_after_a_fault(
+        ros: Any, monkeypatch: Any) -> None:
+    def breaks(*_: Any) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(OpenLoop, 'compute', breaks)
+    loop = Loop(ros, controller='open_loop')
+    loop.graph.until(lambda: loop.keep_seeing() or loop.node._switchboard.fault)
+    monkeypatch.undo()
+    request = SetParametersAtomically.Request(parameters=[
+        Parameter(name, value=value).to_parameter_msg()
+        for name, value in {'controller': 'open_loop', 'waypoint.arrival_um': -1.0}.items()])
+    assert not loop.graph.call(SetParametersAtomically, 'controller/set_parameters_atomically',
+                               request).result.successful
+    assert loop.node._switchboard.fault
+
+
+def test_a_state_in_another_frame_is_not_acted_on(ros: Any) -> None:
+    loop = Loop(ros, controller='open_loop')
+    cloud = messages.cloud(np.zeros(1, messages.ESTIMATE), messages.to_stamp(loop.node.seconds()))
+    cloud.header.frame_id = 'camera'
+    loop._state.publish(cloud)
+    loop.graph.until(lambda: "expected the frame 'workspace'; received 'camera'"
+                     in loop.node._complaint)
+    assert not loop.fields
+
+
+def test_the_heading_is_that_of_the_same_frame(ros: Any, monkeypatch: Any) -> None:
+    """And not known in a state of before it was carried."""
+    seen: list[np.ndarray] = []
+    monkeypatch.setattr(OpenLoop, 'compute',
+                        lambda _, situation: seen.append(situation.theta) or no_field(''))
+    loop = Loop(ros, controller='open_loop')
+    point = np.zeros(2, messages.ESTIMATE)
+    point['id'], point['theta'] = [4, 7], [1.5, np.nan]
+    loop._state.publish(messages.cloud(point, messages.to_stamp(loop.node.seconds())))
+    loop.graph.until(lambda: seen)
+    assert seen[-1] == pytest.approx([1.5, np.nan], nan_ok=True)
+    before = [name for name in messages.ESTIMATE.names or () if name != 'theta']
+    loop._state.publish(messages.cloud(repack_fields(point[before]), messages.to_stamp(
+        loop.node.seconds())))
+    loop.graph.until(lambda: len(seen) == 2)
+    assert np.isnan(seen[-1]).all()

@@ -10,6 +10,7 @@ from builtin_interfaces.msg import Time
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from numpy.lib.recfunctions import repack_fields
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Image, PointCloud2, PointField
 
@@ -107,3 +108,26 @@ def test_a_broken_picture_is_refused_in_one_line(broken: dict[str, object]) -> N
         setattr(message, name, value)
     with pytest.raises(messages.MessageError, match=r'^[^\n]+$'):
         messages.gray(message)
+
+
+def test_a_state_of_before_headings_were_carried_is_read_without() -> None:
+    before = [name for name in messages.ESTIMATE.names or () if name != 'theta']
+    points = np.ones(2, messages.ESTIMATE)
+    message = messages.cloud(repack_fields(points[before]), STAMP)
+    with pytest.raises(messages.MessageError, match="'theta'"):
+        messages.points(message, messages.ESTIMATE)
+    read = messages.estimates(message)
+    assert np.isnan(read['theta']).all()
+    assert all((read[name] == 1).all() for name in before)
+    assert messages.estimates(messages.cloud(points, STAMP))['theta'].tolist() == [1.0, 1.0]
+    assert messages.ESTIMATE.names[-1] == 'theta'
+
+
+@pytest.mark.parametrize('frame', ['camera', 'map', 'Workspace', ' '])
+def test_points_in_another_frame_are_refused(frame: str) -> None:
+    message = messages.cloud(np.zeros(1, messages.PARTICLE), STAMP)
+    message.header.frame_id = ''
+    assert len(messages.points(message, messages.PARTICLE)) == 1
+    message.header.frame_id = frame
+    with pytest.raises(messages.MessageError, match=f"the frame 'workspace'; received '{frame}'"):
+        messages.points(message, messages.PARTICLE)

@@ -114,3 +114,54 @@ def test_a_misspelt_override_is_refused(node: rclpy.node.Node) -> None:
     ParameterSet(node, Sample)
     with pytest.raises(InputError, match=r"unknown parameter 'rate_khz'; known are: .*rate_hz"):
         refuse_unknown(node)
+
+
+@dataclass(frozen=True)
+class Part:
+    """Of what runs in the same node."""
+
+    gain: float = setting(1.0, 'A gain.', lower=0.0, upper=9.0)
+
+
+@pytest.mark.parametrize(('changes', 'refuses', 'asked'), [
+    ({'rate_hz': 30.0, 'part.gain': 2.0}, '', [{'', 'part.'}]),
+    ({'part.gain': 2.0}, '', [{'part.'}]),
+    ({'rate_hz': 60.0, 'part.gain': 1.0}, '', [set()]),
+    ({'rate_hz': 30.0, 'part.gain': -1.0}, '', []),
+    ({'rate_hz': 300.0, 'part.gain': 2.0}, '', []),
+    ({'rate_hz': 30.0, 'part.gain': 7.0}, '', []),
+    ({'name': 'b', 'part.gain': 2.0}, '', []),
+    ({'rate_hz': 30.0, 'part.gain': 2.0, 'limit_A': 2.0}, '', []),
+    ({'rate_hz': 30.0, 'part.gain': 2.0, 'use_sim_time': 'yes'}, '', []),
+    ({'rate_hz': 30.0, 'part.gain': 2.0}, 'not now', [{'', 'part.'}]),
+])
+def test_sets_of_one_node_are_taken_together_or_not_at_all(
+        node: rclpy.node.Node, changes: dict[str, Any], refuses: str,
+        asked: list[set[str]]) -> None:
+    handed: list[dict[str, Any]] = []
+    named: list[set[str]] = []
+
+    def take(changed: Any, names: Any) -> str:
+        if names <= {*changes}:  # not while they are declared
+            handed.append(dict(changed))
+            named.append(set(names))
+        return refuses if changed else ''
+
+    whole: ParameterSet[Sample] = ParameterSet(
+        node, Sample, lambda new: 'no b' if new.name == 'b' else '', take=take)
+    part: ParameterSet[Part] = ParameterSet(
+        node, Part, lambda new: 'too much' if new.gain > 6 else '', 'part.', beside=whole)
+    handed.clear()
+    named.clear()
+    before = {name: node.get_parameter(name).value for name in changes}
+    answer = node.set_parameters_atomically([
+        Parameter(name, value=value) for name, value in changes.items()])
+    assert [set(changed) for changed in handed] == asked
+    assert named == [set(changes)] * len(asked)
+    taken = bool(asked) and not refuses
+    assert answer.successful == taken
+    assert answer.reason or taken
+    expected = changes if taken else before
+    assert {name: node.get_parameter(name).value for name in changes} == expected
+    assert whole.values.rate_hz == expected.get('rate_hz', 60.0)
+    assert part.values.gain == expected.get('part.gain', 1.0)
