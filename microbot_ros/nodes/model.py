@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections import deque
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -11,12 +12,13 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Vector3Stamped
 from sensor_msgs.msg import MagneticField, PointCloud2
+from std_msgs.msg import Header
 
 from microbot_ros.errors import InputError
 from microbot_ros.estimation.online import Estimates, Estimator, Settings
 from microbot_ros.model.model_file import read_model
 from microbot_ros.nodes import messages
-from microbot_ros.nodes.lifecycle import OK, WARN, RigNode
+from microbot_ros.nodes.lifecycle import OK, SILENCE_SECONDS, WARN, RigNode
 from microbot_ros.records import Conditions
 from microbot_ros.settings import setting
 
@@ -63,6 +65,7 @@ class ModelNode(RigNode):
         self._origin: float | None = None
         self._early: deque[tuple[float, np.ndarray, float | None]] = deque(maxlen=256)
         self._estimates: Estimates | None = None
+        self._came = -math.inf
         self._state = self.publisher(PointCloud2, 'model/state')
         self.subscribe(PointCloud2, 'particles', self._on_particles)
         if values.propulsion == 'rolling':
@@ -95,32 +98,35 @@ class ModelNode(RigNode):
         found = self._estimates
         if found is None:
             return WARN, 'no particles yet', {}
-        noise = found.noise
+        noise, silence = found.noise, time.monotonic() - self._came
         values: dict[str, object] = {
             'particles': len(found.id), 'known': int(found.known.sum()),
             'delay_s': found.delay, 'delay_std_s': found.delay_std,
             'diffusion_um2_s': noise.diffusion * 1e12,
-            'localisation_um': noise.localisation * 1e6}
+            'localisation_um': noise.localisation * 1e6,
+            'silence_s': silence}
+        if silence > SILENCE_SECONDS:
+            return WARN, f'no particles for {silence:.0f} s', values
         if found.diagnosis:
             return WARN, '; '.join(found.diagnosis), values
         return OK, f'{int(found.known.sum())} of {len(found.id)} particles known', values
 
     def _on_applied(self, message: MagneticField) -> None:
         field = message.magnetic_field
-        self._command(message.header.stamp, np.array([field.x, field.y]))
+        self._command(message.header, np.array([field.x, field.y]))
 
     def _on_command(self, message: Vector3Stamped) -> None:
         # Its stamp is the exposure it answers; what passes until the field turns is a delay, and
         # that is estimated.
         field = np.array([message.vector.x, message.vector.y])
-        self._command(message.header.stamp, field)
+        self._command(message.header, field)
 
     def _on_rotation(self, message: Vector3Stamped) -> None:
         """A field that turns with ω rolls particles along ω̂ × ẑ."""
         x, y = message.vector.x, message.vector.y
         rate = math.hypot(x, y)
         direction = np.array([y, -x]) / (rate or 1.0)
-        self._command(message.header.stamp, direction, rate / math.tau)
+        self._command(message.header, direction, rate / math.tau)
 
     def _on_particles(self, message: PointCloud2) -> None:
         self._follow_model_file()
@@ -129,10 +135,14 @@ class ModelNode(RigNode):
         self._estimates = estimates = self._estimator.update(
             self._exposed(message.header.stamp), found['id'].astype(int), position,
             found['sigma'].astype(float))
-        self._state.publish(messages.cloud(_points(estimates), message.header.stamp))
+        self._came = time.monotonic()
+        points = _points(estimates)
+        points['theta'] = _headings(found, estimates.id)
+        self._state.publish(messages.cloud(points, message.header.stamp))
 
-    def _command(self, stamp: Time, field: np.ndarray, frequency: float | None = None) -> None:
-        self._early.append((messages.to_seconds(stamp), field, frequency))
+    def _command(self, header: Header, field: np.ndarray, frequency: float | None = None) -> None:
+        messages.in_workspace(header)
+        self._early.append((messages.to_seconds(header.stamp), field, frequency))
         if self._origin is not None:
             self._take_commands(self._origin)
 
@@ -152,11 +162,11 @@ class ModelNode(RigNode):
     def _follow_model_file(self) -> None:
         file = self.settings.model_file
         if file != self._model_file:
-            self._model_file = file
             if file:
                 self._estimator.load(file)
             else:
                 self._estimator.use(self._first_order)
+            self._model_file = file
 
 
 def _warm_up(estimator: Estimator) -> None:
@@ -166,6 +176,12 @@ def _warm_up(estimator: Estimator) -> None:
         if frame % 25 == 0:
             estimator.command(t, 1e-3 * np.array([np.cos(frame), np.sin(frame)]), 1.0)
         estimator.update(t, np.arange(2), np.full((2, 2), 1e-6 * t), np.full(2, 1e-7))
+
+
+def _headings(found: np.ndarray, ids: np.ndarray) -> np.ndarray:
+    """The headings (N,) [rad] that particles of these ids have in a frame; NaN where not seen."""
+    seen = dict(zip(found['id'].tolist(), found['theta'].tolist(), strict=True))
+    return np.array([seen.get(name, math.nan) for name in ids.tolist()])
 
 
 def _points(estimates: Estimates) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -15,7 +16,14 @@ from microbot_ros import units
 from microbot_ros.estimation.commands import NEGLIGIBLE
 from microbot_ros.files import read_yaml
 from microbot_ros.nodes import messages
-from microbot_ros.nodes.lifecycle import IMAGES_IN, IMAGES_OUT, OK, WARN, RigNode
+from microbot_ros.nodes.lifecycle import (
+    IMAGES_IN,
+    IMAGES_OUT,
+    OK,
+    SILENCE_SECONDS,
+    WARN,
+    RigNode,
+)
 from microbot_ros.settings import setting
 from microbot_ros.tracking import (
     Drive,
@@ -72,6 +80,7 @@ class TrackerNode(RigNode):
         self._camera: ImageToWorkspace | None = None
         self._frames = self._refused = self._count = 0
         self._previous = self._longest_gap = 0.0
+        self._came = -math.inf
         self._due = {'poses': 0.0, 'overlay': 0.0}
         self._particles = self.publisher(PointCloud2, 'particles')
         self._poses = self.publisher(PoseArray, 'particles/poses')
@@ -89,14 +98,15 @@ class TrackerNode(RigNode):
             self.subscribe(Vector3Stamped, 'field/rotation', self._on_rotation)
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
-        silence = self.seconds() - self._previous if self._frames else math.inf
+        silence = time.monotonic() - self._came
         values: dict[str, object] = {
             'frames': self._frames, 'frames_refused': self._refused,
                   'particles': self._count, 'longest_gap_s': self._longest_gap,
                   'silence_s': silence}
         self._longest_gap = 0.0
-        if silence > 1.0:
-            return WARN, 'no frames on camera/image_raw', values
+        if silence > SILENCE_SECONDS:
+            since = f' for {silence:.0f} s' if self._frames else ''
+            return WARN, f'no frames on camera/image_raw{since}', values
         if not self._tracker.ready:
             return OK, 'learning what particles look like', values
         return OK, f'tracking {self._count} particles', values
@@ -117,7 +127,7 @@ class TrackerNode(RigNode):
             self.complain('; '.join(self._tracker.remarks.values()))
         if self._frames:
             self._longest_gap = max(self._longest_gap, t - self._previous)
-        self._previous = t
+        self._previous, self._came = t, time.monotonic()
         self._frames += 1
         self._count = len(poses)
         self._publish(image, poses, self._camera, message.header.stamp)
@@ -130,6 +140,7 @@ class TrackerNode(RigNode):
         self._swim(message, message.vector.x, message.vector.y)
 
     def _swim(self, message: MagneticField | Vector3Stamped, x: float, y: float) -> None:
+        messages.in_workspace(message.header)
         size = math.hypot(x, y)
         if size >= NEGLIGIBLE:  # without a field, particles go on as they were
             self._drive.command(
@@ -137,6 +148,7 @@ class TrackerNode(RigNode):
 
     def _on_rotation(self, message: Vector3Stamped) -> None:
         """A field that turns with ω rolls particles along ω̂ × ẑ."""
+        messages.in_workspace(message.header)
         turns = np.array([message.vector.y, -message.vector.x]) / math.tau
         self._drive.command(messages.to_seconds(message.header.stamp), turns)
 

@@ -9,6 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from geometry_msgs.msg import Vector3Stamped
 from sensor_msgs.msg import Image, MagneticField, PointCloud2
 
 from microbot_ros.nodes import messages
@@ -159,3 +160,31 @@ def test_who_goes_unseen_is_carried_on_the_way_the_field_now_points(ros: Any) ->
     away = np.linalg.norm(found[:, None] - place, axis=2).min(axis=1)
     assert away.max() < 1.5e-6  # by constant velocity they would be 8 µm off
     assert (points['sigma'] > 0.1e-6).all()
+
+
+@pytest.mark.parametrize(('drive', 'kind'), [
+    ('applied', MagneticField), ('command', Vector3Stamped), ('rotation', Vector3Stamped)])
+def test_a_field_in_another_frame_turns_nothing(ros: Any, drive: str, kind: type) -> None:
+    graph = ros({'tracker': {'drive': drive}})
+    tracker = graph.add('tracker')
+    topic = 'field/rotation' if drive == 'rotation' else f'field/{drive}'
+    sent = graph.probe.create_publisher(kind, topic, 10)
+    graph.until(lambda: sent.get_subscription_count() == 1)
+    message = kind()
+    message.header.frame_id = 'camera'
+    sent.publish(message)
+    graph.until(lambda: "expected the frame 'workspace'; received 'camera'"
+                in tracker._complaint)
+
+
+def test_a_camera_that_is_gone_is_said_whatever_its_clock_said(ros: Any) -> None:
+    """A last frame stamped an hour ahead would look fresh for an hour."""
+    graph = ros({'tracker': {}})
+    tracker = graph.add('tracker')
+    frames = graph.probe.create_publisher(Image, 'camera/image_raw', 10)
+    graph.until(lambda: frames.get_subscription_count() == 1)
+    picture = MicroscopeSettings()
+    image = np.zeros((picture.height_px, picture.width_px), np.uint8)
+    frames.publish(messages.image(image, messages.to_stamp(tracker.seconds() + 3600.0)))
+    graph.until(lambda: tracker.health()[2]['frames'] == 1)
+    graph.until(lambda: tracker.health()[1] == 'no frames on camera/image_raw for 1 s')

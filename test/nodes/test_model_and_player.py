@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import Vector3Stamped
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import MagneticField, PointCloud2
 from std_srvs.srv import SetBool, Trigger
 
 from microbot_ros.nodes import messages
@@ -242,3 +243,72 @@ def test_points_that_are_no_numbers_leave_the_rest_alone(ros: Any) -> None:
     assert 1 in known['id']
     assert np.isfinite(known['x']).all()
     assert node.active
+
+
+class Modelled:
+    """A model node, and particles and fields for it."""
+
+    def __init__(self, ros: Any, **parameters: Any) -> None:
+        self.graph = ros({'model': parameters})
+        self.node = self.graph.add('model')
+        self.states = self.graph.hear(PointCloud2, 'model/state')
+        self.particles = self.graph.probe.create_publisher(PointCloud2, 'particles', 10)
+        self.graph.until(lambda: self.particles.get_subscription_count() == 1)
+
+    def see(self, t: float, theta: dict[int, float], frame: str = 'workspace') -> None:
+        """Particles at rest, by their identities, with these headings."""
+        points = np.zeros(len(theta), messages.PARTICLE)
+        points['id'], points['theta'] = list(theta), list(theta.values())
+        points['x'], points['sigma'] = 1e-5 * points['id'], 1e-7
+        message = messages.cloud(points, messages.to_stamp(t))
+        message.header.frame_id = frame
+        self.particles.publish(message)
+
+
+def test_a_state_carries_the_headings_of_its_own_frame(ros: Any) -> None:
+    """Whatever the order of the particles; not those of a frame in which they were not seen."""
+    model = Modelled(ros)
+    for t, theta in [(1.0, {7: 0.5, 2: -1.0}), (1.02, {2: -1.1, 7: math.nan}), (1.04, {7: 0.6})]:
+        model.see(t, theta)
+    model.graph.until(lambda: len(model.states) == 3)
+    told = [{int(p['id']): p['theta'] for p in messages.estimates(state)}
+            for state in model.states]
+    assert told[0] == pytest.approx({7: 0.5, 2: -1.0})
+    assert told[1] == pytest.approx({7: math.nan, 2: -1.1}, nan_ok=True)
+    assert told[2] == pytest.approx({7: 0.6, 2: math.nan}, nan_ok=True)
+
+
+def test_a_camera_that_is_gone_is_said_and_for_how_long(ros: Any) -> None:
+    model = Modelled(ros)
+    ahead = model.node.seconds() + 3600.0  # its clock is of no help
+    model.see(ahead, {1: 0.0})
+    model.graph.until(lambda: model.states)
+    assert 'no particles' not in model.node.health()[1]
+    model.graph.until(lambda: 'no particles' in model.node.health()[1])
+    level, sentence, values = model.node.health()
+    assert (level, sentence) == (b'\1', 'no particles for 1 s')
+    assert values['silence_s'] == pytest.approx(1.0, abs=0.5)
+    model.see(ahead + 1.0, {1: 0.0})
+    model.graph.until(lambda: 'no particles' not in model.node.health()[1])
+
+
+@pytest.mark.parametrize(('parameters', 'topic', 'kind'), [
+    ({}, 'field/applied', MagneticField),
+    ({'command_source': 'command'}, 'field/command', Vector3Stamped),
+    ({'propulsion': 'rolling'}, 'field/rotation', Vector3Stamped),
+    ({}, 'particles', PointCloud2)])
+def test_what_is_in_another_frame_is_not_taken(
+        ros: Any, parameters: dict[str, Any], topic: str, kind: type) -> None:
+    model = Modelled(ros, **parameters)
+    if topic == 'particles':
+        model.see(1.0, {1: 0.0}, frame='camera')
+    else:
+        sent = model.graph.probe.create_publisher(kind, topic, 10)
+        model.graph.until(lambda: sent.get_subscription_count() == 1)
+        message = kind()
+        message.header.frame_id = 'camera'
+        sent.publish(message)
+    model.graph.until(lambda: "expected the frame 'workspace'; received 'camera'"
+                      in model.node._complaint)
+    assert not model.node._early
+    assert not model.states
