@@ -100,7 +100,7 @@ class Offline(RigNode):
         self.alarms: dict[str, Callable[[], None]] = {}
         super().__init__(name)
 
-    def take(self, name: str, data: bytes, at_ns: int, verdicts: str = '') -> None:
+    def be_told(self, name: str, data: bytes, at_ns: int, verdicts: str = '') -> None:
         """Take a message on a topic, or a change of parameters, at a time [ns], with how its calls
         to a controller came out."""
         self._at(at_ns, verdicts)

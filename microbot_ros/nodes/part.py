@@ -141,7 +141,7 @@ class Part:
         data = self._data(name, taken, frame_ns, parts)
         if data is None:
             return False
-        self._node.take(name, data, taken.at_ns, taken.verdicts)
+        self._node.be_told(name, data, taken.at_ns, taken.verdicts)
         return True
 
     def _data(self, name: str, taken: Taken, frame_ns: int, parts: Sequence[Part],
