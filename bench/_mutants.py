@@ -1,7 +1,8 @@
-"""A mutation tester for one small module: does a test fail for every way to break it?
+"""A mutation tester for small modules: does a test fail for every way to break them?
 
-Each mutant is the module with one operator, constant, call or statement changed, run against the
-module's own tests in a forked process. `python -m bench._mutants` lists the survivors.
+Each mutant is a module with one operator, constant, call or statement changed, run against the
+module's own tests in a forked process. What survives is either explained in `mutants.txt`, by the
+text of its line, or a hole in the tests. `python -m bench._mutants [MODULE...]` lists both.
 """
 
 from __future__ import annotations
@@ -9,12 +10,16 @@ from __future__ import annotations
 import ast
 import copy
 import importlib
+import io
 import itertools
 import os
 import sys
 import types
 from collections.abc import Iterator
+from contextlib import redirect_stdout
+from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 
@@ -24,13 +29,33 @@ _SWAPPED: dict[type, tuple[type, ...]] = {
     ast.Is: (ast.IsNot,), ast.IsNot: (ast.Is,), ast.Add: (ast.Sub,), ast.Sub: (ast.Add,),
     ast.Mult: (ast.Div,), ast.Div: (ast.Mult,), ast.And: (ast.Or,), ast.Or: (ast.And,),
 }
-_WORKERS = os.cpu_count() or 1
+TESTS = {
+    'gate': ['test_gate'],
+    'self_check': ['test_self_check'],
+    'coil_driver': ['test_in_one_process'],
+    'amplifier': ['test_in_one_process'],
+    'polled': ['test_modbus', 'test_roboteq', 'test_in_one_process'],
+    'last_resort': ['test_in_one_process'],
+    'sentinel': ['test_in_one_process'],
+    'serial_transfer.driver': ['test_in_one_process'],
+    'roboclaw.driver': ['test_roboclaw', 'test_in_one_process'],
+    'modbus.driver': ['test_modbus', 'test_in_one_process'],
+    'roboteq.driver': ['test_roboteq', 'test_in_one_process'],
+    'scpi.driver': ['test_scpi', 'test_in_one_process'],
+}
+"""Every module that can hold the coils on, and the tests of it, the quickest first."""
+
+_DRIVE = 'microbot_ros.drive.'
+_FOLDER = Path('test/drive')
+_EXPLAINED = Path(__file__).with_name('mutants.txt')
+_HANGS_S = 15
+_WORKERS = min(os.cpu_count() or 1, 2)
 _RENAMED = {'min': 'max', 'max': 'min', 'all': 'any', 'any': 'all', 'abs': 'float'}
 
 
-def mutants(source: str) -> Iterator[tuple[str, ast.Module]]:
-    """Every mutant of a module's source, with the line and the change it makes."""
-    tree = ast.parse(source)
+def mutants(source: str) -> Iterator[tuple[str, str]]:
+    """Every mutant of a module's source, after the text of the line and the change it makes."""
+    tree, lines = ast.parse(source), source.splitlines()
     # `strict` of zip only repeats what the types of both sides say: no test can tell.
     told_by_types = {id(keyword.value) for keyword in ast.walk(tree)
                      if isinstance(keyword, ast.keyword) and keyword.arg == 'strict'}
@@ -43,8 +68,9 @@ def mutants(source: str) -> Iterator[tuple[str, ast.Module]]:
             mutant = copy.deepcopy(tree)
             chosen = next(itertools.islice(ast.walk(mutant), index, None))
             before = ast.unparse(node).splitlines()[0]
-            line = getattr(node, 'lineno', 0)
-            yield f'line {line}: {before}  →  {_change(chosen, variant)}', mutant
+            line = lines[getattr(node, 'lineno', 1) - 1].strip()
+            what = f'{line}  ::  {before}  →  {_change(chosen, variant)}'
+            yield what, ast.unparse(mutant)
 
 
 def _change(node: ast.AST, variant: int) -> str | None:
@@ -95,28 +121,67 @@ def _delete(node: ast.AST) -> str | None:
         node.value = ast.Constant(None)
         ast.fix_missing_locations(node)
         return 'nothing'
+    if isinstance(node, ast.Expr) and isinstance(node.value, ast.Yield | ast.YieldFrom):
+        node.value = ast.YieldFrom(ast.Tuple([], ast.Load()))  # nothing, yet still a generator
+        ast.fix_missing_locations(node)
+        return 'nothing'
     return None
 
 
-def survivors(module: str, tests: Path) -> tuple[int, list[str]]:
-    """How many mutants there are, and what the tests did not notice."""
-    path = importlib.import_module(module).__file__
-    found = list(mutants(Path(path or '').read_text(encoding='utf-8')))
+@dataclass(frozen=True)
+class Survey:
+    """What became of the mutants of one module."""
+
+    module: str
+    total: int
+    survived: list[str]
+    explained: list[str]
+    """Survivors that cannot keep a current on or let a wrong one through, as `mutants.txt` says."""
+
+    @property
+    def unexplained(self) -> list[str]:
+        """Survivors that a test should have killed."""
+        return [what for what in self.survived if what not in self.explained]
+
+
+def survey(module: str) -> Survey:
+    """Try every mutant of a module of `TESTS`.
+
+    Raises RuntimeError where the tests fail without a mutant: then they tell nothing.
+    """
+    tests = [str(_FOLDER / f'{name}.py') for name in TESTS[module]]
+    source = Path(importlib.import_module(_DRIVE + module).__file__ or '').read_text('utf-8')
+    found = list(mutants(source))
+    with TemporaryDirectory() as folder:
+        _load(tests)
+        if _end(_try(_DRIVE + module, source, tests, folder)):
+            raise RuntimeError(f'the tests of {module} fail as it is')
+        survived = list(_survivors(_DRIVE + module, found, tests, folder))
+    explained = _explained().get(module, set())
+    return Survey(module, len(found), survived, [what for what in survived if what in explained])
+
+
+def _survivors(module: str, found: list[tuple[str, str]], tests: list[str],
+               folder: str) -> Iterator[str]:
     running: dict[int, str] = {}
-    alive: list[str] = []
     waiting = list(reversed(found))
     while waiting or running:
         while waiting and len(running) < _WORKERS:
             what, mutant = waiting.pop()
-            running[_try(module, mutant, tests)] = what
+            running[_try(module, mutant, tests, folder)] = what
         child, status = os.wait()
         what = running.pop(child)
         if os.waitstatus_to_exitcode(status) == 0:
-            alive.append(what)
-    return len(found), alive
+            yield what
 
 
-def _try(module: str, mutant: ast.Module, tests: Path) -> int:
+def _load(tests: list[str]) -> None:
+    """Load what the tests import, so that not every mutant has to."""
+    with redirect_stdout(io.StringIO()):
+        pytest.main(['--collect-only', '-q', '-p', 'no:xdist', *tests])
+
+
+def _try(module: str, mutant: str, tests: list[str], folder: str) -> int:
     """Run the tests with the mutant in the module's place, in a process that ends with 0 if all
     pass; its id.
     """
@@ -127,14 +192,38 @@ def _try(module: str, mutant: ast.Module, tests: Path) -> int:
     try:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         os.dup2(1, 2)
+        for loaded in [name for name in sys.modules if name.startswith(('microbot_ros', 'test'))]:
+            del sys.modules[loaded]  # what imported the module is to import the mutant
         replaced = types.ModuleType(module)
+        path = Path(folder) / f'{os.getpid()}.py'  # a file, for what is started as a script
+        path.write_text(mutant, encoding='utf-8')
+        replaced.__file__ = str(path)
         sys.modules[module] = replaced
-        exec(compile(mutant, module, 'exec'), replaced.__dict__)
-        code = int(pytest.main(['-x', '-q', '--timeout', '60', '-p', 'no:xdist', str(tests)]))
+        exec(compile(mutant, path, 'exec'), replaced.__dict__)
+        code = int(pytest.main(['-x', '-q', '--timeout', str(_HANGS_S), '--timeout-method',
+                                'thread', '-p', 'no:xdist', *tests]))
     finally:
         os._exit(code)
 
 
+def _end(child: int) -> int:
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+def _explained() -> dict[str, set[str]]:
+    """Module → the survivors that need no test: lines under `# MODULE` and `## REASON`."""
+    found: dict[str, set[str]] = {}
+    for line in _EXPLAINED.read_text(encoding='utf-8').splitlines():
+        if line.startswith('# '):
+            module = found.setdefault(line[2:], set())
+        elif line and not line.startswith('## '):
+            module.add(line)
+    return found
+
+
 if __name__ == '__main__':
-    total, alive = survivors('microbot_ros.drive.gate', Path('test/drive/test_gate.py'))
-    print(f'{total} mutants, {len(alive)} survive', *alive, sep='\n')
+    for name in sys.argv[1:] or TESTS:
+        result = survey(name)
+        print(f'{name}: {result.total} mutants, {len(result.survived)} survive, '
+              f'{len(result.explained)} of them explained', *result.unexplained, sep='\n',
+              flush=True)

@@ -9,7 +9,9 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-_SCRIPT = Path(__file__).with_name('sentinel.py')
+from microbot_ros.drive import sentinel
+
+_SCRIPT = Path(sentinel.__file__)
 _SILENCE_S = 0.1
 """How long the driver may be silent: like the watchdogs of devices that have one."""
 _FEED_S = 0.02
