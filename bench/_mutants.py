@@ -32,23 +32,26 @@ _SWAPPED: dict[type, tuple[type, ...]] = {
 TESTS = {
     'gate': ['test_gate'],
     'self_check': ['test_self_check'],
-    'coil_driver': ['test_in_one_process'],
-    'amplifier': ['test_in_one_process'],
-    'polled': ['test_modbus', 'test_roboteq', 'test_in_one_process'],
-    'last_resort': ['test_in_one_process'],
-    'sentinel': ['test_in_one_process'],
-    'serial_transfer.driver': ['test_in_one_process'],
-    'roboclaw.driver': ['test_roboclaw', 'test_in_one_process'],
-    'modbus.driver': ['test_modbus', 'test_in_one_process'],
-    'roboteq.driver': ['test_roboteq', 'test_in_one_process'],
-    'scpi.driver': ['test_scpi', 'test_in_one_process'],
+    'coil_driver': ['test_served_driver'],
+    'amplifier': ['test_served_amplifiers'],
+    'polled': ['test_served_amplifiers'],
+    'last_resort': ['test_sentinel', 'test_served_driver'],
+    'sentinel': ['test_sentinel'],
+    'serial_transfer.driver': ['test_served_amplifiers'],
+    'roboclaw.driver': ['test_roboclaw', 'test_served_amplifiers'],
+    'modbus.driver': ['test_modbus', 'test_served_amplifiers'],
+    'roboteq.driver': ['test_roboteq', 'test_served_amplifiers'],
+    'scpi.driver': ['test_scpi', 'test_served_amplifiers'],
 }
 """Every module that can hold the coils on, and the tests of it, the quickest first."""
 
 _DRIVE = 'microbot_ros.drive.'
 _FOLDER = Path('test/drive')
 _EXPLAINED = Path(__file__).with_name('mutants.txt')
+_IMPORTING = ('microbot_ros', 'test', 'conftest', 'bench._served')
 _HANGS_S = 15
+_QUICKLY = ['-x', '-q', '--assert=plain', '--tb=no', '-p', 'no:xdist',
+            '--timeout', str(_HANGS_S), '--timeout-method', 'thread']
 _WORKERS = min(os.cpu_count() or 1, 2)
 _RENAMED = {'min': 'max', 'max': 'min', 'all': 'any', 'any': 'all', 'abs': 'float'}
 
@@ -68,9 +71,10 @@ def mutants(source: str) -> Iterator[tuple[str, str]]:
             mutant = copy.deepcopy(tree)
             chosen = next(itertools.islice(ast.walk(mutant), index, None))
             before = ast.unparse(node).splitlines()[0]
-            line = lines[getattr(node, 'lineno', 1) - 1].strip()
-            what = f'{line}  ::  {before}  →  {_change(chosen, variant)}'
-            yield what, ast.unparse(mutant)
+            after = _change(chosen, variant)
+            line = lines[getattr(node, 'lineno', 1) - 1].partition('  #')[0].strip()
+            if ast.dump(node) != ast.dump(chosen):
+                yield f'{line}  ::  {before}  →  {after}', ast.unparse(mutant)
 
 
 def _change(node: ast.AST, variant: int) -> str | None:
@@ -136,7 +140,7 @@ class Survey:
     total: int
     survived: list[str]
     explained: list[str]
-    """Survivors that cannot keep a current on or let a wrong one through, as `mutants.txt` says."""
+    """Survivors that keep no current on and let no wrong one through, as `mutants.txt` says."""
 
     @property
     def unexplained(self) -> list[str]:
@@ -150,6 +154,8 @@ def survey(module: str) -> Survey:
     Raises RuntimeError where the tests fail without a mutant: then they tell nothing.
     """
     tests = [str(_FOLDER / f'{name}.py') for name in TESTS[module]]
+    if '.' in module:  # of one protocol
+        tests += ['-k', module.partition('.')[0]]
     source = Path(importlib.import_module(_DRIVE + module).__file__ or '').read_text('utf-8')
     found = list(mutants(source))
     with TemporaryDirectory() as folder:
@@ -178,7 +184,7 @@ def _survivors(module: str, found: list[tuple[str, str]], tests: list[str],
 def _load(tests: list[str]) -> None:
     """Load what the tests import, so that not every mutant has to."""
     with redirect_stdout(io.StringIO()):
-        pytest.main(['--collect-only', '-q', '-p', 'no:xdist', *tests])
+        pytest.main([*_QUICKLY, '--collect-only', *tests])
 
 
 def _try(module: str, mutant: str, tests: list[str], folder: str) -> int:
@@ -192,7 +198,7 @@ def _try(module: str, mutant: str, tests: list[str], folder: str) -> int:
     try:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         os.dup2(1, 2)
-        for loaded in [name for name in sys.modules if name.startswith(('microbot_ros', 'test'))]:
+        for loaded in [name for name in sys.modules if name.startswith(_IMPORTING)]:
             del sys.modules[loaded]  # what imported the module is to import the mutant
         replaced = types.ModuleType(module)
         path = Path(folder) / f'{os.getpid()}.py'  # a file, for what is started as a script
@@ -200,8 +206,7 @@ def _try(module: str, mutant: str, tests: list[str], folder: str) -> int:
         replaced.__file__ = str(path)
         sys.modules[module] = replaced
         exec(compile(mutant, path, 'exec'), replaced.__dict__)
-        code = int(pytest.main(['-x', '-q', '--timeout', str(_HANGS_S), '--timeout-method',
-                                'thread', '-p', 'no:xdist', *tests]))
+        code = int(pytest.main([*_QUICKLY, *tests]))
     finally:
         os._exit(code)
 

@@ -9,8 +9,12 @@ from pathlib import Path
 
 import pytest
 
+from bench._served import FULL_SCALE_A, LIMITS, Served
+from microbot_ros.drive.amplifier import amplifier_class
+from microbot_ros.drive.coil_driver import CoilDriver
+from microbot_ros.drive.gate import Limits
+
 DEADLINE_S = 20.0
-FULL_SCALE_A = 2.0
 
 
 class Emulated:
@@ -126,3 +130,55 @@ def scripted(monkeypatch):
 
     yield install
     assert all(not script.exchanges and not any(script._answers.values()) for script in scripts)
+
+
+@pytest.fixture
+def protocol():
+    """Of the device that a thread of this process serves."""
+    return 'serial_transfer'
+
+
+@pytest.fixture
+def watchdog_s():
+    return 0.1
+
+
+@pytest.fixture
+def device(protocol, tmp_path, watchdog_s):
+    device = Served(protocol, tmp_path, watchdog_s)
+    yield device
+    device.end()
+
+
+@pytest.fixture
+def amplifier(protocol, device):
+    amplifier = amplifier_class(protocol)(device.url, FULL_SCALE_A)
+    # A loaded machine is slower than a device.
+    amplifier.reply_s = 0.3
+    amplifier._boot_s = 5.0
+    yield amplifier
+    amplifier._release()
+
+
+@pytest.fixture
+def drivers(amplifier):
+    """A function that starts a driver, in other limits if told; it ends with the test."""
+    started = []
+
+    def start(on_reading=lambda _: None, on_sent=lambda _: None, *, self_check=False,
+              accept_no_watchdog=True, **limits):
+        driver = CoilDriver(amplifier, Limits(**{**vars(LIMITS), **limits}), on_reading,
+                            on_sent=on_sent, self_check=self_check,
+                            accept_no_watchdog=accept_no_watchdog)
+        driver.start()
+        started.append(driver)
+        return driver
+
+    yield start
+    for driver in started:
+        driver.stop()
+
+
+@pytest.fixture
+def driver(drivers):
+    return drivers()

@@ -1,0 +1,119 @@
+"""The sentinel, over pipes in the place of lines."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from bench._served import until
+from microbot_ros.drive import last_resort, sentinel
+
+DRIVING = (1.0, -1.0, 0.5, 0.2)
+
+
+@pytest.fixture
+def lines():
+    """Two pipes in the place of lines: what can be read, and what is written to."""
+    pipes = [os.pipe() for _ in range(2)]
+    for reading, _ in pipes:
+        os.set_blocking(reading, False)
+    yield [reading for reading, _ in pipes], [writing for _, writing in pipes]
+    for pipe in pipes:
+        for end in pipe:
+            os.close(end)
+
+
+def said(reading):
+    try:
+        return os.read(reading, 65536)
+    except BlockingIOError:
+        return b''
+
+
+WORDS = (b'zero\xff', b'nought')
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGHUP])
+def test_the_sentinel_says_the_last_words_when_it_is_not_fed(lines, number):
+    heard, writing = lines
+    last = last_resort.LastResort(list(zip(writing, WORDS, strict=True)))
+    process = last._process
+    try:
+        assert last.feed()
+        until(lambda: said(heard[0]))  # nobody feeds it
+        until(lambda: said(heard[1]))
+        for _ in range(3):
+            assert said(heard[0]) in (b'', *(n * WORDS[0] for n in range(1, 20)))
+            until(lambda: said(heard[0]))  # and again
+        process.send_signal(number)
+        until(lambda: said(heard[0]))
+        assert process.poll() is None
+    finally:
+        begin = time.monotonic()
+        last.dismiss()
+    assert process.returncode == 0
+    assert time.monotonic() - begin < 8.0
+    assert not last.feed() or not last._say(b'.')
+
+
+def test_the_sentinel_is_quiet_while_it_is_fed(lines, monkeypatch):
+    monkeypatch.setattr(last_resort, '_SILENCE_S', 1.5)
+    heard, writing = lines
+    last = last_resort.LastResort(list(zip(writing, WORDS, strict=True)))
+    end = time.monotonic() + 2.5
+    while time.monotonic() < end:
+        assert last.feed()
+        time.sleep(0.02)
+    assert said(heard[0]) == said(heard[1]) == b''
+    last.dismiss()
+    assert said(heard[0]) == b''
+
+
+def test_the_sentinel_is_fed_now_and_then_and_not_each_time(lines, monkeypatch):
+    last = last_resort.LastResort([])
+    fed = []
+    monkeypatch.setattr(last, '_say', lambda word: fed.append(word) or False)
+    assert last.feed() is False
+    assert last.feed() is True
+    until(lambda: not last.feed())
+    assert fed == [b'.', b'.']
+    monkeypatch.undo()
+    last.dismiss()
+
+
+def test_a_sentinel_that_hangs_holds_nobody_up(monkeypatch):
+    monkeypatch.setattr(last_resort, '_LEAVE_S', 0.05)
+    last = last_resort.LastResort([])
+    os.kill(last._process.pid, signal.SIGSTOP)
+    until(lambda: not last._say(b'.' * 4096))  # full
+    last.dismiss()
+    assert last._process.returncode == -signal.SIGKILL
+
+
+def test_the_sentinel_outlives_its_host_until_all_is_at_zero(lines):
+    heard, writing = lines
+    arguments = [f'{line}={word.hex()}' for line, word in zip(writing, WORDS, strict=True)]
+    process = subprocess.Popen(
+        [sys.executable, '-I', '-S', sentinel.__file__, '60', *arguments], stdin=subprocess.PIPE,
+        pass_fds=writing)
+    process.stdin.write(b'....')
+    process.stdin.flush()
+    time.sleep(0.05)
+    assert said(heard[0]) == b''
+    begin = time.monotonic()
+    process.stdin.close()  # as when the host dies
+    assert process.wait(10.0) == 0
+    assert time.monotonic() - begin >= sentinel.REPEATS * sentinel.AGAIN_S
+    assert said(heard[0]) == sentinel.REPEATS * WORDS[0]
+    assert said(heard[1]) == sentinel.REPEATS * WORDS[1]
+
+
+def test_a_line_that_is_gone_does_not_keep_the_others_from_being_zeroed(lines):
+    heard, writing = lines
+    gone = os.dup(writing[0])
+    os.close(gone)
+    sentinel.say([(gone, b'x'), (writing[1], b'y')])
+    assert said(heard[1]) == b'y'

@@ -1,0 +1,459 @@
+"""Every way to zero of the driver of the coils, quickly: `bench/_mutants.py` runs this often."""
+
+import math
+import os
+import signal
+import threading
+import time
+
+import pytest
+
+from bench._served import FULL_SCALE_A, LIMITS, until
+from microbot_ros.drive import coil_driver, polled
+from microbot_ros.drive.amplifier import amplifier_class
+from microbot_ros.drive.coil_driver import CoilDriver
+from microbot_ros.drive.emulator.process import DEVICES
+from microbot_ros.drive.errors import (
+    NoAnswerError,
+)
+from microbot_ros.drive.gate import ZERO, Limits, Reason
+from microbot_ros.errors import InputError
+
+DRIVING = (1.0, -1.0, 0.5, 0.2)
+PROTOCOLS = sorted(DEVICES)
+WITHOUT_WATCHDOG = ('modbus', 'scpi')
+
+every_protocol = pytest.mark.parametrize('protocol', PROTOCOLS)
+
+
+def arm(driver):
+    until(lambda: driver.arm() is None)
+
+
+def drive(driver, device, currents=DRIVING):
+    arm(driver)
+    assert driver.command(currents)
+    device.eventually(currents)
+
+
+def tripped(driver, device, reason):
+    """The fault, once it is there and the coils are at zero."""
+    fault = until(lambda: driver.gate.fault)
+    assert fault.reason is reason
+    device.eventually(ZERO)
+    assert not driver.gate.armed
+    assert not driver.command(DRIVING)
+    return fault
+
+
+def test_nothing_flows_before_arming(driver, device):
+    assert not driver.command(DRIVING)
+    assert (driver.connected, driver.gate.armed, driver.gate.fault) == (True, False, None)
+    heard = driver.amplifier.counters.frames_received
+    until(lambda: driver.amplifier.counters.frames_received > heard + 3)
+    assert set(device.flowed) == {ZERO}
+    drive(driver, device)  # and the command of before is forgotten
+    assert not {*device.flowed} - {ZERO} - {device.flowed[-1]}
+
+
+@every_protocol
+def test_arming_tries_each_coil_and_then_lets_commands_flow(drivers, device, protocol):
+    told, tags = [], []
+    driver = drivers(lambda reading: told.append(reading), tags.append, self_check=True,
+                     accept_no_watchdog=protocol in WITHOUT_WATCHDOG)
+    assert driver.gains is None
+    until(lambda: told)
+    assert driver.arm() is None
+    assert driver.gains == pytest.approx([1.0] * 4, abs=0.15)
+    pulses = [[abs(current) > 0.1 for current in flowed] for flowed in device.flowed if any(flowed)]
+    assert pulses == [[coil == pulsed for coil in range(4)] for pulsed in range(4)]
+    assert driver.warning.startswith('no watchdog') == (protocol in WITHOUT_WATCHDOG)
+    if protocol == 'serial_transfer':
+        assert 0.09 < driver.watchdog_s < 0.5
+        assert device.causes[-1] == 'watchdog'
+    else:
+        assert driver.watchdog_s is None
+    assert driver.command(DRIVING, 'tag')
+    device.eventually(DRIVING)
+    assert until(lambda: tags)[0].tag == 'tag'
+    until(lambda: any(one.acknowledges is tags[0] for one in told))
+    assert tags[0].currents_A == pytest.approx(DRIVING)
+    assert driver.arm() is None  # armed already: nothing is tried again
+    assert device.flows(DRIVING)
+    assert driver.stop() is True
+    assert device.flowed[-1] == ZERO
+    assert not driver.connected
+
+
+@pytest.mark.parametrize('watchdog_s', [None])
+def test_a_firmware_without_a_watchdog_is_found_out(drivers, device):
+    driver = drivers(self_check=True, accept_no_watchdog=False)
+    until(lambda: 'the amplifier has no watchdog' in (driver.arm() or ''))
+    assert driver.gate.fault.reason is Reason.SELF_CHECK
+    device.eventually(ZERO)
+    assert (driver.gate.armed, driver.gains, driver.watchdog_s) == (False, None, None)
+
+
+@pytest.mark.parametrize('fault', ['open=2', 'reversed=3', 'half_gain=4'])
+def test_a_coil_that_is_wrong_refuses_arming(drivers, device, fault):
+    driver = drivers(self_check=True)
+    device.fault(fault)
+    refusal = until(lambda: 'coil_' in (said := driver.arm() or '') and said)
+    assert refusal.startswith('self-check: coil_')
+    device.eventually(ZERO)
+    assert not driver.gate.armed
+    assert driver.gains is None
+    assert not driver.command(DRIVING)
+    device.mend()
+    arm(driver)
+    assert driver.gate.fault is None
+    drive(driver, device)
+
+
+def test_commands_during_the_check_go_nowhere(drivers, device):
+    driver = drivers(self_check=True)
+    commanding = threading.Event()
+
+    def command():
+        while not commanding.is_set():
+            driver.command((0.0, 0.0, 0.0, 1.9))
+            time.sleep(0.001)
+
+    thread = threading.Thread(target=command)
+    thread.start()
+    try:
+        arm(driver)
+    finally:
+        commanding.set()
+        thread.join()
+    pulse_A = 3 * LIMITS.deviation_A
+    flowed = device.flowed.copy()
+    last = max(index for index, one in enumerate(flowed) if abs(one[3] - pulse_A) < 0.05)
+    assert all(abs(current) < 1.0 for one in flowed[:last + 1] for current in one)
+
+
+@pytest.mark.parametrize('watchdog_s', [0.4])
+def test_a_held_command_feeds_the_watchdog_of_the_device(driver, device):
+    drive(driver, device)
+    sent = driver.amplifier.counters.frames_sent
+    until(lambda: driver.amplifier.counters.frames_sent > sent + 20)
+    assert device.flows(DRIVING)
+    assert 'watchdog' not in device.causes
+
+
+def test_a_command_that_goes_stale_ends_in_zero(drivers, device):
+    driver = drivers(stale_s=0.3)
+    drive(driver, device)
+    assert tripped(driver, device, Reason.STALE).detail.startswith('none for')
+
+
+def test_a_command_that_waited_too_long_goes_nowhere(drivers, device):
+    holding, held = threading.Event(), threading.Event()
+
+    def hold(_):
+        if holding.is_set():
+            held.set()
+            until(lambda: not holding.is_set())
+
+    driver = drivers(hold, stale_s=0.5)
+    arm(driver)
+    holding.set()
+    held.wait()
+    driver.command(DRIVING)
+    time.sleep(0.6)
+    holding.clear()
+    assert tripped(driver, device, Reason.STALE).detail.startswith('given')
+    assert {*device.flowed} == {ZERO}
+
+
+def test_nobody_there_ends_the_permission(drivers, device):
+    driver = drivers(idle_s=0.1)
+    arm(driver)
+    tripped(driver, device, Reason.IDLE)
+
+
+@pytest.mark.parametrize(('bad', 'reason'), [
+    ((math.nan, 0, 0, 0), Reason.MALFORMED), ((0, 0, 0), Reason.MALFORMED),
+    ((0, 0, -2.1, 0), Reason.LIMIT)])
+def test_a_bad_command_ends_in_zero_until_armed_again(driver, device, bad, reason):
+    drive(driver, device)
+    driver.command(bad)
+    tripped(driver, device, reason)
+    drive(driver, device)
+    assert driver.gate.fault is None
+
+
+def test_disarming_zeroes_at_once(driver, device):
+    drive(driver, device)
+    driver.disarm()
+    device.eventually(ZERO)
+    assert (driver.gate.fault, driver.gate.armed) == (None, False)
+    assert not driver.command(DRIVING)
+    driver.disarm((Reason.COMMANDER, 'nothing to tell of'))
+    assert driver.gate.fault is None
+    drive(driver, device)
+    driver.disarm((Reason.COMMANDER, 'somebody else'))
+    assert tripped(driver, device, Reason.COMMANDER).detail == 'somebody else'
+
+
+def test_disarming_does_not_wait_for_the_next_byte(driver, device):
+    drive(driver, device)
+    begin = time.monotonic()
+    for _ in range(20):
+        driver.disarm()
+    assert time.monotonic() - begin < 20 * coil_driver._DISARMING_S / 2
+
+
+@pytest.mark.parametrize(('fault', 'reason'), [
+    ('open=1', Reason.DEVIATION), ('silence', Reason.SILENCE), ('reset=9000', Reason.SILENCE)])
+def test_a_fault_of_the_device_ends_in_zero(drivers, device, fault, reason):
+    driver = drivers(silence_s=0.4)
+    drive(driver, device)
+    until(lambda: driver.command(DRIVING) and not driver.gate._replaced)
+    device.fault(fault)
+    tripped(driver, device, reason)
+
+
+@pytest.mark.parametrize('protocol', ['roboteq'])
+def test_what_the_device_says_of_itself_is_a_fault(drivers, device, monkeypatch):
+    monkeypatch.setattr(polled, '_INSPECT_S', 0.02)
+    driver = drivers(self_check=True, silence_s=30.0, settling_s=20.0)
+    arm(driver)
+    device.fault('over_temperature')
+    fault = until(lambda: driver.gate.fault)
+    assert fault.reason is Reason.DEVICE
+    assert driver.arm() == fault.detail
+    assert not driver.gate.armed
+
+
+@every_protocol
+def test_a_lost_line_comes_back_at_zero_and_disarmed(driver, device, monkeypatch):
+    monkeypatch.setattr(coil_driver, '_BACKOFF_S', (0.02, 0.05))
+    drive(driver, device)
+    device.coils.watchdog_s, device.coils._deadline_s = None, math.inf
+    device.fault('unplug+0.3')
+    assert until(lambda: driver.gate.fault).reason is Reason.LINE
+    until(lambda: not driver.connected)
+    assert driver.arm() == 'the amplifier is not connected'
+    assert not driver.command(DRIVING)
+    driver.disarm()
+    until(lambda: driver.connected)
+    device.eventually(ZERO)
+    assert driver.gate.fault.reason is Reason.LINE
+    assert not driver.command(DRIVING)
+    arm(driver)
+    assert device.flows(ZERO)  # what was commanded in between is forgotten
+    drive(driver, device)
+
+
+def test_attempts_to_reconnect_become_rarer(driver, device, monkeypatch):
+    pauses = []
+    monkeypatch.setattr(coil_driver, '_BACKOFF_S', (0.01, 0.05))
+    wait = driver._ending.wait
+    driver._ending.wait = lambda pause_s: pauses.append(pause_s) or wait(pause_s)
+    device.fault('unplug')
+    until(lambda: len(pauses) > 4)
+    assert pauses[:5] == [0.01, 0.02, 0.04, 0.05, 0.05]
+    device.mend()
+    until(lambda: driver.connected)
+    before = len(pauses)
+    device.fault('unplug')
+    until(lambda: len(pauses) > before)
+    assert pauses[before] == 0.01
+
+
+def test_stopping_while_the_line_is_away(driver, device):
+    device.fault('unplug')
+    until(lambda: not driver.connected)
+    assert driver.stop() is False
+    assert not driver.stop()
+
+
+def test_stopping_during_the_check_answers(drivers, device):
+    driver = drivers(self_check=True, settling_s=5.0)
+    driver._go_on_checking = lambda check, now: None  # it never ends
+    answers = []
+    arming = threading.Thread(target=lambda: answers.append(driver.arm()))
+    until(lambda: driver.gate._measured_s > 0)
+    arming.start()
+    until(lambda: driver._arming is not None)
+    assert driver.arm() == 'the self-check is going on'
+    assert not driver.command(DRIVING)
+    driver.stop()
+    arming.join()
+    assert answers == ['the driver stopped']
+
+
+def test_disarming_during_the_check_ends_it(drivers, device):
+    driver = drivers(self_check=True)
+    driver._go_on_checking = lambda check, now: None
+    answers = []
+    arming = threading.Thread(target=lambda: answers.append(driver.arm()))
+    until(lambda: driver.gate._measured_s > 0)
+    arming.start()
+    until(lambda: driver._arming is not None)
+    driver.disarm()
+    arming.join()
+    assert answers == ['disarmed meanwhile']
+    device.eventually(ZERO)
+    del driver._go_on_checking
+    drive(driver, device)
+
+
+def test_a_check_without_an_answer_is_given_up(drivers, device, monkeypatch):
+    monkeypatch.setattr(coil_driver, '_ARMING_S', 0.2)
+    driver = drivers(self_check=True)
+    driver._go_on_checking = lambda check, now: None
+    until(lambda: driver.gate._measured_s > 0)
+    assert driver.arm() == 'the driver did not answer within 0.2 s'
+    until(lambda: not driver.gate.armed)
+
+
+@pytest.mark.parametrize('where', ['on_reading', 'on_sent', 'write'])
+def test_whatever_fails_ends_in_zero_and_the_thread_goes_on(drivers, device, where, monkeypatch):
+    failing = threading.Event()
+
+    def fail(_):
+        if failing.is_set():
+            raise RuntimeError('subscriber gone')
+
+    driver = drivers(**{where: fail} if where != 'write' else {})
+    drive(driver, device)
+    write = driver.amplifier.write
+
+    def refuse(currents, tag=None):
+        if failing.is_set() and any(currents):
+            raise RuntimeError('subscriber gone')
+        return write(currents, tag)
+
+    if where == 'write':
+        monkeypatch.setattr(driver.amplifier, 'write', refuse)
+    failing.set()
+    driver.command((0.5, 0, 0, 0), 'tag')
+    fault = tripped(driver, device, Reason.INTERNAL)
+    assert 'subscriber gone' in fault.detail
+    failing.clear()
+    drive(driver, device)
+
+
+def test_a_failing_device_does_not_take_all_of_the_processor(driver, monkeypatch):
+    tries = []
+
+    def poll(_):
+        tries.append(time.monotonic())
+        raise RuntimeError('driver broken')
+
+    monkeypatch.setattr(driver.amplifier, 'poll', poll)
+    until(lambda: len(tries) > 10)
+    assert tries[10] - tries[0] > 9 * coil_driver._TICK_S
+    monkeypatch.undo()
+
+
+def test_an_error_on_the_way_to_zero_does_not_end_the_thread(driver, device, monkeypatch):
+    drive(driver, device)
+
+    def broken(*_):
+        raise RuntimeError('broken')
+
+    monkeypatch.setattr(driver.amplifier, 'write', broken)
+    assert until(lambda: driver.gate.fault).reason is Reason.INTERNAL
+    monkeypatch.undo()
+    device.eventually(ZERO)
+    drive(driver, device)
+
+
+def test_a_driver_that_starts_again_drives_again(driver, device):
+    drive(driver, device)
+    assert driver.stop() is True
+    assert not [one for one in threading.enumerate() if one.name == 'coil driver']
+    until(lambda: not device.lines[0].present)
+    assert not driver.gate.armed
+    driver.start()
+    drive(driver, device)
+
+
+def test_without_a_device_it_does_not_start(amplifier, device):
+    driver = CoilDriver(amplifier, LIMITS, print)
+    driver.disarm()
+    assert driver.stop() is False
+    device.fault('silence')
+    amplifier._boot_s = 0.05
+    with pytest.raises(NoAnswerError):
+        driver.start()
+    assert not driver.connected
+    assert driver.arm() == 'the amplifier is not connected'
+    assert not driver.command(DRIVING)
+
+
+@pytest.mark.parametrize('full_scale_A', [math.nextafter(FULL_SCALE_A, 0), [9.0, 9.0, 1.0, 9.0]])
+def test_limits_that_allow_too_much_are_refused(full_scale_A):
+    with pytest.raises(InputError, match='at most the full scale'):
+        CoilDriver(amplifier_class('serial_transfer')('nowhere', full_scale_A), LIMITS, print)
+
+
+@pytest.mark.parametrize(('protocol', 'self_check', 'accepted', 'right'), [
+    ('modbus', True, False, False), ('modbus', True, True, True), ('modbus', False, True, True),
+    ('serial_transfer', False, False, False), ('serial_transfer', True, False, True),
+    ('serial_transfer', False, True, True), ('roboclaw', False, False, True),
+    ('roboclaw', True, True, True)])
+def test_what_has_no_watchdog_must_be_accepted(protocol, self_check, accepted, right):
+    amplifier = amplifier_class(protocol)('a', FULL_SCALE_A)
+    if right:
+        driver = CoilDriver(amplifier, LIMITS, print, self_check=self_check,
+                            accept_no_watchdog=accepted)
+        assert bool(driver.warning) == (accepted and protocol != 'roboclaw')
+        assert ('loses its power' in driver.warning) == bool(driver.warning)
+    else:
+        with pytest.raises(InputError, match='accept_no_watchdog'):
+            CoilDriver(amplifier, LIMITS, print, self_check=self_check,
+                       accept_no_watchdog=accepted)
+
+
+def test_limits_without_room_for_a_pulse_are_refused_at_once():
+    limits = Limits(**{**vars(LIMITS), 'deviation_A': 1.0})
+    with pytest.raises(InputError, match='self-check'):
+        CoilDriver(amplifier_class('roboclaw')('a', FULL_SCALE_A), limits, print)
+    CoilDriver(amplifier_class('roboclaw')('a', FULL_SCALE_A), limits, print, self_check=False)
+
+
+# Devices without a watchdog are watched -------------------------------------------------------
+
+@pytest.mark.parametrize('watchdog_s', [None])
+@pytest.mark.parametrize('protocol', ['serial_transfer', 'scpi'])
+def test_a_thread_that_hangs_ends_in_zero(drivers, device):
+    hanging = threading.Event()
+    driver = drivers(lambda _: until(lambda: not hanging.is_set()))
+    drive(driver, device)
+    hanging.set()
+    device.eventually(ZERO)
+    hanging.clear()
+    assert driver.stop() is True
+
+
+@pytest.mark.parametrize('watchdog_s', [None])
+def test_a_process_that_is_fed_keeps_quiet(driver, device):
+    drive(driver, device)
+    sentinel_of = driver._last_resort._process
+    time.sleep(0.3)
+    assert {*device.flowed[-1:]} == {device.flowed[-1]}
+    assert device.flows(DRIVING)
+    assert driver.gate.fault is None
+    driver.stop()
+    assert sentinel_of.poll() == 0
+
+
+@pytest.mark.parametrize('watchdog_s', [None])
+def test_without_its_sentinel_nothing_is_driven(driver, device):
+    drive(driver, device)
+    first = driver._last_resort._process
+    os.kill(first.pid, signal.SIGKILL)
+    assert tripped(driver, device, Reason.INTERNAL).detail.startswith('the process that watches')
+    drive(driver, device)  # with another one
+    assert driver._last_resort._process is not first
+
+
+@pytest.mark.parametrize(('protocol', 'accepted', 'watched'), [
+    ('serial_transfer', True, True), ('serial_transfer', False, False), ('roboclaw', True, False)])
+def test_only_what_has_no_watchdog_is_watched(drivers, accepted, watched):
+    driver = drivers(self_check=True, accept_no_watchdog=accepted)
+    assert (driver._last_resort is not None) == watched
