@@ -76,6 +76,7 @@ class Remote:
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
         # At once: by the time that somebody waits for an answer it has long been matched.
+        self._progress: dict[str, str] = {}
         self._progress_watchers: list[Tell] = []
         self.node.create_subscription(
             DiagnosticStatus, 'controller/progress', self._on_progress, 10)
@@ -216,9 +217,9 @@ class Remote:
         self._progress_watchers.append(tell)
 
     def _on_progress(self, message: DiagnosticStatus) -> None:
-        values = {pair.key: pair.value for pair in message.values}
+        self._progress = {pair.key: pair.value for pair in message.values}
         for tell in self._progress_watchers:
-            tell(message.level, message.message, values)
+            tell(message.level, message.message, self._progress)
 
     def _hand_over(self, topic: str, message: Any, what: str) -> Taken:
         """Publish to the controller, again and again, until it says that it has this stamp.
@@ -227,24 +228,25 @@ class Remote:
         nothing for a controller, whose goals are the same then.
         """
         stamp = messages.to_seconds(message.header.stamp)
-        told: dict[str, str] = {}
+        self._progress = {}
 
         def taken() -> bool:
-            return float(told.get(f'{what}_stamp_s', 'nan')) == stamp
-        self.watch_progress(lambda _level, _sentence, values: told.update(values))
+            return float(self._progress.get(f'{what}_stamp_s', 'nan')) == stamp
         self._find('controller', lambda: self._listens('controller', topic), f'takes no {topic}')
         publisher = self.node.create_publisher(type(message), topic, 10)
-        deadline = time.monotonic() + _TAKE_SECONDS
-        while not taken():
-            if time.monotonic() > deadline:
-                reason = ('it answers, but not to these' if told else
-                          'it says nothing; is it active?')
-                raise RigError(f'controller did not take the {what} within {_TAKE_SECONDS:g} s: '
-                               + reason)
-            publisher.publish(message)
-            self.until(taken, _REPEAT_SECONDS)
-        self.node.destroy_publisher(publisher)
-        return Taken(stamp, told['controller'])
+        try:
+            deadline = time.monotonic() + _TAKE_SECONDS
+            while not taken():
+                if time.monotonic() > deadline:
+                    answer = ('it answers, but not to these' if self._progress else
+                              'it says nothing; is it active?')
+                    raise RigError(f'controller did not take the {what} within '
+                                   f'{_TAKE_SECONDS:g} s: {answer}')
+                publisher.publish(message)
+                self.until(taken, _REPEAT_SECONDS)
+        finally:
+            self.node.destroy_publisher(publisher)
+        return Taken(stamp, self._progress['controller'])
 
     def _listens(self, node: str, topic: str) -> bool:
         return any((end.node_name, end.node_namespace) == (node, self.node.get_namespace())
@@ -257,7 +259,7 @@ class Remote:
         here, places = self.node.get_namespace(), self.namespaces_of(node)
         if here in places:
             raise RigError(f'{node} is there, but {lack}')
-        hint = f'; there is one in --namespace {places[0]}' if places else ''
+        hint = f' There is one in --namespace {places[0]}' if places else ''
         raise RigError(f'{node} was not found in the namespace {here} within {_FIND_SECONDS:g} s: '
                        f'is it running?{hint}')
 

@@ -113,7 +113,7 @@ def test_each_command_speaks_to_the_rig_of_its_namespace(tmp_path: Path, emulato
         for command, node in zip(elsewhere, nodes[:1] + nodes[:0:-1], strict=True):
             assert _end(command) == (
                 1, '', f'microbot: {node} was not found in the namespace / within 5 s: is it '
-                'running?; there is one in --namespace /rig_2\n')
+                'running? There is one in --namespace /rig_2\n')
 
 
 @pytest.fixture
