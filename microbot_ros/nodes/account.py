@@ -42,9 +42,10 @@ class Account:
 
     def begin(self) -> None:
         """Start afresh, with a node that is configured."""
+        if self._publisher is None:
+            self._node.add_post_set_parameters_callback(self._changed)
         self._turn, self._taken, self._verdicts = 0, [], ''
         self._publisher = self._node.publisher(String, '~/account')
-        self._node.add_post_set_parameters_callback(self._changed)
 
     def keeping(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
         """The callback of a topic, with its messages noted."""

@@ -119,7 +119,7 @@ class Part:
             self._listen(taken.at_ns)
         if took and self._stage.node == 'coil_driver':
             self._wait(stamp)
-        if self._node.unrepeatable:
+        if self._node.unrepeatable not in ('', *(doubt.reason for doubt in self.doubts[-1:])):
             self.doubts.append(lasting(stamp, self._node.unrepeatable))
         self.played.add(stamp)
         self._reached = stamp

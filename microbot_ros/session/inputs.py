@@ -52,7 +52,10 @@ class Inputs:
 
         A change of parameters without a stamp is the last that was reported before the moment.
         """
-        self._read(at_ns)
+        if name not in self._waiting:
+            return None
+        # Where the stamp is not enough to know it by, all that may be it must be there.
+        self._read(at_ns if stamp_ns else at_ns + APART_NS)
         waiting = self._waiting[name]
         while waiting and waiting[0].t_ns < at_ns - APART_NS:
             waiting.popleft()

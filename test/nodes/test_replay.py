@@ -313,23 +313,17 @@ def test_beside_a_live_coil_driver_a_replay_is_refused_and_drives_nothing(
 
 
 @pytest.mark.graph
+@pytest.mark.parametrize('follows', [False, True])
 def test_a_live_controller_gets_no_goals_of_the_past_one_that_follows_the_clock_does(
-        ros: Any, tmp_path: Path) -> None:
-    session = past(tmp_path)
-    parameters = {'session': str(session), 'topics': ['goals'], 'rate': 100.0}
-    graph = ros({'player': parameters, 'controller': {}})
+        ros: Any, tmp_path: Path, follows: bool) -> None:
+    graph = ros({'player': {'session': str(past(tmp_path)), 'topics': ['goals'], 'rate': 100.0},
+                 'controller': {'use_sim_time': follows}})
     controller = graph.add('controller')
     player = graph.add('player')
     graph.until(lambda: player.finished)
-    assert player.fault.startswith('/controller is live')
-    assert len(controller._goals) == 0
-    graph.end()
-    graph = ros({'player': parameters, 'controller': {'use_sim_time': True}})
-    controller = graph.add('controller')
-    player = graph.add('player')
-    graph.until(lambda: player.finished)
-    assert player.fault == ''
-    assert len(controller._goals) == 1
+    assert player.fault.startswith('' if follows else '/controller is live')
+    assert bool(player.fault) is not follows
+    assert len(controller._goals) == follows
 
 
 @pytest.mark.graph

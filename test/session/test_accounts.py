@@ -143,3 +143,10 @@ def test_of_messages_with_one_stamp_each_is_the_nearest():
     inputs = Inputs(source, {'goals': '/goals'})
     assert inputs.find('goals', 0, 310 * MS) == vector(0, 3.0, 0.0)
     assert inputs.find('goals', 0, 420 * MS) == vector(0, 4.0, 0.0)
+    assert inputs.find('joy', 0, 420 * MS) is None
+
+
+def test_a_change_is_the_last_that_the_node_had_reported_however_late_it_was_recorded():
+    source = Listed([heard('/parameter_events', t, s) for t, s in ((100, 90), (290, 200))])
+    inputs = Inputs(source, {'parameters': '/parameter_events'})
+    assert inputs.find('parameters', 0, 201 * MS) == vector(200 * MS, 0.0, 0.0)

@@ -87,6 +87,15 @@ def test_the_frame_is_what_stands_first_in_the_graph():
     assert frame_topic(['/goals']) == ''
 
 
+@pytest.mark.parametrize(('answers', 'frame'), [
+    (['/field/command'], '/model/state'),
+    (['/model/state', '/field/command'], '/particles'),
+    (['/coils/command'], '/particles'),
+])
+def test_the_frame_is_what_sets_the_first_node_going_not_what_it_takes_beside(answers, frame):
+    assert frame_topic(['/particles', '/model/state', '/goals'], answers) == frame
+
+
 class Listed:
     """A source of listed messages."""
 
