@@ -14,6 +14,7 @@ import click
 import numpy as np
 import yaml
 
+from microbot_ros.drive.real_time import LOOP, hurried
 from microbot_ros.ending import Ending, Stopped
 from microbot_ros.errors import InputError
 from microbot_ros.files import output_folder, write_text
@@ -126,7 +127,7 @@ def _run(graph: Graph, ending: Ending, folder: Path, seconds: float, seed: int,
             graph.start_nodes([node], rig)
         with ending.interrupts():
             graph.wait_ready(patience_s)
-    with ending.interrupts():
+    with ending.interrupts(), hurried(LOOP):  # no signal waits for the loop
         return _steer(graph, seconds, began)
 
 

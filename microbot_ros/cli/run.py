@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 
+from microbot_ros.drive.real_time import LOOP, hurried
 from microbot_ros.ending import Ending, Stopped
 from microbot_ros.nodes.graph import Graph
 
@@ -42,7 +43,8 @@ def command(config: Path, arm: bool, one_process: bool) -> None:
             with ending.interrupts():
                 graph.wait_ready(120.0)
                 _say('microbot', f'running: {", ".join(nodes)}; Ctrl-C stops')
-                _watch(graph, arm)
+                with hurried(LOOP):  # who is handed the signal must not wait for the loop
+                    _watch(graph, arm)
         except Stopped as stopped:
             _say('microbot', f'stopping on {stopped}')
     if graph.killed:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import threading
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 SAFETY, LOOP = 10, 5
@@ -45,3 +46,15 @@ def lateness(seconds: float, tick_s: float) -> list[float]:
         waiting.wait(tick_s)
         late.append(time.monotonic() - begin - tick_s)
     return late
+
+
+@contextmanager
+def hurried(priority: int) -> Iterator[None]:
+    """`hurry_all` for as long as this lasts."""
+    hurry_all(priority)
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            for task in Path('/proc/self/task').iterdir():
+                os.sched_setscheduler(int(task.name), os.SCHED_OTHER, os.sched_param(0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pty
 import signal
 import subprocess
 import sys
@@ -65,8 +66,8 @@ class Bench:
 
     def start(self, *words: str, **options: Any) -> subprocess.Popen[str]:
         """A process that is ended with the test."""
-        process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True,
-                                   env={**os.environ, PARENT: ''}, **options)
+        process = subprocess.Popen(words, text=True, env={**os.environ, PARENT: ''}, **{
+            'stdout': subprocess.PIPE, **options})
         self._open.enter_context(process)
         self.watch(process.pid)
         return process
@@ -183,6 +184,27 @@ def test_an_emulator_ends_with_its_launcher(bench: Bench) -> None:
     launcher.kill()
     emulator.wait(10)
     assert not link.parent.exists()
+
+
+def test_a_closed_terminal_ends_all(bench: Bench) -> None:
+    """SIGHUP as it comes, and nowhere to print to any more."""
+    bench.command_line()
+    terminal, screen = pty.openpty()
+    run = bench.start('setsid', '--ctty', sys.executable, '-m', 'microbot_ros.cli', 'run',
+                      '--config', str(bench.folder / 'parameters.yaml'), stdin=screen,
+                      stdout=screen, stderr=screen)
+    os.close(screen)
+    shown = b''
+    while b'running: ' not in shown:
+        shown += os.read(terminal, 4096)
+    nodes = [bench.watch(child.pid) for child in psutil.Process(run.pid).children()]
+    assert len(nodes) == 2
+    bench.drive()
+    moment = time.monotonic()
+    os.close(terminal)
+    assert bench.zero_after(moment) < ZERO_S
+    assert run.wait(20) == 0
+    assert not any(node.is_running() for node in nodes)
 
 
 def test_a_node_outlives_the_shell_that_it_was_started_from(bench: Bench) -> None:
