@@ -140,7 +140,8 @@ def test_the_last_pulse_is_left_to_the_watchdog(currents):
     assert check.complaint == ''
 
 
-@pytest.mark.parametrize('currents', [[0, 0, 0, 0.75], [0, 0, 0, math.nan], [0.26, 0, 0, 0]])
+@pytest.mark.parametrize('currents', [
+    [0, 0, 0, 0.75], [0, 0, 0, math.nan], [0.26, 0, 0, 0], [0, -0.26, 0, 0]])
 def test_current_that_flows_on_is_no_watchdog(currents):
     check = watched()
     check.measured(currents, next_to(1.5, BELOW))

@@ -10,6 +10,7 @@ import pytest
 
 from bench._served import until
 from microbot_ros.drive import last_resort, sentinel
+from microbot_ros.drive.roboclaw import driver as roboclaw
 
 DRIVING = (1.0, -1.0, 0.5, 0.2)
 
@@ -81,6 +82,19 @@ def test_the_sentinel_is_fed_now_and_then_and_not_each_time(lines, monkeypatch):
     until(lambda: not last.feed())
     assert fed == [b'.', b'.']
     monkeypatch.undo()
+    last.dismiss()
+
+
+def test_the_sentinel_has_a_session_of_its_own():
+    """What is sent to all of the host's group, of a terminal, is not sent to it."""
+    last = last_resort.LastResort([])
+    assert os.getsid(last._process.pid) == last._process.pid
+    last.dismiss()
+
+
+def test_the_sentinel_is_as_quick_as_the_watchdogs_of_devices():
+    last = last_resort.LastResort([])
+    assert float(last._process.args[4]) <= roboclaw._WATCHDOG_S
     last.dismiss()
 
 

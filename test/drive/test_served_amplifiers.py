@@ -214,14 +214,22 @@ def test_a_waiting_poll_can_be_woken(amplifier, device):
     amplifier.wake()  # whatever state it is in
     drive_bare(amplifier, device)
     device.fault('silence')
-    time.sleep(0.02)
-    amplifier.poll()
     amplifier.reply_s = 60.0
-    threading.Timer(0.05, amplifier.wake).start()
+    until(lambda: not amplifier.poll(0.01))
+    returned = threading.Event()
+
+    def wake():
+        while not returned.wait(0.05):
+            amplifier.wake()
+
+    waking = threading.Thread(target=wake)
+    waking.start()
     begin = time.monotonic()
-    while time.monotonic() - begin < 0.05:
-        amplifier.poll(8.0)
-    assert time.monotonic() - begin < 6.0
+    amplifier.poll(5.0)
+    waited_s = time.monotonic() - begin
+    returned.set()
+    waking.join()
+    assert waited_s < 4.0
 
 
 @every_protocol
@@ -298,10 +306,11 @@ def test_readings_tell_since_when_the_device_had_what_it_had(amplifier, device):
 @polled_protocols
 def test_what_gets_lost_is_asked_for_once_more(amplifier, device):
     drive_bare(amplifier, device)
-    amplifier.reply_s = 0.1
+    amplifier.reply_s = 0.4
     device.fault('silence+0.05')
     for _ in range(5):
         read(amplifier)
+    amplifier.reply_s = 0.05
     device.fault('silence')
     with pytest.raises(NoAnswerError, match='no answer'):
         while True:

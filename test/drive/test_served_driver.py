@@ -85,6 +85,14 @@ def test_arming_tries_each_coil_and_then_lets_commands_flow(drivers, device, pro
     assert not driver.connected
 
 
+@pytest.mark.parametrize('watchdog_s', [0.4])
+def test_the_zero_of_the_watchdog_is_no_fault_of_the_coils(drivers):
+    """Though the pulse lasted for longer than a reading may be late."""
+    driver = drivers(self_check=True, accept_no_watchdog=False, settling_s=0.05, silence_s=0.2)
+    arm(driver)
+    assert driver.watchdog_s >= 0.35
+
+
 @pytest.mark.parametrize('watchdog_s', [None])
 def test_a_firmware_without_a_watchdog_is_found_out(drivers, device):
     driver = drivers(self_check=True, accept_no_watchdog=False)
@@ -194,6 +202,15 @@ def test_disarming_zeroes_at_once(driver, device):
     drive(driver, device)
     driver.disarm((Reason.COMMANDER, 'somebody else'))
     assert tripped(driver, device, Reason.COMMANDER).detail == 'somebody else'
+
+
+def test_disarming_returns_when_the_zero_went_out(driver, device, monkeypatch):
+    monkeypatch.setattr(coil_driver, '_DISARMING_S', 5.0)
+    for _ in range(5):
+        drive(driver, device)
+        driver.disarm()
+        assert driver._sent == ZERO
+        device.eventually(ZERO)
 
 
 def test_disarming_does_not_wait_for_the_next_byte(driver, device):
