@@ -6,6 +6,7 @@ Quick to start, so that the drivers can be tried at it in hundreds of broken way
 from __future__ import annotations
 
 import json
+import os
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -26,7 +27,7 @@ LIMITS = Limits(
     current_A=FULL_SCALE_A, step_A=2 * FULL_SCALE_A, slew_A_per_s=1e4, stale_s=8.0,
     deviation_A=0.15, settling_s=0.1, silence_s=8.0, continuous_A=3.0, thermal_s=60.0, idle_s=60.0)
 """Wide in time: a busy machine is no fault."""
-_DEADLINE_S = 10.0
+_DEADLINE_S = float(os.environ.get('MICROBOT_TEST_DEADLINE_S', '10'))
 
 
 def until(condition: Callable[[], Any]) -> Any:

@@ -291,6 +291,12 @@ def test_a_fault_says_what_a_person_needs():
     gate.measured(ZERO, 1.0)
     gate.tick(3.25)
     assert gate.fault.detail == 'none for 2.250 s'
+    gate = armed(limits)
+    gate.command(only(2, 0.1), 2.0, 0.5)
+    assert gate.fault.detail == 'given 1.500 s ago'
+    gate = armed(limits)
+    gate.command(only(2, 2.5), 0.0)
+    assert gate.fault.detail == '(0, 0, 2.5, 0) A is not within ±2 A'
 
 
 def test_a_nonsensical_measurement_does_not_heat_for_ever():

@@ -73,7 +73,7 @@ def test_the_sentinel_is_quiet_while_it_is_fed(lines, monkeypatch):
     assert said(heard[0]) == b''
 
 
-def test_the_sentinel_is_fed_now_and_then_and_not_each_time(lines, monkeypatch):
+def test_the_sentinel_is_fed_now_and_then_and_not_each_time(monkeypatch):
     last = last_resort.LastResort([])
     fed = []
     monkeypatch.setattr(last, '_say', lambda word: fed.append(word) or False)

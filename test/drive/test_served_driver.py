@@ -65,7 +65,8 @@ def test_arming_tries_each_coil_and_then_lets_commands_flow(drivers, device, pro
     until(lambda: told)
     assert driver.arm() is None
     assert driver.gains == pytest.approx([1.0] * 4, abs=0.15)
-    pulses = [[abs(current) > 0.1 for current in flowed] for flowed in device.flowed if any(flowed)]
+    pulses = [[abs(current) > 0.1 for current in flowed]
+              for flowed in device.flowed if any(flowed)]
     assert pulses == [[coil == pulsed for coil in range(4)] for pulsed in range(4)]
     assert driver.warning.startswith('no watchdog') == (protocol in WITHOUT_WATCHDOG)
     if protocol == 'serial_transfer':
@@ -286,9 +287,9 @@ def test_stopping_while_the_line_is_away(driver, device):
     assert not driver.stop()
 
 
-def test_stopping_during_the_check_answers(drivers, device):
+def test_stopping_during_the_check_answers(drivers):
     driver = drivers(self_check=True, settling_s=5.0)
-    driver._go_on_checking = lambda check, now: None  # it never ends
+    driver._go_on_checking = lambda *_: None  # it never ends
     answers = []
     arming = threading.Thread(target=lambda: answers.append(driver.arm()))
     until(lambda: driver.gate._measured_s > 0)
@@ -303,7 +304,7 @@ def test_stopping_during_the_check_answers(drivers, device):
 
 def test_disarming_during_the_check_ends_it(drivers, device):
     driver = drivers(self_check=True)
-    driver._go_on_checking = lambda check, now: None
+    driver._go_on_checking = lambda *_: None
     answers = []
     arming = threading.Thread(target=lambda: answers.append(driver.arm()))
     until(lambda: driver.gate._measured_s > 0)
@@ -317,10 +318,10 @@ def test_disarming_during_the_check_ends_it(drivers, device):
     drive(driver, device)
 
 
-def test_a_check_without_an_answer_is_given_up(drivers, device, monkeypatch):
+def test_a_check_without_an_answer_is_given_up(drivers, monkeypatch):
     monkeypatch.setattr(coil_driver, '_ARMING_S', 0.2)
     driver = drivers(self_check=True)
-    driver._go_on_checking = lambda check, now: None
+    driver._go_on_checking = lambda *_: None
     until(lambda: driver.gate._measured_s > 0)
     assert driver.arm() == 'the driver did not answer within 0.2 s'
     until(lambda: not driver.gate.armed)
