@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import signal
@@ -113,6 +114,10 @@ class Ros:
         self.probe.destroy_node()
         self._executor.shutdown()
         rclpy.try_shutdown()
+        # The middleware shows nodes to the next graph for as long as anything refers to them.
+        self.nodes.clear()
+        del self.probe, self._executor
+        gc.collect()
 
 
 @pytest.fixture

@@ -391,7 +391,7 @@ def steered_live(ros: Any, folder: Path) -> Path:
             for field in fields[-9:]) >= min(answered, 5))
     writer = graph.nodes['recorder']._writer
     graph.until(lambda: writer.status().counts.get('/controller/account', 0) >= FRAMES)
-    graph.end()
+    graph.nodes['recorder'].trigger_deactivate()
     return out
 
 
