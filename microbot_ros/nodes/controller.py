@@ -267,16 +267,20 @@ class ControllerNode(RigNode):
     def _situation(self, points: np.ndarray, stamp: float) -> Situation:
         """All at the moment of exposure: the same poses give the same command, live or replayed.
 
-        When they arrive decides only whether they are too old for any.
+        When they arrive decides only whether they are too old for any. Time goes by from the
+        newest: frames that overtake each other give none, unless the clock was set back.
         """
         values: ControllerParameters = self.settings
-        dt = stamp - self._last_t if math.isfinite(self._last_t) else 0.0
+        stale = values.stale_ms * 1e-3
+        dt = stamp - self._last_t
+        if not -stale <= dt <= 0:
+            self._last_t = stamp
         age = self.account.taken_s - stamp
-        fresh = abs(age) <= values.stale_ms * 1e-3
-        self._last_t = stamp
+        fresh = abs(age) <= stale
         known = np.isfinite(points['speed_std'])
         return Situation(
-            t=stamp, dt=dt, age=0.0 if fresh else age, ids=points['id'].astype(int),
+            t=stamp, dt=dt if math.isfinite(dt) else 0.0, age=0.0 if fresh else age,
+            ids=points['id'].astype(int),
             position=np.stack([points['x'], points['y']], axis=1).astype(float),
             sigma=points['x_std'].astype(float),
             theta=points['theta'].astype(float),
