@@ -31,20 +31,21 @@ _SWAPPED: dict[type, tuple[type, ...]] = {
     ast.Mult: (ast.Div,), ast.Div: (ast.Mult,), ast.And: (ast.Or,), ast.Or: (ast.And,),
 }
 TESTS = {
-    'gate': ['test_gate'],
-    'self_check': ['test_self_check'],
-    'coil_driver': ['test_served_driver'],
-    'amplifier': ['test_served_amplifiers'],
-    'polled': ['test_served_amplifiers'],
-    'last_resort': ['test_sentinel', 'test_served_driver'],
-    'sentinel': ['test_sentinel'],
-    'serial_transfer.driver': ['test_served_amplifiers'],
-    'roboclaw.driver': ['test_roboclaw', 'test_served_amplifiers'],
-    'modbus.driver': ['test_modbus', 'test_served_amplifiers'],
-    'roboteq.driver': ['test_roboteq', 'test_served_amplifiers'],
-    'scpi.driver': ['test_scpi', 'test_served_amplifiers'],
+    'gate': (['test_gate'], ''),
+    'self_check': (['test_self_check'], ''),
+    'coil_driver': (['test_served_driver'], ''),
+    'amplifier': (['test_served_amplifiers'], 'serial_transfer or roboclaw'),
+    'polled': (['test_served_amplifiers'], 'roboclaw or modbus'),
+    'last_resort': (['test_sentinel'], ''),
+    'sentinel': (['test_sentinel'], ''),
+    'serial_transfer.driver': (['test_served_amplifiers', 'test_serial_transfer_driver'],
+                               'serial_transfer'),
+    'roboclaw.driver': (['test_roboclaw', 'test_served_amplifiers'], 'roboclaw'),
+    'modbus.driver': (['test_modbus', 'test_served_amplifiers'], 'modbus'),
+    'roboteq.driver': (['test_roboteq', 'test_served_amplifiers'], 'roboteq'),
+    'scpi.driver': (['test_scpi', 'test_served_amplifiers'], 'scpi'),
 }
-"""Every module that can hold the coils on, and the tests of it, the quickest first."""
+"""Every module that can hold the coils on, its tests, and which of them: those of a protocol."""
 
 _DRIVE = 'microbot_ros.drive.'
 _FOLDER = Path('test/drive')
@@ -58,8 +59,10 @@ _RENAMED = {'min': 'max', 'max': 'min', 'all': 'any', 'any': 'all', 'abs': 'floa
 
 
 def mutants(source: str) -> Iterator[tuple[str, str]]:
-    """Every mutant of a module's source, after the text of the line and the change it makes."""
+    """Every mutant of a module's source, after the function, the line and the change it makes."""
     tree, lines = ast.parse(source), source.splitlines()
+    places = {id(part): function.name for function in ast.walk(tree)
+              if isinstance(function, ast.FunctionDef) for part in ast.walk(function)}
     # `strict` of zip only repeats what the types of both sides say: no test can tell.
     told_by_types = {id(keyword.value) for keyword in ast.walk(tree)
                      if isinstance(keyword, ast.keyword) and keyword.arg == 'strict'}
@@ -75,7 +78,8 @@ def mutants(source: str) -> Iterator[tuple[str, str]]:
             after = _change(chosen, variant)
             line = lines[getattr(node, 'lineno', 1) - 1].partition('  #')[0].strip()
             if ast.dump(node) != ast.dump(chosen):
-                yield f'{line}  ::  {before}  →  {after}', ast.unparse(mutant)
+                place = places.get(id(node), '')
+                yield f'{place}: {line}  ::  {before}  →  {after}', ast.unparse(mutant)
 
 
 def _change(node: ast.AST, variant: int) -> str | None:
@@ -150,9 +154,8 @@ def survey(module: str) -> Survey:
     Raises RuntimeError where the tests fail without a mutant, as they then tell nothing, and for
     an explanation of what is not there any more.
     """
-    tests = [str(_FOLDER / f'{name}.py') for name in TESTS[module]]
-    if '.' in module:  # of one protocol
-        tests += ['-k', module.partition('.')[0]]
+    names, chosen = TESTS[module]
+    tests = [*(str(_FOLDER / f'{name}.py') for name in names), '-k', chosen]
     source = Path(importlib.import_module(_DRIVE + module).__file__ or '').read_text('utf-8')
     found = list(mutants(source))
     explained = _explained().get(module, set())
@@ -161,7 +164,7 @@ def survey(module: str) -> Survey:
     tried = [(what, mutant) for what, mutant in found if what not in explained]
     with TemporaryDirectory() as folder:
         _load(tests)
-        if _end(_try(_DRIVE + module, source, tests, folder)):
+        if all(_end(_try(_DRIVE + module, source, tests, folder)) for _ in range(3)):
             raise RuntimeError(f'the tests of {module} fail as it is')
         survived = list(_survivors(_DRIVE + module, tried, tests, folder))
     return Survey(len(found), len(found) - len(tried), survived)

@@ -119,6 +119,13 @@ def test_a_coil_that_is_wrong_refuses_arming(drivers, device, fault):
     drive(driver, device)
 
 
+def test_a_refusal_tells_the_reason(driver, device):
+    device.coils.command(DRIVING)  # a hand at the board
+    assert until(lambda: driver.gate.fault).reason is Reason.DEVIATION
+    assert until(lambda: driver.arm()).startswith('current flows without a command')
+    device.eventually(ZERO)  # as it is said again and again
+
+
 def test_commands_during_the_check_go_nowhere(drivers, device):
     driver = drivers(self_check=True)
     commanding = threading.Event()
@@ -144,8 +151,9 @@ def test_commands_during_the_check_go_nowhere(drivers, device):
 @pytest.mark.parametrize('watchdog_s', [0.4])
 def test_a_held_command_feeds_the_watchdog_of_the_device(driver, device):
     drive(driver, device)
-    sent = driver.amplifier.counters.frames_sent
+    sent, began_s = driver.amplifier.counters.frames_sent, time.monotonic()
     until(lambda: driver.amplifier.counters.frames_sent > sent + 20)
+    assert time.monotonic() - began_s >= 19 * coil_driver._REFRESH_S  # and does not flood it
     assert device.flows(DRIVING)
     assert 'watchdog' not in device.causes
 
@@ -318,6 +326,19 @@ def test_disarming_during_the_check_ends_it(drivers, device):
     drive(driver, device)
 
 
+def test_a_line_lost_during_the_check_ends_it(drivers, device):
+    driver = drivers(self_check=True)
+    driver._go_on_checking = lambda *_: None
+    answers = []
+    arming = threading.Thread(target=lambda: answers.append(driver.arm()))
+    until(lambda: driver.gate._measured_s > 0)
+    arming.start()
+    until(lambda: driver._arming is not None)
+    device.fault('unplug')
+    arming.join(5.0)
+    assert answers[0].startswith(Reason.LINE.value)
+
+
 def test_a_check_without_an_answer_is_given_up(drivers, monkeypatch):
     monkeypatch.setattr(coil_driver, '_ARMING_S', 0.2)
     driver = drivers(self_check=True)
@@ -423,8 +444,7 @@ def test_what_has_no_watchdog_must_be_accepted(protocol, self_check, accepted, r
         assert ('loses its power' in driver.warning) == bool(driver.warning)
     else:
         with pytest.raises(InputError, match='accept_no_watchdog'):
-            CoilDriver(amplifier, LIMITS, print, self_check=self_check,
-                       accept_no_watchdog=accepted)
+            CoilDriver(amplifier, LIMITS, print, self_check=self_check)  # which is not accepted
 
 
 def test_limits_without_room_for_a_pulse_are_refused_at_once():
