@@ -209,6 +209,8 @@ def _try(module: str, mutant: str, tests: list[str], folder: str) -> int:
         path.write_text(mutant, encoding='utf-8')
         replaced.__file__ = str(path)
         sys.modules[module] = replaced
+        package, _, name = module.rpartition('.')
+        setattr(importlib.import_module(package), name, replaced)
         exec(compile(mutant, path, 'exec'), replaced.__dict__)
         code = int(pytest.main([*_QUICKLY, *tests]))
     finally:
