@@ -13,6 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 from rcl_interfaces.srv import GetParameters, SetParameters
+from rclpy.duration import Duration
 from rclpy.exceptions import InvalidNamespaceException, NameValidationException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter, parameter_value_to_python
@@ -35,6 +36,7 @@ and is said again after 1 s."""
 _TAKE_SECONDS = 5.0
 """So long a controller may take to say that it took goals or a path."""
 
+_MATCH_SECONDS = 2.0
 _REPEAT_SECONDS = 0.3
 """They are sent again as often as this until it does."""
 
@@ -235,6 +237,9 @@ class Remote:
         self._find('controller', lambda: self._listens('controller', topic), f'takes no {topic}')
         publisher = self.node.create_publisher(type(message), topic, 10)
         try:
+            # A recorder is to have it too: what is published before it is matched passes it by.
+            self.until(lambda: publisher.get_subscription_count() >= len(
+                self.node.get_subscriptions_info_by_topic(topic)), _MATCH_SECONDS)
             deadline = time.monotonic() + _TAKE_SECONDS
             while not taken():
                 if time.monotonic() > deadline:
@@ -244,6 +249,7 @@ class Remote:
                                    f'{_TAKE_SECONDS:g} s: {answer}')
                 publisher.publish(message)
                 self.until(taken, _REPEAT_SECONDS)
+            publisher.wait_for_all_acked(Duration(seconds=_MATCH_SECONDS))
         finally:
             self.node.destroy_publisher(publisher)
         return Taken(stamp, self._progress['controller'])
