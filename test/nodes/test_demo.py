@@ -69,7 +69,8 @@ def test_currents_flowed_and_ended_at_zero(demo: Path) -> None:
     entries = [json.loads(line) for line in (demo / 'amplifier.jsonl').read_text().splitlines()]
     assert any(any(entry['currents_A']) for entry in entries)
     assert not any(entries[-1]['currents_A'])
-    assert not any(entry['cause'] == 'watchdog' for entry in entries)
+    # Once, when arming tried it out.
+    assert [entry['cause'] for entry in entries].count('watchdog') == 1
 
 
 def test_another_reader_opens_the_recording(demo: Path) -> None:
