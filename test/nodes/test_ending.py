@@ -23,7 +23,7 @@ from rclpy.parameter import Parameter
 
 from microbot_ros.drive.real_time import hurry
 from microbot_ros.ending import PARENT
-from microbot_ros.errors import InputError
+from microbot_ros.errors import InputError, RigError
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.remote import Remote
 
@@ -88,7 +88,7 @@ class Bench:
         deadline = time.monotonic() + 60
         while self.emulator.zero:
             assert time.monotonic() < deadline
-            with suppress(InputError):
+            with suppress(InputError, RigError):
                 self.remote.arm()
             for _ in range(50):
                 self.command()

@@ -45,13 +45,14 @@ def _film(rolling: bool) -> Session:
 
 
 def _graph(folder: Path, rolling: bool) -> Path:
-    """Parameters of a graph that plays the film twice as fast."""
+    """Parameters of a graph in which the film, twice as fast, stands for a rig that is live."""
     write_session(folder / 'session', _film(rolling))
     file = folder / 'graph.yaml'
     file.write_text(yaml.safe_dump({
         'model': {'ros__parameters': {
             'radius_um': 2.0, 'propulsion': 'rolling' if rolling else 'catalytic'}},
-        'player': {'ros__parameters': {'session': str(folder / 'session'), 'rate': 2.0}}}))
+        'player': {'ros__parameters': {
+            'session': str(folder / 'session'), 'rate': 2.0, 'into_live_rig': True}}}))
     return file
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 import yaml
+from geometry_msgs.msg import Vector3Stamped
 from rclpy.service import Service
 
 from microbot_ros.nodes.graph import Graph
@@ -167,10 +168,15 @@ def test_a_recorder_whose_answer_was_lost_has_done_it(
     assert _command(graph, 'record', '--stop') == (1, '', 'microbot: recorder: not recording\n')
 
 
+def _driver_and_commander(ros: Any, emulator: Any) -> tuple[Any, Any]:
+    graph = ros({'coil_driver': {'port': str(emulator.port), 'full_scale_A': 2.0}})
+    graph.probe.create_publisher(Vector3Stamped, 'field/command', 1)
+    return graph, graph.add('coil_driver')
+
+
 def test_arming_whose_answer_was_lost_is_asked_for_again(
         ros: Any, emulator: Any, lose: Callable[[str], list[str]]) -> None:
-    graph = ros({'coil_driver': {'port': str(emulator.port), 'full_scale_A': 2.0}})
-    driver = graph.add('coil_driver')
+    graph, driver = _driver_and_commander(ros, emulator)
     lost = lose('~/arm')
     assert _command(graph, 'arm') == (0, 'armed\n', '')
     assert lost
@@ -185,8 +191,7 @@ def test_arming_whose_answer_was_lost_is_asked_for_again(
 @pytest.mark.filterwarnings('ignore:failed to send response:RuntimeWarning')
 def test_arming_that_was_given_up_does_not_come_true_later(ros: Any, emulator: Any) -> None:
     """A driver that hangs while it is asked finds the requests when it goes on."""
-    graph = ros({'coil_driver': {'port': str(emulator.port), 'full_scale_A': 2.0}})
-    driver = graph.add('coil_driver')
+    graph, driver = _driver_and_commander(ros, emulator)
     asked: list[bool] = []
     answer = driver._driver.arm
     driver._driver.arm = lambda: asked.append(True) or answer()

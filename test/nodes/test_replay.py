@@ -360,7 +360,7 @@ def steered_live(ros: Any, folder: Path) -> Path:
     applied = graph.probe.create_publisher(MagneticField, 'field/applied', 10)
     goals = graph.probe.create_publisher(PoseArray, 'goals', 10)
     topics = [graph.probe.resolve_topic_name(topic) for topic in KEPT]
-    graph.until(lambda: particles.get_subscription_count() == 3
+    graph.until(lambda: particles.get_subscription_count() == 2
                 and applied.get_subscription_count() == goals.get_subscription_count() == 2
                 and all(graph.probe.count_publishers(topic) for topic in topics))
     graph.until(lambda: {'model', 'controller'} <= graph.nodes['recorder']._snapshot.answered)
