@@ -430,7 +430,8 @@ def test_a_recording_that_came_in_another_order_is_answered_alike(
             assert found['/field/command']['compared'] >= FRAMES - 3
     with open_recording(shuffled) as recording:
         fields = [recording.decode(m).vector for m in recording.messages(['/field/command'])]
-    assert len({(field.x, field.y) for field in fields}) > 20
+    # How many it were depends on when the swaps came through.
+    assert len({(field.x, field.y) for field in fields}) > 10
 
 
 @pytest.mark.graph
@@ -518,7 +519,7 @@ def test_a_signal_ends_a_check_at_once_and_leaves_nothing(
         time.sleep(0.01)
     assert [*scratch.rglob('amplifier')]
     process.send_signal(number)
-    process.wait(2.0)
+    process.wait(10.0)
     assert process.returncode in (128 + number, 130)
     assert [*scratch.iterdir()] == []
     commands = [path.read_bytes() for path in Path('/proc').glob('[0-9]*/cmdline')
