@@ -63,6 +63,18 @@ class _Rig:
 
     def drive(self) -> None:
         """Make sure that every node runs, and that currents flow by command and go on to."""
+        deadline = time.monotonic() + _DEADLINE_S
+        self._start_missing()
+        while not (self._armed() and self._within(1.0, self._driving)):
+            if time.monotonic() > deadline:
+                raise TimeoutError('the coils were never driven')
+            self._spin(0.02)
+            self._start_missing()  # one that was told to end may have taken until now
+        self._spin(random.uniform(0.02, 0.06))
+        if not self._driving():
+            self.drive()
+
+    def _start_missing(self) -> None:
         for name in NODES:
             if (node := self._nodes.get(name)) is None or not node.is_alive():
                 if node is not None and node.exitcode not in (-signal.SIGKILL, 0):
@@ -70,14 +82,6 @@ class _Rig:
                 self._nodes[name] = _FORKING.Process(
                     target=_run_node, args=(name, self._parameters), daemon=True)
                 self._nodes[name].start()
-        deadline = time.monotonic() + _DEADLINE_S
-        while not (self._armed() and self._within(1.0, self._driving)):
-            if time.monotonic() > deadline:
-                raise TimeoutError('the coils were never driven')
-            self._spin(0.02)
-        self._spin(random.uniform(0.02, 0.06))
-        if not self._driving():
-            self.drive()
 
     def _driving(self) -> bool:
         """Whether currents flow and we hear the commands, as the driver does."""
