@@ -16,7 +16,7 @@ import rclpy
 from rclpy.time import Time
 from sensor_msgs.msg import Image
 
-from microbot_ros.drive.real_time import LOOP, hurry_all
+from microbot_ros.drive.real_time import LOOP, set_realtime_priority_of_all
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.graph import READY
 from microbot_ros.nodes.lifecycle import IMAGES_OUT
@@ -50,7 +50,7 @@ def main() -> None:
         time.sleep(0.05)
     time.sleep(0.5)
     print(READY, flush=True)
-    hurry_all(LOOP)
+    set_realtime_priority_of_all(LOOP)
     begin, begin_ns = time.monotonic(), node.get_clock().now().nanoseconds
     for frame in itertools.count():
         time.sleep(max(0.0, begin + frame / rate - time.monotonic()))

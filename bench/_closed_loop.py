@@ -14,12 +14,12 @@ import numpy as np
 
 from microbot_ros.control.contract import (
     Controller,
+    ControllerInput,
     FieldCommand,
     Limits,
-    Situation,
     Workspace,
 )
-from microbot_ros.control.switchboard import Switchboard
+from microbot_ros.control.controller_manager import ControllerManager
 from microbot_ros.model.model import Model
 from microbot_ros.model.particle import Fluid, rotational_drag
 from microbot_ros.virtual_rig.body import bodies
@@ -70,12 +70,12 @@ class Loop:
         self._ticks = 0
         self.spent: list[float] = []
 
-    def situation(self, t: float, **what: Any) -> Situation:
+    def controller_input(self, t: float, **what: Any) -> ControllerInput:
         """What the controller is told at a tick; the world is moved on to it."""
         self._advance(t - self.age)
         count, rng = len(self.speed), self.rng
         known = np.full(count, 1e-8 if self.told else math.inf)
-        seen = Situation(
+        seen = ControllerInput(
             t, self.period, self.age, np.arange(count),
             self.world.position + rng.normal(0, self.sigma, (count, 2)),
             np.full(count, self.sigma), self.world.heading + rng.normal(0, self.theta_std, count),
@@ -89,23 +89,23 @@ class Loop:
         """Close the loop for `seconds`; `note(t)` after each tick."""
         compute = controller.compute
 
-        def timed(situation: Situation) -> FieldCommand:
+        def timed(inputs: ControllerInput) -> FieldCommand:
             begun = time.thread_time()
             try:
-                return compute(situation)
+                return compute(inputs)
             finally:
                 self.spent.append(time.thread_time() - begun)
 
         controller.compute = timed  # type: ignore[method-assign]
-        board = Switchboard({'it': controller}, 'it', deadline=10.0)
+        manager = ControllerManager({'it': controller}, 'it', deadline=10.0)
         for _ in range(round(seconds / self.period)):
             t = self._ticks * self.period
-            outcome = board.tick(self.situation(t, **what))
+            outcome = manager.tick(self.controller_input(t, **what))
             if outcome.command is not None:
                 self._fields.append((t + self.delay, outcome.command.field))
             note(t)
             self._ticks += 1
-        board.close()
+        manager.close()
 
     def _advance(self, t: float) -> None:
         rows = [row for row in self._fields if row[0] <= t]

@@ -21,8 +21,8 @@ from microbot_ros.drive.serial_transfer.emulated import Board
 FULL_SCALE_A = 2.0
 _PERIOD_S = 0.09  # just often enough for a watchdog of 100 ms
 _LIMITS = Limits(current_A=FULL_SCALE_A, step_A=2 * FULL_SCALE_A, slew_A_per_s=200.0,
-                 stale_s=0.2, deviation_A=0.1, settling_s=0.2, silence_s=0.4, continuous_A=1.5,
-                 thermal_s=60.0, idle_s=1e9)
+                 command_timeout_s=0.2, deviation_A=0.1, settling_s=0.2, feedback_timeout_s=0.4,
+                 rated_current_A=1.5, thermal_s=60.0, idle_s=1e9)
 _FAULTS = ('drop', 'double', 'truncate', 'flip', 'silence', 'reset', 'open', 'over_temperature',
            'not a number', 'beyond the limit', 'no command')
 _FAULT_S = 5.0

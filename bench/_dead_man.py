@@ -28,7 +28,7 @@ from sensor_msgs.msg import Joy
 from std_srvs.srv import SetBool
 
 from bench._emulator import FULL_SCALE_A, Emulator
-from microbot_ros.nodes.remote import Remote
+from microbot_ros.nodes.graph_client import GraphClient
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 
 NODES = ('camera', 'tracker', 'model', 'controller', 'coil_driver')
@@ -42,19 +42,19 @@ _JOY_S = 0.05
 class _Rig:
     """Five nodes that drive the amplifier; what was ended is started again by `drive`."""
 
-    def __init__(self, folder: Path, board: Emulator, remote: Remote) -> None:
+    def __init__(self, folder: Path, board: Emulator, client: GraphClient) -> None:
         self.board = board
         self._parameters = _parameters(folder, board)
-        self._remote = remote
+        self._client = client
         self._nodes: dict[str, BaseProcess] = {}
         self._commands: deque[float] = deque(maxlen=100)
         self._offset_s = time.time() - time.monotonic()
-        self._joystick = remote.node.create_publisher(Joy, 'joy', 1)
+        self._joystick = client.node.create_publisher(Joy, 'joy', 1)
         self._stick = 0.0
         """Deflection of a joystick that lives; 0 where there is none."""
         self._moved_s = 0.0
-        self._arming = remote.node.create_client(SetBool, 'coil_driver/arm')
-        remote.node.create_subscription(
+        self._arming = client.node.create_client(SetBool, 'coil_driver/arm')
+        client.node.create_subscription(
             Vector3Stamped, 'field/command', self._on_command, 50)
 
     def _on_command(self, message: Vector3Stamped, info: dict[str, Any]) -> None:
@@ -90,7 +90,7 @@ class _Rig:
         return heard and not self.board.changes[-1][1]
 
     def _armed(self) -> bool:
-        # Not `Remote.arm`, which would wait long for an answer of a driver that was killed.
+        # Not `GraphClient.arm`, which would wait long for an answer of a driver that was killed.
         answer = self._arming.call_async(SetBool.Request(data=True))
         return self._within(1.0, answer.done) and bool(answer.result().success)
 
@@ -113,7 +113,7 @@ class _Rig:
         heard = -1.0
         while heard < self._commands[-1] < moment:
             heard = self._commands[-1]
-            self._remote.spin(_SILENT_S)
+            self._client.spin(_SILENT_S)
 
     def _within(self, seconds: float, true: Callable[[], bool]) -> bool:
         """Whether something comes true in time; the log is read meanwhile."""
@@ -130,14 +130,14 @@ class _Rig:
         if self._stick and time.monotonic() - self._moved_s >= _JOY_S:
             self._moved_s = time.monotonic()
             stick = Joy(axes=[self._stick, 0.0])
-            stick.header.stamp = self._remote.node.get_clock().now().to_msg()
+            stick.header.stamp = self._client.node.get_clock().now().to_msg()
             self._joystick.publish(stick)
-        self._remote.spin(seconds)
+        self._client.spin(seconds)
 
     def steer_by_hand(self, deflection: float) -> None:
         """Let a joystick drive, or else the controller that needs nobody."""
         self._stick = deflection
-        self._remote.set('controller', controller='teleop' if deflection else 'open_loop')
+        self._client.set('controller', controller='teleop' if deflection else 'open_loop')
 
     def joystick_dies_s(self) -> float:
         """From the last word of a joystick that is deflected to zero."""
@@ -216,8 +216,8 @@ def spent_s(tries: int) -> dict[str, list[float]]:
     random.seed(2)
     spent: dict[str, list[float]] = {}
     with (tempfile.TemporaryDirectory() as folder,
-          Emulator(Path(folder), 'serial_transfer') as board, Remote('bench') as remote):
-        rig = _Rig(Path(folder), board, remote)
+          Emulator(Path(folder), 'serial_transfer') as board, GraphClient('bench') as client):
+        rig = _Rig(Path(folder), board, client)
         try:
             for name, (end, mend, deaf) in _ends(rig).items():
                 for _ in range(tries):

@@ -14,9 +14,9 @@ from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.gate import Limits
 from microbot_ros.drive.serial_transfer.driver import SerialTransferAmplifier
 
-_LIMITS = Limits(current_A=FULL_SCALE_A, step_A=4.0, slew_A_per_s=1e4, stale_s=0.08,
-                 deviation_A=0.2, settling_s=0.1, silence_s=0.2, continuous_A=1.9, thermal_s=60.0,
-                 idle_s=60.0)
+_LIMITS = Limits(current_A=FULL_SCALE_A, step_A=4.0, slew_A_per_s=1e4, command_timeout_s=0.08,
+                 deviation_A=0.2, settling_s=0.1, feedback_timeout_s=0.2,
+                 rated_current_A=1.9, thermal_s=60.0, idle_s=60.0)
 _DEADLINE_S = 20.0
 
 

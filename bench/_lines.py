@@ -98,10 +98,10 @@ def _host(protocol: str, url: str) -> None:
 
     from microbot_ros.drive.amplifier import amplifier_class
     from microbot_ros.drive.coil_driver import CoilDriver
-    from microbot_ros.drive.real_time import SAFETY, hurry_all
+    from microbot_ros.drive.real_time import SAFETY, set_realtime_priority_of_all
     from microbot_ros.nodes.coil_driver import CoilDriverParameters, limits
 
-    hurry_all(SAFETY)
+    set_realtime_priority_of_all(SAFETY)
     driver = CoilDriver(amplifier_class(protocol)(url, FULL_SCALE_A),
                         limits(CoilDriverParameters()), lambda _: None, accept_no_watchdog=True)
     driver.start()

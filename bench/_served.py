@@ -24,8 +24,9 @@ from microbot_ros.drive.gate import Limits
 
 FULL_SCALE_A = 2.0
 LIMITS = Limits(
-    current_A=FULL_SCALE_A, step_A=2 * FULL_SCALE_A, slew_A_per_s=1e4, stale_s=8.0,
-    deviation_A=0.15, settling_s=0.1, silence_s=8.0, continuous_A=3.0, thermal_s=60.0, idle_s=60.0)
+    current_A=FULL_SCALE_A, step_A=2 * FULL_SCALE_A, slew_A_per_s=1e4, command_timeout_s=8.0,
+    deviation_A=0.15, settling_s=0.1, feedback_timeout_s=8.0, rated_current_A=3.0, thermal_s=60.0,
+    idle_s=60.0)
 """Wide in time: a busy machine is no fault."""
 _DEADLINE_S = float(os.environ.get('MICROBOT_TEST_DEADLINE_S', '10'))
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from bench._closed_loop import FIELD, FLUID, QUICK, Loop
 from bench.figure import Figure
-from microbot_ros.control.contract import Goals, Situation
+from microbot_ros.control.contract import ControllerInput, Goals
 from microbot_ros.control.predictive import Predictive
 from microbot_ros.discovery.discover import discover
 from microbot_ros.estimation.online import Estimator
@@ -94,8 +94,8 @@ class _Learning(Loop):
         self._estimator = Estimator(CONDITIONS, model=self.model)
         self._told = -math.inf
 
-    def situation(self, t: float, **what: Any) -> Situation:
-        seen = super().situation(t, **what)
+    def controller_input(self, t: float, **what: Any) -> ControllerInput:
+        seen = super().controller_input(t, **what)
         acts, field = self._fields[-1]
         if acts > self._told:
             self._told = acts

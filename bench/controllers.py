@@ -1,4 +1,4 @@
-"""Controllers in the fine simulated world: how near, how fast, how safely swapped."""
+"""Controllers in the fine simulated world: how near, how fast, how safely switched."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import math
 import numpy as np
 
 from bench._closed_loop import FIELD, Loop
-from bench._swaps import swapped
+from bench._switches import switched
 from bench.figure import Figure
-from microbot_ros.control.contract import Controller, Goals, Situation
+from microbot_ros.control.contract import Controller, ControllerInput, Goals
+from microbot_ros.control.drift_compensator import DriftCompensator
 from microbot_ros.control.ensemble import Ensemble
 from microbot_ros.control.path_following import PathFollowing
-from microbot_ros.control.pilot import Pilot
 from microbot_ros.control.predictive import Predictive, PredictiveParameters
 from microbot_ros.control.route import Route
 from microbot_ros.control.shared import as_complex, best_displacement, floor
@@ -32,7 +32,7 @@ def figures() -> list[Figure]:
     results.append(Figure(
         ISSUE, 'time per tick, all but predictive, p99', _p99(spent), 'ms', '≤ 1',
         'processor time', _p99(spent) <= 1))
-    return [*results, *_swaps()]
+    return [*results, *_switches()]
 
 
 def _p99(spent: list[float]) -> float:
@@ -47,7 +47,7 @@ EIGHT_PATH[-1] = EIGHT_PATH[0]
 DRIFT = cmath.rect(0.5e-6, 0.7)
 
 
-class _Knowing(Pilot):
+class _Knowing(DriftCompensator):
     """Told the true position now, the true answer to the field and the drift."""
 
     ready = True  # type: ignore[assignment]
@@ -58,7 +58,7 @@ class _Knowing(Pilot):
         super().__init__()
         self._loop = loop
 
-    def look(self, situation: Situation, row: int) -> complex:
+    def look(self, inputs: ControllerInput, row: int) -> complex:
         return complex(*self._loop.world.position[row])
 
 
@@ -70,7 +70,7 @@ def _cross_track(seed: int, *, knowing: bool, spent: list[float]) -> float:
         seed=seed, told=False, **late)
     controller = PathFollowing()
     if knowing:
-        controller._pilot = _Knowing(loop)
+        controller._compensator = _Knowing(loop)
     route, off, along = Route(EIGHT_PATH), [], [0.0]
 
     def note(t: float) -> None:
@@ -208,11 +208,11 @@ def _thinking() -> Figure:
                   'ms', '≤ 8', 'processor time', slowest <= 8)
 
 
-# Swaps ---------------------------------------------------------------------------------------
+# Switches ---------------------------------------------------------------------------------------
 
-def _swaps() -> list[Figure]:
-    """1,000 swaps in a loop at 100 Hz, two ticks each, among all controllers and faulty ones."""
-    found = swapped()
+def _switches() -> list[Figure]:
+    """1,000 switches at 100 Hz, two ticks each, among all controllers and faulty ones."""
+    found = switched()
     tolerance = 1 + 1e-9
     stood = f'besides {found.stalled} while the machine stood still' if found.stalled else ''
     return [

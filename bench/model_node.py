@@ -14,7 +14,7 @@ from sensor_msgs.msg import MagneticField, PointCloud2
 from bench.figure import Figure
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.graph import Graph
-from microbot_ros.nodes.remote import Remote
+from microbot_ros.nodes.graph_client import GraphClient
 
 RATE_HZ, PARTICLES, WARM_FRAMES, FRAMES = 100, 200, 1000, 3000
 
@@ -24,19 +24,19 @@ def figures() -> list[Figure]:
     with tempfile.TemporaryDirectory() as folder:
         parameters = Path(folder) / 'parameters.yaml'
         parameters.write_text(yaml.safe_dump({'model': {'ros__parameters': {'radius_um': 2.3}}}))
-        with Graph(lambda *_: None) as graph, Remote('load') as remote:
+        with Graph(lambda *_: None) as graph, GraphClient('load') as client:
             graph.start_nodes(['model'], parameters)
             graph.wait_ready(120.0)
-            share = 100 * _share(remote, psutil.Process(graph.process_id('model')))
+            share = 100 * _share(client, psutil.Process(graph.process_id('model')))
     return [Figure(4, 'model node, 200 particles at 100 Hz', share, '% of a core', '≤ 20', '',
                    share <= 20)]
 
 
-def _share(remote: Remote, process: psutil.Process) -> float:
-    particles = remote.node.create_publisher(PointCloud2, 'particles', 10)
-    fields = remote.node.create_publisher(MagneticField, 'field/applied', 10)
+def _share(client: GraphClient, process: psutil.Process) -> float:
+    particles = client.node.create_publisher(PointCloud2, 'particles', 10)
+    fields = client.node.create_publisher(MagneticField, 'field/applied', 10)
     while not particles.get_subscription_count():
-        remote.spin(0.05)
+        client.spin(0.05)
     rng = np.random.default_rng(0)
     points = np.zeros(PARTICLES, messages.PARTICLE)
     points['id'], points['sigma'] = np.arange(PARTICLES), 5e-8

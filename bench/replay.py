@@ -22,13 +22,13 @@ from sensor_msgs.msg import Image, PointCloud2, TimeReference
 from bench._camera_load import PIXEL_SIZE_UM
 from bench.figure import Figure
 from bench.recording import _session
-from microbot_ros.drive.real_time import hurry
+from microbot_ros.drive.real_time import set_realtime_priority
 from microbot_ros.errors import InputError
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.graph import Graph
+from microbot_ros.nodes.graph_client import GraphClient
 from microbot_ros.nodes.lifecycle import IMAGES_OUT, RELIABLE
-from microbot_ros.nodes.remote import Remote
-from microbot_ros.nodes.rerun import cast, recorded_parameters, rerun
+from microbot_ros.nodes.replay_check import ReplayCheck, plan_replay, recorded_parameters
 from microbot_ros.nodes.topics import KEPT
 from microbot_ros.session import RecordingWriter, open_recording
 from microbot_ros.session.as_messages import SessionMessages
@@ -61,7 +61,7 @@ def figures() -> list[Figure]:
 def _loading(folder: Path) -> list[Figure]:
     """The closed loop over an emulated amplifier: without a recorder, with one, without."""
     (folder / 'load').mkdir()
-    with Graph(lambda *_: None) as graph, Remote('bench') as remote:
+    with Graph(lambda *_: None) as graph, GraphClient('bench') as client:
         nodes = _start(graph, folder / 'load')
         late: list[tuple[float, float]] = []
 
@@ -70,30 +70,30 @@ def _loading(folder: Path) -> list[Figure]:
                      - messages.to_seconds(message.time_ref))
             late.append((time.monotonic(), 1e3 * spent))
 
-        remote.node.create_subscription(TimeReference, 'coil_driver/latency', heard, 200)
-        _listen(graph, remote, WARM_SECONDS)
-        remote.set('controller', **{'open_loop.repeat': True})
-        remote.arm()
-        remote.set('controller', controller='open_loop')
-        before = _latencies(graph, remote, late, SECONDS / 2)
+        client.node.create_subscription(TimeReference, 'coil_driver/latency', heard, 200)
+        _listen(graph, client, WARM_SECONDS)
+        client.set('controller', **{'open_loop.repeat': True})
+        client.arm()
+        client.set('controller', controller='open_loop')
+        before = _latencies(graph, client, late, SECONDS / 2)
         graph.start_nodes(['recorder'], folder / 'load' / 'rig.yaml')
         graph.wait_ready(60.0)
         process = psutil.Process(graph.process_id('recorder'))
         begin, busy = time.monotonic(), sum(process.cpu_times()[:2])
-        during = _latencies(graph, remote, late, SECONDS)
+        during = _latencies(graph, client, late, SECONDS)
         share = (sum(process.cpu_times()[:2]) - busy) / (time.monotonic() - begin)
         graph.stop(['recorder'])
-        without = np.concatenate([before, _latencies(graph, remote, late, SECONDS / 2)])
+        without = np.concatenate([before, _latencies(graph, client, late, SECONDS / 2)])
         graph.stop([*reversed(nodes)])
     return _judged(folder / 'load' / 'recording', share, without, during)
 
 
-def _latencies(graph: Graph, remote: Remote, late: list[tuple[float, float]], seconds: float,
+def _latencies(graph: Graph, client: GraphClient, late: list[tuple[float, float]], seconds: float,
                ) -> np.ndarray:
     """Exposure to acknowledgement [ms] of what is exposed from now on, once all has settled."""
-    _listen(graph, remote, SETTLE_SECONDS)
+    _listen(graph, client, SETTLE_SECONDS)
     begin = time.monotonic()
-    _listen(graph, remote, seconds)
+    _listen(graph, client, seconds)
     return np.array([latency for t, latency in late if t > begin])
 
 
@@ -137,14 +137,15 @@ def _start(graph: Graph, folder: Path) -> list[str]:
     own: dict[str, dict[str, Any]] = {
         'tracker': {'pixel_size_um': PIXEL_SIZE_UM}, 'model': {'radius_um': 2.3},
         'controller': {'workspace_um': [-290.0, -230.0, 290.0, 230.0]},
-        'coil_driver': {'port': str(port), 'stale_ms': 500.0}}
+        'coil_driver': {'port': str(port), 'command_timeout_ms': 500.0,
+                        'max_command_age_ms': 500.0}}
     both = {**own, 'recorder': {'folder': str(folder / 'recording')}}
     rig.write_text(yaml.safe_dump({k: {'ros__parameters': v} for k, v in both.items()}))
     graph.start('amplifier', [
         sys.executable, '-m', 'microbot_ros.cli', 'emulate', 'serial_transfer', '--link',
         str(port), '--full-scale-A', '2'], says_when_ready='serving')
     graph.wait_ready(20.0)
-    hurry(graph.process_id('amplifier'))  # a board has nothing else to do
+    set_realtime_priority(graph.process_id('amplifier'))  # a board has nothing else to do
     for node in own:
         graph.start_nodes([node], rig)
     graph.wait_ready(120.0)
@@ -154,10 +155,10 @@ def _start(graph: Graph, folder: Path) -> list[str]:
     return ['amplifier', *own, 'camera']
 
 
-def _listen(graph: Graph, remote: Remote, seconds: float) -> None:
+def _listen(graph: Graph, client: GraphClient, seconds: float) -> None:
     end = time.monotonic() + seconds
     while (left := end - time.monotonic()) > 0:
-        remote.spin(min(0.5, left))
+        client.spin(min(0.5, left))
         graph.pump(0.0)
 
 
@@ -184,15 +185,15 @@ def _replaying(folder: Path, seconds: float = 120.0) -> list[Figure]:
 def _played(session: Path, rate: float, qos: QoSProfile, sent: int) -> tuple[float, int]:
     """Times real time at which particles at 100 Hz arrived, and how many did not."""
     heard: list[tuple[float, int]] = []
-    with Remote('bench') as remote, Graph(lambda *_: None) as graph:
-        remote.node.create_subscription(PointCloud2, 'particles', lambda data: heard.append(
+    with GraphClient('bench') as client, Graph(lambda *_: None) as graph:
+        client.node.create_subscription(PointCloud2, 'particles', lambda data: heard.append(
             (time.monotonic(), header_stamp_ns(data))), qos, raw=True)
         graph.start('player', [sys.executable, '-m', 'microbot_ros.cli', 'replay', str(session),
                                '--rate', str(rate)])
         while not graph.ended():
-            remote.spin(0.05)
+            client.spin(0.05)
             graph.pump(0.0)
-        remote.spin(0.5)
+        client.spin(0.5)
     if len(heard) < 2:
         return 0.0, sent - len(heard)
     (begin, first), (end, last) = heard[0], heard[-1]
@@ -212,19 +213,19 @@ def _killed(path: Path, seconds: float) -> float:
     rig = path.with_suffix('.yaml')
     rig.write_text(yaml.safe_dump({'recorder': {'ros__parameters': {'folder': str(path)}}}))
     noise = np.random.default_rng(6).integers(0, 256, (480, 640), np.uint8)
-    with Remote('bench') as remote, Graph(lambda *_: None) as graph:
-        frames = remote.node.create_publisher(Image, 'camera/image_raw', IMAGES_OUT)
-        particles = remote.node.create_publisher(PointCloud2, 'particles', RELIABLE)
+    with GraphClient('bench') as client, Graph(lambda *_: None) as graph:
+        frames = client.node.create_publisher(Image, 'camera/image_raw', IMAGES_OUT)
+        particles = client.node.create_publisher(PointCloud2, 'particles', RELIABLE)
         graph.start_nodes(['recorder'], rig)
         graph.wait_ready(60.0)
         while not (frames.get_subscription_count() and particles.get_subscription_count()):
-            remote.spin(0.01)
+            client.spin(0.01)
         began = time.time_ns()
         while (now := time.time_ns()) < began + seconds * 1e9:
             frames.publish(messages.image(noise, messages.to_stamp(now / 1e9)))
             particles.publish(messages.cloud(
                 np.zeros(4, messages.PARTICLE), messages.to_stamp(now / 1e9)))
-            remote.spin(0.01)
+            client.spin(0.01)
         os.kill(graph.process_id('recorder'), signal.SIGKILL)
     with open_recording(path) as recording:
         last = [max(recording.times(topic), default=began) if topic in recording.topics else began
@@ -236,17 +237,17 @@ def _agreeing(folder: Path) -> list[Figure]:
     """Two lock-step replays of a run of the demo through model and controller."""
     os.environ.setdefault('OMP_NUM_THREADS', '1')
     with open_recording(STEERING) as source:
-        players = cast(source, STEERING)
-        parameters = recorded_parameters(source, players.nodes, folder)
+        plan = plan_replay(source, STEERING)
+        parameters = recorded_parameters(source, plan.nodes, folder)
         length = (source.end_ns - source.start_ns) / 1e9
     began = time.monotonic()
     for name in ('first', 'second'):
-        if failure := rerun(STEERING, folder / name, players, parameters):
+        if failure := ReplayCheck(STEERING, folder / name, plan, parameters).run():
             raise RuntimeError(failure)
     speed = 2 * length / (time.monotonic() - began)
     with open_recording(folder / 'first') as a, open_recording(folder / 'second') as b:
-        stamps = {header_stamp_ns(m.data) for m in a.messages([players.frame])}
-        found = compare(a, b, [players.frame, *players.outputs[:-1]], stamps)
+        stamps = {header_stamp_ns(m.data) for m in a.messages([plan.frame])}
+        found = compare(a, b, [plan.frame, *plan.outputs[:-1]], stamps)
     pairs = sum(topic.pairs for topic in found)
     unequal = sum(topic.unequal + topic.only_a + topic.only_b for topic in found)
     return [

@@ -33,6 +33,7 @@ def _table(kind: type, prefix: str) -> str:
         limits = ' … '.join('' if v is None else f'{v:g}' for v in (about.lower, about.upper))
         allowed = ', '.join(about.choices) or ('' if limits == ' … ' else limits)
         meaning = about.description + (' *Fixed.*' if about.read_only else '')
+        meaning += f' Formerly `{prefix}{about.formerly}`.' if about.formerly else ''
         rows.append(f'| `{prefix}{name}` | `{default!r}` | {units.symbol(name)} | {allowed} '
                     f'| {meaning} |')
     return '\n'.join(rows) + '\n'

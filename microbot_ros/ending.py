@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType, TracebackType
 
-from microbot_ros.drive.real_time import hurry
+from microbot_ros.drive.real_time import set_realtime_priority
 
 PARENT = 'MICROBOT_PARENT'
 """Environment variable with the process id that a node must not outlive; 0 for none."""
@@ -106,7 +106,7 @@ class Ending:
         """In a thread: wait for the byte that the interpreter writes for a signal, or the end of
         the launcher.
         """
-        hurry()
+        set_realtime_priority()
         awaited = [self._reader]
         try:
             if self._launcher is not None:

@@ -22,6 +22,7 @@ class About:
     upper: float | None = None
     choices: tuple[str, ...] = ()
     read_only: bool = False
+    formerly: str = ''
 
 
 def setting(
@@ -32,12 +33,14 @@ def setting(
     upper: float | None = None,
     choices: tuple[str, ...] = (),
     read_only: bool = False,
+    formerly: str = '',
 ) -> Any:
     """A dataclass field with a default, a meaning and what is allowed; the name ends in its unit.
 
-    `read_only` settings are fixed at start-up: safety limits, device names.
+    `read_only` settings are fixed at start-up: safety limits, device names. `formerly` is a name
+    from before, which is still taken; two settings that have it in common are both set by it.
     """
-    about = About(description, lower, upper, choices, read_only)
+    about = About(description, lower, upper, choices, read_only, formerly)
     if isinstance(default, list):
         return dataclasses.field(default_factory=lambda: list(default), metadata={'about': about})
     return dataclasses.field(default=default, metadata={'about': about})
@@ -55,6 +58,15 @@ def defaults(settings: type) -> dict[str, Any]:
         field.name: field.default_factory() if callable(field.default_factory) else field.default
         for field in dataclasses.fields(settings)
     }
+
+
+def renamed(settings: type) -> dict[str, list[str]]:
+    """Former name → the fields of the dataclass `settings` that took its place."""
+    found: dict[str, list[str]] = {}
+    for name in defaults(settings):
+        if former := about(settings, name).formerly:
+            found.setdefault(former, []).append(name)
+    return found
 
 
 def convert(settings: type, name: str, value: Any) -> Any:

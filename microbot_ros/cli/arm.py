@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from microbot_ros.cli.namespace import namespace_option
+from microbot_ros.cli.options import namespace_option
 
 
 @click.command()
@@ -22,8 +22,8 @@ def command(off: bool, namespace: str) -> None:
       microbot arm
       microbot arm --off
     """
-    from microbot_ros.nodes.remote import Remote
+    from microbot_ros.nodes.graph_client import GraphClient
 
-    with Remote(namespace=namespace) as remote:
-        remote.arm(not off)
+    with GraphClient(namespace=namespace) as client:
+        client.arm(not off)
     click.echo('disarmed: the coils are at zero' if off else 'armed')

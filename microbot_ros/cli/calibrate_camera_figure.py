@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 def draw(path: Path, turn: CameraTurn | None, image: np.ndarray | None,
          lines: Graticule | None) -> None:
-    """Which way each particle goes and the lines found, as far as there are any."""
+    """To `path`: which way each particle goes (`turn`), and the lines found in `image`, if any."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9, 4.5), layout='constrained')

@@ -10,7 +10,7 @@ from microbot_ros.discovery.coil_map import CoilMap
 
 
 def draw_deviations(found: CoilMap, path: Path) -> None:
-    """Which way particles went beside the command, the fitted field, and the residuals below."""
+    """To `path`: which way particles went beside the command, the field `found`, and residuals."""
     from matplotlib.figure import Figure
     figure = Figure(figsize=(8, 4.5), layout='constrained')
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))

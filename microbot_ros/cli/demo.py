@@ -14,7 +14,7 @@ import click
 import numpy as np
 import yaml
 
-from microbot_ros.drive.real_time import LOOP, hurried
+from microbot_ros.drive.real_time import LOOP, realtime_priority
 from microbot_ros.ending import Ending, Stopped
 from microbot_ros.errors import InputError
 from microbot_ros.files import output_folder, write_text
@@ -64,7 +64,7 @@ def command(seconds: float, seed: int, out: Path, json_path: Path | None) -> Non
     """Steer a microrobot on the virtual rig, over a real ROS graph and a real serial line.
 
     Every node is a process. The model learns speed and offset angle of each particle from
-    nothing; then the controller is swapped and one particle visits three places, or as many as
+    nothing; then the controller is switched and one particle visits three places, or as many as
     there is time for. Leaves summary.json, an MCAP recording, an overlay video and a figure.
 
     Ends with 0 if every place was reached; with 1, and all files, if not or if the loop was cut.
@@ -89,7 +89,10 @@ def command(seconds: float, seed: int, out: Path, json_path: Path | None) -> Non
 
 
 def tell_shortcomings(faults: list[str], summary: dict[str, Any], began: float) -> int:
-    """Say what cut the loop and which places were not reached; the exit status."""
+    """Say what cut the loop (`faults`) and which places of `summary` were missed; the exit status.
+
+    `began` [s, monotonic] is when the demo did.
+    """
     if faults:
         _say(began, f'the loop was cut: {"; ".join(faults)}')
     missed = summary['goals'] - summary['goals_reached']
@@ -127,43 +130,43 @@ def _run(graph: Graph, ending: Ending, folder: Path, seconds: float, seed: int,
             graph.start_nodes([node], rig)
         with ending.interrupts():
             graph.wait_ready(patience_s)
-    with ending.interrupts(), hurried(LOOP):  # no signal waits for the loop
+    with ending.interrupts(), realtime_priority(LOOP):  # no signal waits for the loop
         return _steer(graph, seconds, began)
 
 
 def _steer(graph: Graph, seconds: float, began: float) -> _Run:
     """Learn, then visit places, for that long."""
-    from microbot_ros.nodes.remote import Remote
+    from microbot_ros.nodes.graph_client import GraphClient
 
-    with Remote() as remote:
-        watch = _Watch(remote, graph, began)
+    with GraphClient() as client:
+        watch = _Watch(client, graph, began)
         watch.until_tracked(60.0)
-        remote.arm()
+        client.arm()
         armed_at = time.time()
-        remote.set('controller', controller='open_loop')
+        client.set('controller', controller='open_loop')
         start = time.monotonic()
         _say(began, f'armed; {LEARN_SECONDS:g} s of fixed directions to learn v and φ')
         watch.until(start + LEARN_SECONDS)
         goals = places_within(start + seconds - time.monotonic(), watch.estimates)
-        remote.set('controller', controller='waypoint')
-        remote.send_goals([tuple(goal) for goal in goals.tolist()])
-        _say(began, 'swapped to waypoint: ' + ' → '.join(
+        client.set('controller', controller='waypoint')
+        client.send_goals([tuple(goal) for goal in goals.tolist()])
+        _say(began, 'switched to waypoint: ' + ' → '.join(
             f'({x:.0f}, {y:.0f}) µm' for x, y in goals * 1e6))
         watch.until(start + seconds)
-        remote.set('controller', controller='hold')
-        remote.arm(False)
+        client.set('controller', controller='hold')
+        client.arm(False)
     return _Run(goals, armed_at, ['hold', 'open_loop', 'waypoint', 'hold'], sorted(watch.faults))
 
 
 class _Watch:
     """Listens while the demo runs: estimates, faults, what the nodes print."""
 
-    def __init__(self, remote: Any, graph: Graph, began: float) -> None:
-        self._remote, self._graph, self._began = remote, graph, began
+    def __init__(self, client: Any, graph: Graph, began: float) -> None:
+        self._client, self._graph, self._began = client, graph, began
         self.estimates: Any = np.empty(0)
         self.faults: set[str] = set()
-        remote.watch_estimates(lambda points: setattr(self, 'estimates', points))
-        remote.watch_health(self._on_health)
+        client.watch_estimates(lambda points: setattr(self, 'estimates', points))
+        client.watch_health(self._on_health)
 
     def until_tracked(self, seconds: float) -> None:
         """Return when the tracker has learned what particles look like and found some."""
@@ -171,13 +174,13 @@ class _Watch:
         while not len(self.estimates):
             if time.monotonic() > deadline:
                 raise InputError('tracker', f'found no particle within {seconds:g} s')
-            self._remote.spin(0.1)
+            self._client.spin(0.1)
             self._graph.pump(0.0)
 
     def until(self, deadline: float) -> None:
         """Let the loop run; one line a second."""
         while (left := deadline - time.monotonic()) > 0:
-            self._remote.spin(min(1.0, left))
+            self._client.spin(min(1.0, left))
             self._graph.pump(0.0)
             known = [f'{e["speed"] * 1e6:.2f}±{1.96 * e["speed_std"] * 1e6:.2f}'
                      for e in self.estimates if np.isfinite(e['speed_std'])]
@@ -191,9 +194,9 @@ class _Watch:
 
 
 def places_within(seconds: float, estimates: np.ndarray) -> np.ndarray:
-    """Those of the places, in order (n, 2) [m], that there is time for; one at least.
+    """Those of the places, in order (n, 2) [m], that `seconds` suffice for; one at least.
 
-    They lie about the particle that is steered, the one with the lowest identity.
+    They lie about the particle that is steered, the one of `estimates` with the lowest identity.
     """
     first = estimates[estimates['id'].argmin()]
     legs = np.diff(GOALS_UM, axis=0, prepend=0.0) * 1e-6
@@ -229,7 +232,8 @@ def _rig_file(folder: Path, port: Path, log: Path, seed: int) -> str:
         'controller': {'controller': 'hold', 'open_loop.directions_deg': LEARN_DIRECTIONS_DEG,
                        'open_loop.durations_s': [1.0] * len(LEARN_DIRECTIONS_DEG)},
         # A shared machine may pause for a tenth of a second; beside a rig the default is right.
-        'coil_driver': {'port': str(port), 'stale_ms': 250.0},
+        'coil_driver': {'port': str(port), 'command_timeout_ms': 250.0,
+                        'max_command_age_ms': 250.0},
         'recorder': {'folder': str(folder / 'recording'), 'frame_every': 6,
                      'title': 'microbot demo'},
     }

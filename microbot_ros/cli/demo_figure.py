@@ -15,7 +15,7 @@ COLOURS = ('#0072B2', '#D55E00', '#009E73', '#CC79A7', '#E69F00', '#56B4E9')
 
 
 def draw(run: DemoRun, goal: np.ndarray, path: Path) -> None:
-    """Write the figure; `goal` (2,) [m] is the last one."""
+    """Write the figure of a `run` to `path`; `goal` (2,) [m] is the last one."""
     figure = Figure(figsize=(12, 8), layout='constrained')
     axes = figure.subplot_mosaic([['paths', 'speed'], ['paths', 'phi'], ['error', 'latency']])
     colours = {p: COLOURS[i % len(COLOURS)] for i, p in enumerate(sorted(run.matches))}

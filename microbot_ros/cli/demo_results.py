@@ -35,15 +35,13 @@ class DemoRun:
 
     @classmethod
     def read(cls, path: Path) -> DemoRun:
-        """Everything but the pictures, read once."""
-        clouds: dict[str, dict[float, np.ndarray]] = {
-            '/virtual_rig/truth': {}, '/particles': {}, '/model/state': {}}
-        kinds = {'/virtual_rig/truth': messages.TRUTH, '/particles': messages.PARTICLE,
-                 '/model/state': messages.ESTIMATE}
+        """Everything but the pictures in the recording at `path`, read once."""
+        kinds = {'/virtual_rig/truth': messages.TRUTH, '/particles': messages.PARTICLE}
         run = cls({}, {}, {}, [], np.empty(0), {}, math.nan)
+        clouds = {'/virtual_rig/truth': run.truth, '/particles': run.particles}
         latency = []
         with open_recording(path) as recording:
-            topics = [*clouds, '/goals', '/coil_driver/latency', '/diagnostics']
+            topics = [*kinds, '/model/state', '/goals', '/coil_driver/latency', '/diagnostics']
             for raw in recording.messages(topics=topics):
                 message: Any = recording.decode(raw)
                 if raw.topic == '/diagnostics':
@@ -57,9 +55,10 @@ class DemoRun:
                 elif raw.topic == '/goals':
                     run.goals.append((stamp, np.array(
                         [(pose.position.x, pose.position.y) for pose in message.poses])))
+                elif raw.topic == '/model/state':
+                    run.estimates[stamp] = messages.estimates(message)
                 else:
                     clouds[raw.topic][stamp] = messages.points(message, kinds[raw.topic])
-        run.truth, run.particles, run.estimates = clouds.values()
         run.latency = np.array(latency)
         run.origin = min(run.truth, default=math.nan)
         return run
@@ -79,7 +78,7 @@ class DemoRun:
         return min(self.matches)
 
     def path(self, clouds: dict[float, np.ndarray], particle: int) -> np.ndarray:
-        """Rows (t, x, y) of one particle in `truth`, `particles` or `estimates`."""
+        """Rows (t, x, y) of one `particle` in `clouds`: `truth`, `particles` or `estimates`."""
         rows = [
             (t, *points[['x', 'y']][points['id'] == particle][0].tolist())
             for t, points in sorted(clouds.items()) if particle in points['id']]
@@ -87,7 +86,7 @@ class DemoRun:
 
 
 def summarise(run: DemoRun, goals: np.ndarray, armed_at: float) -> dict[str, Any]:
-    """The numbers of `summary.json` that the recording holds; `goals` (n, 2) [m] in order.
+    """The numbers of `summary.json` that a `run` holds; `goals` (n, 2) [m] in order.
 
     Frames count from `armed_at` [s, ROS time]: before, the tracker is learning what particles
     look like and lets frames pass.
@@ -114,7 +113,7 @@ def summarise(run: DemoRun, goals: np.ndarray, armed_at: float) -> dict[str, Any
 
 
 def goals_reached(path: np.ndarray, goals: np.ndarray) -> int:
-    """How many of some places (n, 2) [m] a path (m, 2) [m] comes to, one after the other."""
+    """How many of the `goals` (n, 2) [m] a `path` (m, 2) [m] comes to, one after the other."""
     reached = 0
     for place in path:
         if reached < len(goals) and np.hypot(*(place - goals[reached])) <= _REACHED_UM * 1e-6:

@@ -22,7 +22,10 @@ _ORANGE, _WHITE = (0, 159, 230), (255, 255, 255)
 
 
 def write_video(run: DemoRun, recording: Path, pixel_size: float, path: Path) -> None:
-    """Write every recorded frame with particles, estimates, goals and field. MP4."""
+    """Write every frame of a `recording`, with what the `run` says of it, to `path`, an MP4.
+
+    `pixel_size` [m].
+    """
     frames = list(_frames(recording))
     if len(frames) < 2:
         return

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from microbot_ros.cli.within import Within
+from microbot_ros.cli.options import FiniteFloatRange
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
               help='Processes that share the work.')
 @click.option('--live', is_flag=True,
               help='Instead of sessions: watch the running graph, or a replay, and propose.')
-@click.option('--seconds', type=Within(10, 3600), default=60.0, show_default=True,
+@click.option('--seconds', type=FiniteFloatRange(10, 3600), default=60.0, show_default=True,
               help='With --live: how much of the recent past to look at, each time.')
 @click.option('--rounds', type=click.IntRange(0), default=0, metavar='N',
               help='With --live: end after N looks; 0 goes on until Ctrl-C.')
@@ -130,14 +130,14 @@ def _propose(file: Path, steady: bool, progress: Console) -> None:
 
 def _listen(seconds: float, progress: Console) -> Session:
     """What a graph, or a replay, says for so long."""
-    from microbot_ros.nodes.collector import Collector
-    from microbot_ros.nodes.remote import Remote
+    from microbot_ros.nodes.graph_client import GraphClient
+    from microbot_ros.nodes.live_session_buffer import LiveSessionBuffer
 
-    with Remote('discover') as remote, progress.status('no particles yet: is a graph running, '
-                                                       'or a replay?') as status:
-        collector = Collector(remote, seconds)
-        while collector.span < seconds - 0.5:
-            remote.spin(0.5)
-            if collector.span:
-                status.update(f'listening: {collector.span:.0f} of {seconds:g} s')
-        return collector.session()
+    waiting = 'no particles yet: is a graph running, or a replay?'
+    with GraphClient('discover') as client, progress.status(waiting) as status:
+        recent = LiveSessionBuffer(client, seconds)
+        while recent.span < seconds - 0.5:
+            client.spin(0.5)
+            if recent.span:
+                status.update(f'listening: {recent.span:.0f} of {seconds:g} s')
+        return recent.session()

@@ -79,10 +79,10 @@ def _python() -> Finding:
 
 def _ros() -> Finding:
     """A message through the middleware and back, as the nodes send theirs."""
-    from microbot_ros.nodes.remote import Remote
+    from microbot_ros.nodes.graph_client import GraphClient
 
-    with Remote('doctor') as remote:
-        name = remote.echo()
+    with GraphClient('doctor') as client:
+        name = client.echo()
     reach = os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE']
     return Finding('ros', 'ok', f'{name} echoes; discovery range {reach}')
 
@@ -91,10 +91,10 @@ def _real_time() -> Finding:
     """Tried in a thread, so that this process stays an ordinary one."""
     from concurrent.futures import ThreadPoolExecutor
 
-    from microbot_ros.drive.real_time import hurry
+    from microbot_ros.drive.real_time import set_realtime_priority
 
     with ThreadPoolExecutor(1) as pool:
-        granted = pool.submit(hurry).result()
+        granted = pool.submit(set_realtime_priority).result()
     if granted:
         return Finding('real time', 'ok', 'granted: the loop comes before all else here')
     return Finding('real time', 'warn', 'not granted: other programs can hold up the loop; add '
@@ -106,10 +106,10 @@ def _dead_man() -> Finding:
     """How late a thread like the one that zeroes the coils wakes while every core is busy."""
     from concurrent.futures import ThreadPoolExecutor
 
-    from microbot_ros.drive.real_time import hurry, lateness
+    from microbot_ros.drive.real_time import lateness, set_realtime_priority
 
     def watch() -> float:
-        hurry()
+        set_realtime_priority()
         return max(lateness(_WATCH_SECONDS, _TICK_SECONDS))
 
     with ExitStack() as stack, ThreadPoolExecutor(1) as pool:
@@ -120,7 +120,8 @@ def _dead_man() -> Finding:
     return Finding(
         'dead-man', 'ok' if late_ms <= _LATE_MS else 'warn',
         f'beside {os.cpu_count()} busy programs woke at most {late_ms:.1f} ms late in '
-        f'{_WATCH_SECONDS:g} s; a zero comes so much later than coil_driver.stale_ms says'
+        f'{_WATCH_SECONDS:g} s; a zero comes so much later than command_timeout_ms of the '
+        'coil_driver says'
         + ('' if late_ms <= _LATE_MS else f', expected {_LATE_MS:g} ms: see real time above, and '
            'what else of this machine runs in real time'))
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from microbot_ros.cli.within import Within
+from microbot_ros.cli.options import FiniteFloatRange
 from microbot_ros.drive.emulator import process
 
 _WATCHDOG_MS = 100.0
@@ -19,9 +19,9 @@ _WATCHDOG_MS = 100.0
               help='Name under which a driver opens the line.')
 @click.option('--log', type=click.Path(path_type=Path),
               help='File for one line of JSON per change of current.')
-@click.option('--full-scale-A', 'full_scale_a', type=Within(0, 1000, min_open=True),
+@click.option('--full-scale-A', 'full_scale_a', type=FiniteFloatRange(0, 1000, min_open=True),
               default=1.0, show_default=True, help='Current of a coil at full output.')
-@click.option('--watchdog-ms', type=Within(0, 60_000, min_open=True),
+@click.option('--watchdog-ms', type=FiniteFloatRange(0, 60_000, min_open=True),
               help='Zero the coils this long after the last good command.  [default: 100]')
 @click.option('--no-watchdog', is_flag=True,
               help='Keep the last command for ever, as much laboratory firmware does.')

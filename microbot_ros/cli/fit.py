@@ -6,14 +6,14 @@ from pathlib import Path
 
 import click
 
-from microbot_ros.cli.within import Within
+from microbot_ros.cli.options import FiniteFloatRange
 
 
 @click.command()
 @click.argument('session', metavar='SESSION', type=click.Path(path_type=Path))
 @click.option('--out', type=click.Path(path_type=Path), required=True, metavar='DIR',
               help='Folder for fit.json and fit.png.')
-@click.option('--exposure-ms', type=Within(0, 10_000), default=0.0, show_default=True,
+@click.option('--exposure-ms', type=FiniteFloatRange(0, 10_000), default=0.0, show_default=True,
               help='Exposure time of a frame, for the blur of diffusion during it.')
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
               help='Also write the content of fit.json here.')

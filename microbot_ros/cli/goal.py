@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING
 import click
 
 from microbot_ros import units
-from microbot_ros.cli.namespace import namespace_option
-from microbot_ros.cli.within import Within
+from microbot_ros.cli.options import FiniteFloatRange, namespace_option
 from microbot_ros.errors import InputError
 
 if TYPE_CHECKING:
-    from microbot_ros.nodes.remote import Remote
+    from microbot_ros.nodes.graph_client import GraphClient
 
 Places = list[tuple[float, float]]
 
@@ -37,7 +36,7 @@ _HEALTH_SECONDS = 1.5
                    'each is.')
 @click.option('--path', 'as_path', is_flag=True, help='A path to follow, not goals.')
 @click.option('--cancel', is_flag=True, help='Forget goals and path.')
-@click.option('--wait', 'seconds', type=Within(0, 86400), metavar='SECONDS',
+@click.option('--wait', 'seconds', type=FiniteFloatRange(0, 86400), metavar='SECONDS',
               help='Tell the progress and wait for the arrival; exit 1 if it takes longer.')
 @namespace_option
 def command(positions_um: tuple[str, ...], file: Path | None, as_path: bool, cancel: bool,
@@ -60,16 +59,16 @@ def command(positions_um: tuple[str, ...], file: Path | None, as_path: bool, can
     places, particles = _read(file) if file else ([_position(t) for t in positions_um], None)
     if as_path and particles is not None:
         raise InputError(str(file), 'expected no column particle in a path')
-    from microbot_ros.nodes.remote import Remote
+    from microbot_ros.nodes.graph_client import GraphClient
 
-    with Remote(namespace=namespace) as remote:
+    with GraphClient(namespace=namespace) as client:
         if cancel:
-            remote.send_path([])
-            remote.send_goals([])
+            client.send_path([])
+            client.send_goals([])
             click.echo('cancelled')
             return
-        coils = _Coils(remote)
-        taken = remote.send_path(places) if as_path else remote.send_goals(places, particles)
+        coils = _Coils(client)
+        taken = client.send_path(places) if as_path else client.send_goals(places, particles)
         count = len(places)
         what = f'path of {count} points' if as_path else f'{count} goal{"s" * (count > 1)}'
         idle = taken.controller in (_NO_PATHS if as_path else _NO_GOALS)
@@ -81,7 +80,7 @@ def command(positions_um: tuple[str, ...], file: Path | None, as_path: bool, can
             return
         if idle:
             click.echo(said, err=True)
-        _wait(remote, taken.stamp, seconds)
+        _wait(client, taken.stamp, seconds)
 
 
 def _swap(path: bool, namespace: str) -> str:
@@ -117,25 +116,25 @@ def _read(file: Path) -> tuple[Places, list[int] | None]:
 class _Coils:
     """Says on standard error why the coils will not act, once for each reason."""
 
-    def __init__(self, remote: Remote) -> None:
-        self._remote = remote
+    def __init__(self, client: GraphClient) -> None:
+        self._client = client
         self._heard = ''
-        remote.watch_health(self._on_health)
+        client.watch_health(self._on_health)
 
     def listen(self) -> None:
         """Wait until the coil driver has spoken, if there is one."""
-        if self._remote.alone('coil_driver'):
-            self._remote.until(lambda: self._heard, _HEALTH_SECONDS)
+        if self._client.alone('coil_driver'):
+            self._client.until(lambda: self._heard, _HEALTH_SECONDS)
 
     def _on_health(self, node: str, level: bytes, sentence: str, _: dict[str, str]) -> None:
-        if node != 'coil_driver' or sentence == self._heard or not self._remote.alone(node):
+        if node != 'coil_driver' or sentence == self._heard or not self._client.alone(node):
             return
         self._heard = sentence
         if level != b'\0':
             click.echo(f'{node}: {sentence}', err=True)
 
 
-def _wait(remote: Remote, stamp: float, seconds: float) -> None:
+def _wait(client: GraphClient, stamp: float, seconds: float) -> None:
     """Tell the progress until arrival; InputError where the goals are refused, else exit 1."""
     heard, next_line = ['', 'nothing more was heard of the controller'], 0.0
 
@@ -151,8 +150,8 @@ def _wait(remote: Remote, stamp: float, seconds: float) -> None:
             next_line = time.monotonic() + 1.0
             click.echo(sentence, err=True)
 
-    remote.watch_progress(tell)
-    remote.until(lambda: heard[0] in ('done', 'bad goal', 'fault', 'replaced'), seconds)
+    client.watch_progress(tell)
+    client.until(lambda: heard[0] in ('done', 'bad goal', 'fault', 'replaced'), seconds)
     if heard[0] == 'bad goal':
         raise InputError('', heard[1])
     click.echo('arrived' if heard[0] == 'done' else f'not arrived: {heard[1]}')

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from microbot_ros import units
-from microbot_ros.cli.within import Within
+from microbot_ros.cli.options import FiniteFloatRange
 from microbot_ros.errors import InputError
 
 if TYPE_CHECKING:
@@ -33,9 +33,9 @@ _FARTHEST = 1e6
               help='Where it should be, once for each.')
 @click.option('--alignment-times-s', metavar='S,S,...',
               help='Alignment time of each particle, where they differ.')
-@click.option('--seconds', default=10.0, show_default=True, type=Within(0.1, 3600),
+@click.option('--seconds', default=10.0, show_default=True, type=FiniteFloatRange(0.1, 3600),
               help='For how long commands are tried.')
-@click.option('--field-mt', default=5.0, show_default=True, type=Within(0.001, 1000),
+@click.option('--field-mt', default=5.0, show_default=True, type=FiniteFloatRange(0.001, 1000),
               help='Limit of the field.')
 @click.option('--figure', type=click.Path(path_type=Path), help='Draw it into this PNG or PDF.')
 @click.option('--json', 'json_file', type=click.Path(path_type=Path), help='Write all numbers.')

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from microbot_ros.cli.namespace import namespace_option
+from microbot_ros.cli.options import namespace_option
 
 
 @click.command()
@@ -28,10 +28,10 @@ def command(stop: bool, title: str, notes: str, folder: Path | None, namespace: 
       microbot record --title 'batch 7' --notes '5 % peroxide'
       microbot record --stop
     """
-    from microbot_ros.nodes.remote import Remote
+    from microbot_ros.nodes.graph_client import GraphClient
 
-    with Remote(namespace=namespace) as remote:
+    with GraphClient(namespace=namespace) as client:
         if not stop:
-            remote.set('recorder', title=title, notes=notes,
+            client.set('recorder', title=title, notes=notes,
                        folder=str(folder.resolve()) if folder else '')
-        click.echo(remote.record(not stop))
+        click.echo(client.record(not stop))

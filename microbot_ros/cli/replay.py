@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from microbot_ros.cli.within import Within
+from microbot_ros.cli.options import FiniteFloatRange
 from microbot_ros.errors import InputError
 
 
@@ -30,7 +30,7 @@ from microbot_ros.errors import InputError
 @click.option('--node', 'nodes', multiple=True,
               type=click.Choice(['tracker', 'model', 'controller', 'coil_driver']),
               help='With --check: only this node; may be given several times.')
-@click.option('--tolerance', type=Within(0, 1), default=0.0, show_default=True,
+@click.option('--tolerance', type=FiniteFloatRange(0, 1), default=0.0, show_default=True,
               help='With --check: what numbers may differ by, as a share of the largest in their '
                    'field. Another processor may round otherwise.')
 @click.option('--config', type=click.Path(path_type=Path),

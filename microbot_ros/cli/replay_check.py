@@ -24,13 +24,19 @@ from microbot_ros.session.lockstep import header_stamp_ns
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from microbot_ros.nodes.rerun import Cast, Rerun
+    from microbot_ros.nodes.replay_check import ReplayCheck, ReplayPlan
     from microbot_ros.session.recording import Recording
 
 
 def run_check(session: Path, nodes: Collection[str], end: float, tolerance: float,
               config: Path | None, out: Path | None, json_path: Path | None) -> int:
-    """Replay, compare, tell: 0 where every answer that can be judged is the same, else 1."""
+    """Replay a `session`, compare, tell: 0 where every answer that can be judged is the same, else
+    1.
+
+    By `nodes`, none for all, up to `end` [s], with parameters of `config`, those recorded where
+    it is None. Numbers may differ by `tolerance` of their size. What they say goes to `out`,
+    differences to `json_path`, where given.
+    """
     console = Console(highlight=False, width=None if Console().is_terminal else 150)
     if session.exists() and not is_recording(session):
         raise InputError(session, 'expected a recording to check, found a folder of CSV files')
@@ -83,28 +89,28 @@ def _replay(session: Path, nodes: Collection[str], end: float, tolerance: float,
             config: Path | None, out: Path, scratch: Path) -> tuple[list[TopicDifference], str]:
     """The differences, and why the replay was given up, or ''."""
     from microbot_ros.nodes.configuration import read_rig
-    from microbot_ros.nodes.rerun import Rerun, cast, recorded_parameters
+    from microbot_ros.nodes.replay_check import ReplayCheck, plan_replay, recorded_parameters
 
     progress = Console(stderr=True, highlight=False)
     with open_recording(session) as recorded:
-        players = cast(recorded, session, nodes)
+        plan = plan_replay(recorded, session, nodes)
         parameters = read_rig(config) if config else recorded_parameters(
-            recorded, players.nodes, scratch)
-        run = Rerun(session, out, players, parameters, end)
+            recorded, plan.nodes, scratch)
+        run = ReplayCheck(session, out, plan, parameters, end)
         length = end or (recorded.end_ns - recorded.start_ns) / 1e9
-        with progress.status(f'{length:.0f} s through {", ".join(players.nodes)}'):
+        with progress.status(f'{length:.0f} s through {", ".join(plan.nodes)}'):
             if failure := run.run():
                 return [], failure
         with open_recording(out) as replayed:
-            return _compared(recorded, replayed, players, run, tolerance, progress), ''
+            return _compared(recorded, replayed, plan, run, tolerance, progress), ''
 
 
-def _compared(recorded: Recording, replayed: Recording, players: Cast, run: Rerun,
+def _compared(recorded: Recording, replayed: Recording, plan: ReplayPlan, run: ReplayCheck,
               tolerance: float, progress: Console) -> list[TopicDifference]:
     """Node after node, since one that was given something else may say something else."""
     found: list[TopicDifference] = []
     doubts: list[Doubt] = []
-    for answer, topics in players.answers.items():
+    for answer, topics in plan.answers.items():
         own = run.doubts[answer]
         here = compare(
             recorded, replayed, {*topics}.intersection([*recorded.topics, *replayed.topics]),

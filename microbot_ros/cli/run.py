@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from microbot_ros.drive.real_time import LOOP, hurried
+from microbot_ros.drive.real_time import LOOP, realtime_priority
 from microbot_ros.ending import Ending, Stopped
 from microbot_ros.nodes.graph import Graph
 
@@ -43,7 +43,7 @@ def command(config: Path, arm: bool, one_process: bool) -> None:
             with ending.interrupts():
                 graph.wait_ready(120.0)
                 _say('microbot', f'running: {", ".join(nodes)}; Ctrl-C stops')
-                with hurried(LOOP):  # who is handed the signal must not wait for the loop
+                with realtime_priority(LOOP):  # who is told to end must not wait for the loop
                     _watch(graph, arm)
         except Stopped as stopped:
             _say('microbot', f'stopping on {stopped}')
@@ -53,7 +53,7 @@ def command(config: Path, arm: bool, one_process: bool) -> None:
 
 def _watch(graph: Graph, arm: bool) -> None:
     """Tell what changes, until every node has ended."""
-    from microbot_ros.nodes.remote import Remote
+    from microbot_ros.nodes.graph_client import GraphClient
 
     last: dict[str, tuple[bytes, str]] = {}
 
@@ -63,14 +63,14 @@ def _watch(graph: Graph, arm: bool) -> None:
             _say(node, sentence)
 
     reported: set[str] = set()
-    with Remote() as remote:
-        remote.watch_health(heard)
+    with GraphClient() as client:
+        client.watch_health(heard)
         if arm:
-            remote.arm()
+            client.arm()
             _say('microbot', 'armed')
         while len(reported) < graph.count:
             graph.pump(0.0)
-            remote.spin(0.1)
+            client.spin(0.1)
             for name, status in graph.ended().items():
                 if name not in reported:
                     reported.add(name)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 import yaml
 
-from microbot_ros.cli.namespace import namespace_option
+from microbot_ros.cli.options import namespace_option
 
 
 @click.command()
@@ -19,13 +19,13 @@ def command(node: str, parameter: str, value: str, namespace: str) -> None:
     Ends with 2 where the value is refused, with 1 where the node is not there or does not answer.
 
     \b
-    Example, swapping the controller while running:
+    Example, switching the controller while running:
       microbot set controller controller waypoint
     """
-    from microbot_ros.nodes.remote import Remote
+    from microbot_ros.nodes.graph_client import GraphClient
 
-    with Remote(namespace=namespace) as remote:
-        remote.set(node, **{parameter: _typed(value)})
+    with GraphClient(namespace=namespace) as client:
+        client.set(node, **{parameter: _typed(value)})
     click.echo(f'{node}: {parameter} is now {value}')
 
 

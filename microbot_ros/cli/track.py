@@ -170,7 +170,8 @@ def _told(remarks: dict[str, list[tuple[int, str]]]) -> list[str]:
 
 
 def first_appearance(recording: Source, settings: TrackerSettings) -> Appearance | None:
-    """The appearance from the first frames in which anything stands out."""
+    """The appearance, by `settings`, from the first frames of `recording` in which anything shows.
+    """
     from microbot_ros.tracking import learn
 
     frames = recording.frames()

@@ -1,1 +1,1 @@
-"""Controllers, what they have in common, and the switchboard that runs and swaps them."""
+"""Controllers, what they have in common, and the manager that runs and switches them."""

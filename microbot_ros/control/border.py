@@ -7,7 +7,7 @@ import dataclasses
 
 import numpy as np
 
-from microbot_ros.control.contract import FieldCommand, Situation
+from microbot_ros.control.contract import ControllerInput, FieldCommand
 from microbot_ros.control.forecast import KNOWN_WELL_ENOUGH
 from microbot_ros.control.shared import borders
 from microbot_ros.control.steering import field_along
@@ -16,41 +16,42 @@ COMES_BACK = 0.5
 """The part of its speed with which a particle that is outside is brought back, at least."""
 
 
-def kept_in_view(situation: Situation, command: FieldCommand, horizon: float) -> FieldCommand:
-    """The command, turned by the least that keeps the particles it is for in the workspace.
+def kept_in_view(inputs: ControllerInput, command: FieldCommand, horizon: float) -> FieldCommand:
+    """The command, turned by the least that keeps those of `inputs` that it is for in the
+    workspace.
 
     No particle is to swim towards a border faster than its distance from it over `horizon` [s];
     one that is outside comes back. Where one field can't do that for all, it is done for as many
     as possible. Only particles whose speed and φ are known count; a field of zero stays zero.
     This is a control barrier function, h the distance: dh/dt ≥ −h/horizon.
     """
-    model = situation.model
+    model = inputs.model
     made = complex(*(command.field if model is None else model.field(command.field)).tolist())
-    rows = _concerned(situation, command)
+    rows = _concerned(inputs, command)
     if not (abs(made) > 0 and rows.any()):
         return command
     u = made / abs(made)
     rolling = model is not None and model.propulsion == 'rolling'
-    pace = situation.speed[rows] * (command.frequency if rolling else 1.0)
-    velocity = pace * np.exp(1j * situation.phi[rows])
-    normal, room = borders(situation.workspace, situation.expected[rows], velocity, 0.0)
+    pace = inputs.speed[rows] * (command.frequency if rolling else 1.0)
+    velocity = pace * np.exp(1j * inputs.phi[rows])
+    normal, room = borders(inputs.workspace, inputs.expected[rows], velocity, 0.0)
     most = np.maximum(room / horizon, -COMES_BACK * np.abs(normal))
     near = most < np.abs(normal)
     turned = _least_turn(u, normal[near], most[near])
     if turned == u:
         return command
-    field = field_along(situation, cmath.phase(turned), float(np.hypot(*command.field)))
+    field = field_along(inputs, cmath.phase(turned), float(np.hypot(*command.field)))
     message = f'{command.progress.message}; turned, for a particle is about to leave the view'
     progress = dataclasses.replace(command.progress, message=message)
     return dataclasses.replace(command, field=field, progress=progress)
 
 
-def _concerned(situation: Situation, command: FieldCommand) -> np.ndarray:
+def _concerned(inputs: ControllerInput, command: FieldCommand) -> np.ndarray:
     """Which particles (N,) are to be kept in view."""
-    known = situation.learned(KNOWN_WELL_ENOUGH) & (situation.speed > 0)
-    known &= np.isfinite(situation.speed) & np.isfinite(situation.expected).all(1)
+    known = inputs.learned(KNOWN_WELL_ENOUGH) & (inputs.speed > 0)
+    known &= np.isfinite(inputs.speed) & np.isfinite(inputs.expected).all(1)
     if command.particles is not None:
-        known &= np.isin(situation.ids, command.particles)
+        known &= np.isin(inputs.ids, command.particles)
     return known
 
 

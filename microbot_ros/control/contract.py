@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 import enum
 import math
+import warnings
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -24,8 +25,16 @@ INTERFACE_VERSION = 1
 """Raised when a controller written for the contract before would no longer work."""
 
 
+def __getattr__(name: str) -> Any:
+    """The former names of this module, for one release."""
+    if name != 'Situation':
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    warnings.warn('Situation is now called ControllerInput', DeprecationWarning, stacklevel=2)
+    return ControllerInput
+
+
 class Result(enum.Enum):
-    """How a tick or a swap ended, for messages and diagnostics."""
+    """How a tick or a switch ended, for messages and diagnostics."""
 
     OK = 'ok'
     BAD_GOAL = 'bad goal'
@@ -101,7 +110,9 @@ class Workspace:
     high: np.ndarray
 
     def holds(self, position: np.ndarray, margin: float = 0.0) -> np.ndarray:
-        """Whether positions (..., 2) lie inside, `margin` [m] off the edge; NaN does not."""
+        """Whether each `position` (..., 2) [m] lies inside, `margin` [m] off the edge; NaN does
+        not.
+        """
         inside = (self.low + margin <= position) & (position <= self.high - margin)
         return np.asarray(inside.all(-1))
 
@@ -129,7 +140,7 @@ PER_PARTICLE = (
 
 
 @dataclass(frozen=True)
-class Situation:
+class ControllerInput:
     """All that a controller may look at, at one tick.
 
     `t` [s] is now, `dt` since the tick before, `age` since the exposure of the poses. Particles:
@@ -172,7 +183,7 @@ class Situation:
         return int(rows[0])
 
     def learned(self, phi_std: float) -> np.ndarray:
-        """Of which particles (N,) φ is known to within a standard deviation [rad]."""
+        """Of which particles (N,) φ is known to within a standard deviation `phi_std` [rad]."""
         return np.isfinite(self.phi) & (self.phi_std <= phi_std)
 
 
@@ -203,7 +214,7 @@ class FieldCommand:
 
 
 def no_field(message: str, done: bool = False) -> FieldCommand:
-    """The command that lets go."""
+    """The command that lets go, with a `message`, and whether all is `done`, as its progress."""
     return FieldCommand(np.zeros(2), progress=Progress(message, done))
 
 
@@ -229,21 +240,21 @@ class Controller(ABC):
         self.parameters: Any = self.Parameters()
 
     def configure(self, parameters: Any) -> None:
-        """Take new `Parameters`, each already within its range; ValueError refuses them whole.
+        """Take `parameters`, each already within its range; ValueError refuses them whole.
 
         Heavy imports and reading files belong here: ticks have no time for them.
         """
         self.parameters = parameters
 
-    def activate(self, situation: Situation) -> None:  # noqa: B027
-        """Get ready to take over from the command in `situation.field`.
+    def activate(self, inputs: ControllerInput) -> None:  # noqa: B027
+        """Get ready to take over from the command in `inputs.field`.
 
-        Raise a ControllerError if something indispensable is missing: the swap is refused.
+        Raise a ControllerError if something indispensable is missing: the switch is refused.
         """
 
     @abstractmethod
-    def compute(self, situation: Situation) -> FieldCommand:
-        """The command of this tick, within `situation.limits`."""
+    def compute(self, inputs: ControllerInput) -> FieldCommand:
+        """The command of this tick, within `inputs.limits`."""
 
     def deactivate(self) -> None:  # noqa: B027
         """Another controller takes over; state that should survive until the next time may."""

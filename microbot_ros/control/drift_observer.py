@@ -10,8 +10,9 @@ class DriftObserver:
 
     State: position p [m], answer c = v e^{iφ} [m/s], drift w [m/s]; each but the first wanders
     slowly. As nothing prefers a direction, one Hermitian 3 × 3 covariance serves x and y; its
-    entries are variances per coordinate. The drift is what integral action is to a path follower,
-    in the frame in which it is constant: that of the workspace, not of the path.
+    entries are variances per coordinate, at first of `answer_std` and `drift_std`. The drift is
+    what integral action is to a path follower, in the frame in which it is constant: that of the
+    workspace, not of the path.
     """
 
     WANDER = np.array([0.3e-6**2, 0.05e-6**2, 0.1e-6**2])
@@ -35,7 +36,7 @@ class DriftObserver:
         self._covariance = P - np.outer(gain, P[0])
 
     def jump(self, dt: float, measured: complex, sigma: float) -> None:
-        """The same, where it is not known what the field did in between."""
+        """The same with `measured` and `sigma`, where it is not known what the field did."""
         self._state[0] = measured
         kept = self._covariance + np.diag(self.WANDER * dt)
         kept[0, :] = kept[:, 0] = 0

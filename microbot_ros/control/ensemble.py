@@ -15,10 +15,10 @@ from microbot_ros import units
 from microbot_ros.control.assignment import Assignment
 from microbot_ros.control.contract import (
     Controller,
+    ControllerInput,
     FieldCommand,
     ModelError,
     Progress,
-    Situation,
     no_field,
 )
 from microbot_ros.control.shared import (
@@ -90,43 +90,45 @@ class SharedField(Controller):
         """Forget what was asked for."""
         self._excitation = Excitation()
 
-    def activate(self, situation: Situation) -> None:
-        """ModelError for rollers: one of those can be stopped, which serves it better."""
+    def activate(self, inputs: ControllerInput) -> None:
+        """ModelError for `inputs` of rollers: one of those can be stopped, which serves it better.
+        """
         self._excitation.stop()
-        if situation.model is not None and situation.model.propulsion == 'rolling':
+        if inputs.model is not None and inputs.model.propulsion == 'rolling':
             raise ModelError('drives particles that propel themselves; the model is of rollers')
 
     @abstractmethod
-    def involved(self, situation: Situation) -> np.ndarray:
-        """Rows (K,) of the particles that something is asked of; none: the field is off."""
+    def involved(self, inputs: ControllerInput) -> np.ndarray:
+        """Rows (K,) in `inputs` of particles that something is asked of; none: the field is off.
+        """
 
     @abstractmethod
-    def aim(self, situation: Situation, rows: np.ndarray, velocity: np.ndarray) -> Aim:
-        """What to do with the particles in `rows`, whose `velocity` v e^{iφ} (K,) is known."""
+    def aim(self, inputs: ControllerInput, rows: np.ndarray, velocity: np.ndarray) -> Aim:
+        """What to do with `rows` of `inputs`, whose `velocity` v e^{iφ} (K,) is known."""
 
-    def compute(self, situation: Situation) -> FieldCommand:
-        """Along U, and round it once it is reached."""
+    def compute(self, inputs: ControllerInput) -> FieldCommand:
+        """For `inputs` along U, and round it once it is reached."""
         p: Any = self.parameters
-        rows = self.involved(situation)
+        rows = self.involved(inputs)
         if not len(rows):
             return no_field('waits for goals')
         strength = units.to_si('field_mT', p.field_mT)
-        known = situation.learned(p.learn_phi_std_rad)[rows] & (situation.speed[rows] > 0)
+        known = inputs.learned(p.learn_phi_std_rad)[rows] & (inputs.speed[rows] > 0)
         if not known.any():
             return self._excitation.command(
-                situation, p.learn_leg_s, strength, particles=situation.ids[rows])
+                inputs, p.learn_leg_s, strength, particles=inputs.ids[rows])
         rows = rows[known]
-        velocity = situation.speed[rows] * np.exp(1j * situation.phi[rows])
-        aim = self.aim(situation, rows, velocity)
+        velocity = inputs.speed[rows] * np.exp(1j * inputs.phi[rows])
+        aim = self.aim(inputs, rows, velocity)
         margin = units.to_si('margin_um', p.margin_um)
-        normal, room = borders(situation.workspace, situation.expected[rows], velocity, margin)
+        normal, room = borders(inputs.workspace, inputs.expected[rows], velocity, margin)
         shared = nearest_allowed(aim.displacement, normal, room)
         hold = units.to_si('hold_radius_um', p.hold_radius_um) / float(np.abs(velocity).max())
         message = (f'{len(rows)} particles {aim.distance * 1e6:.1f} µm from their goals, '
                    f'{aim.floor * 1e6:.1f} µm at best')
         progress = Progress(message, abs(shared) <= 2 * hold, aim.distance)
-        return FieldCommand(field_along(situation, approach(shared, hold), strength),
-                            progress=progress, particles=situation.ids[rows])
+        return FieldCommand(field_along(inputs, approach(shared, hold), strength),
+                            progress=progress, particles=inputs.ids[rows])
 
 
 class Ensemble(SharedField):
@@ -143,13 +145,13 @@ class Ensemble(SharedField):
         super().reset()
         self._assignment = Assignment()
 
-    def involved(self, situation: Situation) -> np.ndarray:
-        """The particles that have goals."""
-        self._assignment.update(situation)
-        return self._assignment.pairs(situation)[0]
+    def involved(self, inputs: ControllerInput) -> np.ndarray:
+        """The rows of `inputs` that have goals."""
+        self._assignment.update(inputs)
+        return self._assignment.pairs(inputs)[0]
 
-    def aim(self, situation: Situation, rows: np.ndarray, velocity: np.ndarray) -> Aim:
-        """Each to its goal."""
-        all_rows, goals = self._assignment.pairs(situation)
+    def aim(self, inputs: ControllerInput, rows: np.ndarray, velocity: np.ndarray) -> Aim:
+        """Each of `rows` of `inputs` to its goal, by its `velocity`."""
+        all_rows, goals = self._assignment.pairs(inputs)
         mine = goals[np.isin(all_rows, rows)]
-        return Aim.least_squares(velocity, as_complex(mine - situation.expected[rows]))
+        return Aim.least_squares(velocity, as_complex(mine - inputs.expected[rows]))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from microbot_ros import units
-from microbot_ros.control.contract import NO_IDS, Situation
+from microbot_ros.control.contract import NO_IDS, ControllerInput
 from microbot_ros.control.ensemble import Aim, SharedField, SharedFieldParameters
 from microbot_ros.control.shared import allowed_corners, as_complex, borders
 from microbot_ros.control.steering import goals_in_reach
@@ -51,42 +51,44 @@ class Formation(SharedField):
         self._turn = 1 + 0j
 
     def configure(self, parameters: Any) -> None:
-        """A new shape is settled at the next tick."""
+        """Take `parameters`; a new shape is settled at the next tick."""
         import scipy.optimize  # noqa: F401  its import takes longer than a tick
 
         super().configure(parameters)
 
-    def activate(self, situation: Situation) -> None:
-        """Begin with the particles as they are now."""
-        super().activate(situation)
+    def activate(self, inputs: ControllerInput) -> None:
+        """Begin with the particles as they are in `inputs`."""
+        super().activate(inputs)
         self._asked = ()
 
-    def involved(self, situation: Situation) -> np.ndarray:
-        """All particles; none for `carry` without a goal."""
-        if self.parameters.shape == 'carry' and not len(situation.goals):
+    def involved(self, inputs: ControllerInput) -> np.ndarray:
+        """All rows of `inputs`; none for `carry` without a goal."""
+        if self.parameters.shape == 'carry' and not len(inputs.goals):
             return NO_IDS
-        return np.arange(len(situation.ids))
+        return np.arange(len(inputs.ids))
 
-    def aim(self, situation: Situation, rows: np.ndarray, velocity: np.ndarray) -> Aim:
-        """What brings the particles into their places, or, to spread them, furthest apart."""
-        centre = goals_in_reach(situation)[:1]
+    def aim(self, inputs: ControllerInput, rows: np.ndarray, velocity: np.ndarray) -> Aim:
+        """What brings `rows` of `inputs`, by their `velocity`, into their places, or furthest
+        apart.
+        """
+        centre = goals_in_reach(inputs)[:1]
         if self.parameters.shape == 'spread':
-            return self._spread(situation, rows, velocity)
-        z = as_complex(situation.expected[rows])
+            return self._spread(inputs, rows, velocity)
+        z = as_complex(inputs.expected[rows])
         # Without a goal the centre is free, and only places relative to it count.
         z = z - (z.mean() if not len(centre) else as_complex(centre)[0])
         answer = velocity if len(centre) else velocity - velocity.mean()
-        self._settle(situation, rows, z, answer, centre)
-        place = self._place[np.searchsorted(self._ids, situation.ids[rows])]
+        self._settle(inputs, rows, z, answer, centre)
+        place = self._place[np.searchsorted(self._ids, inputs.ids[rows])]
         aim = Aim.least_squares(answer, self._turn * place - z)
         if self.parameters.shape != 'carry':
             self._turn = _rotation(place, z + answer * aim.displacement)
         return aim
 
-    def _settle(self, situation: Situation, rows: np.ndarray, z: np.ndarray, answer: np.ndarray,
+    def _settle(self, inputs: ControllerInput, rows: np.ndarray, z: np.ndarray, answer: np.ndarray,
                 centre: np.ndarray) -> None:
         """Who takes which place, when shape, centre or particles are new."""
-        ids = situation.ids[rows]
+        ids = inputs.ids[rows]
         asked = (self.parameters, centre.tobytes(), tuple(sorted(ids.tolist())))
         if asked == self._asked:
             return
@@ -98,11 +100,11 @@ class Formation(SharedField):
         by_id = np.argsort(ids)
         self._ids, self._place, self._asked = ids[by_id], places[order][by_id], asked
 
-    def _spread(self, situation: Situation, rows: np.ndarray, velocity: np.ndarray) -> Aim:
+    def _spread(self, inputs: ControllerInput, rows: np.ndarray, velocity: np.ndarray) -> Aim:
         """To a corner of what is allowed: a sum of squares that grows has its maximum there."""
         margin = units.to_si('margin_um', self.parameters.margin_um)
-        normal, room = borders(situation.workspace, situation.expected[rows], velocity, margin)
-        z = as_complex(situation.expected[rows])
+        normal, room = borders(inputs.workspace, inputs.expected[rows], velocity, margin)
+        z = as_complex(inputs.expected[rows])
         ends = allowed_corners(normal, np.maximum(room, 0.0))
         best = max(ends.tolist(), key=lambda U: float(np.var(z + velocity * U)))
         return Aim(best, velocity * best, velocity)

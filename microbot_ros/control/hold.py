@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from microbot_ros.control.contract import Controller, FieldCommand, Situation, no_field
+from microbot_ros.control.contract import Controller, ControllerInput, FieldCommand, no_field
 
 
 class Hold(Controller):
@@ -11,6 +11,6 @@ class Hold(Controller):
     interface_version = 1
     summary = 'No field.'
 
-    def compute(self, situation: Situation) -> FieldCommand:
-        """Zero, whatever the situation."""
+    def compute(self, inputs: ControllerInput) -> FieldCommand:
+        """Zero, whatever the `inputs`."""
         return no_field('the field is off')

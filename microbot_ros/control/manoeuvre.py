@@ -50,7 +50,7 @@ class _Opening:
 
 
 def search(swarm: Swarm, task: Task, part: int = 0, parts: int = 1) -> Plan:
-    """The cheapest of turning somehow, coasting for a while, and a leg together.
+    """The cheapest for a `task` of turning a `swarm` somehow, coasting, and a leg together.
 
     With `parts` only each `parts`-th way to begin is tried, from the one numbered `part` on.
     """

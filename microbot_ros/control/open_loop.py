@@ -11,11 +11,11 @@ import numpy as np
 from microbot_ros import units
 from microbot_ros.control.contract import (
     Controller,
+    ControllerInput,
     FieldCommand,
     Limits,
     NoSolutionError,
     Progress,
-    Situation,
     no_field,
 )
 from microbot_ros.records import Commands
@@ -51,22 +51,25 @@ class OpenLoop(Controller):
         self._begun: float | None = None
 
     def configure(self, parameters: Any) -> None:
-        """Read the list; InputError naming file and line where a file is not as it should be."""
+        """Read the list of `parameters`; InputError naming file and line where a file is not as it
+        should be.
+        """
         read = _from_file if parameters.file else _from_lists
         self._commands, self._length = read(parameters)
         super().configure(parameters)
 
-    def activate(self, situation: Situation) -> None:
-        """Start the list from its beginning; refuse one that the limits do not allow."""
-        _check(self._commands, situation.limits)
-        self._begun = situation.t
+    def activate(self, inputs: ControllerInput) -> None:
+        """Start the list from its beginning; refuse one that the limits of `inputs` do not allow.
+        """
+        _check(self._commands, inputs.limits)
+        self._begun = inputs.t
 
-    def compute(self, situation: Situation) -> FieldCommand:
-        """The row of the moment."""
-        _check(self._commands, situation.limits)
+    def compute(self, inputs: ControllerInput) -> FieldCommand:
+        """The row of the moment of `inputs`."""
+        _check(self._commands, inputs.limits)
         if self._begun is None:
-            self._begun = situation.t
-        elapsed = situation.t - self._begun
+            self._begun = inputs.t
+        elapsed = inputs.t - self._begun
         if self.parameters.repeat:
             elapsed %= self._length
         if elapsed >= self._length:

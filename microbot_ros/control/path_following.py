@@ -12,14 +12,14 @@ from microbot_ros import units
 from microbot_ros.control.contract import (
     NO_PLACES,
     Controller,
+    ControllerInput,
     FieldCommand,
     GoalError,
     ParticleLostError,
     Progress,
-    Situation,
     no_field,
 )
-from microbot_ros.control.pilot import Pilot
+from microbot_ros.control.drift_compensator import DriftCompensator
 from microbot_ros.control.route import Route
 from microbot_ros.control.steering import Excitation, approach
 from microbot_ros.settings import setting
@@ -45,8 +45,8 @@ class PathFollowing(Controller):
     """Line of sight with integral action: course = the path's direction − atan(e/Δ), crabbed.
 
     e is the cross-track error, to the left, Δ the lookahead. What it crabs against is learned on
-    the way (`pilot`). A closed path is followed round and round; at the end of an open one the
-    particle circles. A new path starts at its nearest point.
+    the way (`drift_compensator`). A closed path is followed round and round; at the end of an
+    open one the particle circles. A new path starts at its nearest point.
     """
 
     interface_version = 1
@@ -63,57 +63,57 @@ class PathFollowing(Controller):
         self._route: Route | None = None
         self._along: float | None = None
         self._particle = -1
-        self._pilot = Pilot()
+        self._compensator = DriftCompensator()
         self._excitation = Excitation()
 
-    def activate(self, situation: Situation) -> None:
-        """ParticleLostError where the particle asked for is not seen."""
+    def activate(self, inputs: ControllerInput) -> None:
+        """ParticleLostError where the particle asked for is not in `inputs`."""
         if self.parameters.particle >= 0:
-            situation.index(self.parameters.particle)
+            inputs.index(self.parameters.particle)
         self._excitation.stop()
         self._along = None
 
-    def compute(self, situation: Situation) -> FieldCommand:
-        """Along the path, or a triangle until the particle's answer to the field is known."""
-        self._take_path(situation)
+    def compute(self, inputs: ControllerInput) -> FieldCommand:
+        """Along the path of `inputs`, or a triangle until it is known how the particle answers."""
+        self._take_path(inputs)
         if self._route is None:
             return no_field('waits for a path')
-        p, pilot = self.parameters, self._pilot
-        row = self._choose(situation, self._route)
-        place, particles = pilot.look(situation, row), situation.ids[row:row + 1]
+        p, compensator = self.parameters, self._compensator
+        row = self._choose(inputs, self._route)
+        place, particles = compensator.look(inputs, row), inputs.ids[row:row + 1]
         strength = units.to_si('field_mT', p.field_mT)
-        if not pilot.ready:
+        if not compensator.ready:
             return self._excitation.command(
-                situation, p.learn_leg_s, strength, particles=particles)
+                inputs, p.learn_leg_s, strength, particles=particles)
         self._excitation.stop()
         course, progress = self._course(place, self._route)
-        field = pilot.steer(situation, course, strength)
+        field = compensator.steer(inputs, course, strength)
         return FieldCommand(field, progress=progress, particles=particles)
 
-    def _take_path(self, situation: Situation) -> None:
-        if np.array_equal(situation.path, self._path):
+    def _take_path(self, inputs: ControllerInput) -> None:
+        if np.array_equal(inputs.path, self._path):
             return
-        inside = situation.workspace.holds(situation.path)
+        inside = inputs.workspace.holds(inputs.path)
         if not inside.all():
-            x, y = situation.path[np.argmin(inside)] * 1e6
+            x, y = inputs.path[np.argmin(inside)] * 1e6
             raise GoalError(f'the path leaves the workspace at ({x:.0f}, {y:.0f}) µm')
         try:
-            self._route = Route(situation.path) if len(situation.path) else None
+            self._route = Route(inputs.path) if len(inputs.path) else None
         except ValueError as error:
             raise GoalError(str(error)) from None
-        self._path, self._along = situation.path, None
+        self._path, self._along = inputs.path, None
 
-    def _choose(self, situation: Situation, route: Route) -> int:
-        if not len(situation.ids):
+    def _choose(self, inputs: ControllerInput, route: Route) -> int:
+        if not len(inputs.ids):
             raise ParticleLostError('no particle is seen')
         particle = self.parameters.particle
         if particle < 0:
             particle = self._particle
-            if particle not in situation.ids:
+            if particle not in inputs.ids:
                 away = [abs(route.at(route.nearest(z, None, 0))[0] - z)
-                        for z in (complex(*p) for p in situation.position)]
-                particle = int(situation.ids[np.argmin(away)])
-        row = situation.index(particle)
+                        for z in (complex(*p) for p in inputs.position)]
+                particle = int(inputs.ids[np.argmin(away)])
+        row = inputs.index(particle)
         if particle != self._particle:
             self._particle, self._along = particle, None
         return row

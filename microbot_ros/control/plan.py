@@ -91,7 +91,7 @@ class Swarm:
 
 
 def with_lags(model: Model, lags: list[float | None]) -> tuple[Model, ...]:
-    """The model as particles with these alignment times [s] obey it; None: what the model says."""
+    """The model as particles of alignment times `lags` [s] obey it; None: what the model says."""
     common = max(_lag(model), QUICKEST)
     return tuple(model.with_effect(AlignmentLag(tau=lag or common)) for lag in lags)
 
@@ -112,7 +112,8 @@ class Rollout:
 
 
 def roll_out(swarm: Swarm, plan: Plan, limit: float) -> Rollout:
-    """Follow a plan, and every plan that differs from it in one component of one span.
+    """Follow a plan with a `swarm`, and every plan that differs from it in one component of one
+    span.
 
     The derivative is a difference over a thousandth of `limit` [T]; the turning being solved
     exactly, it has no noise. Speed factors and drift are taken at the places of the plan itself.

@@ -16,10 +16,10 @@ import numpy as np
 from microbot_ros import units
 from microbot_ros.control.contract import (
     NO_IDS,
+    ControllerInput,
     FieldCommand,
     ModelError,
     Progress,
-    Situation,
     Workspace,
 )
 from microbot_ros.control.ensemble import Ensemble, SharedFieldParameters
@@ -95,7 +95,7 @@ class Predictive(Ensemble):
         self._step_time = 1e-3
 
     def configure(self, parameters: Any) -> None:
-        """Load what solves and integrates: that takes longer than a tick."""
+        """Take `parameters` and load what solves and integrates: that takes longer than a tick."""
         import osqp  # noqa: F401
         from scipy import sparse  # noqa: F401
 
@@ -105,39 +105,39 @@ class Predictive(Ensemble):
         super().configure(parameters)
         _warm_up()
 
-    def activate(self, situation: Situation) -> None:
-        """ModelError without a model."""
-        super().activate(situation)
-        if situation.model is None:
+    def activate(self, inputs: ControllerInput) -> None:
+        """ModelError for `inputs` without a model."""
+        super().activate(inputs)
+        if inputs.model is None:
             raise ModelError(NO_MODEL)
         self._forget()
 
-    def compute(self, situation: Situation) -> FieldCommand:
-        """The first field of the plan."""
+    def compute(self, inputs: ControllerInput) -> FieldCommand:
+        """The first field of the plan for `inputs`."""
         begun = self._clock()
-        model, p = situation.model, self.parameters
+        model, p = inputs.model, self.parameters
         if model is None:
             raise ModelError(NO_MODEL)
-        if self._assignment.update(situation):
+        if self._assignment.update(inputs):
             self._plan = None
-        rows, goals = self._assignment.pairs(situation)
-        known = situation.learned(p.learn_phi_std_rad)[rows] & (situation.speed[rows] > 0)
+        rows, goals = self._assignment.pairs(inputs)
+        known = inputs.learned(p.learn_phi_std_rad)[rows] & (inputs.speed[rows] > 0)
         if not len(rows) or not known.all():
             self._forget()
-            return super().compute(situation)
+            return super().compute(inputs)
         lags = p.alignment_times_s
         # v and φ are those of now, so what changes with time does so from now on. The phase of a
         # drift that comes and goes was counted from the beginning of some recording.
         models = with_lags(model.without('periodic_drift'), [
-            lags[k] if 0 <= k < len(lags) else 0.0 for k in situation.ids[rows].tolist()])
-        swarm = self._follow(situation, rows, Swarm(
-            as_complex(situation.expected[rows]),
-            situation.speed[rows] * np.exp(1j * situation.phi[rows]),
-            self._heading, models, situation.delay))
-        task = self._task(situation, goals)
-        self._plan = plan = self._choose(situation, swarm, task)
+            lags[k] if 0 <= k < len(lags) else 0.0 for k in inputs.ids[rows].tolist()])
+        swarm = self._follow(inputs, rows, Swarm(
+            as_complex(inputs.expected[rows]),
+            inputs.speed[rows] * np.exp(1j * inputs.phi[rows]),
+            self._heading, models, inputs.delay))
+        task = self._task(inputs, goals)
+        self._plan = plan = self._choose(inputs, swarm, task)
         if plan is None:
-            return super().compute(situation)
+            return super().compute(inputs)
         return self._carry_out(swarm, task, plan, begun)
 
     def _carry_out(self, swarm: Swarm, task: Task, plan: Plan, begun: float) -> FieldCommand:
@@ -167,9 +167,9 @@ class Predictive(Ensemble):
             plan = better
         return plan, rollout
 
-    def _choose(self, situation: Situation, swarm: Swarm, task: Task) -> Plan | None:
+    def _choose(self, inputs: ControllerInput, swarm: Swarm, task: Task) -> Plan | None:
         """What is left of the plan, or one that is clearly better; None: rest."""
-        plan = None if self._plan is None else self._plan.after(situation.dt)
+        plan = None if self._plan is None else self._plan.after(inputs.dt)
         if plan is not None and not len(plan.duration):
             plan = None
         self._ticks += 1
@@ -185,44 +185,44 @@ class Predictive(Ensemble):
             waiting = cost(swarm, plan, task, roll_out(swarm, plan, task.limit))
         return other if price < WORTH * waiting else plan
 
-    def _task(self, situation: Situation, goals: np.ndarray) -> Task:
+    def _task(self, inputs: ControllerInput, goals: np.ndarray) -> Task:
         p = self.parameters
         margin = units.to_si('margin_um', p.margin_um)
         x, y, radius = units.to_si('obstacles_um', np.array(p.obstacles_um)).reshape(-1, 3).T
         solid = radius > 0
-        view = situation.workspace
+        view = inputs.workspace
         return Task(
-            as_complex(goals), min(units.to_si('field_mT', p.field_mT), situation.limits.field),
+            as_complex(goals), min(units.to_si('field_mT', p.field_mT), inputs.limits.field),
             Workspace(view.low + margin, view.high - margin),
             (x + 1j * y)[solid], radius[solid] + margin,
             units.to_si('impatience_um_s', p.impatience_um_s), p.wander_per_s)
 
-    def _follow(self, situation: Situation, rows: np.ndarray, swarm: Swarm) -> Swarm:
+    def _follow(self, inputs: ControllerInput, rows: np.ndarray, swarm: Swarm) -> Swarm:
         """The swarm with its headings when this command begins to act.
 
         They follow the model under the last command, drawn towards the measured ones, which are
         older by exposure and delay.
         """
-        ids = situation.ids[rows]
-        measured = np.exp(1j * (situation.theta[rows] - situation.phi[rows]))
+        ids = inputs.ids[rows]
+        measured = np.exp(1j * (inputs.theta[rows] - inputs.phi[rows]))
         seen = np.isfinite(measured)
         if not np.array_equal(ids, self._ids):
-            field = complex(*situation.field.tolist())
+            field = complex(*inputs.field.tolist())
             along = field / abs(field) if field else 1 + 0j
             self._ids, self._heading = ids, np.where(seen, measured, along)
             self._history.clear()
-        elif situation.dt > 0:
+        elif inputs.dt > 0:
             last = dataclasses.replace(swarm, heading=self._heading)
-            _, edges = last.paths(np.array([situation.dt]), situation.field[None, None])
+            _, edges = last.paths(np.array([inputs.dt]), inputs.field[None, None])
             self._heading = edges[-1, :, 0]
-        exposed = situation.t - situation.age
+        exposed = inputs.t - inputs.age
         then = next((h for t, h in reversed(self._history) if t <= exposed), None)
         if then is not None:
             off = np.where(seen, np.angle(np.where(seen, measured, 1) / then), 0.0)
             self._heading = self._heading * np.exp(1j * TRUST * off)
             self._history = deque(
                 ((t, h * np.exp(1j * TRUST * off)) for t, h in self._history), maxlen=64)
-        self._history.append((situation.t + situation.delay, self._heading))
+        self._history.append((inputs.t + inputs.delay, self._heading))
         return dataclasses.replace(swarm, heading=self._heading)
 
 

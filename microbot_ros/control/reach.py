@@ -43,7 +43,9 @@ class Reach:
 
 
 def reach(velocity: np.ndarray, position: np.ndarray, goal: np.ndarray) -> Reach:
-    """For particles of `velocity` v e^{iφ} (N,) [m/s] at `position` (N,) [m], complex."""
+    """For particles of `velocity` v e^{iφ} (N,) [m/s] at `position` (N,) and `goal` (N,) [m],
+    complex.
+    """
     wanted = goal - position
     U = best_displacement(velocity, wanted)
     norm = float(np.sqrt(np.vdot(velocity, velocity).real)) or 1.0
@@ -57,6 +59,7 @@ def opened(swarm: Swarm, limit: float, seconds: float, rng: np.random.Generator,
            samples: int = 400) -> dict[str, np.ndarray]:
     """How far random commands of `seconds` move particles beyond their shared displacement.
 
+    Of `samples` drawn from `rng`, up to `limit` [T], given to a `swarm`.
     For each of HANDLES the singular values (2N − 2,) [m], largest first: RMS displacement along
     the directions that the first-order model says are closed. All zero where it says the truth.
     """
@@ -93,7 +96,9 @@ def _closed_directions(velocity: np.ndarray) -> np.ndarray:
 
 
 def planned_floor(swarm: Swarm, goal: np.ndarray, limit: float, workspace: Workspace) -> float:
-    """RMS distance [m] from the goals that one planned manoeuvre of the model leaves.
+    """RMS distance [m] from each `goal` (N, 2) [m] that one planned manoeuvre leaves.
+
+    Of a `swarm` in a `workspace`, with fields up to `limit` [T].
 
     Turn, coast, go on together, refined; without noise. What `predictive` starts from.
     """

@@ -16,7 +16,11 @@ _COLOURS = ('#0072B2', '#D55E00', '#009E73', '#CC79A7', '#E69F00', '#56B4E9')
 
 def draw(path: Path, swarm: Swarm, goal: np.ndarray, found: Reach,
          beyond: dict[str, np.ndarray], planned: float, seconds: float) -> None:
-    """Draw what is reachable together, and what lag, strength and switching off open."""
+    """Draw to `path` what a `swarm` can reach together, as `found`, for its `goal` (N, 2) [m].
+
+    Also what lag, strength and switching off open in `seconds` (`beyond`, of `opened`), and what
+    the planned manoeuvre leaves (`planned` [m]).
+    """
     figure = Figure(figsize=(10, 4.6), layout='constrained')
     left, right = figure.subplots(1, 2, width_ratios=(1.2, 1))
     _ways(left, swarm, goal, found)

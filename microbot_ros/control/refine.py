@@ -21,7 +21,9 @@ _USABLE = (1, 2)
 
 
 def cost(swarm: Swarm, plan: Plan, task: Task, rollout: Rollout) -> float:
-    """What a plan costs [µm²]: mean square error at its end, time, wandering, trespass."""
+    """What a plan of a `swarm`, with its `rollout`, costs for a `task` [µm²]: mean square error at
+    its end, time, wandering, trespass.
+    """
     error = np.mean(np.abs(rollout.position[-1] - task.goal) ** 2)
     waiting = (task.impatience * plan.length) ** 2
     coasting = plan.duration[np.hypot(*plan.field.T) < 0.05 * task.limit].sum()
@@ -33,7 +35,7 @@ def cost(swarm: Swarm, plan: Plan, task: Task, rollout: Rollout) -> float:
 
 def improve(swarm: Swarm, plan: Plan, task: Task, rollout: Rollout,
             seconds: float) -> tuple[Plan, Rollout]:
-    """The plan after one step, if that is better, else the plan as it is.
+    """The plan of a `swarm` for a `task` one step on from its `rollout`, or as it is if better.
 
     The solver is given at most `seconds`; unfinished work of it is not used.
     """

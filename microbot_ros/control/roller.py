@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from microbot_ros import units
-from microbot_ros.control.contract import FieldCommand, ModelError, Situation, no_field
-from microbot_ros.control.journey import Journey, JourneyParameters
+from microbot_ros.control.contract import ControllerInput, FieldCommand, ModelError, no_field
+from microbot_ros.control.goal_controller_base import GoalControllerBase, GoalControllerParameters
 from microbot_ros.control.steering import field_along
 from microbot_ros.settings import setting
 
 
 @dataclass(frozen=True)
-class RollerParameters(JourneyParameters):
+class RollerParameters(GoalControllerParameters):
     """Whom to drive, how fast, and how closely."""
 
     arrival_um: float = setting(
@@ -27,7 +27,7 @@ class RollerParameters(JourneyParameters):
         0.5, 'Time constant with which a goal is approached.', lower=0.02, upper=60.0)
 
 
-class Roller(Journey):
+class Roller(GoalControllerBase):
     """One roller through the goals in order, and at rest at the last.
 
     dp/dt = g f R(φ) u + w with the gain g [m/s/Hz] and a drift w: the frequency f follows the
@@ -40,28 +40,28 @@ class Roller(Journey):
     rolling = True
 
     def configure(self, parameters: Any) -> None:
-        """ValueError where the slowest frequency lies above the fastest."""
+        """ValueError for `parameters` whose slowest frequency lies above the fastest."""
         if not parameters.slowest_hz <= parameters.fastest_hz:
             raise ValueError(f'slowest_hz must be at most fastest_hz; received '
                              f'{parameters.slowest_hz:g} and {parameters.fastest_hz:g}')
         super().configure(parameters)
 
-    def activate(self, situation: Situation) -> None:
-        """ModelError unless there is a model of particles that roll."""
-        super().activate(situation)
-        if situation.model is None or situation.model.propulsion != 'rolling':
+    def activate(self, inputs: ControllerInput) -> None:
+        """ModelError for `inputs` without a model of particles that roll."""
+        super().activate(inputs)
+        if inputs.model is None or inputs.model.propulsion != 'rolling':
             raise ModelError('drives rollers: set model_file to one that says propulsion: rolling')
 
-    def fastest(self, situation: Situation) -> float:
-        """The highest frequency [Hz] it uses."""
-        return min(self.parameters.fastest_hz, situation.limits.frequency)
+    def fastest(self, inputs: ControllerInput) -> float:
+        """The highest frequency [Hz] it uses for `inputs`."""
+        return min(self.parameters.fastest_hz, inputs.limits.frequency)
 
-    def drive(self, situation: Situation, offset: complex, strength: float) -> FieldCommand:
-        """The slower the nearer, and at the goal not at all."""
-        p, pilot = self.parameters, self._pilot
+    def drive(self, inputs: ControllerInput, offset: complex, strength: float) -> FieldCommand:
+        """For `inputs` the slower the nearer: `offset` [m], with a field of `strength` [T]."""
+        p, compensator = self.parameters, self._compensator
         if abs(offset) <= units.to_si('arrival_um', p.arrival_um):
             return no_field('')
-        wanted = (offset / p.braking_s - pilot.drift) / pilot.answer
-        fastest = self.fastest(situation)
+        wanted = (offset / p.braking_s - compensator.drift) / compensator.answer
+        fastest = self.fastest(inputs)
         frequency = min(max(abs(wanted), p.slowest_hz), fastest)
-        return FieldCommand(field_along(situation, cmath.phase(wanted), strength), frequency)
+        return FieldCommand(field_along(inputs, cmath.phase(wanted), strength), frequency)

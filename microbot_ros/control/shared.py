@@ -13,7 +13,7 @@ from microbot_ros.control.contract import Workspace
 
 
 def as_complex(position: np.ndarray) -> np.ndarray:
-    """Vectors (..., 2) as complex numbers (...)."""
+    """A `position` (..., 2), or other vectors, as complex numbers (...)."""
     return position[..., 0] + 1j * position[..., 1]
 
 
@@ -27,7 +27,10 @@ def best_displacement(velocity: np.ndarray, wanted: np.ndarray) -> complex:
 
 
 def floor(velocity: np.ndarray, wanted: np.ndarray) -> float:
-    """RMS distance [m] from the goals that no controller can beat under the first-order model."""
+    """RMS distance [m] from the goals that no controller can beat under the first-order model.
+
+    `velocity` (N,) [m/s] and `wanted` (N,) [m] as for `best_displacement`.
+    """
     left = wanted - velocity * best_displacement(velocity, wanted)
     return float(np.sqrt(np.mean(np.abs(left) ** 2))) if len(left) else 0.0
 
@@ -36,9 +39,9 @@ def borders(workspace: Workspace, position: np.ndarray, velocity: np.ndarray,
             margin: float) -> tuple[np.ndarray, np.ndarray]:
     """What keeps all particles in view: Re(n̄ U) ≤ h for every n (4N,) [m/s] and h (4N,) [m].
 
-    `position` (N, 2) [m]. h is negative for one that is nearer to a border than `margin` [m]: it
-    is to come back. As the workspace is convex, no particle leaves it on the straight way to a
-    displacement that is allowed.
+    `position` (N, 2) [m], `velocity` c (N,) [m/s]. h is negative for one that is nearer to a
+    border than `margin` [m]: it is to come back. As the workspace is convex, no particle leaves it
+    on the straight way to a displacement that is allowed.
     """
     room = np.concatenate([workspace.high - margin - position, position - workspace.low - margin])
     normal = np.concatenate([velocity.conj(), 1j * velocity.conj(),
@@ -49,7 +52,7 @@ def borders(workspace: Workspace, position: np.ndarray, velocity: np.ndarray,
 
 
 def nearest_allowed(wanted: complex, normal: np.ndarray, room: np.ndarray) -> complex:
-    """The displacement nearest to the wanted one with Re(n̄ U) ≤ h for all n (K,), h (K,).
+    """The U [s] nearest to `wanted` with Re(n̄ U) ≤ h, n of `normal` (K,), h of `room` (K,).
 
     If there is none, particles beyond a border may stay as far out as they are. As the squared
     error of `best_displacement` grows by Σ|cᵢ|² |U − U*|², the nearest is the best.
@@ -72,7 +75,8 @@ def _feet(wanted: complex, normal: np.ndarray, room: np.ndarray) -> np.ndarray:
 
 
 def allowed_corners(normal: np.ndarray, room: np.ndarray) -> np.ndarray:
-    """The corners of what is allowed, where two borders meet, and U = 0 if it is."""
+    """The corners of what `normal` and `room` allow, where two borders meet, and U = 0 if it is.
+    """
     a, b = np.triu_indices(len(normal), 1)
     cross = (normal[a].conj() * normal[b]).imag
     some = np.abs(cross) > 1e-9 * np.abs(normal[a]) * np.abs(normal[b])

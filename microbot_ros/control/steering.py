@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from microbot_ros.control.contract import FieldCommand, GoalError, Progress, Situation
+from microbot_ros.control.contract import ControllerInput, FieldCommand, GoalError, Progress
 
 
 def approach(offset: complex, hold_radius: float) -> float:
@@ -25,30 +25,30 @@ def approach(offset: complex, hold_radius: float) -> float:
     return cmath.phase(offset) - away
 
 
-def field_along(situation: Situation, angle: float, strength: float) -> np.ndarray:
-    """The command (2,) [T] whose field at the particles points along `angle` [rad].
+def field_along(inputs: ControllerInput, angle: float, strength: float) -> np.ndarray:
+    """The command (2,) [T] whose field at the particles of `inputs` points along `angle` [rad].
 
     As strong as `strength` [T] where the limit leaves room for what the model knows of the
     chain from command to field (stray field, unequal or leaning coils), which is made up for.
     """
-    limit = situation.limits.field
+    limit = inputs.limits.field
     strength = min(strength, limit)
     wanted = np.array([strength * math.cos(angle), strength * math.sin(angle)])
-    if situation.model is None or not situation.model.effects:
+    if inputs.model is None or not inputs.model.effects:
         return wanted
     command = wanted.copy()
     for _ in range(6):
-        command += wanted - situation.model.field(command)
+        command += wanted - inputs.model.field(command)
         excess = math.hypot(*command) / limit
         if excess > 1:
             wanted, command = wanted / excess, command / excess
     return command
 
 
-def goals_in_reach(situation: Situation) -> np.ndarray:
-    """The positions (G, 2) [m] of the goals; GoalError for one that no camera could see."""
-    position = situation.goals.position
-    lost = np.flatnonzero(~situation.workspace.holds(position))
+def goals_in_reach(inputs: ControllerInput) -> np.ndarray:
+    """The goals (G, 2) [m] of `inputs`; GoalError for one that no camera could see."""
+    position = inputs.goals.position
+    lost = np.flatnonzero(~inputs.workspace.holds(position))
     if lost.size:
         x, y = position[lost[0]] * 1e6
         raise GoalError(f'goal {lost[0] + 1} at ({x:.0f}, {y:.0f}) µm is outside the workspace')
@@ -68,11 +68,14 @@ class Excitation:
         """The next one begins anew."""
         self._begun = None
 
-    def command(self, situation: Situation, leg: float, strength: float, *,
+    def command(self, inputs: ControllerInput, leg: float, strength: float, *,
                 particles: np.ndarray | None, frequency: float = 0.0) -> FieldCommand:
-        """A field of `strength` [T] for particles of these ids; each side takes `leg` [s]."""
+        """For `inputs` a field of `strength` [T] and `frequency` [Hz]; each side takes `leg` [s].
+
+        `particles` (K,) are the ids of those it is for; None: all.
+        """
         if self._begun is None:
-            self._begun = situation.t
-        angle = 2 * math.pi / 3 * ((situation.t - self._begun) // leg)
-        return FieldCommand(field_along(situation, angle, strength), frequency,
+            self._begun = inputs.t
+        angle = 2 * math.pi / 3 * ((inputs.t - self._begun) // leg)
+        return FieldCommand(field_along(inputs, angle, strength), frequency,
                             Progress('learns how particles answer to the field'), particles)

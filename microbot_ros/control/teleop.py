@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from microbot_ros import units
 from microbot_ros.control.contract import (
     Controller,
+    ControllerInput,
     FieldCommand,
     NotLearnedError,
     Progress,
-    Situation,
     no_field,
 )
 from microbot_ros.control.steering import field_along
@@ -39,28 +39,28 @@ class Teleop(Controller):
     summary = 'By joystick.'
     Parameters = TeleopParameters
 
-    def activate(self, situation: Situation) -> None:
-        """ParticleLostError where the particle asked for is not seen."""
+    def activate(self, inputs: ControllerInput) -> None:
+        """ParticleLostError where the particle asked for is not in `inputs`."""
         if self.parameters.particle >= 0:
-            situation.index(self.parameters.particle)
+            inputs.index(self.parameters.particle)
 
-    def compute(self, situation: Situation) -> FieldCommand:
-        """The field that the stick asks for."""
+    def compute(self, inputs: ControllerInput) -> FieldCommand:
+        """The field that the stick of `inputs` asks for."""
         p = self.parameters
-        deflection = min(math.hypot(*situation.joystick), 1.0)
+        deflection = min(math.hypot(*inputs.joystick), 1.0)
         if not deflection > p.dead_zone:
             return no_field('the stick is at rest')
-        angle = math.atan2(situation.joystick[1], situation.joystick[0])
+        angle = math.atan2(inputs.joystick[1], inputs.joystick[0])
         particles = None
         if p.particle >= 0:
-            row = situation.index(p.particle)
-            if not math.isfinite(situation.phi[row]):
+            row = inputs.index(p.particle)
+            if not math.isfinite(inputs.phi[row]):
                 raise NotLearnedError(f'how particle {p.particle} answers is not known yet')
-            angle -= float(situation.phi[row])
-            particles = situation.ids[row:row + 1]
+            angle -= float(inputs.phi[row])
+            particles = inputs.ids[row:row + 1]
         strength = units.to_si('field_mT', p.field_mT)
         pace = (deflection - p.dead_zone) / (1 - p.dead_zone)
-        frequency = min(p.frequency_hz * pace, situation.limits.frequency)
+        frequency = min(p.frequency_hz * pace, inputs.limits.frequency)
         progress = Progress(f'steered to {math.degrees(angle):.0f}°')
-        return FieldCommand(field_along(situation, angle, strength), frequency, progress,
+        return FieldCommand(field_along(inputs, angle, strength), frequency, progress,
                             particles)

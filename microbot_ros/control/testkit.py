@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from collections.abc import Iterator
 from typing import Any
 
@@ -19,19 +20,31 @@ from microbot_ros.control.contract import (
     INTERFACE_VERSION,
     Controller,
     ControllerError,
+    ControllerInput,
     Goals,
     Limits,
-    Situation,
     Workspace,
 )
 
 VIEW = Workspace(np.array([-144e-6, -108e-6]), np.array([144e-6, 108e-6]))
 
 
-def situation(count: int = 3, t: float = 0.0, seed: int = 0, **changes: Any) -> Situation:
-    """A plausible situation with `count` particles of which all is known; change what you like.
+def __getattr__(name: str) -> Any:
+    """The former names of this module, for one release."""
+    renamed = {'situation': controller_input, 'odd_situations': odd_inputs}
+    if name not in renamed:
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    warnings.warn(f'{name} is now called {renamed[name].__name__}', DeprecationWarning,
+                  stacklevel=2)
+    return renamed[name]
 
-    `expected` is the measured position, as for a rig without delay.
+
+def controller_input(
+    count: int = 3, t: float = 0.0, seed: int = 0, **changes: Any) -> ControllerInput:
+    """A plausible input with `count` particles of which all is known; change what you like.
+
+    `expected` is the measured position, as for a rig without delay; `t` [s] is now, `seed` chooses
+    the particles.
     """
     rng = np.random.default_rng(seed)
     position = rng.uniform(-60e-6, 60e-6, (count, 2))
@@ -42,14 +55,14 @@ def situation(count: int = 3, t: float = 0.0, seed: int = 0, **changes: Any) -> 
         'speed_std': np.full(count, 1e-7), 'phi_std': np.full(count, 0.02),
         'limits': Limits(), 'workspace': VIEW, 'delay': 0.03, 'expected': position,
     }
-    return Situation(**values | changes)
+    return ControllerInput(**values | changes)
 
 
 def exercise(kind: type[Controller]) -> None:
-    """AssertionError, saying what is wrong, unless a controller keeps the contract.
+    """AssertionError, saying what is wrong, unless controllers of a `kind` keep the contract.
 
     It must state version, summary and described parameters; configure its defaults; and answer
-    each of a series of situations, common and odd, with a finite command within the limits or
+    each of a series of inputs, common and odd, with a finite command within the limits or
     with a ControllerError, without changing what it was shown; also after `reset` and when it
     is activated again.
     """
@@ -60,35 +73,36 @@ def exercise(kind: type[Controller]) -> None:
     controller = kind()
     controller.configure(kind.Parameters())
     for prepare in (controller.deactivate, controller.reset, controller.deactivate):
-        for shown in odd_situations():
+        for shown in odd_inputs():
             _answer(controller, shown)
         prepare()
 
 
-def odd_situations() -> Iterator[Situation]:
-    """Situations that happen on a rig, the dull and the awkward."""
+def odd_inputs() -> Iterator[ControllerInput]:
+    """Inputs that happen on a rig, the dull and the awkward."""
     goals = Goals(np.array([[20e-6, 10e-6], [-30e-6, 0], [0, 40e-6]]))
     path = np.column_stack((np.linspace(-50e-6, 50e-6, 21), np.zeros(21)))
-    nobody = situation(0)
+    nobody = controller_input(0)
     unknown: dict[str, Any] = {'speed': np.full(3, np.nan), 'phi': np.full(3, np.nan),
                'speed_std': np.full(3, np.inf), 'phi_std': np.full(3, np.inf)}
-    yield situation()
+    yield controller_input()
     for t in (0.02, 0.04, 5.0):
-        yield situation(t=t, goals=goals, path=path)
-    yield situation(t=6, goals=goals, path=path, **unknown)
+        yield controller_input(t=t, goals=goals, path=path)
+    yield controller_input(t=6, goals=goals, path=path, **unknown)
     yield dataclasses.replace(nobody, t=7, goals=goals, path=path)
-    yield situation(1, t=8, goals=goals, path=path)
-    yield situation(10, t=9, goals=goals, path=path)
-    yield situation(t=10, goals=Goals(np.array([[1.0, 0.0]])), path=np.array([[1.0, 0.0]]))
-    yield situation(t=11, goals=Goals(np.full((2, 2), np.nan)), path=np.full((3, 2), np.nan))
-    yield situation(t=12, goals=Goals(goals.position, np.array([7, 8, 9])), path=path[:1])
-    here = situation(t=13)
+    yield controller_input(1, t=8, goals=goals, path=path)
+    yield controller_input(10, t=9, goals=goals, path=path)
+    yield controller_input(t=10, goals=Goals(np.array([[1.0, 0.0]])), path=np.array([[1.0, 0.0]]))
+    nowhere = np.full((3, 2), np.nan)
+    yield controller_input(t=11, goals=Goals(nowhere[:2]), path=nowhere)
+    yield controller_input(t=12, goals=Goals(goals.position, np.array([7, 8, 9])), path=path[:1])
+    here = controller_input(t=13)
     yield dataclasses.replace(here, goals=Goals(here.position), path=here.position)
-    yield situation(t=14, goals=goals, path=path, limits=Limits(field=1e-4, frequency=1.0))
-    yield situation(t=15, dt=0.0, joystick=np.array([1.0, 0.0]), goals=goals)
+    yield controller_input(t=14, goals=goals, path=path, limits=Limits(field=1e-4, frequency=1.0))
+    yield controller_input(t=15, dt=0.0, joystick=np.array([1.0, 0.0]), goals=goals)
 
 
-def _answer(controller: Controller, shown: Situation) -> None:
+def _answer(controller: Controller, shown: ControllerInput) -> None:
     before = {name: value.tobytes() for name, value in vars(shown).items()
               if isinstance(value, np.ndarray)}
     command, reason = None, ''
@@ -104,4 +118,4 @@ def _answer(controller: Controller, shown: Situation) -> None:
         assert np.hypot(*field) <= shown.limits.field * (1 + 1e-9), f'{field} T is too much'
         assert 0 <= command.frequency <= shown.limits.frequency, f'{command.frequency} Hz'
     for name, content in before.items():
-        assert getattr(shown, name).tobytes() == content, f'changed {name} of the situation'
+        assert getattr(shown, name).tobytes() == content, f'changed {name} of the input'

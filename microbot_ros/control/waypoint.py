@@ -5,21 +5,21 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from microbot_ros import units
-from microbot_ros.control.contract import FieldCommand, Situation
-from microbot_ros.control.journey import Journey, JourneyParameters
+from microbot_ros.control.contract import ControllerInput, FieldCommand
+from microbot_ros.control.goal_controller_base import GoalControllerBase, GoalControllerParameters
 from microbot_ros.control.steering import approach
 from microbot_ros.settings import setting
 
 
 @dataclass(frozen=True)
-class WaypointParameters(JourneyParameters):
+class WaypointParameters(GoalControllerParameters):
     """Whom to drive, and how closely."""
 
     hold_radius_um: float = setting(
         1.0, 'Radius of the circle around the last goal.', lower=0.1, upper=100.0)
 
 
-class Waypoint(Journey):
+class Waypoint(GoalControllerBase):
     """Straight to each goal, crabbed against the drift; round the last it circles, because it
     can't stop.
     """
@@ -28,7 +28,7 @@ class Waypoint(Journey):
     summary = 'One particle to a goal or through a list.'
     Parameters = WaypointParameters
 
-    def drive(self, situation: Situation, offset: complex, strength: float) -> FieldCommand:
-        """Along the tangent to the circle round the goal."""
+    def drive(self, inputs: ControllerInput, offset: complex, strength: float) -> FieldCommand:
+        """For `inputs` along a tangent to the goal, `offset` [m] away, with `strength` [T]."""
         course = approach(offset, units.to_si('hold_radius_um', self.parameters.hold_radius_um))
-        return FieldCommand(self._pilot.steer(situation, course, strength))
+        return FieldCommand(self._compensator.steer(inputs, course, strength))

@@ -37,14 +37,14 @@ def remarks_on(e: Evidence, jumps: int) -> Iterator[str]:
     if jumps:
         yield (f'{e.name}: {jumps} step{" is" if jumps == 1 else "s are"} longer than any '
                'motion; tracks were cut there. Did the stage move, were particles confused?')
-    yield from _swaps(e)
+    yield from _switches(e)
     if len(np.unique(e.ids)) == 1:
         yield (f'{e.name}: one particle. What acts between particles can’t be seen, and what acts '
                'on all can’t be told from what acts on one; record three or more.')
     yield from _idle(e)
 
 
-def _swaps(e: Evidence) -> Iterator[str]:
+def _switches(e: Evidence) -> Iterator[str]:
     """Pairs of which each jumps to where the other was."""
     z = np.where(e.seen, e.z, np.nan)
     steps = np.abs(np.diff(z, axis=0))

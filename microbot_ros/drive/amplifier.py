@@ -116,7 +116,8 @@ class Amplifier(ABC):
             raise
 
     def write(self, currents_A: Sequence[float] | np.ndarray, tag: Any = None) -> Command:
-        """Send currents [A], shape (4,), in place of any that a slow line has yet to take.
+        """Send `currents_A` (4,) [A], with a `tag`, in place of any that a slow line has yet to
+        take.
 
         Zero goes out at once, ahead of all else. Raises ValueError, with nothing sent, for any
         that is not within the full scale (NaN is not), and AmplifierError where the line is lost.
@@ -205,7 +206,7 @@ class Amplifier(ABC):
 
 
 def amplifier_class(protocol: str) -> type[Amplifier]:
-    """The driver registered under that name in the entry-point group `microbot_ros.amplifiers`.
+    """The driver registered for `protocol` in the entry-point group `microbot_ros.amplifiers`.
 
     Raises InputError for a name that is not registered or whose driver does not load: there is
     no falling back to another.

@@ -18,7 +18,7 @@ from microbot_ros.drive.amplifier import Amplifier, Command, Reading, Watchdog
 from microbot_ros.drive.errors import AmplifierError
 from microbot_ros.drive.gate import ZERO, Currents, Gate, Limits, Reason
 from microbot_ros.drive.last_resort import LastResort
-from microbot_ros.drive.real_time import hurry
+from microbot_ros.drive.real_time import set_realtime_priority
 from microbot_ros.drive.self_check import SelfCheck
 from microbot_ros.errors import InputError
 
@@ -163,7 +163,7 @@ class CoilDriver:
         done.wait(_DISARMING_S)
 
     def command(self, currents_A: Sequence[float] | np.ndarray, tag: Any = None) -> bool:
-        """Leave currents [A], shape (4,), for the gate, in place of any that wait there.
+        """Leave `currents_A` (4,) [A] for the gate, in place of any that wait there.
 
         Whether they may flow, as far as can be said now; `on_sent` tells what went out.
         """
@@ -180,7 +180,7 @@ class CoilDriver:
     # In the driver's thread -----------------------------------------------------------------
 
     def _run(self) -> None:
-        self.real_time = hurry()
+        self.real_time = set_realtime_priority()
         try:
             while not self._ending.is_set():
                 try:

@@ -8,35 +8,35 @@ class AmplifierError(Exception):
 
 
 class PortMissingError(AmplifierError):
-    """There is no such port, or it cannot be opened."""
+    """There is no such port `url`, or it cannot be opened, for a `reason`."""
 
     def __init__(self, url: str, reason: str) -> None:
         super().__init__(f'{url}: expected a serial port to open ({reason})')
 
 
 class PortBusyError(AmplifierError):
-    """Another program, perhaps a second driver, holds the port."""
+    """Another program, perhaps a second driver, holds the port `url`."""
 
     def __init__(self, url: str) -> None:
         super().__init__(f'{url}: the port is in use by another program')
 
 
 class PortLostError(AmplifierError):
-    """The port stopped working: unplugged, switched off, or taking no more bytes."""
+    """The port `url` stopped working: unplugged, switched off, taking no bytes; see `reason`."""
 
     def __init__(self, url: str, reason: str) -> None:
         super().__init__(f'{url}: the port was lost ({reason})')
 
 
 class NoAnswerError(AmplifierError):
-    """The port works and nothing, or nothing in time, came back."""
+    """The port `url` works and nothing, or nothing in time, came back of what was `expected`."""
 
     def __init__(self, url: str, expected: str) -> None:
         super().__init__(f'{url}: no answer; expected {expected}')
 
 
 class WrongDeviceError(AmplifierError):
-    """Something answers that is not the amplifier that was asked for."""
+    """What answers at `url` is not the amplifier `expected`; what it said was `received`."""
 
     def __init__(self, url: str, expected: str, received: str) -> None:
         super().__init__(f'{url}: expected {expected}; received {received}')

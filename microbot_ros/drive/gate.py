@@ -29,15 +29,15 @@ class Limits:
     """
     slew_A_per_s: float
     """Fastest lasting change: a sine of amplitude I and frequency f needs 4 I f."""
-    stale_s: float
+    command_timeout_s: float
     """How long a command other than zero holds without the next."""
     deviation_A: float
     """How far a measured current may lie outside what was commanded while it settled."""
     settling_s: float
     """How long the measured current may take to follow the command."""
-    silence_s: float
+    feedback_timeout_s: float
     """How long currents may flow without a measurement."""
-    continuous_A: float
+    rated_current_A: float
     """The current that a coil bears for ever: I²t settles at its square."""
     thermal_s: float
     """Thermal time constant of a coil."""
@@ -79,7 +79,10 @@ class Fault:
 
 
 class Gate:
-    """Affirms currents, or answers zero and latches why. Disarmed at the start."""
+    """Affirms currents within `limits`, or answers zero and latches why. Disarmed at the start.
+
+    Every `now_s` is a time [s] of one monotonic clock.
+    """
 
     def __init__(self, limits: Limits) -> None:
         self.limits = limits
@@ -106,8 +109,8 @@ class Gate:
             return None
         if not self._advance(now_s):
             return f'the clock went from {self._now_s} to {now_s}'
-        if not now_s - self._measured_s <= self.limits.silence_s:
-            return f'no measured currents for {self.limits.silence_s:g} s'
+        if not now_s - self._measured_s <= self.limits.feedback_timeout_s:
+            return f'no measured currents for {self.limits.feedback_timeout_s:g} s'
         if not all(abs(current) <= self.limits.deviation_A for current in self._measured):
             return f'current flows without a command: {_amperes(self._measured)}'
         if not all(heat <= 1.0 for heat in self.heat):
@@ -121,14 +124,16 @@ class Gate:
         self._put(ZERO)
 
     def trip(self, reason: Reason, detail: str) -> Currents:
-        """Disarm and latch a fault, unless an earlier one stands; the answer is zero."""
+        """Disarm and latch a fault, its `reason` and `detail`, unless one stands; the answer is
+        zero.
+        """
         self.fault = self.fault or Fault(reason, detail)
         self.revoke()
         return ZERO
 
     def command(self, currents_A: Sequence[float], now_s: float,
                 given_s: float | None = None) -> Currents:
-        """The wanted currents [A], four of them, if all is well; else zero.
+        """The wanted `currents_A` (4,) [A], if all is well; else zero.
 
         `given_s` is when the command was given, where it waited until now.
         """
@@ -146,20 +151,20 @@ class Gate:
             return self.trip(Reason.SLEW, f'from {_amperes(self.output)} to {_amperes(wanted)}')
         self._commanded_s = now_s if given_s is None else min(given_s, now_s)
         self._heard_s = now_s
-        if wanted != ZERO and not now_s - self._commanded_s <= self.limits.stale_s:
+        if wanted != ZERO and not now_s - self._commanded_s <= self.limits.command_timeout_s:
             return self.trip(Reason.STALE, f'given {now_s - self._commanded_s:.3f} s ago')
         return self._put(wanted)
 
     def measured(self, currents_A: Sequence[float], now_s: float,
                  since_s: float | None = None) -> Currents:
-        """Take measured currents [A] into account: the currents that may flow now.
+        """Take measured `currents_A` (4,) [A] into account: the currents that may flow now.
 
         They are judged against every output that the coils may have followed when they were
         taken: the present one and those that were replaced after `since_s`, less what settling
         takes. `since_s` is now, or earlier where a slow line was still busy with older outputs.
         Currents that agree with none of these, but all together with the outputs of one moment
-        up to `silence_s` before, are late: no fault of the coils, and no measurement of the
-        present. Any other trip.
+        up to `feedback_timeout_s` before, are late: no fault of the coils, and no measurement of
+        the present. Any other trip.
         """
         if not self._advance(now_s):
             return ZERO
@@ -169,7 +174,8 @@ class Gate:
         self._measured = measured
         since_s = now_s if since_s is None else min(since_s, now_s)
         settled_s = since_s - self.limits.settling_s
-        while self._replaced and not self._replaced[0][0] > settled_s - self.limits.silence_s:
+        oldest_s = settled_s - self.limits.feedback_timeout_s
+        while self._replaced and not self._replaced[0][0] > oldest_s:
             self._replaced.popleft()
         if self._agrees(measured, [self.output, *self._outputs(settled_s, now_s)]):
             self._measured_s, self._behind_s = now_s, 0.0
@@ -201,9 +207,9 @@ class Gate:
         """See what time does: the currents that may flow now."""
         if not self._advance(now_s) or not self.armed:
             return ZERO
-        if not now_s - self._measured_s <= self.limits.silence_s:
+        if not now_s - self._measured_s <= self.limits.feedback_timeout_s:
             return self.trip(Reason.SILENCE, self._silence(now_s - self._measured_s))
-        if self.output != ZERO and not now_s - self._commanded_s <= self.limits.stale_s:
+        if self.output != ZERO and not now_s - self._commanded_s <= self.limits.command_timeout_s:
             return self.trip(Reason.STALE, f'none for {now_s - self._commanded_s:.3f} s')
         if not now_s - self._heard_s <= self.limits.idle_s:
             return self.trip(Reason.IDLE, f'no command for {now_s - self._heard_s:.0f} s')
@@ -236,7 +242,7 @@ class Gate:
     def _load(self, output_A: float, measured_A: float) -> float:
         """What I²t settles at, taking the worse of commanded and measured."""
         # Bounded, as a nonsensical reading would square to infinity and never cool again.
-        share = min(max(abs(output_A), abs(measured_A)) / self.limits.continuous_A, 1e3)
+        share = min(max(abs(output_A), abs(measured_A)) / self.limits.rated_current_A, 1e3)
         return share * share
 
     def _allowance_after(self, currents: Currents) -> Currents:

@@ -49,7 +49,10 @@ Talk = Generator[Exchange, list[Any], Result]
 
 
 class PolledAmplifier(Amplifier):
-    """Asks for the currents after each command and at least every `period_s`."""
+    """Asks for the currents after each command and at least every `period_s`.
+
+    `url` names its ports, `full_scale_A` [A] the current of a channel at full output.
+    """
 
     ports = 1
     """How many serial lines it takes."""

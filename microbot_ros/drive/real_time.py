@@ -13,10 +13,11 @@ SAFETY, LOOP = 10, 5
 """Priorities: of what zeroes the coils, and of the rest of the closed loop."""
 
 
-def hurry(thread: int = 0, priority: int = SAFETY) -> bool:
+def set_realtime_priority(thread: int = 0, priority: int = SAFETY) -> bool:
     """Let this thread, and those it starts from now on, run in real time; False where not granted.
 
     With the id of another `thread`, that one; the id of a process is that of its main thread.
+    `priority` is of SCHED_FIFO, 1 to 99.
     """
     try:
         os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
@@ -25,18 +26,18 @@ def hurry(thread: int = 0, priority: int = SAFETY) -> bool:
     return True
 
 
-def hurry_all(priority: int) -> None:
-    """`hurry` for every thread of this process, those of the middleware among them.
+def set_realtime_priority_of_all(priority: int) -> None:
+    """`set_realtime_priority` with a `priority` for all threads of this process.
 
-    One thread is not enough: it waits for whoever holds the interpreter's lock.
+    Those of the middleware too: one is not enough, it waits for who holds the interpreter's lock.
     """
     with suppress(OSError):
         for task in Path('/proc/self/task').iterdir():
-            hurry(int(task.name), priority)
+            set_realtime_priority(int(task.name), priority)
 
 
 def lateness(seconds: float, tick_s: float) -> list[float]:
-    """How late [s] this thread wakes from waits of `tick_s`, one after the other for so long.
+    """How late [s] this thread wakes from waits of `tick_s`, one after the other for `seconds`.
 
     A dead-man that waits like this is that late, beside its own times.
     """
@@ -49,9 +50,9 @@ def lateness(seconds: float, tick_s: float) -> list[float]:
 
 
 @contextmanager
-def hurried(priority: int) -> Iterator[None]:
-    """`hurry_all` for as long as this lasts."""
-    hurry_all(priority)
+def realtime_priority(priority: int) -> Iterator[None]:
+    """`set_realtime_priority_of_all` with a `priority` for as long as this lasts."""
+    set_realtime_priority_of_all(priority)
     try:
         yield
     finally:

@@ -53,7 +53,7 @@ class SelfCheck:
 
     def measured(self, currents_A: Sequence[float], now_s: float,
                  since_s: float | None = None) -> None:
-        """Take measured currents [A] and go on as they allow.
+        """Take measured `currents_A` (4,) [A] and go on as they allow; `now_s` [s] is now.
 
         `since_s`: they show what was wanted then, where the line is too slow for what is now.
         """

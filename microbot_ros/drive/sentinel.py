@@ -22,7 +22,9 @@ REPEATS = 10
 
 
 def watch(silence_s: float, words: list[tuple[int, bytes]], feed: int) -> None:
-    """Until the feed ends; `words` are the lines' descriptors and what zeroes their coils."""
+    """Zero the coils after `silence_s` without a byte, until the feed ends; `words` are the lines'
+    descriptors and what zeroes their coils.
+    """
     patience_s = silence_s
     while True:
         if not select.select([feed], [], [], patience_s)[0]:

@@ -22,7 +22,8 @@ class Port:
     """One open line to an amplifier, closed to every other program.
 
     `url` is a device (`/dev/ttyACM0`, `/dev/serial/by-id/…`) or a pyserial URL (`socket://`,
-    `rfc2217://`). Raises PortMissingError or PortBusyError.
+    `rfc2217://`), `baud` its rate [1/s], `xon_xoff` whether it may pause us. Raises
+    PortMissingError or PortBusyError.
     """
 
     def __init__(self, url: str, baud: int, *, xon_xoff: bool = False) -> None:
@@ -40,7 +41,7 @@ class Port:
             raise PortMissingError(url, str(error)) from None
 
     def send(self, data: bytes) -> None:
-        """Hand bytes to the line at once. Raises PortLostError where it takes none for 0.1 s."""
+        """Hand `data` to the line at once. Raises PortLostError where it takes none for 0.1 s."""
         with self._named():
             self._serial.write(data)
 

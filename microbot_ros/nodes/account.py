@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from rclpy.publisher import Publisher
 from std_msgs.msg import String
 
-from microbot_ros.control.worker import HungError, LateError, Worker
+from microbot_ros.control.deadline_worker import DeadlineWorker, HungError, LateError
 from microbot_ros.session.accounts import BUSY, CALLS, CHANGE, HUNG, IN_TIME, LATE
 
 if TYPE_CHECKING:
@@ -66,12 +66,12 @@ class Account:
         """Note that a timer, known by the name of its callback, does something."""
         self._note(name)
 
-    def worker(self, patience: float) -> Worker:
-        """A worker whose verdicts on lateness are noted."""
+    def worker(self, patience: float) -> DeadlineWorker:
+        """A worker of that `patience` [s] whose verdicts on lateness are noted."""
         return NotingWorker(patience, self.judge)
 
     def judge(self, verdict: str) -> None:
-        """Note how a call of the work in hand came out."""
+        """Note the `verdict` on a call of the work in hand."""
         self._verdicts += verdict
 
     def _changed(self, _: list[Any]) -> None:
@@ -100,8 +100,10 @@ class Account:
         self._taken = []
 
 
-class NotingWorker(Worker):
-    """A worker that tells how each call came out: one letter of `session.accounts`."""
+class NotingWorker(DeadlineWorker):
+    """A worker of `patience` [s] that lets `tell` know how each call came out: one letter of
+    `session.accounts`.
+    """
 
     def __init__(self, patience: float, tell: Callable[[str], None]) -> None:
         super().__init__(patience)

@@ -46,20 +46,24 @@ class CoilDriverParameters:
         4.0, 'Largest jump of a current at once.', lower=0.001, upper=200.0, read_only=True)
     slew_limit_A_per_s: float = setting(
         200.0, 'Fastest lasting change of a current.', lower=0.01, upper=1e5, read_only=True)
-    stale_ms: float = setting(
+    command_timeout_ms: float = setting(
         75.0, 'How long a command other than zero holds without the next.', lower=10.0,
-        upper=2000.0, read_only=True)
+        upper=2000.0, read_only=True, formerly='stale_ms')
+    max_command_age_ms: float = setting(
+        75.0, 'A command whose stamp, the exposure that it answers, is older is not driven.',
+        lower=10.0, upper=2000.0, read_only=True, formerly='stale_ms')
     deviation_A: float = setting(
         0.2, 'How far a measured current may lie from what was commanded.', lower=0.001,
         upper=10.0, read_only=True)
     settling_ms: float = setting(
         100.0, 'How long a measured current may take to follow.', lower=1.0, upper=2000.0,
         read_only=True)
-    silence_ms: float = setting(
+    feedback_timeout_ms: float = setting(
         200.0, 'How long currents may flow without a measurement.', lower=10.0, upper=5000.0,
-        read_only=True)
-    continuous_A: float = setting(
-        1.5, 'Current that a coil bears for ever.', lower=0.001, upper=100.0, read_only=True)
+        read_only=True, formerly='silence_ms')
+    rated_current_A: float = setting(
+        1.5, 'Current that a coil bears for ever.', lower=0.001, upper=100.0, read_only=True,
+        formerly='continuous_A')
     thermal_s: float = setting(
         60.0, 'Thermal time constant of a coil.', lower=1.0, upper=3600.0, read_only=True)
     self_check: bool = setting(
@@ -162,7 +166,7 @@ class CoilDriverNode(RigNode):
     def _on_command(self, message: Vector3Stamped) -> None:
         messages.in_workspace(message.header)
         age = self.seconds() - messages.to_seconds(message.header.stamp)
-        if not -0.05 <= age <= self.settings.stale_ms * 1e-3:
+        if not -0.05 <= age <= self.settings.max_command_age_ms * 1e-3:
             self._refused += 1
             self.complain(f'field/command is {age:.3f} s old; not driven')
             return
@@ -238,11 +242,14 @@ class CoilDriverNode(RigNode):
 
 
 def limits(values: CoilDriverParameters) -> Limits:
+    """What the gate affirms by these `values`, in its units."""
     return Limits(
         current_A=values.current_limit_A, step_A=values.step_limit_A,
-        slew_A_per_s=values.slew_limit_A_per_s, stale_s=values.stale_ms * 1e-3,
+        slew_A_per_s=values.slew_limit_A_per_s,
+        command_timeout_s=values.command_timeout_ms * 1e-3,
         deviation_A=values.deviation_A, settling_s=values.settling_ms * 1e-3,
-        silence_s=values.silence_ms * 1e-3, continuous_A=values.continuous_A,
+        feedback_timeout_s=values.feedback_timeout_ms * 1e-3,
+        rated_current_A=values.rated_current_A,
         thermal_s=values.thermal_s, idle_s=values.idle_disarm_s)
 
 

@@ -26,10 +26,10 @@ class _File(pydantic.RootModel[dict[str, _Section]]):
 
 
 def read_rig(path: str | Path) -> dict[str, dict[str, Any]]:
-    """Node → its parameters, full names, from a ROS parameter file (`node: ros__parameters:`).
+    """Node → its parameters by full names, from the ROS parameter file `path`.
 
-    Raises InputError naming file and line for an unknown node, an unknown parameter, a value of
-    the wrong type or out of range.
+    Former names become those of today. Raises InputError naming file and line for an unknown node,
+    an unknown parameter, a value of the wrong type or out of range.
     """
     sections = read_yaml(path, _File).root
     rig: dict[str, dict[str, Any]] = {}
@@ -40,7 +40,7 @@ def read_rig(path: str | Path) -> dict[str, dict[str, Any]]:
         rig[node] = {}
         for keys, value in _flatten(section.ros__parameters):
             line = line_of(path, node, 'ros__parameters', *keys)
-            rig[node]['.'.join(keys)] = _checked(path, node, '.'.join(keys), value, line)
+            rig[node] |= _checked(path, node, '.'.join(keys), value, line)
     _refuse_contradictions(path, rig)
     return rig
 
@@ -75,15 +75,19 @@ def _flatten(tree: dict[str, Any]) -> list[tuple[tuple[str, ...], Any]]:
     return flat
 
 
-def _checked(path: str | Path, node: str, name: str, value: Any, line: int | None) -> Any:
+def _checked(path: str | Path, node: str, name: str, value: Any, line: int | None,
+             ) -> dict[str, Any]:
+    """The parameters that a name stands for, a former one perhaps for several, and their value."""
     known = node_class(node).known_parameters()
     if name in EVERY_NODE:
-        return value
-    if name not in known:
+        return {name: value}
+    present = {full: described for full, described in known.items() if name in (
+        full, full.removesuffix(described[1]) + settings.about(*described).formerly)}
+    if not present:
         names = ', '.join(sorted(known))
         raise InputError(path, f"unknown parameter '{name}' of {node}; known are: {names}", line)
-    kind, field = known[name]
     try:
-        return settings.convert(kind, field, value)
+        return {full: settings.convert(kind, field, value)
+                for full, (kind, field) in present.items()}
     except ValueError as error:
         raise InputError(path, f'{node}: {error}', line) from None

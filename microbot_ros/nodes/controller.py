@@ -1,4 +1,4 @@
-"""Node `controller`: which way the field is to point, by a controller that can be swapped."""
+"""Node `controller`: which way the field is to point, by a controller that can be switched."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from std_msgs.msg import Header, String
 from visualization_msgs.msg import MarkerArray
 
 from microbot_ros.control.contract import (
+    ControllerInput,
     FieldCommand,
     Goals,
     Limits,
     Result,
-    Situation,
     Workspace,
     no_field,
 )
+from microbot_ros.control.controller_manager import ControllerManager, Outcome
 from microbot_ros.control.registry import PluginError, controller_classes
-from microbot_ros.control.switchboard import Outcome, Switchboard
 from microbot_ros.errors import InputError
 from microbot_ros.model.model import Model
 from microbot_ros.model.model_file import read_model
@@ -53,8 +53,9 @@ class ControllerParameters:
                                    read_only=True)
     max_frequency_hz: float = setting(100.0, 'Fastest rotation of a rolling field.', lower=0.0,
                                       upper=1000.0, read_only=True)
-    stale_ms: float = setting(200.0, 'Age of the poses beyond which nothing is commanded.',
-                              lower=10.0, upper=5000.0, read_only=True)
+    pose_timeout_ms: float = setting(
+        200.0, 'Age of the poses beyond which nothing is commanded.', lower=10.0, upper=5000.0,
+        read_only=True, formerly='stale_ms')
     joy_timeout_ms: float = setting(
         250.0, 'Age of the joystick beyond which it counts as centred; its driver must repeat.',
         lower=20.0, upper=2000.0, read_only=True)
@@ -73,7 +74,7 @@ class ControllerParameters:
 
 
 class ControllerNode(RigNode):
-    """`model/state`, goals → `field/command`. A shell around the switchboard."""
+    """`model/state`, goals → `field/command`. A shell around the controller manager."""
 
     Parameters: ClassVar[type] = ControllerParameters
     accounts_for = 'model/state'
@@ -94,11 +95,11 @@ class ControllerNode(RigNode):
             raise InputError(self.get_name(), str(error)) from None
         self._repeatable = {name for name, kind in classes.items() if kind.repeatable}
         self._summaries = {name: kind.summary for name, kind in classes.items()}
-        self._switchboard = Switchboard(
+        self._manager = ControllerManager(
             {name: kind() for name, kind in classes.items()}, active=values.controller,
-            deadline=values.deadline_ms * 1e-3, stale_after=values.stale_ms * 1e-3,
+            deadline=values.deadline_ms * 1e-3, pose_timeout=values.pose_timeout_ms * 1e-3,
             border=values.border_s, worker=self.account.worker)
-        answer = self._switchboard.change({
+        answer = self._manager.change({
             name: ParameterSet(self, kind.Parameters, prefix=f'{name}.',
                                beside=self._parameters_of_node).values
             for name, kind in classes.items()})
@@ -118,12 +119,14 @@ class ControllerNode(RigNode):
         return ''
 
     def take(self, changed: Mapping[str, Any], named: Collection[str]) -> str:
-        """Configure, then swap. Naming the controller that drives restarts it after a fault."""
-        board, wanted = self._switchboard, changed.get('', self.settings).controller
-        swap = 'controller' in named and (wanted != board.active or board.fault)
-        answer = board.change(
+        """Configure what `changed`, then switch. To have `named` the controller that drives
+        restarts it after a fault.
+        """
+        manager, wanted = self._manager, changed.get('', self.settings).controller
+        switch = 'controller' in named and (wanted != manager.active or manager.fault)
+        answer = manager.change(
             {prefix.removesuffix('.'): values for prefix, values in changed.items() if prefix},
-            wanted if swap else '')
+            wanted if switch else '')
         if answer.message:
             self.get_logger().info(answer.message)
         return '' if answer.ok else answer.message
@@ -131,7 +134,7 @@ class ControllerNode(RigNode):
     @property
     def unrepeatable(self) -> str:  # type: ignore[override]
         """Of the controller that drives."""
-        name = self._switchboard.active
+        name = self._manager.active
         return '' if name in self._repeatable else f'{name} thinks for as long as it may'
 
     def setup(self) -> None:
@@ -163,7 +166,7 @@ class ControllerNode(RigNode):
 
     def make_safe(self) -> None:
         """Let go: zero once, if anything may flow, and the next command starts from there."""
-        self._switchboard.let_go()
+        self._manager.let_go()
         if getattr(self, '_driving', False):
             self._driving = False
             self._publish(no_field(''), self.get_clock().now().to_msg())
@@ -171,11 +174,11 @@ class ControllerNode(RigNode):
                 self._outcome = Outcome(None, Result.STALE, 'no poses since the field was let go')
 
     def teardown(self) -> None:
-        if hasattr(self, '_switchboard'):
-            self._switchboard.reset()
+        if hasattr(self, '_manager'):
+            self._manager.reset()
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
-        outcome, name = self._outcome, self._switchboard.active
+        outcome, name = self._outcome, self._manager.active
         values: dict[str, object] = {
             'controller': name, 'result': outcome.result.value, 'goals': len(self._goals),
             'goals_stamp_s': repr(self._goals_stamp), 'path_stamp_s': repr(self._path_stamp)}
@@ -188,7 +191,7 @@ class ControllerNode(RigNode):
     def _on_state(self, message: PointCloud2) -> None:
         points = messages.estimates(message)
         stamp = messages.to_seconds(message.header.stamp)
-        self._tick(self._situation(points, stamp), message.header.stamp)
+        self._tick(self._controller_input(points, stamp), message.header.stamp)
         if self._markers.get_subscription_count() and time.monotonic() > self._markers_due:
             self._markers_due = time.monotonic() + _MARKERS_SECONDS
             self._markers.publish(markers(points, self._goals.position, message.header.stamp))
@@ -239,7 +242,7 @@ class ControllerNode(RigNode):
         A frame may be exposed before the stick moved, but no longer than poses may be old.
         """
         values, age = self.settings, t - self._joystick_t
-        fresh = -values.stale_ms * 1e-3 <= age <= values.joy_timeout_ms * 1e-3
+        fresh = -values.pose_timeout_ms * 1e-3 <= age <= values.joy_timeout_ms * 1e-3
         before, self._joystick_silent = self._joystick_silent, ''
         if fresh or not self._joystick.any():
             return self._joystick
@@ -253,32 +256,32 @@ class ControllerNode(RigNode):
     def _watch(self) -> None:
         """Poses that stop coming: let go once, then stay silent, and say for how long."""
         age = self.seconds() - self._last_t
-        if math.isinf(age) or abs(age) <= self.settings.stale_ms * 1e-3:
+        if math.isinf(age) or abs(age) <= self.settings.pose_timeout_ms * 1e-3:
             return
         if self._driving:
             self.account.act('_watch')
         self.make_safe()
-        if not self._switchboard.fault:
+        if not self._manager.fault:
             self._outcome = Outcome(None, Result.STALE, f'poses are {age:.2f} s old')
 
     def _tell(self) -> None:
         self._progress.publish(status(self.get_name(), *self.health()))
 
-    def _situation(self, points: np.ndarray, stamp: float) -> Situation:
+    def _controller_input(self, points: np.ndarray, stamp: float) -> ControllerInput:
         """All at the moment of exposure: the same poses give the same command, live or replayed.
 
         When they arrive decides only whether they are too old for any. Time goes by from the
         newest: frames that overtake each other give none, unless the clock was set back.
         """
         values: ControllerParameters = self.settings
-        stale = values.stale_ms * 1e-3
+        stale = values.pose_timeout_ms * 1e-3
         dt = stamp - self._last_t
         if not -stale <= dt <= 0:
             self._last_t = stamp
         age = self.account.taken_s - stamp
         fresh = abs(age) <= stale
         known = np.isfinite(points['speed_std'])
-        return Situation(
+        return ControllerInput(
             t=stamp, dt=dt if math.isfinite(dt) else 0.0, age=0.0 if fresh else age,
             ids=points['id'].astype(int),
             position=np.stack([points['x'], points['y']], axis=1).astype(float),
@@ -294,8 +297,8 @@ class ControllerNode(RigNode):
             delay=values.delay_ms * 1e-3, goals=self._goals, path=self._path,
             joystick=self._joystick_at(stamp), model=self._present_model())
 
-    def _tick(self, situation: Situation, stamp: Time) -> None:
-        outcome = self._switchboard.tick(situation)
+    def _tick(self, inputs: ControllerInput, stamp: Time) -> None:
+        outcome = self._manager.tick(inputs)
         said = '; '.join(filter(None, [outcome.message, self._joystick_silent]))
         self._outcome = dataclasses.replace(outcome, message=said)
         if outcome.command is None:

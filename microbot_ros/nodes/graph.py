@@ -69,13 +69,17 @@ class Graph:
         return len(self._children)
 
     def start_nodes(self, names: Sequence[str], parameters: Path) -> None:
-        """Start one process with these nodes and a ROS parameter file."""
+        """Start one process with nodes of these `names` and a file of their `parameters`."""
         self._start('+'.join(names), [sys.executable, '-m', 'microbot_ros.nodes', *names,
                                       '--ros-args', '--params-file', str(parameters)],
                     READY, tuple(names))
 
     def start(self, name: str, command: Sequence[str], says_when_ready: str = READY) -> None:
-        """Start a child that is no node, as an emulated amplifier: it ends after the nodes."""
+        """Start a child that is no node by its `command`, as an emulated amplifier, under a
+        `name`.
+
+        It does its work once it prints `says_when_ready`, and ends after the nodes.
+        """
         self._start(name, command, says_when_ready, ())
 
     def _start(self, name: str, command: Sequence[str], says_when_ready: str,
@@ -92,7 +96,7 @@ class Graph:
         self._selector.register(_output(child), selectors.EVENT_READ, child)
 
     def wait_ready(self, seconds: float) -> None:
-        """Return when every child does its work. InputError when one ends or is late."""
+        """Return when every child works. InputError when one ends or takes more than `seconds`."""
         deadline = time.monotonic() + seconds
         while waiting := [c for c in self._children.values() if not c.ready]:
             self.pump(0.1)
@@ -107,7 +111,7 @@ class Graph:
                     raise InputError(child.name, f'did not get ready within {seconds:g} s')
 
     def pump(self, seconds: float) -> None:
-        """Pass on what children print, for at most that long or until one has printed."""
+        """Pass on what children print, for at most `seconds` or until one has printed."""
         for key, _ in self._selector.select(seconds):
             self._read(key.data)
 
@@ -145,7 +149,7 @@ class Graph:
         }
 
     def process_id(self, name: str) -> int:
-        """The process id of a child."""
+        """The process id of the child of that `name`."""
         return self._children[name].process.pid
 
     def tell_to_end(self) -> None:
@@ -158,10 +162,10 @@ class Graph:
             _end([child for child in self._children.values() if child.nodes])
 
     def stop(self, names: Sequence[str], seconds: float = _PATIENCE_S) -> None:
-        """SIGTERM the named children, the coil driver first, and see them end, side by side.
+        """SIGTERM the children of these `names`, the coil driver first, and see them end.
 
         What is no node, as an emulated amplifier, is told when the nodes have ended. What hangs
-        is killed.
+        for `seconds` is killed.
         """
         children = [self._children[name] for name in names]
         for group in ([child for child in children if child.nodes],

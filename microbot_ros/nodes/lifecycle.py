@@ -43,7 +43,8 @@ class RigNode(LifecycleNode):
     subscriptions, timers, open devices), `start`, `stop`, `teardown`, `make_safe` and `health`.
     An exception in a transition or callback is logged with its traceback and shown on
     `/diagnostics`, and `make_safe` runs at once; a bad message is reported and dropped.
-    Subscriptions and timers act only while the node is active.
+    Subscriptions and timers act only while the node is active. A transition (`on_…`) is given the
+    `state` that it leaves.
     """
 
     Parameters: ClassVar[type]
@@ -81,7 +82,8 @@ class RigNode(LifecycleNode):
         """Declare parameters beyond `Parameters`."""
 
     def veto(self, proposed: Any) -> str:
-        """Why these parameters can't be taken, or ''. Changes nothing: others may refuse yet."""
+        """Why the values `proposed` can't be taken, or ''. Changes nothing: others may refuse yet.
+        """
         return ''
 
     def take(self, changed: Mapping[str, Any], named: Collection[str]) -> str:
@@ -124,7 +126,7 @@ class RigNode(LifecycleNode):
         return self._parameters_of_node.values
 
     def publisher(self, kind: type, topic: str, qos: QoSProfile = RELIABLE) -> Publisher:
-        """A publisher that goes with the next cleanup."""
+        """A publisher on a `topic` for messages of a `kind`, by `qos`; goes with the cleanup."""
         made = self.create_publisher(kind, topic, qos)
         self._created.append((self.destroy_publisher, made))
         return made
@@ -132,9 +134,10 @@ class RigNode(LifecycleNode):
     def subscribe(self, kind: type, topic: str, callback: Callable[[Any], None],
                   qos: QoSProfile = RELIABLE, raw: bool = False,
                   on_matched: Callable[[Any], None] | None = None) -> None:
-        """A guarded subscription that goes with the next cleanup.
+        """A guarded subscription to a `topic`, of messages of a `kind`, `raw` as bytes, by `qos`.
 
-        `on_matched` is called when a publisher comes or goes, before anything that it sends.
+        It goes with the next cleanup. `on_matched` is called when a publisher comes or goes,
+        before anything that it sends.
         """
         if self.accounts_for and not raw:
             callback = self.account.keeping(topic, callback)
@@ -145,18 +148,20 @@ class RigNode(LifecycleNode):
         self._created.append((self.destroy_subscription, made))
 
     def every(self, seconds: float, callback: Callable[[], None], steady: bool = True) -> None:
-        """A guarded timer; on the monotonic clock unless it should follow simulated time."""
+        """A guarded timer, every `seconds`; on the monotonic clock if `steady`, else simulated
+        time.
+        """
         clock = self._steady if steady else self.get_clock()
         made = self.create_timer(seconds, self._guarded(callback), clock=clock)
         self._created.append((self.destroy_timer, made))
 
     def service(self, kind: type, name: str, callback: Callable[[Any, Any], Any]) -> None:
-        """A service that goes with the next cleanup."""
+        """A service of a `kind` that goes with the next cleanup."""
         made = self.create_service(kind, name, callback)
         self._created.append((self.destroy_service, made))
 
     def client(self, kind: type, name: str) -> Client:
-        """A client that goes with the next cleanup."""
+        """A client of a service of a `kind` that goes with the next cleanup."""
         made = self.create_client(kind, name)
         self._created.append((self.destroy_client, made))
         return made
@@ -165,15 +170,15 @@ class RigNode(LifecycleNode):
         """Now on the node's clock [s]."""
         return to_seconds(self.get_clock().now().to_msg())
 
-    def end(self) -> None:
-        """Leave the safe state behind, from whatever state the node is in."""
+    def make_safe_and_close(self) -> None:
+        """Make safe, then let go of all that `setup` made, from whatever state the node is in."""
         self.active = False
         self.make_safe()
         if self._state_machine.current_state[1] in ('unconfigured', 'inactive', 'active'):
             self.trigger_shutdown()
 
     def complain(self, sentence: str) -> None:
-        """Say on the log and for the next 5 s on `/diagnostics` that something came in wrong."""
+        """Say a `sentence` on the log and for 5 s on `/diagnostics`: something came in wrong."""
         self._complaint = sentence
         self._complaint_until = time.monotonic() + 5.0
         self.get_logger().warning(sentence, throttle_duration_sec=1.0)
@@ -270,7 +275,7 @@ class RigNode(LifecycleNode):
 
 
 def status(node: str, level: bytes, sentence: str, values: dict[str, object]) -> DiagnosticStatus:
-    """The health of a node as a message."""
+    """The health of a node: `level`, a `sentence` and `values`, as `health` gives them."""
     return DiagnosticStatus(
         level=level, name=f'{node}: {node}', message=sentence,
         values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()])

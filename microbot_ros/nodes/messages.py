@@ -58,13 +58,13 @@ def to_seconds(stamp: Time) -> float:
 
 
 def to_stamp(seconds: float) -> Time:
-    """Seconds as a ROS stamp."""
+    """These `seconds` as a ROS stamp."""
     nanoseconds = round(seconds * 1e9)
     return Time(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
 
 
 def cloud(points: np.ndarray, stamp: Time) -> PointCloud2:
-    """A structured array (N,) as a PointCloud2 with one field per name."""
+    """Structured `points` (N,) as a PointCloud2 of a `stamp`, with one field per name."""
     kind = points.dtype
     layout: dict[str, Any] = dict(kind.fields or {})
     fields = [
@@ -79,22 +79,20 @@ def cloud(points: np.ndarray, stamp: Time) -> PointCloud2:
 
 
 def in_workspace(header: Header) -> None:
-    """MessageError for positions or a field in a frame other than the workspace's.
-
-    '' stands for it.
-    """
+    """MessageError for a `header` with a frame other than the workspace's; '' stands for it."""
     if header.frame_id not in ('', WORKSPACE):
         raise MessageError(f"expected the frame '{WORKSPACE}'; received '{header.frame_id}'")
 
 
 def estimates(message: PointCloud2) -> np.ndarray:
-    """`model/state` as `points` gives it; `theta` is NaN in a recording from before it was there.
+    """A `message` of `model/state` as `points` gives it; `theta` is NaN in a recording from before
+    it was there.
     """
     return points(message, ESTIMATE, optional=('theta',))
 
 
 def points(message: PointCloud2, kind: np.dtype, optional: Collection[str] = ()) -> np.ndarray:
-    """The points of a cloud as a structured array (N,) of type `kind`, whatever its own layout.
+    """The points of a cloud `message` as a structured array (N,) of type `kind`.
 
     Raises MessageError where it is not in the workspace, a field of `kind` is missing or the data
     are shorter than promised. `optional` fields are NaN where they are missing.
@@ -122,7 +120,7 @@ def points(message: PointCloud2, kind: np.dtype, optional: Collection[str] = ())
 
 
 def image(pixels: np.ndarray, stamp: Time, frame_id: str = 'camera') -> Image:
-    """A uint8 (H, W) picture as mono8, or (H, W, 3) as bgr8."""
+    """Uint8 `pixels` (H, W) as mono8, or (H, W, 3) as bgr8, with `stamp` and `frame_id`."""
     data = array.array('B')
     data.frombytes(np.ascontiguousarray(pixels).data)  # 300 times faster than assigning an array
     return Image(
@@ -141,7 +139,7 @@ _TO_GRAY = {
 
 
 def gray(message: Image) -> np.ndarray:
-    """The picture as (H, W) grey values, uint8 or (mono16) uint16.
+    """The picture in a `message` as (H, W) grey values, uint8 or (mono16) uint16.
 
     Raises MessageError for an encoding that is not known or data that do not fill the picture.
     """
@@ -169,7 +167,7 @@ def gray(message: Image) -> np.ndarray:
 
 
 def poses(xy: np.ndarray, theta: np.ndarray, stamp: Time) -> PoseArray:
-    """Positions (N, 2) [m] and headings (N,) [rad], 0 where unknown, for viewers."""
+    """Positions `xy` (N, 2) [m], headings `theta` (N,) [rad], 0 where unknown, with a `stamp`."""
     half = np.nan_to_num(theta) / 2
     result = PoseArray(header=Header(stamp=stamp, frame_id=WORKSPACE))
     for (x, y), sine, cosine in zip(xy.tolist(), np.sin(half), np.cos(half), strict=True):
@@ -181,20 +179,21 @@ def poses(xy: np.ndarray, theta: np.ndarray, stamp: Time) -> PoseArray:
 
 
 def currents(names: Iterable[str], amperes: Any, stamp: Time) -> JointState:
-    """Coil currents [A] in `effort`, as on all `coils/…` topics."""
+    """Currents of coils `names`, `amperes` (n,) in `effort`, and a `stamp`: all `coils/…` topics.
+    """
     return JointState(header=Header(stamp=stamp, frame_id='coils'), name=list(names),
                       effort=[float(value) for value in amperes])
 
 
 def field_vector(field: np.ndarray, stamp: Time) -> Vector3Stamped:
-    """A field in the plane (2,) [T] as on `field/command`."""
+    """A `field` in the plane (2,) [T] with a `stamp`, as on `field/command`."""
     message = Vector3Stamped(header=Header(stamp=stamp, frame_id=WORKSPACE))
     message.vector.x, message.vector.y = float(field[0]), float(field[1])
     return message
 
 
 def magnetic_field(field: np.ndarray, stamp: Time) -> MagneticField:
-    """A field in the plane (2,) [T] as on `field/applied`."""
+    """A `field` in the plane (2,) [T] with a `stamp`, as on `field/applied`."""
     message = MagneticField(header=Header(stamp=stamp, frame_id=WORKSPACE))
     message.magnetic_field.x, message.magnetic_field.y = float(field[0]), float(field[1])
     return message

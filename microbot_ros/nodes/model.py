@@ -42,9 +42,10 @@ class ModelParameters:
                                  read_only=True)
     horizon_s: float = setting(0.5, 'How far ahead to predict.', lower=0.0, upper=60.0,
                                read_only=True)
-    command_source: str = setting(
+    field_source: str = setting(
         'applied', 'What the particles felt: the field read back from the coils, or the one '
-        'commanded where nothing is read back.', choices=('applied', 'command'), read_only=True)
+        'commanded where nothing is read back.', choices=('applied', 'command'), read_only=True,
+        formerly='command_source')
     model_file: str = setting(
         '', 'model.yaml with the effects to filter with; empty is the first-order model. A file '
         'that cannot be used is refused and the present model kept.')
@@ -70,7 +71,7 @@ class ModelNode(RigNode):
         self.subscribe(PointCloud2, 'particles', self._on_particles)
         if values.propulsion == 'rolling':
             self.subscribe(Vector3Stamped, 'field/rotation', self._on_rotation)
-        elif values.command_source == 'applied':
+        elif values.field_source == 'applied':
             self.subscribe(MagneticField, 'field/applied', self._on_applied)
         else:
             self.subscribe(Vector3Stamped, 'field/command', self._on_command)

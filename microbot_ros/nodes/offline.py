@@ -23,7 +23,7 @@ from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
 from rclpy.time import Time
 
-from microbot_ros.control.worker import HungError, LateError, Worker
+from microbot_ros.control.deadline_worker import DeadlineWorker, HungError, LateError
 from microbot_ros.errors import InputError
 from microbot_ros.nodes.account import Account
 from microbot_ros.nodes.lifecycle import RELIABLE, RigNode
@@ -48,7 +48,7 @@ class _Script(Account):
     def act(self, name: str) -> None:
         """It was noted when it happened."""
 
-    def worker(self, patience: float) -> Worker:
+    def worker(self, patience: float) -> DeadlineWorker:
         return ScriptedWorker(patience, lambda: next(self._next, IN_TIME))
 
     def set(self, at_ns: int, verdicts: str) -> None:
@@ -56,8 +56,8 @@ class _Script(Account):
         self.taken_s, self._next = at_ns * 1e-9, iter(verdicts)
 
 
-class ScriptedWorker(Worker):
-    """A worker whose calls come out as they did."""
+class ScriptedWorker(DeadlineWorker):
+    """A worker of `patience` [s] whose calls come out as each `verdict()` says they did."""
 
     def __init__(self, patience: float, verdict: Callable[[], str]) -> None:
         super().__init__(patience)
@@ -87,8 +87,10 @@ class _Outlet:
 
 
 class Offline(RigNode):
-    """Mixed into a node: its subscriptions and timers are called, its clock is set, and nothing
-    that it publishes leaves it."""
+    """Mixed into a node, `name`: its subscriptions and timers are called, its clock is set.
+
+    Nothing that it publishes leaves it.
+    """
 
     Account = _Script
     account: _Script
@@ -101,8 +103,10 @@ class Offline(RigNode):
         super().__init__(name)
 
     def be_told(self, name: str, data: bytes, at_ns: int, verdicts: str = '') -> None:
-        """Take a message on a topic, or a change of parameters, at a time [ns], with how its calls
-        to a controller came out."""
+        """Take `data` of a message on the topic `name`, or of a change of parameters, at `at_ns`,
+        with
+        how its calls to a controller came out (`verdicts`).
+        """
         self._at(at_ns, verdicts)
         if name != CHANGE:
             kind, callback = self.inlets[name]
@@ -111,7 +115,9 @@ class Offline(RigNode):
             self.set_parameters_atomically([Parameter.from_parameter_msg(one) for one in changed])
 
     def act(self, timer: str, at_ns: int, verdicts: str = '') -> None:
-        """Let a timer, known by the name of its callback, go off at a time [ns]."""
+        """Let a `timer`, known by the name of its callback, go off at `at_ns`; `verdicts` as
+        above.
+        """
         self._at(at_ns, verdicts)
         self.alarms[timer]()
 
@@ -140,7 +146,7 @@ class Offline(RigNode):
         self.alarms[callback.__name__] = self._guarded(callback)
 
     def service(self, kind: type, name: str, callback: Callable[[Any, Any], Any]) -> None:
-        """Nobody calls."""
+        """A service `kind`, `name`, `callback` that nobody calls."""
 
     def client(self, kind: type, name: str) -> Client:
         raise NotImplementedError(f'{self.get_name()} calls {name}: there is nobody to answer')
@@ -148,7 +154,10 @@ class Offline(RigNode):
 
 @contextmanager
 def alone(namespace: str, parameters: dict[str, dict[str, Any]], folder: Path) -> Iterator[None]:
-    """ROS for nodes with these parameters that nobody sees, and that see nobody."""
+    """ROS for nodes of a `namespace` that nobody sees, and that see nobody.
+
+    Their `parameters` are left in a file in `folder`.
+    """
     file = folder / 'parameters.yaml'
     file.write_text(yaml.safe_dump({f'/**/{node}': {
         'ros__parameters': {**values, 'use_sim_time': True}}
@@ -181,5 +190,5 @@ def make_offline(name: str) -> Offline:
 
 def end_offline(node: Offline) -> None:
     """Let go of a node and of what it opened."""
-    node.end()
+    node.make_safe_and_close()
     node.destroy_node()

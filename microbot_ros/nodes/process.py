@@ -13,7 +13,7 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
 
-from microbot_ros.drive.real_time import LOOP, SAFETY, hurry_all
+from microbot_ros.drive.real_time import LOOP, SAFETY, set_realtime_priority_of_all
 from microbot_ros.ending import Ending, find_launcher
 from microbot_ros.errors import InputError
 from microbot_ros.nodes.graph import READY
@@ -46,7 +46,9 @@ def make(name: str) -> RigNode:
 
 
 def run(names: list[str], arguments: list[str] | None = None) -> int:
-    """Configure and activate the nodes, spin until it is to end (`Ending`), leave them safe.
+    """Configure and activate the nodes of these `names`, spin until the `Ending`, leave them safe.
+
+    `arguments` are those of ROS, `--ros-args` and what follows.
 
     The coils go to zero at once, whatever another node or the executor is doing.
     The coil driver, alone in its process, runs in real time where the system grants that; so do
@@ -58,7 +60,7 @@ def run(names: list[str], arguments: list[str] | None = None) -> int:
     with Ending(lambda: _zero(nodes), find_launcher()) as ending:
         stay_local()
         if names == ['coil_driver']:
-            hurry_all(SAFETY)
+            set_realtime_priority_of_all(SAFETY)
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         executor = EventsExecutor()
         try:
@@ -72,7 +74,7 @@ def run(names: list[str], arguments: list[str] | None = None) -> int:
             gc.collect()
             gc.freeze()
             if _LOOP.issuperset(names):
-                hurry_all(LOOP)
+                set_realtime_priority_of_all(LOOP)
             print(READY, *names, flush=True)
             while not (ending.due or any(node.finished for node in nodes)):
                 executor.spin_once(timeout_sec=_SPIN_SECONDS)
@@ -83,7 +85,7 @@ def run(names: list[str], arguments: list[str] | None = None) -> int:
         finally:
             _zero(nodes)
             for node in reversed(nodes):
-                node.end()
+                node.make_safe_and_close()
             for node in reversed(nodes):
                 executor.remove_node(node)
                 node.destroy_node()

@@ -21,7 +21,7 @@ from std_srvs.srv import SetBool
 
 from microbot_ros.errors import InputError
 from microbot_ros.nodes.lifecycle import OK, WARN, RigNode
-from microbot_ros.nodes.snapshot import Snapshot
+from microbot_ros.nodes.parameter_collector import ParameterCollector
 from microbot_ros.nodes.topics import CHANGES, TOPICS, type_name
 from microbot_ros.session import RecordingWriter
 from microbot_ros.session.bag import typestore
@@ -129,8 +129,8 @@ class RecorderNode(RigNode):
         self._folder, self._writer = folder, writer
         self._seen_frames = 0
         self._kept: set[str] = set()
-        self._snapshot = Snapshot(self, self._keep_parameters)
-        self._snapshot.look()
+        self._collector = ParameterCollector(self, self._keep_parameters)
+        self._collector.look()
 
     def _clocks(self) -> dict[str, str]:
         """What to add to the machine's monotonic clock to have the time of ROS and of day."""
@@ -140,7 +140,7 @@ class RecorderNode(RigNode):
 
     def _look_around(self) -> None:
         if self._writer is not None:
-            self._snapshot.look()
+            self._collector.look()
 
     def _keep_parameters(self, node: str, values: dict[str, Any]) -> None:
         if self._writer is not None:
@@ -171,7 +171,9 @@ class RecorderNode(RigNode):
 
 def keep_parameters(writer: RecordingWriter, node: str, values: dict[str, Any],
                     kept: set[str]) -> None:
-    """Keep a ROS parameter file of a node, and those files it names that are not in `kept`."""
+    """Keep with `writer` a parameter file of a `node`: its `values`, and files they name not in
+    `kept`.
+    """
     plain = {name: value.tolist() if isinstance(value, array.array) else value
              for name, value in values.items()}
     text = yaml.safe_dump({node: {'ros__parameters': plain}}, allow_unicode=True)

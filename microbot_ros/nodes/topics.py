@@ -50,5 +50,5 @@ TOPICS: dict[str, tuple[type, QoSProfile]] = {
 
 
 def type_name(kind: type) -> str:
-    """The name of a message type as recordings have it: 'sensor_msgs/msg/Image'."""
+    """The name of a message type `kind` as recordings have it: 'sensor_msgs/msg/Image'."""
     return f'{kind.__module__.partition(".")[0]}/msg/{kind.__name__}'

@@ -49,10 +49,10 @@ class TrackerParameters:
     settings_file: str = setting(
         '', 'YAML file with settings of the detection; empty chooses them from the first frames.',
         read_only=True)
-    drive: str = setting(
+    field_source: str = setting(
         'applied', 'What turns the particles, so that a turn is expected: the field read back '
         'from the coils, the one commanded, the rotation of rollers, or nothing known.',
-        choices=('applied', 'command', 'rotation', 'none'), read_only=True)
+        choices=('applied', 'command', 'rotation', 'none'), read_only=True, formerly='drive')
     full_search_ms: float = setting(
         100.0, 'Longest time between searches of the whole picture, and so until a new particle '
         'is seen; known ones are looked for around their predictions. 0: every frame.',
@@ -86,15 +86,15 @@ class TrackerNode(RigNode):
         self._poses = self.publisher(PoseArray, 'particles/poses')
         self._overlay = self.publisher(Image, 'overlay/image_raw', IMAGES_OUT)
         self._drive = Drive()
-        self._listen(self.settings.drive)
+        self._listen(self.settings.field_source)
         self.subscribe(Image, 'camera/image_raw', self._on_image, IMAGES_IN)
 
-    def _listen(self, drive: str) -> None:
-        if drive == 'applied':
+    def _listen(self, source: str) -> None:
+        if source == 'applied':
             self.subscribe(MagneticField, 'field/applied', self._on_applied)
-        elif drive == 'command':
+        elif source == 'command':
             self.subscribe(Vector3Stamped, 'field/command', self._on_command)
-        elif drive == 'rotation':
+        elif source == 'rotation':
             self.subscribe(Vector3Stamped, 'field/rotation', self._on_rotation)
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:

@@ -5,7 +5,7 @@ from click.testing import CliRunner
 
 from microbot_ros.cli.goal import command
 from microbot_ros.errors import InputError
-from microbot_ros.nodes import remote
+from microbot_ros.nodes import graph_client
 
 
 class Graph:
@@ -26,11 +26,11 @@ class Graph:
 
     def send_goals(self, places, particles=None):
         self.sent.append(('goals', places, particles))
-        return remote.Taken(5.0, self.controller)
+        return graph_client.Taken(5.0, self.controller)
 
     def send_path(self, places):
         self.sent.append(('path', places))
-        return remote.Taken(5.0, self.controller)
+        return graph_client.Taken(5.0, self.controller)
 
     left = ()
 
@@ -53,7 +53,7 @@ class Graph:
 
 @pytest.fixture(autouse=True)
 def graph(monkeypatch):
-    monkeypatch.setattr(remote, 'Remote', Graph)
+    monkeypatch.setattr(graph_client, 'GraphClient', Graph)
 
 
 def run(*arguments):

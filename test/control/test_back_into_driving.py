@@ -19,9 +19,9 @@ from microbot_ros.control.contract import (
     Result,
     no_field,
 )
+from microbot_ros.control.controller_manager import LONGEST_STEP, ControllerManager
 from microbot_ros.control.hold import Hold
-from microbot_ros.control.switchboard import LONGEST_STEP, Switchboard
-from microbot_ros.control.testkit import situation
+from microbot_ros.control.testkit import controller_input
 from microbot_ros.control.waypoint import Waypoint
 from microbot_ros.model.effects.background_field import BackgroundField
 from microbot_ros.model.model import Model
@@ -38,7 +38,7 @@ class East(Controller):
     summary = 'One way.'
     way = (1, 0)
 
-    def compute(self, situation):
+    def compute(self, inputs):
         return FieldCommand(FULL * np.array(self.way))
 
 
@@ -53,7 +53,7 @@ class Moody(Controller):
     summary = 'Moody.'
     mood: object = None
 
-    def compute(self, situation):
+    def compute(self, inputs):
         if isinstance(self.mood, BaseException):
             raise self.mood
         return self.mood
@@ -62,7 +62,7 @@ class Moody(Controller):
 class Refuses(Hold):
     """Never takes over."""
 
-    def activate(self, situation):
+    def activate(self, inputs):
         raise ParticleLostError('none is seen')
 
 
@@ -75,20 +75,20 @@ MOODS = [
 
 
 class Rig:
-    """A switchboard, and what whoever drives the coils last gave them: a command, or zero."""
+    """A controller manager, and what whoever drives the coils last gave them, or zero."""
 
     def __init__(self, slew: float) -> None:
         self.limits = Limits(field=FULL, slew=slew)
-        self.board = Switchboard(
+        self.manager = ControllerManager(
             {'hold': Hold(), 'east': East(), 'south': South(), 'moody': Moody(),
              'refuses': Refuses(), 'waypoint': Waypoint()},
-            'hold', deadline=10.0, stale_after=STALE)
+            'hold', deadline=10.0, pose_timeout=STALE)
         self.flowing = np.zeros(2)
         self.t = 0.0
 
     def drive(self, name: str) -> None:
         """A few ticks in which all is well."""
-        assert self.board.swap(name).ok
+        assert self.manager.switch_controller(name).ok
         for _ in range(3):
             self.tick(0.05)
         if self.limits.slew:
@@ -97,21 +97,21 @@ class Rig:
     def interrupt(self, way: str) -> None:
         """What may come in between, by name."""
         if way in ('let go', 'reset'):  # deactivated, an exception, no frames; cleaned up
-            (self.board.reset if way == 'reset' else self.board.let_go)()
+            (self.manager.reset if way == 'reset' else self.manager.let_go)()
             self.flowing = np.zeros(2)
         elif way == 'stale':
             self.tick(0.01, age=0.3)
         elif way == 'lost':
             self.tick(0.01, lost=True)
         elif way == 'restart':
-            self.board.swap(self.board.active)
+            self.manager.switch_controller(self.manager.active)
         else:
-            self.board.swap(way)
+            self.manager.switch_controller(way)
 
     def tick(self, dt: float, age: float = 0.01, lost: bool = False, speed: float = 4e-6) -> None:
         """One frame, and whether what it gave may be given to the coils."""
         self.t += dt if abs(dt) < 1e6 else 0.0
-        outcome = self.board.tick(situation(
+        outcome = self.manager.tick(controller_input(
             2, t=self.t, dt=dt, age=age, limits=self.limits, speed=np.full(2, speed),
             goals=Goals(np.array([[20e-6, 0.0]])),
             position=np.full((2, 2), np.nan if lost else 1.4399e-4)))
@@ -122,7 +122,7 @@ class Rig:
             return
         assert outcome.command is not None
         self.judge(outcome.command, dt, lets_go=(
-            self.board.active == 'hold' or outcome.result is not Result.OK))
+            self.manager.active == 'hold' or outcome.result is not Result.OK))
 
     def judge(self, command: FieldCommand, dt: float, lets_go: bool) -> None:
         """Within the limits, and from the field that flows, no faster than the slew."""
@@ -170,7 +170,7 @@ def test_hold_never_gives_the_field_of_before(way, dt):
     rig = Rig(slew=0.1)
     rig.drive('east')
     rig.interrupt(way)
-    rig.board.swap('hold')
+    rig.manager.switch_controller('hold')
     before = np.hypot(*rig.flowing)
     rig.tick(dt)
     assert np.hypot(*rig.flowing) < before or not before
@@ -190,21 +190,21 @@ class NoNumberAside(BackgroundField):
 def test_what_the_border_makes_of_a_field_is_checked_too(bad, monkeypatch):
     """The controller's command was finite; what the border turned it into was not."""
     monkeypatch.setattr(NoNumberAside, 'bad', bad)
-    board = Switchboard({'east': East()}, 'east', deadline=10.0)
+    manager = ControllerManager({'east': East()}, 'east', deadline=10.0)
     edge = {'position': np.array([[1.4399e-4, 0.0]]), 'phi': np.zeros(1),
             'speed': np.full(1, 4e-6)}
     for tick in range(3):
-        outcome = board.tick(situation(
+        outcome = manager.tick(controller_input(
             1, t=tick / 60, model=Model(5e-3, effects=(NoNumberAside(0.0, 0.0),)), **edge))
         assert outcome.result is Result.FAULT
         assert not outcome.command.field.any()
-    assert board.fault == 'east: commanded nan mT; the limit is 5'
+    assert manager.fault == 'east: commanded nan mT; the limit is 5'
 
 
 @pytest.mark.parametrize('name', ['speed', 'expected', 'phi', 'speed_std', 'phi_std'])
 @pytest.mark.parametrize('bad', [np.nan, np.inf, -np.inf])
 def test_who_is_no_number_does_not_count_at_the_border(name, bad):
-    shown = situation(2, **{name: np.full((2, 2) if name == 'expected' else 2, bad)})
+    shown = controller_input(2, **{name: np.full((2, 2) if name == 'expected' else 2, bad)})
     if name.endswith('_std'):
         shown = dataclasses.replace(shown, phi=np.full(2, bad))
     command = FieldCommand(np.array([3e-3, -4e-3]))

@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 
 from microbot_ros.control.border import kept_in_view
 from microbot_ros.control.contract import FieldCommand, Result
+from microbot_ros.control.controller_manager import ControllerManager
 from microbot_ros.control.open_loop import OpenLoop, OpenLoopParameters
-from microbot_ros.control.switchboard import Switchboard
 from microbot_ros.control.teleop import Teleop, TeleopParameters
-from microbot_ros.control.testkit import VIEW, situation
+from microbot_ros.control.testkit import VIEW, controller_input
 from microbot_ros.model.effects.background_field import BackgroundField
 from microbot_ros.model.model import Model
 
@@ -22,7 +22,7 @@ def place(x_um, y_um=0.0, **changes):
     """One particle with φ = 0, 4 µm/s."""
     at = np.array([[x_um, y_um]]) * 1e-6
     known = {'speed': np.array([4e-6]), 'phi': np.zeros(1)}
-    return situation(1, position=at, expected=at, **known | changes)
+    return controller_input(1, position=at, expected=at, **known | changes)
 
 
 def test_far_from_the_border_nothing_is_changed():
@@ -68,7 +68,7 @@ def test_no_direction_keeps_more_and_none_that_keeps_as_many_is_nearer(seed, cou
     """Against all directions, half a degree apart."""
     rng = np.random.default_rng(seed)
     at = VIEW.high * np.sign(rng.normal(size=(count, 2))) + rng.normal(0, 1.5e-6, (count, 2))
-    shown = situation(count, seed=seed, position=at, expected=at)
+    shown = controller_input(count, seed=seed, position=at, expected=at)
     u = np.exp(1j * angle)
     command = kept_in_view(shown, FieldCommand(5e-3 * np.array([u.real, u.imag])), HORIZON)
     found = complex(*command.field) / 5e-3
@@ -91,13 +91,13 @@ def test_no_direction_keeps_more_and_none_that_keeps_as_many_is_nearer(seed, cou
 def test_whichever_drives_a_particle_stays_and_goes_along_the_border(controller, parameters):
     it = controller()
     it.configure(parameters)
-    board = Switchboard({'it': it}, 'it', deadline=5.0)
+    manager = ControllerManager({'it': it}, 'it', deadline=5.0)
     at, dt = np.array([[130e-6, 0.0]]), 0.05
     for k in range(400):
-        shown = situation(1, t=k * dt, dt=dt, age=0.0, delay=0.0, position=at,
+        shown = controller_input(1, t=k * dt, dt=dt, age=0.0, delay=0.0, position=at,
                           speed=np.array([4e-6]), phi=np.zeros(1),
                           joystick=np.array([0.94, 0.34]))
-        outcome = board.tick(shown)
+        outcome = manager.tick(shown)
         assert outcome.result is Result.OK
         field = outcome.command.field
         at = at + 4e-6 * dt * field / max(np.hypot(*field), 1e-12)
@@ -108,6 +108,6 @@ def test_whichever_drives_a_particle_stays_and_goes_along_the_border(controller,
 def test_it_can_be_left_out():
     it = OpenLoop()
     it.configure(OpenLoopParameters(directions_deg=[0.0], durations_s=[60.0]))
-    board = Switchboard({'it': it}, 'it', deadline=5.0, border=0.0)
-    outcomes = [board.tick(place(150, t=0.1 * k, dt=0.1)) for k in range(3)]
+    manager = ControllerManager({'it': it}, 'it', deadline=5.0, border=0.0)
+    outcomes = [manager.tick(place(150, t=0.1 * k, dt=0.1)) for k in range(3)]
     assert outcomes[-1].command.field == pytest.approx([5e-3, 0])

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from microbot_ros.control import registry
+from microbot_ros.control import contract, registry, testkit
 from microbot_ros.control.contract import (
     Controller,
     FieldCommand,
@@ -14,7 +14,7 @@ from microbot_ros.control.contract import (
     Workspace,
     no_field,
 )
-from microbot_ros.control.testkit import exercise, situation
+from microbot_ros.control.testkit import controller_input, exercise
 
 CLASSES = registry.controller_classes()
 
@@ -28,39 +28,39 @@ class Honest(Controller):
     interface_version = 1
     summary = 'Does nothing.'
 
-    def compute(self, situation):
+    def compute(self, inputs):
         return no_field('')
 
 
 class TooStrong(Honest):
-    def compute(self, situation):
-        return FieldCommand(np.array([situation.limits.field * 1.01, 0]))
+    def compute(self, inputs):
+        return FieldCommand(np.array([inputs.limits.field * 1.01, 0]))
 
 
 class NotANumber(Honest):
-    def compute(self, situation):
+    def compute(self, inputs):
         return FieldCommand(np.array([np.nan, 0]))
 
 
 class TooFast(Honest):
-    def compute(self, situation):
+    def compute(self, inputs):
         return FieldCommand(np.zeros(2), np.inf)
 
 
 class Meddler(Honest):
-    def compute(self, situation):
-        situation.position[:] = 0
+    def compute(self, inputs):
+        inputs.position[:] = 0
         return no_field('')
 
 
 class Silent(Honest):
-    def compute(self, situation):
+    def compute(self, inputs):
         raise ParticleLostError
 
 
 class Careless(Honest):
-    def compute(self, situation):
-        return FieldCommand(situation.goals.position[0])
+    def compute(self, inputs):
+        return FieldCommand(inputs.goals.position[0])
 
 
 class Old(Honest):
@@ -117,8 +117,18 @@ def test_a_requested_plugin_that_fails_is_an_error_with_its_reason(name, reason)
             ask(name)
 
 
-def test_situation_knows_who_is_who():
-    shown = situation(3, ids=np.array([4, 2, 9]), phi_std=np.array([0.1, np.nan, np.inf]))
+@pytest.mark.parametrize(('module', 'former', 'present'), [
+    (contract, 'Situation', 'ControllerInput'), (testkit, 'situation', 'controller_input'),
+    (testkit, 'odd_situations', 'odd_inputs')])
+def test_former_names_still_work_with_a_warning(module, former, present):
+    with pytest.warns(DeprecationWarning, match=f'{former} is now called {present}'):
+        assert getattr(module, former) is getattr(module, present)
+    with pytest.raises(AttributeError, match='nobody'):
+        _ = module.nobody
+
+
+def test_controller_input_knows_who_is_who():
+    shown = controller_input(3, ids=np.array([4, 2, 9]), phi_std=np.array([0.1, np.nan, np.inf]))
     assert shown.index(2) == 1
     assert shown.learned(0.2).tolist() == [True, False, False]
     with pytest.raises(ParticleLostError, match='particle 5'):
@@ -130,4 +140,4 @@ def test_workspace_holds_only_what_is_inside():
     edge = np.array([[1, 2], [-1, -2], [1.0001, 0], [0, -2.0001], [np.nan, 0], [np.inf, 0]])
     assert view.holds(edge).tolist() == [True, True, False, False, False, False]
     assert not view.holds(edge, margin=0.1).any()
-    assert dataclasses.replace(situation(), goals=Goals()).goals.position.shape == (0, 2)
+    assert dataclasses.replace(controller_input(), goals=Goals()).goals.position.shape == (0, 2)

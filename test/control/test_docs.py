@@ -17,16 +17,16 @@ TEMPLATE = DOCS / 'template'
 USE = """
 import numpy as np
 from microbot_ros.control.registry import controller_classes
-from microbot_ros.control.switchboard import Switchboard
-from microbot_ros.control.testkit import exercise, situation
+from microbot_ros.control.controller_manager import ControllerManager
+from microbot_ros.control.testkit import controller_input, exercise
 kinds = controller_classes(required='northwards')
 assert 'waypoint' in kinds
 exercise(kinds['northwards'])
-board = Switchboard({name: kind() for name, kind in kinds.items()}, 'hold', deadline=30.0)
-shown = situation(1, dt=1.0, phi=np.array([0.5]))
-board.tick(shown)
-assert board.swap('northwards').ok
-x, y = board.tick(shown).command.field
+manager = ControllerManager({name: kind() for name, kind in kinds.items()}, 'hold', deadline=30.0)
+shown = controller_input(1, dt=1.0, phi=np.array([0.5]))
+manager.tick(shown)
+assert manager.switch_controller('northwards').ok
+x, y = manager.tick(shown).command.field
 print(round(np.arctan2(y, x), 6), kinds['northwards'].__module__)
 """
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from microbot_ros.control.contract import ControllerError, Goals, Result
+from microbot_ros.control.controller_manager import ControllerManager
 from microbot_ros.control.predictive import Predictive, PredictiveParameters
 from microbot_ros.control.registry import controller_classes
-from microbot_ros.control.switchboard import Switchboard
-from microbot_ros.control.testkit import VIEW, situation
+from microbot_ros.control.testkit import VIEW, controller_input
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model
 from microbot_ros.model.particle import Fluid, rotational_drag
@@ -34,13 +34,13 @@ def test_whatever_was_discovered_a_controller_answers(effect, propulsion):
     model = Model(LIMIT, propulsion, (some(EFFECTS[effect]),))
     goals = Goals(np.array([[20e-6, 10e-6], [-30e-6, 0], [0, 40e-6]]))
     for name, kind in CLASSES.items():
-        board = Switchboard({name: kind()}, name, deadline=30.0)
+        manager = ControllerManager({name: kind()}, name, deadline=30.0)
         for k in range(3):
-            outcome = board.tick(situation(
+            outcome = manager.tick(controller_input(
                 t=SINCE_1970 + k / 60, goals=goals, path=goals.position, model=model))
             assert outcome.result is not Result.FAULT, outcome.message
             assert np.hypot(*outcome.command.field) <= LIMIT * (1 + 1e-9)
-        board.close()
+        manager.close()
 
 
 @pytest.mark.parametrize('effect', EFFECTS)
@@ -48,7 +48,7 @@ def test_plans_with_any_effect_begin_within_the_limits(effect):
     controller = Predictive()
     controller.configure(PredictiveParameters(budget_ms=30.0))
     goals = Goals(np.array([[20e-6, 10e-6], [-30e-6, 0]]))
-    shown = situation(2, t=SINCE_1970, goals=goals, field=np.zeros(2),
+    shown = controller_input(2, t=SINCE_1970, goals=goals, field=np.zeros(2),
                       model=Model(LIMIT, effects=(some(EFFECTS[effect]),)))
     command = controller.compute(shown)
     assert 0 < np.hypot(*command.field) <= LIMIT * (1 + 1e-9)
@@ -59,7 +59,7 @@ def test_many_particles_are_planned_for_in_parts():
     """A tick has no time to look at every plan for ten; over some ticks all are looked at."""
     controller = Predictive()
     controller.configure(PredictiveParameters())
-    shown = situation(10, model=Model(LIMIT))
+    shown = controller_input(10, model=Model(LIMIT))
     rng = np.random.default_rng(0)
     shown = dataclasses.replace(
         shown, goals=Goals(shown.position + rng.uniform(-2e-5, 2e-5, (10, 2))))
@@ -79,11 +79,11 @@ def swim(obstacle, view, start, goal, seconds):
     controller = Predictive(clock=lambda: next(looks))
     controller.configure(PredictiveParameters(
         obstacles_um=(np.array(obstacle) * 1e6).tolist(), margin_um=2.0, budget_ms=100.0))
-    board = Switchboard({'it': controller}, 'it', deadline=30.0)
+    manager = ControllerManager({'it': controller}, 'it', deadline=30.0)
     times, fields, places, dt = [-1.0], [np.zeros(2)], [], 1 / 20
     for k in range(round(seconds / dt)):
         world.advance(k * dt, FieldHistory(np.array(times), np.array(fields)[:, None]))
-        outcome = board.tick(situation(
+        outcome = manager.tick(controller_input(
             1, t=k * dt, dt=dt, age=0.0, delay=0.0, position=world.position.copy(),
             theta=world.heading.copy(), speed=speed, phi=phi, workspace=view,
             goals=Goals(np.array([goal])), model=Model(LIMIT)))
@@ -105,4 +105,4 @@ def test_in_true_physics_an_obstacle_is_gone_round_within_a_narrow_view():
 
 def test_who_can_not_be_driven_by_it_is_said():
     with pytest.raises(ControllerError, match='rollers'):
-        Predictive().activate(situation(model=Model(LIMIT, 'rolling')))
+        Predictive().activate(controller_input(model=Model(LIMIT, 'rolling')))

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from microbot_ros.control.contract import GoalError, Goals, ModelError, ParticleLostError
+from microbot_ros.control.controller_manager import ControllerManager
 from microbot_ros.control.ensemble import Ensemble
 from microbot_ros.control.formation import SHAPES, Formation, FormationParameters
 from microbot_ros.control.shared import as_complex, floor
-from microbot_ros.control.switchboard import Switchboard
-from microbot_ros.control.testkit import VIEW, situation
+from microbot_ros.control.testkit import VIEW, controller_input
 from microbot_ros.model.model import Model
 
 DT = 1 / 20
@@ -22,11 +22,11 @@ def swarm(count, seed):
 
 def drive(controller, position, speed, phi, seconds, **changes):
     """Particles that obey the first-order model without noise; their places over time."""
-    board = Switchboard({'it': controller}, 'it', deadline=5.0)
+    manager = ControllerManager({'it': controller}, 'it', deadline=5.0)
     places, answer = [as_complex(position)], speed * np.exp(1j * phi)
     for k in range(round(seconds / DT)):
         now = np.stack([places[-1].real, places[-1].imag], -1)
-        outcome = board.tick(situation(
+        outcome = manager.tick(controller_input(
             len(speed), t=k * DT, dt=DT, age=0.0, delay=0.0, position=now, speed=speed, phi=phi,
             **changes))
         field = complex(*outcome.command.field)
@@ -62,16 +62,16 @@ def test_ensemble_keeps_everybody_in_view():
 
 def test_ensemble_waits_for_goals_and_for_phi_and_reports_the_lost():
     ensemble = Ensemble()
-    assert 'waits' in ensemble.compute(situation()).progress.message
+    assert 'waits' in ensemble.compute(controller_input()).progress.message
     goals = Goals(np.zeros((2, 2)))
-    unknown = situation(goals=goals, phi_std=np.full(3, np.inf))
+    unknown = controller_input(goals=goals, phi_std=np.full(3, np.inf))
     assert 'learns' in ensemble.compute(unknown).progress.message
     with pytest.raises(ParticleLostError):
-        ensemble.compute(situation(goals=Goals(np.zeros((1, 2)), np.array([9]))))
+        ensemble.compute(controller_input(goals=Goals(np.zeros((1, 2)), np.array([9]))))
     with pytest.raises(GoalError):
-        ensemble.compute(situation(goals=Goals(np.full((1, 2), np.nan))))
+        ensemble.compute(controller_input(goals=Goals(np.full((1, 2), np.nan))))
     with pytest.raises(ModelError):
-        ensemble.activate(situation(model=Model(5e-3, 'rolling')))
+        ensemble.activate(controller_input(model=Model(5e-3, 'rolling')))
 
 
 def form(shape, count=4, seed=3, seconds=15, **changes):
@@ -107,7 +107,7 @@ def test_carry_moves_the_centre_towards_the_goal_and_costs_shape_only_where_it_m
     assert rms(wanted - places[-1]) <= np.hypot(lowest, 1.2e-6)
     idle = Formation()
     idle.configure(FormationParameters(shape='carry'))
-    assert 'waits' in idle.compute(situation()).progress.message
+    assert 'waits' in idle.compute(controller_input()).progress.message
 
 
 @pytest.mark.parametrize('shape', ['line', 'ring', 'grid'])

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from microbot_ros.control.contract import GoalError
+from microbot_ros.control.controller_manager import ControllerManager
 from microbot_ros.control.drift_observer import DriftObserver
 from microbot_ros.control.path_following import PathFollowing, PathFollowingParameters
 from microbot_ros.control.route import Route
-from microbot_ros.control.switchboard import Switchboard
-from microbot_ros.control.testkit import situation
+from microbot_ros.control.testkit import controller_input
 
 ANGLE = np.linspace(0, 2 * np.pi, 361)
 CIRCLE = 20e-6 * np.column_stack((np.cos(ANGLE), np.sin(ANGLE)))
@@ -72,13 +72,13 @@ def follow(path, seconds, start=0j, drift=0.5e-6j, **parameters):
     rng, answer, dt = np.random.default_rng(0), cmath.rect(4e-6, -1.1), 1 / 60
     controller = PathFollowing()
     controller.configure(PathFollowingParameters(**parameters))
-    board = Switchboard({'it': controller}, 'it', deadline=5.0)
+    manager = ControllerManager({'it': controller}, 'it', deadline=5.0)
     place, places, outcome = start, [], None
     unknown = {name: np.full(1, np.nan) for name in ('speed', 'phi')}
     unknown |= {name: np.full(1, np.inf) for name in ('speed_std', 'phi_std')}
     for k in range(round(seconds / dt)):
         seen = np.array([[place.real, place.imag]]) + rng.normal(0, 3e-8, (1, 2))
-        outcome = board.tick(situation(
+        outcome = manager.tick(controller_input(
             1, t=k * dt, dt=dt, age=0.0, delay=0.0, position=seen, path=path, **unknown))
         field = complex(*outcome.command.field)
         place += (answer * field / abs(field) if field else 0) * dt + drift * dt
@@ -106,13 +106,13 @@ def test_stays_at_the_end_of_an_open_path():
     np.array([[1e-6, 1e-6]])])
 def test_paths_that_can_not_be_followed(path):
     with pytest.raises(GoalError, match='path'):
-        PathFollowing().compute(situation(path=path))
+        PathFollowing().compute(controller_input(path=path))
 
 
 def test_empty_path_lets_go_and_another_starts_anew():
     controller = PathFollowing()
-    command = controller.compute(situation())
+    command = controller.compute(controller_input())
     assert not np.any(command.field)
     assert 'waits' in command.progress.message
-    controller.compute(situation(t=0.1, path=CIRCLE))
-    assert not np.any(controller.compute(situation(t=0.2)).field)
+    controller.compute(controller_input(t=0.1, path=CIRCLE))
+    assert not np.any(controller.compute(controller_input(t=0.2)).field)

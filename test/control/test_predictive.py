@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from microbot_ros.control.contract import Goals, ModelError, Workspace
+from microbot_ros.control.controller_manager import ControllerManager
 from microbot_ros.control.manoeuvre import Task, search
 from microbot_ros.control.plan import Plan, Swarm, roll_out, with_lags
 from microbot_ros.control.predictive import Predictive, PredictiveParameters
 from microbot_ros.control.reach import opened, planned_floor, reach
 from microbot_ros.control.refine import cost, improve
 from microbot_ros.control.shared import as_complex, floor
-from microbot_ros.control.switchboard import Switchboard
-from microbot_ros.control.testkit import VIEW, situation
+from microbot_ros.control.testkit import VIEW, controller_input
 from microbot_ros.model.effects.alignment_lag import AlignmentLag
 from microbot_ros.model.effects.linear_flow import LinearFlow
 from microbot_ros.model.effects.uniform_drift import UniformDrift
@@ -132,14 +132,14 @@ def lag_loop(theta_seen, seconds=20.0, **parameters):
     controller = Predictive(clock=lambda: next(looks))
     controller.configure(PredictiveParameters(
         alignment_times_s=[0.1, 0.3], budget_ms=100.0, **parameters))
-    board = Switchboard({'it': controller}, 'it', deadline=10.0)
+    manager = ControllerManager({'it': controller}, 'it', deadline=10.0)
     place, theta, dt = np.array([-20e-6 + 0j, 20e-6 + 0j]), np.array([0.3, 2.1]), 0.05
     goal = np.array([[-20e-6, 18e-6], [20e-6, 18e-6]])
     turned = np.angle(ANSWER)
     rate, errors = 1 / np.array([0.1, 0.3]), []
     for k in range(round(seconds / dt)):
         seen = np.stack([place.real, place.imag], -1)
-        outcome = board.tick(situation(
+        outcome = manager.tick(controller_input(
             2, t=k * dt, dt=dt, age=0.0, delay=0.0, position=seen,
             theta=theta if theta_seen else np.full(2, np.nan), speed=np.abs(ANSWER), phi=turned,
             goals=Goals(goal), model=Model(LIMIT)))
@@ -161,9 +161,9 @@ def test_two_particles_end_far_below_the_first_order_floor(theta_seen):
 def test_what_predictive_needs_and_refuses():
     controller = Predictive()
     with pytest.raises(ModelError, match='none is loaded'):
-        controller.activate(situation())
+        controller.activate(controller_input())
     with pytest.raises(ModelError, match='rollers'):
-        controller.activate(situation(model=Model(LIMIT, 'rolling')))
+        controller.activate(controller_input(model=Model(LIMIT, 'rolling')))
     with pytest.raises(ValueError, match='received 4 numbers'):
         controller.configure(PredictiveParameters(obstacles_um=[0.0, 1.0, 2.0, 3.0]))
 
@@ -172,7 +172,7 @@ def test_without_lag_it_does_as_well_as_the_ensemble():
     controller = Predictive()
     controller.configure(PredictiveParameters())
     goals = Goals(np.array([[10e-6, 0], [0, 10e-6], [5e-6, 5e-6]]))
-    shown = situation(goals=goals, model=Model(LIMIT))
+    shown = controller_input(goals=goals, model=Model(LIMIT))
     command = controller.compute(shown)
     assert np.hypot(*command.field) == pytest.approx(LIMIT, rel=0.05)
 

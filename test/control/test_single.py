@@ -15,11 +15,11 @@ from microbot_ros.control.contract import (
     ParticleLostError,
     Result,
 )
+from microbot_ros.control.controller_manager import ControllerManager
 from microbot_ros.control.open_loop import OpenLoop, OpenLoopParameters
 from microbot_ros.control.roller import Roller, RollerParameters
-from microbot_ros.control.switchboard import Switchboard
 from microbot_ros.control.teleop import Teleop, TeleopParameters
-from microbot_ros.control.testkit import situation
+from microbot_ros.control.testkit import controller_input
 from microbot_ros.control.waypoint import Waypoint, WaypointParameters
 from microbot_ros.errors import InputError
 from microbot_ros.model.model import Model
@@ -31,14 +31,14 @@ SQUARE = np.array([[20e-6, 20e-6], [-20e-6, 20e-6], [-20e-6, -20e-6]])
 def drive(controller, goals, seconds, *, answer, rolling=False, learned_after=0.0, drift=0j):
     """A particle that obeys the first-order model two ticks late; places and outcomes."""
     delay = 2
-    board = Switchboard({'it': controller}, 'it', deadline=5.0)
+    manager = ControllerManager({'it': controller}, 'it', deadline=5.0)
     rng, place, queue = np.random.default_rng(1), 0j, [(0j, 0.0)] * delay
     places, outcomes = [], []
     for k in range(round(seconds / DT)):
         t = k * DT
         seen = np.array([[place.real, place.imag]]) + rng.normal(0, 5e-8, (1, 2))
         known = t >= learned_after
-        outcome = board.tick(situation(
+        outcome = manager.tick(controller_input(
             1, t=t, dt=DT, age=0.0, delay=delay * DT, position=seen, goals=Goals(goals),
             speed=np.array([abs(answer) if known else np.nan]),
             phi=np.array([cmath.phase(answer) if known else np.nan]),
@@ -94,22 +94,22 @@ def test_roller_holds_still_against_a_drift():
 
 
 def test_waypoint_cancels_and_reports_what_is_wrong():
-    board = Switchboard({'it': Waypoint()}, 'it', deadline=5.0)
-    assert not np.any(board.tick(situation()).command.field)
+    manager = ControllerManager({'it': Waypoint()}, 'it', deadline=5.0)
+    assert not np.any(manager.tick(controller_input()).command.field)
     outside = Goals(np.array([[1.0, 0.0]]))
-    assert board.tick(situation(goals=outside)).result is Result.BAD_GOAL
+    assert manager.tick(controller_input(goals=outside)).result is Result.BAD_GOAL
     gone = Goals(SQUARE, np.array([9, 9, 9]))
-    assert board.tick(situation(goals=gone)).result is Result.PARTICLE_LOST
-    assert board.tick(situation(0, goals=Goals(SQUARE))).result is Result.PARTICLE_LOST
-    assert board.tick(situation(goals=Goals(SQUARE))).result is Result.OK
-    assert 'waits' in board.tick(situation(goals=Goals())).message
+    assert manager.tick(controller_input(goals=gone)).result is Result.PARTICLE_LOST
+    assert manager.tick(controller_input(0, goals=Goals(SQUARE))).result is Result.PARTICLE_LOST
+    assert manager.tick(controller_input(goals=Goals(SQUARE))).result is Result.OK
+    assert 'waits' in manager.tick(controller_input(goals=Goals())).message
 
 
 def test_a_named_particle_must_be_there_to_take_over():
     waypoint = Waypoint()
     waypoint.configure(WaypointParameters(particle=8))
     with pytest.raises(ParticleLostError, match='particle 8'):
-        waypoint.activate(situation())
+        waypoint.activate(controller_input())
 
 
 def test_roller_goes_and_stops():
@@ -126,20 +126,20 @@ def test_roller_goes_and_stops():
 def test_roller_refuses_the_wrong_model_and_parameters():
     for model in (None, Model(5e-3)):
         with pytest.raises(ModelError, match='propulsion: rolling'):
-            Roller().activate(situation(model=model))
+            Roller().activate(controller_input(model=model))
     with pytest.raises(ValueError, match='slowest_hz'):
         Roller().configure(RollerParameters(slowest_hz=6.0))
 
 
 @pytest.mark.parametrize('stick', [(0, 0), (0.1, 0.1), (np.nan, 0), (0, np.nan)])
 def test_stick_at_rest_is_no_field(stick):
-    command = Teleop().compute(situation(joystick=np.array(stick)))
+    command = Teleop().compute(controller_input(joystick=np.array(stick)))
     assert not np.any(command.field)
 
 
 def test_stick_steers_the_field_or_a_particle():
     teleop = Teleop()
-    shown = situation(2, joystick=np.array([0.0, 2.0]), phi=np.array([0.5, np.nan]))
+    shown = controller_input(2, joystick=np.array([0.0, 2.0]), phi=np.array([0.5, np.nan]))
     assert teleop.compute(shown).field == pytest.approx([0, 5e-3])
     teleop.configure(TeleopParameters(particle=0, frequency_hz=10.0))
     command = teleop.compute(shown)
@@ -154,8 +154,8 @@ def test_stick_steers_the_field_or_a_particle():
 
 
 def play(controller, times, **changes):
-    controller.activate(situation(t=100.0))
-    return [controller.compute(situation(t=100.0 + t, **changes)) for t in times]
+    controller.activate(controller_input(t=100.0))
+    return [controller.compute(controller_input(t=100.0 + t, **changes)) for t in times]
 
 
 def test_open_loop_plays_each_row_until_the_next():
@@ -208,9 +208,9 @@ def test_a_file_that_is_wrong_is_refused_by_name(tmp_path, content):
 def test_a_list_beyond_the_limits_does_not_take_over():
     loop = OpenLoop()
     with pytest.raises(NoSolutionError, match='limit is 1 mT'):
-        loop.activate(situation(limits=Limits(field=1e-3)))
+        loop.activate(controller_input(limits=Limits(field=1e-3)))
     loop.configure(OpenLoopParameters(frequency_hz=50.0))
     with pytest.raises(NoSolutionError, match='Hz'):
-        loop.activate(situation(limits=Limits(frequency=10.0)))
+        loop.activate(controller_input(limits=Limits(frequency=10.0)))
     with pytest.raises(ValueError, match='one duration per direction'):
         loop.configure(OpenLoopParameters(directions_deg=[1.0]))

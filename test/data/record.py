@@ -22,7 +22,7 @@ import numpy as np
 import yaml
 
 from microbot_ros.nodes.graph import Graph
-from microbot_ros.nodes.rerun import cast, recorded_parameters, rerun
+from microbot_ros.nodes.replay_check import ReplayCheck, plan_replay, recorded_parameters
 from microbot_ros.session import open_recording
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 
@@ -77,9 +77,9 @@ def keep(recording: Path, name: str, nodes: list[str], end_s: float = 0.0) -> No
     """What the nodes say to a recording, beside this file."""
     with tempfile.TemporaryDirectory() as folder, open_recording(recording) as source:
         out = Path(folder) / name
-        players = cast(source, recording, nodes)
+        plan = plan_replay(source, recording, nodes)
         parameters = recorded_parameters(source, nodes, Path(folder))
-        if failure := rerun(recording, out, players, parameters, end_s):
+        if failure := ReplayCheck(recording, out, plan, parameters, end_s).run():
             sys.exit(failure)
         shutil.copy(out / f'{name}_0.mcap', HERE / f'{name}.mcap')
 

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from microbot_ros.cli import microbot
 from microbot_ros.control.contract import Goals
 from microbot_ros.control.predictive import Predictive, PredictiveParameters
-from microbot_ros.control.testkit import situation
+from microbot_ros.control.testkit import controller_input
 from microbot_ros.estimation.online import Estimator
 from microbot_ros.model.effects.uniform_drift import UniformDrift
 from microbot_ros.model.first_order import simulate
@@ -80,7 +80,7 @@ def test_the_predictive_controller_plans_with_it(discovered):
     for known in (Model(5e-3), model):
         controller = Predictive()
         controller.configure(PredictiveParameters(budget_ms=100.0))
-        seen = situation(
+        seen = controller_input(
             1, position=start, expected=start, theta=np.full(1, np.nan), delay=0.0,
             speed=particles.speed[:1], phi=particles.phi[:1], goals=Goals(goal), model=known)
         controller.activate(seen)

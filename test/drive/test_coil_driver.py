@@ -20,8 +20,9 @@ from microbot_ros.errors import InputError
 
 FULL_SCALE_A = 2.0
 LIMITS = Limits(
-    current_A=FULL_SCALE_A, step_A=2 * FULL_SCALE_A, slew_A_per_s=1e4, stale_s=0.8,
-    deviation_A=0.1, settling_s=0.5, silence_s=0.8, continuous_A=1.5, thermal_s=60.0, idle_s=60.0)
+    current_A=FULL_SCALE_A, step_A=2 * FULL_SCALE_A, slew_A_per_s=1e4, command_timeout_s=0.8,
+    deviation_A=0.1, settling_s=0.5, feedback_timeout_s=0.8, rated_current_A=1.5, thermal_s=60.0,
+    idle_s=60.0)
 DRIVING = [1.0, -1.0, 0.5, 0.0]
 HOST = """
 import sys, time
@@ -88,7 +89,7 @@ def test_commands_that_keep_coming_keep_driving(driver, board):
 
 def test_a_held_command_feeds_the_watchdog_of_the_device(emulate):
     board = emulate('serial_transfer', '--watchdog-ms', '100')
-    limits = Limits(**{**vars(LIMITS), 'stale_s': 60.0})
+    limits = Limits(**{**vars(LIMITS), 'command_timeout_s': 60.0})
     driver = CoilDriver(SerialTransferAmplifier(board.url, FULL_SCALE_A), limits, lambda _: None)
     driver.start()
     drive(driver, board)

@@ -367,8 +367,9 @@ def test_a_program_that_hangs_ends_in_zero_through_the_watchdog(line, board):
 
 @needs_simulator
 def test_a_host_within_its_limits_does_not_notice_the_limits_of_the_board(board):
-    limits = Limits(current_A=2.0, step_A=4.0, slew_A_per_s=200.0, stale_s=1.0, deviation_A=0.2,
-                    settling_s=0.1, silence_s=1.0, continuous_A=2.0, thermal_s=60.0, idle_s=60.0)
+    limits = Limits(current_A=2.0, step_A=4.0, slew_A_per_s=200.0, command_timeout_s=1.0,
+                    deviation_A=0.2, settling_s=0.1, feedback_timeout_s=1.0, rated_current_A=2.0,
+                    thermal_s=60.0, idle_s=60.0)
     driver = CoilDriver(SerialTransferAmplifier(board.url, 2.0, boot_s=DEADLINE_S), limits,
                         lambda _: None)
     driver.start()

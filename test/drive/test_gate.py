@@ -9,8 +9,8 @@ import pytest
 from microbot_ros.drive.gate import ZERO, Gate, Limits, Reason
 
 LIMITS = Limits(
-    current_A=2.0, step_A=3.0, slew_A_per_s=10.0, stale_s=0.125, deviation_A=0.25,
-    settling_s=0.0625, silence_s=0.25, continuous_A=1.0, thermal_s=8.0, idle_s=64.0)
+    current_A=2.0, step_A=3.0, slew_A_per_s=10.0, command_timeout_s=0.125, deviation_A=0.25,
+    settling_s=0.0625, feedback_timeout_s=0.25, rated_current_A=1.0, thermal_s=8.0, idle_s=64.0)
 NOT_FINITE = [math.nan, math.inf, -math.inf]
 COILS = range(4)
 
@@ -171,7 +171,7 @@ def test_a_zero_never_goes_stale():
     (math.nextafter(0.25, 0), True), (0.25, True), (math.nextafter(0.25, 1), False),
 ])
 def test_no_current_without_measurements(output, age, holds):
-    gate = driving(output, Limits(**{**vars(LIMITS), 'stale_s': 10.0}))
+    gate = driving(output, Limits(**{**vars(LIMITS), 'command_timeout_s': 10.0}))
     assert gate.tick(age) == (output if holds else ZERO)
     assert gate.armed == holds
     assert holds or tripped(gate, Reason.SILENCE)
@@ -224,7 +224,7 @@ def test_it_settles_from_every_command_of_the_settling_time():
 
 
 def test_heat_follows_the_exponential_and_trips_above_what_a_coil_bears():
-    limits = Limits(**{**vars(LIMITS), 'stale_s': 100.0, 'silence_s': 100.0})
+    limits = Limits(**{**vars(LIMITS), 'command_timeout_s': 100.0, 'feedback_timeout_s': 100.0})
     gate = driving((0.0, 2.0, -1.0, 0.5), limits)
     until_hot = -8.0 * math.log(1 - 1 / 4)  # 4 (1 − exp(−t/8)) = 1
     for now in np.linspace(0.01, until_hot - 1e-6, 37):
@@ -253,7 +253,7 @@ def test_a_coil_bears_its_continuous_current_for_ever():
     (0.75, 0.5), (-0.75, -0.5), (0.5, 0.75), (-0.5, -0.75),
 ])
 def test_the_larger_of_commanded_and_measured_heats(output, measured):
-    gate = driving(only(0, output), Limits(**{**vars(LIMITS), 'continuous_A': 0.5}))
+    gate = driving(only(0, output), Limits(**{**vars(LIMITS), 'rated_current_A': 0.5}))
     gate.measured(only(0, measured), 0.0)
     before = gate.heat[0]
     assert before == 0.0
@@ -263,7 +263,7 @@ def test_the_larger_of_commanded_and_measured_heats(output, measured):
 
 def test_a_coil_may_be_exactly_as_hot_as_it_bears():
     gate = driving((0.5,) * 4, Limits(**{
-        **vars(LIMITS), 'continuous_A': 0.5, 'thermal_s': 1e-4, 'settling_s': 1.0}))
+        **vars(LIMITS), 'rated_current_A': 0.5, 'thermal_s': 1e-4, 'settling_s': 1.0}))
     gate.measured((0.5,) * 4, 0.0)
     assert gate.tick(0.125) == (0.5,) * 4
     assert gate.heat == (1.0,) * 4
@@ -273,8 +273,8 @@ def test_a_coil_may_be_exactly_as_hot_as_it_bears():
 
 
 def test_a_fault_says_what_a_person_needs():
-    limits = Limits(**{**vars(LIMITS), 'stale_s': 1.0, 'silence_s': 2.0, 'continuous_A': 0.5,
-                       'thermal_s': 1e-4})
+    limits = Limits(**{**vars(LIMITS), 'command_timeout_s': 1.0, 'feedback_timeout_s': 2.0,
+                       'rated_current_A': 0.5, 'thermal_s': 1e-4})
     gate = armed(limits)
     gate.measured(ZERO, 1.0)
     gate.command(only(2, 0.6), 1.0)
@@ -311,7 +311,8 @@ def test_a_nonsensical_measurement_does_not_heat_for_ever():
 @pytest.mark.parametrize('call', ['command', 'measured', 'tick', 'arm'])
 @pytest.mark.parametrize('now', [*NOT_FINITE, math.nextafter(1.0, 0), 0.5, -1.0])
 def test_a_clock_that_goes_wrong_trips(call, now):
-    gate = driving((0.5,) * 4, Limits(**{**vars(LIMITS), 'stale_s': 5.0, 'silence_s': 5.0}))
+    gate = driving((0.5,) * 4, Limits(**{
+        **vars(LIMITS), 'command_timeout_s': 5.0, 'feedback_timeout_s': 5.0}))
     assert gate.tick(1.0) != ZERO
     arguments = ((0.5,) * 4, now) if call in ('command', 'measured') else (now,)
     answer = getattr(gate, call)(*arguments)
@@ -395,7 +396,7 @@ def test_readings_that_come_late_are_no_fault_of_the_coils_but_of_the_line():
 
 
 def test_one_present_reading_makes_up_for_late_ones():
-    gate = driving((1.0,) * 4, Limits(**{**vars(LIMITS), 'stale_s': 10.0}))
+    gate = driving((1.0,) * 4, Limits(**{**vars(LIMITS), 'command_timeout_s': 10.0}))
     gate.measured(ZERO, 0.125)
     gate.measured((1.0,) * 4, 0.125)
     gate.measured(ZERO, 0.25)
@@ -445,7 +446,7 @@ def test_a_command_is_as_old_as_when_it_was_given(given, holds):
 @pytest.mark.parametrize(('age', 'holds'), [
     (64.0, True), (math.nextafter(64.0, 65), False), (1e6, False)])
 def test_the_permission_ends_when_nobody_commands(commanded, age, holds):
-    limits = Limits(**{**vars(LIMITS), 'stale_s': 1e9, 'silence_s': 1e9})
+    limits = Limits(**{**vars(LIMITS), 'command_timeout_s': 1e9, 'feedback_timeout_s': 1e9})
     gate = armed(limits)
     if commanded is not None:
         gate.measured(ZERO, 1.0)

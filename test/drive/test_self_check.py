@@ -14,8 +14,9 @@ from microbot_ros.errors import InputError
 
 FULL_SCALE_A = 2.0
 LIMITS = Limits(
-    current_A=FULL_SCALE_A, step_A=2 * FULL_SCALE_A, slew_A_per_s=1e4, stale_s=0.8,
-    deviation_A=0.2, settling_s=0.5, silence_s=0.8, continuous_A=1.5, thermal_s=60.0, idle_s=60.0)
+    current_A=FULL_SCALE_A, step_A=2 * FULL_SCALE_A, slew_A_per_s=1e4, command_timeout_s=0.8,
+    deviation_A=0.2, settling_s=0.5, feedback_timeout_s=0.8, rated_current_A=1.5, thermal_s=60.0,
+    idle_s=60.0)
 PULSE_A = 3 * LIMITS.deviation_A
 RATE_S = 0.02
 

@@ -89,7 +89,8 @@ def test_arming_tries_each_coil_and_then_lets_commands_flow(drivers, device, pro
 @pytest.mark.parametrize('watchdog_s', [0.4])
 def test_the_zero_of_the_watchdog_is_no_fault_of_the_coils(drivers):
     """Though the pulse lasted for longer than a reading may be late."""
-    driver = drivers(self_check=True, accept_no_watchdog=False, settling_s=0.05, silence_s=0.2)
+    driver = drivers(
+        self_check=True, accept_no_watchdog=False, settling_s=0.05, feedback_timeout_s=0.2)
     arm(driver)
     assert driver.watchdog_s >= 0.35
 
@@ -159,7 +160,7 @@ def test_a_held_command_feeds_the_watchdog_of_the_device(driver, device):
 
 
 def test_a_command_that_goes_stale_ends_in_zero(drivers, device):
-    driver = drivers(stale_s=0.3)
+    driver = drivers(command_timeout_s=0.3)
     drive(driver, device)
     assert tripped(driver, device, Reason.STALE).detail.startswith('none for')
 
@@ -172,7 +173,7 @@ def test_a_command_that_waited_too_long_goes_nowhere(drivers, device):
             held.set()
             until(lambda: not holding.is_set())
 
-    driver = drivers(hold, stale_s=0.5)
+    driver = drivers(hold, command_timeout_s=0.5)
     arm(driver)
     holding.set()
     held.wait()
@@ -233,7 +234,7 @@ def test_disarming_does_not_wait_for_the_next_byte(driver, device):
 @pytest.mark.parametrize(('fault', 'reason'), [
     ('open=1', Reason.DEVIATION), ('silence', Reason.SILENCE), ('reset=9000', Reason.SILENCE)])
 def test_a_fault_of_the_device_ends_in_zero(drivers, device, fault, reason):
-    driver = drivers(silence_s=0.4)
+    driver = drivers(feedback_timeout_s=0.4)
     drive(driver, device)
     until(lambda: driver.command(DRIVING) and not driver.gate._replaced)
     device.fault(fault)
@@ -243,7 +244,7 @@ def test_a_fault_of_the_device_ends_in_zero(drivers, device, fault, reason):
 @pytest.mark.parametrize('protocol', ['roboteq'])
 def test_what_the_device_says_of_itself_is_a_fault(drivers, device, monkeypatch):
     monkeypatch.setattr(polled, '_INSPECT_S', 0.02)
-    driver = drivers(self_check=True, silence_s=30.0, settling_s=20.0)
+    driver = drivers(self_check=True, feedback_timeout_s=30.0, settling_s=20.0)
     arm(driver)
     device.fault('over_temperature')
     fault = until(lambda: driver.gate.fault)

@@ -129,7 +129,7 @@ class Ros:
     def end(self) -> None:
         """Leave nothing running."""
         for node in self.nodes.values():
-            node.end()
+            node.make_safe_and_close()
             self._executor.remove_node(node)
             node.destroy_node()
         self._executor.remove_node(self.probe)

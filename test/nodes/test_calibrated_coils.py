@@ -16,7 +16,7 @@ from geometry_msgs.msg import Vector3Stamped
 
 from microbot_ros.magnetics import CoilSettings
 from microbot_ros.nodes import messages
-from microbot_ros.nodes.remote import Remote
+from microbot_ros.nodes.graph_client import GraphClient
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(120)]
 
@@ -69,7 +69,8 @@ def _microbot(*words: str) -> subprocess.CompletedProcess[str]:
 def _rig(folder: Path, emulator: Any, coils: Path | None) -> Path:
     """A rig's file, with nothing but the coil driver."""
     file = folder / 'rig.yaml'
-    values = {'port': str(emulator.port), 'full_scale_A': 2.0, 'stale_ms': 500.0}
+    values = {'port': str(emulator.port), 'full_scale_A': 2.0, 'command_timeout_ms': 500.0,
+              'max_command_age_ms': 500.0}
     if coils:
         values['coils_file'] = str(coils)
     file.write_text(yaml.safe_dump({'coil_driver': {'ros__parameters': values}}))
@@ -95,16 +96,16 @@ def test_a_rig_runs_by_what_was_calibrated(tmp_path: Path, emulator: Any, defaul
         [sys.executable, '-m', 'microbot_ros.cli', 'run', '--arm', '--config', str(config)],
         stderr=subprocess.PIPE, text=True)
     try:
-        with Remote('test') as remote:
-            commands = remote.node.create_publisher(Vector3Stamped, 'field/command', 10)
+        with GraphClient('test') as client:
+            commands = client.node.create_publisher(Vector3Stamped, 'field/command', 10)
 
             def made() -> bool:
-                stamp = remote.node.get_clock().now().to_msg()
+                stamp = client.node.get_clock().now().to_msg()
                 commands.publish(messages.field_vector(wanted, stamp))
                 field = emulator.currents @ _field_per_ampere(content, (0, 0, 0))
                 off = field[:2] + BACKGROUND_T - wanted
                 return not emulator.zero and bool(np.hypot(*off) < 0.005 * np.hypot(*wanted))
-            assert remote.until(made, 40), f'{emulator.currents} {_ended(running)}'
+            assert client.until(made, 40), f'{emulator.currents} {_ended(running)}'
     finally:
         _ended(running)
     assert emulator.zero

@@ -162,12 +162,12 @@ def test_who_goes_unseen_is_carried_on_the_way_the_field_now_points(ros: Any) ->
     assert (points['sigma'] > 0.1e-6).all()
 
 
-@pytest.mark.parametrize(('drive', 'kind'), [
+@pytest.mark.parametrize(('source', 'kind'), [
     ('applied', MagneticField), ('command', Vector3Stamped), ('rotation', Vector3Stamped)])
-def test_a_field_in_another_frame_turns_nothing(ros: Any, drive: str, kind: type) -> None:
-    graph = ros({'tracker': {'drive': drive}})
+def test_a_field_in_another_frame_turns_nothing(ros: Any, source: str, kind: type) -> None:
+    graph = ros({'tracker': {'field_source': source}})
     tracker = graph.add('tracker')
-    topic = 'field/rotation' if drive == 'rotation' else f'field/{drive}'
+    topic = 'field/rotation' if source == 'rotation' else f'field/{source}'
     sent = graph.probe.create_publisher(kind, topic, 10)
     graph.until(lambda: sent.get_subscription_count() == 1)
     message = kind()

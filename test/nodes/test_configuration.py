@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[2]
 def test_the_rig_that_is_shipped_is_sound() -> None:
     rig = read_rig(ROOT / 'config' / 'rig.yaml')
     assert list(rig) == ['camera', 'tracker', 'model', 'controller', 'coil_driver', 'recorder']
-    assert rig['coil_driver']['stale_ms'] == 75.0
+    assert rig['coil_driver']['command_timeout_ms'] == 75.0
 
 
 def test_nested_keys_are_those_with_dots(tmp_path: Path) -> None:
@@ -24,13 +24,25 @@ def test_nested_keys_are_those_with_dots(tmp_path: Path) -> None:
     assert read_rig(file) == {'controller': {'waypoint.arrival_um': 3.0}}
 
 
+def test_former_names_stand_for_those_of_today(tmp_path: Path) -> None:
+    file = tmp_path / 'rig.yaml'
+    file.write_text('coil_driver:\n  ros__parameters: {stale_ms: 90, continuous_A: 1}\n'
+                    'tracker:\n  ros__parameters: {drive: none}\n')
+    assert read_rig(file) == {
+        'coil_driver': {'command_timeout_ms': 90.0, 'max_command_age_ms': 90.0,
+                        'rated_current_A': 1.0},
+        'tracker': {'field_source': 'none'}}
+
+
 @pytest.mark.parametrize(('text', 'line', 'expected'), [
     ('coil_diver:\n  ros__parameters: {}\n', 1, "unknown node 'coil_diver'; known are: camera"),
     ('tracker:\n  ros__parameters:\n    pixel_size_mm: 1.0\n', 3,
-     "unknown parameter 'pixel_size_mm' of tracker; known are: drive, full_search_ms"),
+     "unknown parameter 'pixel_size_mm' of tracker; known are: field_source, full_search_ms"),
     ('tracker:\n  ros__parameters:\n    pixel_size_um: -1.0\n', 3,
      'pixel_size_um must be 0.001 to 100 µm; received -1'),
     ('tracker:\n  ros__parameters:\n    pixel_size_um: .nan\n', 3, 'must be finite'),
+    ('model:\n  ros__parameters:\n    command_source: none\n', 3,
+     'field_source must be one of applied, command; received none'),
     ('tracker:\n  ros__parameters:\n    pixel_size_um: wide\n', 3, 'must be a number'),
     ('tracker:\n  parameters: {}\n', 2, "unknown key 'tracker.parameters'"),
     ('controller:\n  ros__parameters:\n    max_field_mT: 8.0\ncoil_driver:\n'

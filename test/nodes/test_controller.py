@@ -1,4 +1,4 @@
-"""The controller node: swapped by a parameter, silent when poses stop, safe when it fails."""
+"""The controller node: switched by a parameter, silent when poses stop, safe when it fails."""
 
 from __future__ import annotations
 
@@ -203,10 +203,10 @@ def test_naming_a_controller_again_restarts_it_after_a_fault(ros: Any, monkeypat
     with monkeypatch.context() as broken:
         broken.setattr(OpenLoop, 'compute', breaks)
         loop = Loop(ros, controller='open_loop')
-        loop.graph.until(lambda: loop.keep_seeing() or loop.node._switchboard.fault)
+        loop.graph.until(lambda: loop.keep_seeing() or loop.node._manager.fault)
     assert 'ZeroDivisionError' in loop.node.health()[1]
     assert loop.set(open_loop__field_mT=4.0).successful
-    assert loop.node._switchboard.fault
+    assert loop.node._manager.fault
     assert loop.set(controller='open_loop').successful
     loop.graph.until(lambda: loop.keep_seeing() or (loop.fields and loop.strength() > 3.9e-3))
 
@@ -239,7 +239,7 @@ def test_each_keeps_its_parameters(ros: Any) -> None:
     assert loop.set(controller='hold').successful
     answer = loop.set(waypoint__arrival_um=3.0)
     assert answer.successful
-    assert loop.node._switchboard._runners['waypoint']._parameters.arrival_um == 3.0
+    assert loop.node._manager._threads['waypoint']._parameters.arrival_um == 3.0
 
 
 def test_what_became_of_goals_is_not_said_of_the_next(ros: Any) -> None:
@@ -319,7 +319,7 @@ def test_a_joystick_that_says_no_number_counts_as_centred(
     loop.graph.until(lambda: loop.keep_seeing() or messages.to_seconds(
         loop.fields[-1].header.stamp) > last + 0.04)
     assert loop.strength() == 0
-    assert loop.node._switchboard.fault == ''
+    assert loop.node._manager.fault == ''
 
 
 def test_a_joystick_ahead_of_its_time_does_not_live_longer(ros: Any) -> None:
@@ -445,13 +445,13 @@ def test_what_the_node_says_and_what_runs_are_the_same(
     refused = [result for result in results if not result.successful]
     assert len(refused) == 1
     assert said in refused[0].reason
-    board, told = loop.node._switchboard, loop.node.get_parameter
+    board, told = loop.node._manager, loop.node.get_parameter
     for name in ('open_loop', 'waypoint'):
-        for field, runs in vars(board._runners[name]._controller.parameters).items():
+        for field, runs in vars(board._threads[name]._controller.parameters).items():
             parameter = told(f'{name}.{field}').value
             assert (list(parameter) if isinstance(runs, list) else parameter) == runs
             if atomically:
-                assert runs == getattr(type(board._runners[name]._controller).Parameters(), field)
+                assert runs == getattr(type(board._threads[name]._controller).Parameters(), field)
     assert board.active == told('controller').value == loop.node.settings.controller
     assert board.active == 'open_loop' or not atomically
     if atomically:
@@ -465,14 +465,14 @@ def test_a_set_that_is_refused_does_not_restart_after_a_fault(
 
     monkeypatch.setattr(OpenLoop, 'compute', breaks)
     loop = Loop(ros, controller='open_loop')
-    loop.graph.until(lambda: loop.keep_seeing() or loop.node._switchboard.fault)
+    loop.graph.until(lambda: loop.keep_seeing() or loop.node._manager.fault)
     monkeypatch.undo()
     request = SetParametersAtomically.Request(parameters=[
         Parameter(name, value=value).to_parameter_msg()
         for name, value in {'controller': 'open_loop', 'waypoint.arrival_um': -1.0}.items()])
     assert not loop.graph.call(SetParametersAtomically, 'controller/set_parameters_atomically',
                                request).result.successful
-    assert loop.node._switchboard.fault
+    assert loop.node._manager.fault
 
 
 def test_a_state_in_another_frame_is_not_acted_on(ros: Any) -> None:
@@ -489,7 +489,7 @@ def test_the_heading_is_that_of_the_same_frame(ros: Any, monkeypatch: Any) -> No
     """And not known in a state of before it was carried."""
     seen: list[np.ndarray] = []
     monkeypatch.setattr(OpenLoop, 'compute',
-                        lambda _, situation: seen.append(situation.theta) or no_field(''))
+                        lambda _, inputs: seen.append(inputs.theta) or no_field(''))
     loop = Loop(ros, controller='open_loop')
     point = np.zeros(2, messages.ESTIMATE)
     point['id'], point['theta'] = [4, 7], [1.5, np.nan]
@@ -505,7 +505,8 @@ def test_the_heading_is_that_of_the_same_frame(ros: Any, monkeypatch: Any) -> No
 
 def test_frames_that_overtake_each_other_give_the_field_no_time(ros: Any) -> None:
     """By turns 0.1 s old and new: to and fro, they would let it change by 2 mT each time."""
-    loop = Loop(ros, controller='open_loop', slew_mT_per_s=20.0, border_s=0.0, stale_ms=1000.0)
+    loop = Loop(ros, controller='open_loop', slew_mT_per_s=20.0, border_s=0.0,
+                pose_timeout_ms=1000.0)
     loop.graph.until(lambda: loop.keep_seeing() or (loop.fields and loop.strength() > 2.5e-3))
     begun = len(loop.fields) - 1
     for age in 10 * [0.1, 0.0]:

@@ -19,7 +19,7 @@ from mcap.reader import make_reader
 
 from microbot_ros.cli.demo import GOALS_UM, places_within, tell_shortcomings
 from microbot_ros.cli.demo_results import goals_reached
-from microbot_ros.drive.real_time import hurry
+from microbot_ros.drive.real_time import set_realtime_priority
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(300)]
 
@@ -134,7 +134,7 @@ class Demo:
         children = psutil.Process(self.process.pid).children()
         for child in children:
             if 'emulate' in child.cmdline():
-                hurry(child.pid)  # a board has nothing else to do
+                set_realtime_priority(child.pid)  # a board has nothing else to do
         return children
 
     def log(self) -> TextIO:

@@ -21,11 +21,11 @@ from geometry_msgs.msg import Vector3Stamped
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.parameter import Parameter
 
-from microbot_ros.drive.real_time import hurry
+from microbot_ros.drive.real_time import set_realtime_priority
 from microbot_ros.ending import PARENT
 from microbot_ros.errors import InputError, RigError
 from microbot_ros.nodes import messages
-from microbot_ros.nodes.remote import Remote
+from microbot_ros.nodes.graph_client import GraphClient
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(120)]
 
@@ -46,14 +46,15 @@ class Bench:
     def __init__(self, folder: Path, emulator: Any) -> None:
         self.folder = folder
         self.emulator = emulator
-        hurry(emulator.process.pid)  # a board has nothing else to do
-        self.remote = Remote('commander')
+        set_realtime_priority(emulator.process.pid)  # a board has nothing else to do
+        self.client = GraphClient('commander')
         self._started: list[psutil.Process] = []
         self._open = ExitStack()
-        self._commands = self.remote.node.create_publisher(Vector3Stamped, 'field/command', 1)
+        self._commands = self.client.node.create_publisher(Vector3Stamped, 'field/command', 1)
         # Long enough that no zero in time is one of a stale command.
         self.parameters = {
-            'coil_driver': {'port': str(emulator.port), 'full_scale_A': 2.0, 'stale_ms': 2000.0},
+            'coil_driver': {'port': str(emulator.port), 'full_scale_A': 2.0,
+                            'command_timeout_ms': 2000.0, 'max_command_age_ms': 2000.0},
             'recorder': {'folder': str(folder / 'recording')}}
 
     def command_line(self, *nodes: str) -> list[str]:
@@ -79,9 +80,9 @@ class Bench:
 
     def command(self) -> None:
         """Ask once for a field."""
-        now = self.remote.node.get_clock().now().to_msg()
+        now = self.client.node.get_clock().now().to_msg()
         self._commands.publish(messages.field_vector(np.array([2e-3, 0.0]), now))
-        self.remote.spin(0.01)
+        self.client.spin(0.01)
 
     def drive(self) -> None:
         """Arm and command until current flows."""
@@ -89,7 +90,7 @@ class Bench:
         while self.emulator.zero:
             assert time.monotonic() < deadline
             with suppress(InputError, RigError):
-                self.remote.arm()
+                self.client.arm()
             for _ in range(50):
                 self.command()
 
@@ -104,7 +105,7 @@ class Bench:
 
     def end(self) -> None:
         """Leave nothing behind."""
-        self.remote.__exit__()
+        self.client.__exit__()
         for process in self._started:
             with suppress(psutil.NoSuchProcess):
                 process.kill()
@@ -131,7 +132,7 @@ def test_a_driver_by_itself_is_at_zero_after_any_signal(bench: Bench, number: in
 
 def test_zero_waits_for_no_other_node_of_the_process(bench: Bench) -> None:
     node = bench.start(*bench.command_line('coil_driver', 'recorder'))
-    events = bench.remote.node.create_publisher(ParameterEvent, '/parameter_events', 10)
+    events = bench.client.node.create_publisher(ParameterEvent, '/parameter_events', 10)
     bench.drive()
     # The recorder keeps the files that parameters name: of a pipe it waits for the end.
     pipe = bench.folder / 'pipe'
@@ -215,7 +216,7 @@ def test_a_node_outlives_the_shell_that_it_was_started_from(bench: Bench) -> Non
     assert shell.wait(10) == 0
     bench.drive()
     node.send_signal(signal.SIGHUP)  # nohup
-    assert bench.remote.get('coil_driver', 'stale_ms') == {'stale_ms': 2000.0}
+    assert bench.client.get('coil_driver', 'command_timeout_ms') == {'command_timeout_ms': 2000.0}
     assert not bench.emulator.zero
     moment = time.monotonic()
     node.send_signal(signal.SIGTERM)

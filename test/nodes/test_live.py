@@ -13,9 +13,9 @@ import yaml
 
 from microbot_ros.discovery.discover import discover
 from microbot_ros.model.model_file import read_model
-from microbot_ros.nodes.collector import Collector
 from microbot_ros.nodes.graph import Graph
-from microbot_ros.nodes.remote import Remote
+from microbot_ros.nodes.graph_client import GraphClient
+from microbot_ros.nodes.live_session_buffer import LiveSessionBuffer
 from microbot_ros.records import Commands, Conditions, Session, Tracks
 from microbot_ros.session import write_session
 
@@ -58,15 +58,15 @@ def _graph(folder: Path, rolling: bool) -> Path:
 
 @pytest.mark.parametrize('rolling', [False, True])
 def test_the_recent_past_becomes_a_session(tmp_path: Path, rolling: bool) -> None:
-    with Graph(lambda *_: None) as graph, Remote('test') as remote:
-        collector = Collector(remote, 10.0)
+    with Graph(lambda *_: None) as graph, GraphClient('test') as client:
+        recent = LiveSessionBuffer(client, 10.0)
         for node in ('model', 'player'):
             graph.start_nodes([node], _graph(tmp_path, rolling))
         for _ in range(600):
-            remote.spin(0.1)
-            if collector.span > 9.9:
+            client.spin(0.1)
+            if recent.span > 9.9:
                 break
-        session = collector.session()
+        session = recent.session()
     assert 9.9 < session.tracks.t[-1] <= 10.0
     assert np.diff(session.tracks.t).max() < 0.1
     assert session.conditions.radius == pytest.approx(2e-6)
@@ -98,8 +98,8 @@ def test_discover_watches_and_what_it_proposes_is_used_while_running(tmp_path: P
         for line in proposed:
             taken = _microbot(*line.split())
             assert taken.returncode == 0, taken.stderr
-        with Remote('test') as remote:
-            files = {remote.get(node, 'model_file')['model_file']
+        with GraphClient('test') as client:
+            files = {client.get(node, 'model_file')['model_file']
                      for node in ('model', 'controller')}
     assert files == {str(tmp_path / 'live' / 'look-1' / 'model.yaml')}
     assert read_model(files.pop())[0].effect('uniform_drift') is not None

@@ -18,7 +18,7 @@ from sensor_msgs.msg import MagneticField, PointCloud2
 from std_srvs.srv import SetBool, Trigger
 
 from microbot_ros.nodes import messages
-from microbot_ros.nodes.audience import Audience
+from microbot_ros.nodes.playback_publishers import PlaybackPublishers
 from microbot_ros.records import Commands, Conditions, Session, Tracks
 from microbot_ros.session import write_session
 
@@ -49,7 +49,7 @@ def session(tmp_path: Path) -> Path:
 
 
 def test_what_is_played_is_what_the_model_learns(ros: Any, session: Path) -> None:
-    graph = ros({'model': {'command_source': 'command', 'radius_um': 2.3, 'use_sim_time': True,
+    graph = ros({'model': {'field_source': 'command', 'radius_um': 2.3, 'use_sim_time': True,
                            'viscosity_mPa_s': 1.245},
                  'player': {'session': str(session), 'rate': 0.0, 'answers': ['model/state']}})
     states = graph.hear(PointCloud2, 'model/state')
@@ -154,8 +154,8 @@ def test_it_is_played_to_nobody_in_the_end(
 def test_a_listener_that_keeps_all_is_waited_for(
         ros: Any, session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls = itertools.count()
-    send = Audience.send
-    monkeypatch.setattr(Audience, 'send', lambda self, topic, data: (
+    send = PlaybackPublishers.send
+    monkeypatch.setattr(PlaybackPublishers, 'send', lambda self, topic, data: (
         next(calls) % 5 > 0 and send(self, topic, data)))
     graph, stamps, clock = play(ros, session, rate=0.0)
     node = graph.add('player')
@@ -294,7 +294,7 @@ def test_a_camera_that_is_gone_is_said_and_for_how_long(ros: Any) -> None:
 
 @pytest.mark.parametrize(('parameters', 'topic', 'kind'), [
     ({}, 'field/applied', MagneticField),
-    ({'command_source': 'command'}, 'field/command', Vector3Stamped),
+    ({'field_source': 'command'}, 'field/command', Vector3Stamped),
     ({'propulsion': 'rolling'}, 'field/rotation', Vector3Stamped),
     ({}, 'particles', PointCloud2)])
 def test_what_is_in_another_frame_is_not_taken(

@@ -18,7 +18,7 @@ from sensor_msgs.msg import Image, PointCloud2
 from std_srvs.srv import SetBool
 
 from microbot_ros.nodes import messages
-from microbot_ros.nodes.rerun import recorded_parameters
+from microbot_ros.nodes.replay_check import recorded_parameters
 from microbot_ros.session import open_recording, read_session
 
 
@@ -70,7 +70,7 @@ def test_the_conditions_that_the_model_knows_are_in_the_recording(
     assert graph.add('model').active
     recorder = graph.add('recorder')
     particles = graph.probe.create_publisher(PointCloud2, 'particles', 10)
-    graph.until(lambda: 'model' in recorder._snapshot.answered)
+    graph.until(lambda: 'model' in recorder._collector.answered)
     graph.until(lambda: particles.get_subscription_count() == 2)
     particles.publish(messages.cloud(
         np.zeros(1, messages.PARTICLE), messages.to_stamp(recorder.seconds())))
@@ -89,7 +89,7 @@ def test_every_parameter_and_the_files_that_they_name_are_kept(ros: Any, tmp_pat
                  'model': {'radius_um': 1.5, 'model_file': str(first)}})
     recorder = graph.add('recorder')
     graph.add('model')
-    graph.until(lambda: recorder._snapshot.answered == {'model', 'recorder'})
+    graph.until(lambda: recorder._collector.answered == {'model', 'recorder'})
     change = Parameter('model_file', value=str(other)).to_parameter_msg()
     graph.call(SetParameters, 'model/set_parameters', SetParameters.Request(parameters=[change]))
     graph.until(lambda: str(other) in recorder._kept)

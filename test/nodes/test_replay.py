@@ -25,16 +25,16 @@ from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import MagneticField, PointCloud2
 
-from microbot_ros.control.contract import Controller, FieldCommand, Situation
-from microbot_ros.control.switchboard import Switchboard
-from microbot_ros.control.testkit import situation
-from microbot_ros.control.worker import Worker
+from microbot_ros.control.contract import Controller, ControllerInput, FieldCommand
+from microbot_ros.control.controller_manager import ControllerManager
+from microbot_ros.control.deadline_worker import DeadlineWorker
+from microbot_ros.control.testkit import controller_input
 from microbot_ros.estimation.batch import fit
 from microbot_ros.estimation.online import Estimates, Estimator
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.account import NotingWorker
 from microbot_ros.nodes.offline import ScriptedWorker
-from microbot_ros.nodes.rerun import cast, recorded_parameters, rerun
+from microbot_ros.nodes.replay_check import ReplayCheck, plan_replay, recorded_parameters
 from microbot_ros.records import Commands, Conditions, Session, Tracks
 from microbot_ros.session import RecordingWriter, open_recording, read_session
 from microbot_ros.session.accounts import BUSY, HUNG, IN_TIME, LATE
@@ -101,11 +101,11 @@ def test_what_they_answered_was_more_than_nothing() -> None:
 @pytest.mark.graph
 def test_two_replays_are_the_same_in_every_field(tmp_path: Path) -> None:
     with open_recording(STEERING) as source:
-        players = cast(source, STEERING)
-        parameters = recorded_parameters(source, players.nodes, tmp_path)
-    assert players.nodes == ('model', 'controller', 'coil_driver')
+        plan = plan_replay(source, STEERING)
+        parameters = recorded_parameters(source, plan.nodes, tmp_path)
+    assert plan.nodes == ('model', 'controller', 'coil_driver')
     for name in 'ab':
-        assert rerun(STEERING, tmp_path / name, players, parameters) == ''
+        assert ReplayCheck(STEERING, tmp_path / name, plan, parameters).run() == ''
     with open_recording(tmp_path / 'a') as a, open_recording(tmp_path / 'b') as b:
         stamps = {header_stamp_ns(m.data) for m in a.messages(['/particles'])}
         found = compare(a, b, ['/particles', '/model/state', '/field/command'], stamps)
@@ -241,9 +241,9 @@ def test_a_rolling_robot_is_the_same_by_topics_as_by_rows(
     source = recordings / 'rolling_robot'
     rows = beginning(read_session(source), 100.0)
     with open_source(source) as played:
-        players = cast(played, source, ['model'])
+        plan = plan_replay(played, source, ['model'])
     parameters = {'model': {'propulsion': 'rolling'}}
-    assert rerun(source, tmp_path / 'run', players, parameters, end_s=100.0) == ''
+    assert ReplayCheck(source, tmp_path / 'run', plan, parameters, end_s=100.0).run() == ''
     by_topics = read_session(tmp_path / 'run')
     # Positions cross in single precision, nothing else is lost.
     assert by_topics.tracks.position == pytest.approx(rows.tracks.position, rel=1e-7)
@@ -347,7 +347,7 @@ KEPT = ['particles', 'field/applied', 'model/state', 'field/command', 'goals', '
 
 
 def steered_live(ros: Any, folder: Path) -> Path:
-    """Two particles, goals, a swap of controllers and poses that come too late, recorded live."""
+    """Two particles, goals, a switch of controllers and poses that come too late, live."""
     out = folder / 'live'
     graph = ros({'recorder': {'folder': str(out), 'topics': KEPT},
                  'model': {'radius_um': 2.3, 'viscosity_mPa_s': 1.245},
@@ -363,7 +363,7 @@ def steered_live(ros: Any, folder: Path) -> Path:
     graph.until(lambda: particles.get_subscription_count() == 2
                 and applied.get_subscription_count() == goals.get_subscription_count() == 2
                 and all(graph.probe.count_publishers(topic) for topic in topics))
-    graph.until(lambda: {'model', 'controller'} <= graph.nodes['recorder']._snapshot.answered)
+    graph.until(lambda: {'model', 'controller'} <= graph.nodes['recorder']._collector.answered)
     points = np.zeros(2, messages.PARTICLE)
     points['id'], points['sigma'] = [1, 2], 1e-7
     rng = np.random.default_rng(5)
@@ -430,7 +430,7 @@ def test_a_recording_that_came_in_another_order_is_answered_alike(
             assert found['/field/command']['compared'] >= FRAMES - 3
     with open_recording(shuffled) as recording:
         fields = [recording.decode(m).vector for m in recording.messages(['/field/command'])]
-    # How many it were depends on when the swaps came through.
+    # How many it were depends on when the switches came through.
     assert len({(field.x, field.y) for field in fields}) > 10
 
 
@@ -465,15 +465,15 @@ class Slow(Controller):
         super().__init__()
         self.ticks = 0
 
-    def compute(self, situation: Situation) -> FieldCommand:
+    def compute(self, inputs: ControllerInput) -> FieldCommand:
         self.ticks += 1
         if self.ticks in self.waits:
             self.let.wait(10.0)
         return FieldCommand(np.array([1e-4 * self.ticks, 0.0]))
 
 
-def board(worker: Callable[[float], Worker]) -> Switchboard:
-    return Switchboard({'slow': Slow()}, 'slow', deadline=0.1, patience=0.4, border=0.0,
+def board(worker: Callable[[float], DeadlineWorker]) -> ControllerManager:
+    return ControllerManager({'slow': Slow()}, 'slow', deadline=0.1, patience=0.4, border=0.0,
                        worker=worker)
 
 
@@ -482,17 +482,17 @@ def test_what_came_too_late_comes_out_the_same_without_any_hurry(
     verdicts: list[str] = []
     monkeypatch.setattr(Slow, 'waits', {3})
     live = board(lambda patience: NotingWorker(patience, verdicts.append))
-    before = [live.tick(situation(t=0.01 * k, dt=0.01)) for k in range(6)]
+    before = [live.tick(controller_input(t=0.01 * k, dt=0.01)) for k in range(6)]
     hung = time.monotonic() + 0.5
     while time.monotonic() < hung:
-        before.append(live.tick(situation(t=0.01 * len(before), dt=0.01)))
+        before.append(live.tick(controller_input(t=0.01 * len(before), dt=0.01)))
     monkeypatch.setattr(Slow, 'waits', set())
-    before += [live.tick(situation(t=0.01 * (len(before) + k), dt=0.01)) for k in range(4)]
+    before += [live.tick(controller_input(t=0.01 * (len(before) + k), dt=0.01)) for k in range(4)]
     assert set(verdicts) == {IN_TIME, LATE, BUSY, HUNG}
     kept = iter(verdicts)
     again = board(lambda patience: ScriptedWorker(patience, lambda: next(kept)))
     for k, outcome in enumerate(before):
-        now = again.tick(situation(t=0.01 * k, dt=0.01))
+        now = again.tick(controller_input(t=0.01 * k, dt=0.01))
         assert now.result == outcome.result
         assert now.command is not None
         assert outcome.command is not None

@@ -18,9 +18,9 @@ import psutil
 import pytest
 import yaml
 
-from microbot_ros.drive.real_time import LOOP, SAFETY, hurry
+from microbot_ros.drive.real_time import LOOP, SAFETY, set_realtime_priority
 from microbot_ros.errors import RigError
-from microbot_ros.nodes.remote import Remote
+from microbot_ros.nodes.graph_client import GraphClient
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(240)]
@@ -43,7 +43,7 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class Running:
-    """`microbot run` in a process of its own, and a remote control."""
+    """`microbot run` in a process of its own, and a client of its graph."""
 
     def __init__(self, folder: Path, film: Path, emulator: Any, **more: dict[str, Any]) -> None:
         nodes: dict[str, dict[str, Any]] = {
@@ -59,7 +59,7 @@ class Running:
         config.write_text(yaml.safe_dump(
             {node: {'ros__parameters': values} for node, values in nodes.items()}))
         self.emulator = emulator
-        hurry(emulator.process.pid)  # a board has nothing else to do
+        set_realtime_priority(emulator.process.pid)  # a board has nothing else to do
         self.said = (folder / 'said.txt')
         with self.said.open('w') as said:
             self.process = subprocess.Popen(
@@ -69,13 +69,13 @@ class Running:
     def drive(self) -> None:
         """Wait until all nodes run, and let currents flow."""
         self.until(lambda: 'running: ' in self.said.read_text(), 120)
-        with Remote('test') as remote:
-            self.until(lambda: self._driving(remote), 60)
+        with GraphClient('test') as client:
+            self.until(lambda: self._driving(client), 60)
 
-    def _driving(self, remote: Remote) -> bool:
+    def _driving(self, client: GraphClient) -> bool:
         """Arm, again where a busy machine made the gate trip; whether currents flow by then."""
         with suppress(RigError):
-            remote.arm()
+            client.arm()
         deadline = time.monotonic() + 2
         while self.emulator.zero and time.monotonic() < deadline:
             time.sleep(0.01)

@@ -13,7 +13,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from microbot_ros.nodes.remote import Remote
+from microbot_ros.nodes.graph_client import GraphClient
 from microbot_ros.nodes.transport import clear_shared_memory
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(120)]
@@ -25,12 +25,12 @@ FORGOTTEN_S = 4.0
 @pytest.fixture
 def node() -> Iterator[subprocess.Popen[str]]:
     """A process that publishes on the topic `chat`."""
-    program = ('from microbot_ros.nodes.remote import Remote\n'
+    program = ('from microbot_ros.nodes.graph_client import GraphClient\n'
                'from std_msgs.msg import String\n'
-               'with Remote("talker") as remote:\n'
-               '    remote.node.create_publisher(String, "chat", 1)\n'
+               'with GraphClient("talker") as client:\n'
+               '    client.node.create_publisher(String, "chat", 1)\n'
                '    print("up", flush=True)\n'
-               '    remote.spin(3600)\n')
+               '    client.spin(3600)\n')
     with subprocess.Popen([sys.executable, '-c', program], stdout=subprocess.PIPE,
                           text=True) as process:
         assert process.stdout is not None
@@ -39,19 +39,19 @@ def node() -> Iterator[subprocess.Popen[str]]:
         process.kill()
 
 
-def _publishers(remote: Remote) -> int:
-    remote.spin(0.02)
-    return len(remote.node.get_publishers_info_by_topic('chat'))
+def _publishers(client: GraphClient) -> int:
+    client.spin(0.02)
+    return len(client.node.get_publishers_info_by_topic('chat'))
 
 
 def test_a_killed_publisher_is_soon_forgotten(node: subprocess.Popen[str]) -> None:
-    with Remote('listener') as remote:
+    with GraphClient('listener') as client:
         deadline = time.monotonic() + 20
-        while not _publishers(remote):
+        while not _publishers(client):
             assert time.monotonic() < deadline
         node.kill()
         killed = time.monotonic()
-        while _publishers(remote):
+        while _publishers(client):
             assert time.monotonic() < killed + FORGOTTEN_S
 
 
@@ -82,8 +82,8 @@ def test_nothing_that_comes_from_beyond_loopback_is_ever_read(
     deadline = time.monotonic() + 10
     while all(_waiting(port) for port in local):  # those that are read, are read by now
         assert time.monotonic() < deadline
-    with Remote('asker') as remote:  # and the process has talked to another meanwhile
-        while not _publishers(remote):
+    with GraphClient('asker') as client:  # and the process has talked to another meanwhile
+        while not _publishers(client):
             assert time.monotonic() < deadline
     assert all(_waiting(port) for _, port in others)
 

@@ -7,10 +7,10 @@ import numpy as np
 from microbot_ros import units
 from microbot_ros.control.contract import (
     Controller,
+    ControllerInput,
     FieldCommand,
     NotLearnedError,
     Progress,
-    Situation,
 )
 from microbot_ros.control.steering import field_along
 from microbot_ros.settings import setting
@@ -31,17 +31,17 @@ class Northwards(Controller):
     summary = 'Sends one particle north.'
     Parameters = NorthwardsParameters
 
-    def activate(self, situation: Situation) -> None:
-        """Refuses the swap where the particle is not seen."""
-        situation.index(self.parameters.particle)
+    def activate(self, inputs: ControllerInput) -> None:
+        """Refuses the switch where the particle is not seen."""
+        inputs.index(self.parameters.particle)
 
-    def compute(self, situation: Situation) -> FieldCommand:
+    def compute(self, inputs: ControllerInput) -> FieldCommand:
         """The field at −φ from north: a particle swims at φ from the field."""
-        row = situation.index(self.parameters.particle)
-        if not np.isfinite(situation.phi[row]):
+        row = inputs.index(self.parameters.particle)
+        if not np.isfinite(inputs.phi[row]):
             raise NotLearnedError('waits until φ is known')  # "not now": asked again next tick
         strength = units.to_si('field_mT', self.parameters.field_mT)
-        field = field_along(situation, np.pi / 2 - situation.phi[row], strength)
-        to_go = situation.workspace.high[1] - situation.position[row, 1]
+        field = field_along(inputs, np.pi / 2 - inputs.phi[row], strength)
+        to_go = inputs.workspace.high[1] - inputs.position[row, 1]
         return FieldCommand(field, progress=Progress('goes north', False, to_go),
-                            particles=situation.ids[row:row + 1])
+                            particles=inputs.ids[row:row + 1])

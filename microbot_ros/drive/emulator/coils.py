@@ -10,7 +10,7 @@ from typing import TextIO
 
 
 class Coils:
-    """Four currents [A] that change at once, and the watchdog that zeroes them.
+    """Four currents within ±`full_scale_A` that change at once, and the watchdog that zeroes them.
 
     Every change is one line of JSON in `log`, flushed: `t_monotonic_s`, `currents_A`, `cause`.
     `watchdog_s` is how long after the last good command the currents go to zero; None models
@@ -31,7 +31,7 @@ class Coils:
         self.zero('reset')
 
     def command(self, wanted_A: dict[int, float] | Sequence[float]) -> None:
-        """Take the currents of some coils, by index, or of all, and feed the watchdog."""
+        """Take `wanted_A` [A], of some coils, by index, or of all, and feed the watchdog."""
         self.feed()
         for coil, current in dict(wanted_A if isinstance(wanted_A, dict)
                                   else enumerate(wanted_A)).items():
@@ -50,8 +50,8 @@ class Coils:
         self._settle(cause)
 
     def conduct(self, shares: tuple[float, ...], cause: str) -> None:
-        """Let each coil carry this share of its current until told otherwise: 0 where its wire is
-        broken, −1 where it is reversed.
+        """Let each coil carry its part in `shares` of its current until told otherwise: 0 where
+        its wire is broken, −1 where it is reversed.
         """
         if shares != self._shares:
             self._shares = shares
@@ -62,7 +62,7 @@ class Coils:
         return self._deadline_s
 
     def watch(self, now_s: float) -> None:
-        """Zero the currents if the watchdog's time is over."""
+        """Zero the currents if the watchdog's time is over at `now_s`."""
         if now_s >= self._deadline_s:
             self.zero('watchdog')
 

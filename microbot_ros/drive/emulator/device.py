@@ -9,14 +9,14 @@ from microbot_ros.drive.emulator.coils import Coils
 
 
 class Device(ABC):
-    """An amplifier as its bytes show it: no clock of its own, no port, no file."""
+    """An amplifier of some `coils` as its bytes show it: no clock of its own, no port, no file."""
 
     ports = 1
     """How many serial lines it has."""
 
     def __init__(self, coils: Coils) -> None:
         self.coils = coils
-        self.impostor = False
+        self.wrong_device = False
         """Whether it answers as another model would."""
         self.hot = False
         """Whether it is too hot to drive: no current flows, and it says so where it can."""
@@ -24,7 +24,7 @@ class Device(ABC):
 
     @abstractmethod
     def receive(self, port: int, data: bytes, now_s: float) -> bytes:
-        """Take bytes that came in on a line at `now_s`; the answer to send back on it."""
+        """Take `data` that came in on a `port` at `now_s`; the answer to send back on it."""
 
     def speak(self, now_s: float) -> bytes:
         """What the device says by itself at `now_s`, on its first line."""

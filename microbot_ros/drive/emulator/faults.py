@@ -43,7 +43,7 @@ class Fault:
 
 
 def parse(text: str, now_s: float) -> Fault:
-    """A fault written as `KIND[=VALUE][@START][+DURATION]`, in seconds from `now_s`.
+    """A fault from a `text` `KIND[=VALUE][@START][+DURATION]`, in seconds from `now_s`.
 
     Without START it begins at once, without DURATION it stays. Raises InputError.
     """
@@ -85,12 +85,13 @@ class Faults:
         self._faults.append(fault)
 
     def value(self, kind: str, now_s: float) -> float | None:
-        """The value of a kind of fault that holds now, None where it does not."""
+        """The value of a `kind` of fault that holds at `now_s`, None where it does not."""
         return next((fault.value for fault in self._faults
                      if fault.kind == kind and fault.start_s <= now_s < fault.end_s), None)
 
     def conducted(self, now_s: float) -> tuple[tuple[float, ...], str]:
-        """The share of its current that each coil carries now, and the fault that says so."""
+        """The share of its current that each coil carries at `now_s`, and the fault that says so.
+        """
         if self.value('over_temperature', now_s) is not None:
             return (0.0,) * 4, 'over_temperature'
         shares, cause = [1.0] * 4, 'repaired'
@@ -100,14 +101,14 @@ class Faults:
         return tuple(shares), cause
 
     def reset_due(self, now_s: float) -> bool:
-        """Whether a reset has come up that was not reported before."""
+        """Whether a reset has come up by `now_s` that was not reported before."""
         due = {fault for fault in self._faults
                if fault.kind == 'reset' and fault.start_s <= now_s} - self._reset_done
         self._reset_done |= due
         return bool(due)
 
     def damage(self, message: bytes, now_s: float) -> bytes:
-        """What arrives of a message that went on the line now."""
+        """What arrives of a `message` that goes on the line at `now_s`."""
         if not self._faults:
             return message
         cut = self.value('truncate', now_s)

@@ -66,7 +66,8 @@ class Line:
             return b''
 
     def write(self, data: bytes) -> None:
-        """Send; what a host does not take, or is not there to take, is lost as on a wire."""
+        """Send `data`; what a host does not take, or is not there to take, is lost as on a wire.
+        """
         if self.master is not None and self.present:
             with contextlib.suppress(OSError):
                 os.write(self.master, data)

@@ -39,7 +39,8 @@ def run(protocol: str, link: Path, log: Path | None, full_scale_A: float,
         watchdog_s: float | None, faults: list[str]) -> None:
     """Emulate until it is to end (`Ending`); then the coils are at zero and the link is gone.
 
-    A protocol with several ports gets the links `link`-1, `link`-2 and so on. A fault `-` means
+    `full_scale_A` and `watchdog_s` are the device's; `faults` as `parse` reads them. A protocol
+    with several ports gets the links `link`-1, `link`-2 and so on. A fault `-` means
     that more come on standard input, one a line. Raises InputError for a link or a log that
     cannot be made and for a fault that is none.
     """
@@ -67,7 +68,7 @@ def _open_log(log: Path | None) -> TextIO:
 
 
 def links(link: Path, ports: int) -> list[Path]:
-    """The names of the lines of a device with that many ports."""
+    """The names of the lines of a device of so many `ports` at `link`."""
     if ports == 1:
         return [link]
     return [link.with_name(f'{link.name}-{number}') for number in range(1, ports + 1)]

@@ -19,8 +19,8 @@ _IDLE_S = 0.05
 
 
 class Server:
-    """Moves bytes between hosts and a device. `commands`, where there is one, is the descriptor
-    of a stream on which faults come in, one a line, while it runs.
+    """Moves bytes between hosts, on `lines`, and a device. `commands`, where there is one, is the
+    descriptor of a stream on which faults come in, one a line, while it runs.
     """
 
     def __init__(self, device: Device, lines: list[Line], faults: Faults,
@@ -80,7 +80,7 @@ class Server:
         device, faults = self._device, self._faults
         if faults.reset_due(now_s):
             device.reset()
-        device.impostor = faults.value('wrong_reply', now_s) is not None
+        device.wrong_device = faults.value('wrong_reply', now_s) is not None
         device.hot = faults.value('over_temperature', now_s) is not None
         device.coils.conduct(*faults.conducted(now_s))
         unplugged = faults.value('unplug', now_s) is not None

@@ -27,7 +27,7 @@ Message = TypeVar('Message', bound=ModbusPDU)
 
 
 def read(slave: int, register: int, count: int = 1) -> bytes:
-    """Asks a slave for one register, or for some in a row."""
+    """Asks a slave for one register, or for `count` in a row."""
     request = ReadHoldingRegistersRequest(address=register, count=count, dev_id=slave)
     return _framer.buildFrame(request)
 
@@ -47,8 +47,8 @@ def duty_percent(duty: float) -> int:
 
 
 def values(slave: int, count: int, received: bytes) -> tuple[int, ...] | None:
-    """The signed values of that many registers in a slave's answer; None where incomplete,
-    damaged or another's.
+    """The signed values of `count` registers in a slave's answer `received`; None where
+    incomplete, damaged or another's.
     """
     message = _message(slave, received, ReadHoldingRegistersResponse)
     if message is None or len(message.registers) != count:
@@ -57,7 +57,7 @@ def values(slave: int, count: int, received: bytes) -> tuple[int, ...] | None:
 
 
 def written(slave: int, request: bytes, received: bytes) -> bool | None:
-    """True where a slave repeated the request; None otherwise."""
+    """True where a slave repeated the request in `received`; None otherwise."""
     message = _message(slave, received, WriteSingleRegisterResponse)
     return True if message is not None and received == request else None
 

@@ -26,7 +26,9 @@ _ILLEGAL_ADDRESS = 2
 
 
 class Bridges(Device):
-    """Registers 0 enable, 1 duty, 5 current, 7 to 10 temperatures; no watchdog."""
+    """Bridges for `coils`: registers 0 enable, 1 duty, 5 current, 7 to 10 temperatures; no
+    watchdog.
+    """
 
     def __init__(self, coils: Coils) -> None:
         coils.watchdog_s = None
@@ -68,7 +70,7 @@ class Bridges(Device):
         if request.dev_id not in SLAVES:
             return b''
         answer = self._answer(request)
-        answer.dev_id = request.dev_id + len(SLAVES) if self.impostor else request.dev_id
+        answer.dev_id = request.dev_id + len(SLAVES) if self.wrong_device else request.dev_id
         return self._framer.buildFrame(answer)
 
     def _answer(self, request: ModbusPDU) -> ModbusPDU:

@@ -17,13 +17,13 @@ _LONGEST_VERSION = 48
 
 
 def packet(address: int, command: int, data: bytes = b'') -> bytes:
-    """A packet that sets something; it is answered with FF."""
+    """A `command` with `data` to the controller at an `address`; it is answered with FF."""
     body = bytes((address, command)) + data
     return body + crc_hqx(body, 0).to_bytes(2, 'big')
 
 
 def drive(address: int, first: float, second: float) -> bytes:
-    """Duties −1 … 1 of motors 1 and 2, taken at once."""
+    """Duties −1 … 1 of motors 1 (`first`) and 2 (`second`) at an `address`, taken at once."""
     return packet(address, DRIVE, struct.pack('>hh', _steps(first), _steps(second)))
 
 
@@ -34,27 +34,27 @@ def _steps(duty: float) -> int:
 
 
 def set_timeout(address: int, seconds: float) -> bytes:
-    """Stop both motors when no packet has come for this long, in steps of 0.1 s."""
+    """Stop both motors at an `address` when no packet came for `seconds`, in steps of 0.1 s."""
     return packet(address, SET_TIMEOUT, bytes((round(seconds / TIMEOUT_STEP_S),)))
 
 
 def ask_timeout(address: int) -> bytes:
-    """Asks for the timeout. Questions carry no CRC; their answers do."""
+    """Asks an `address` for the timeout. Questions carry no CRC; their answers do."""
     return bytes((address, GET_TIMEOUT))
 
 
 def ask_version(address: int) -> bytes:
-    """Asks for the name and version of the firmware."""
+    """Asks an `address` for the name and version of the firmware."""
     return bytes((address, GET_VERSION))
 
 
 def ask_currents(address: int) -> bytes:
-    """Asks for the currents of both motors."""
+    """Asks an `address` for the currents of both motors."""
     return bytes((address, GET_CURRENTS))
 
 
 def ask_temperature(address: int) -> bytes:
-    """Asks for the temperature of the board."""
+    """Asks an `address` for the temperature of the board."""
     return bytes((address, GET_TEMPERATURE))
 
 
@@ -64,13 +64,13 @@ def answer(question: bytes, data: bytes) -> bytes:
 
 
 def timeout(question: bytes, received: bytes) -> float | None:
-    """The timeout [s] in an answer; None where it is incomplete or damaged."""
+    """The timeout [s] `received` as answer to a `question`; None where incomplete or damaged."""
     data = _data(question, received, 1)
     return None if data is None else data[0] * TIMEOUT_STEP_S
 
 
 def currents(question: bytes, received: bytes) -> tuple[float, float] | None:
-    """The currents [A] in an answer; None where it is incomplete or damaged."""
+    """The currents [A] `received` as answer to a `question`; None where incomplete or damaged."""
     data = _data(question, received, 4)
     if data is None:
         return None
@@ -79,13 +79,15 @@ def currents(question: bytes, received: bytes) -> tuple[float, float] | None:
 
 
 def temperature(question: bytes, received: bytes) -> float | None:
-    """The temperature [°C] in an answer; None where it is incomplete or damaged."""
+    """The temperature [°C] `received` as answer to a `question`; None where incomplete or damaged.
+    """
     data = _data(question, received, 2)
     return None if data is None else int.from_bytes(data, 'big') * TEMPERATURE_STEP_C
 
 
 def version(question: bytes, received: bytes) -> str | None:
-    """The text in an answer, which ends with a line feed and a zero byte; None where damaged."""
+    """The text `received` as answer to a `question`, up to line feed and zero; None where damaged.
+    """
     end = received.find(b'\n\0')
     if not 0 <= end < _LONGEST_VERSION:
         return None

@@ -17,7 +17,7 @@ _VALUES = re.compile(rb'(-?\d{1,5}):(-?\d{1,5})')
 
 
 def drive(first: float, second: float) -> bytes:
-    """Commands −1 … 1 for channels 1 and 2; ValueError outside."""
+    """Commands −1 … 1 for channels 1 (`first`) and 2 (`second`); ValueError outside."""
     if not all(-1.0 <= share <= 1.0 for share in (first, second)):
         raise ValueError(f'commands must be −1 … 1; received {first}, {second}')
     return b''.join(line(f'!G {channel} {round(share * FULL_COMMAND)}')
@@ -25,17 +25,18 @@ def drive(first: float, second: float) -> bytes:
 
 
 def line(text: str) -> bytes:
-    """One command or query."""
+    """One command or query, `text`."""
     return text.encode('ascii') + END
 
 
 def accepted(count: int, received: bytes) -> bool | None:
-    """True where that many commands were accepted; None where incomplete or refused."""
+    """True where `count` commands were accepted in `received`; None where incomplete or refused.
+    """
     return True if received == (b'+' + END) * count else None
 
 
 def text(name: str, received: bytes) -> str | None:
-    """What follows `name=` in an answer; None where the answer is incomplete or another's."""
+    """What follows `name=` in `received`; None where that is incomplete or another's answer."""
     prefix = name.encode('ascii') + b'='
     content, end, rest = received.partition(END)
     if not end or rest or not content.startswith(prefix):
@@ -44,7 +45,7 @@ def text(name: str, received: bytes) -> str | None:
 
 
 def faults(received: bytes) -> tuple[str, ...] | None:
-    """What an answer to `?FF` says is wrong; None where the answer is incomplete or damaged."""
+    """What `received`, an answer to `?FF`, says is wrong; None where incomplete or damaged."""
     content = text('FF', received)
     if content is None or not _FLAGS.fullmatch(content.encode()):
         return None
@@ -52,7 +53,7 @@ def faults(received: bytes) -> tuple[str, ...] | None:
 
 
 def currents(received: bytes) -> tuple[float, float] | None:
-    """The currents [A] of both channels; None where incomplete or damaged."""
+    """The currents [A] of both channels in `received`; None where incomplete or damaged."""
     content = text('A', received)
     match = _VALUES.fullmatch(content.encode()) if content is not None else None
     if match is None:

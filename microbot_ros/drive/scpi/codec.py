@@ -23,7 +23,7 @@ def line(*commands: str) -> bytes:
 
 
 def current(amperes: float) -> str:
-    """The command that sets a current: five digits, far finer than the supply's."""
+    """The command that sets a current of `amperes`: five digits, far finer than the supply's."""
     return f'CURR {amperes:.4E}'
 
 

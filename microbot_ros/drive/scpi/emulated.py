@@ -10,7 +10,9 @@ _OVERTEMPERATURE = 8  # of the BIT 232 interface
 
 
 class Supplies(Device):
-    """Each line is one supply: outputs off at power-up, no watchdog whatever the host does."""
+    """Supplies of `coils`, one a line: outputs off at power-up, no watchdog whatever the host
+    does.
+    """
 
     ports = 4
 
@@ -36,7 +38,7 @@ class Supplies(Device):
     def _execute(self, port: int, command: str) -> str:
         match command.split(' '):
             case ['*IDN?']:
-                maker = 'HEWLETT-PACKARD' if self.impostor else 'KEPCO'
+                maker = 'HEWLETT-PACKARD' if self.wrong_device else 'KEPCO'
                 return f'{maker},BOP 20-5,E1234,3.05'
             case ['CURR?']:
                 return f'{self._wanted[port]:.2E}'

@@ -42,7 +42,7 @@ _CRC_TABLE = _crc_table()
 
 
 def crc8(data: bytes) -> int:
-    """CRC-8 with polynomial 0x9B, initial value 0, not reflected."""
+    """CRC-8 of `data` with polynomial 0x9B, initial value 0, not reflected."""
     crc = 0
     for byte in data:
         crc = _CRC_TABLE[crc ^ byte]
@@ -77,7 +77,7 @@ def _unstuff(stuffed: bytes, overhead: int) -> bytes | None:
 
 
 class Decoder:
-    """Turns bytes as they come into payloads of one known length, and never passes a bad one.
+    """Turns bytes as they come into payloads of `payload_length`, and never passes a bad one.
 
     After damage it looks for the next start byte right behind the last one it believed, so a
     good packet is never lost with a bad one in front of it.
@@ -157,16 +157,16 @@ def command(duties: Sequence[float]) -> bytes:
 
 
 def duties(payload: bytes) -> tuple[float, ...] | None:
-    """The six duties of a command; None where one is not between −1 and 1 (NaN is not)."""
+    """The six duties of a command's `payload`; None where one is not between −1 and 1, as NaN."""
     values = _COMMAND.unpack(payload)[_FIRST_DUTY:]
     return values if all(-1.0 <= value <= 1.0 for value in values) else None
 
 
 def measurement(currents_A: Sequence[float]) -> bytes:
-    """The payload with which a board reports the currents of its six coils."""
+    """The payload with which a board reports `currents_A` (6,) [A]."""
     return _MEASUREMENT.pack(*currents_A)
 
 
 def currents(payload: bytes) -> tuple[float, ...]:
-    """The six currents [A] of a measurement, as they came: perhaps not finite."""
+    """The six currents [A] of a measurement's `payload`, as they came: perhaps not finite."""
     return _MEASUREMENT.unpack(payload)

@@ -19,7 +19,8 @@ _PLAUSIBLE = 2.0  # a reading beyond this part of full scale is damage that the 
 
 
 class SerialTransferAmplifier(Amplifier):
-    """A coil board on one serial line; duty −1 … 1 is ± `full_scale_A` of each coil.
+    """A coil board on the serial line `url` at `baud`; duty −1 … 1 is ± `full_scale_A` of each
+    coil.
 
     Opening the port resets an Arduino, which takes 2 s to boot; others run on. The driver is
     connected when packets have kept coming, and gives up after `boot_s`. The watchdog is the

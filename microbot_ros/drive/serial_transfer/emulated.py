@@ -10,7 +10,7 @@ _PERIOD_S = 0.02
 
 
 class Board(Device):
-    """Decodes duties, holds the currents they mean, reports six measured currents.
+    """Decodes duties, holds the currents they mean, reports six measured, for `coils`.
 
     It reports at 50 Hz whatever happens, as the laboratory's firmware does, and besides at once
     after each command it accepts, so that a host can time the acknowledgement. A packet with a
@@ -45,4 +45,4 @@ class Board(Device):
 
     def _report(self) -> bytes:
         report = codec.measurement((*self.coils.currents_A, 0.0, 0.0))
-        return codec.encode(report[:-4] if self.impostor else report)
+        return codec.encode(report[:-4] if self.wrong_device else report)

@@ -30,7 +30,7 @@ class HungError(Exception):
 
 
 class Call(Generic[T]):
-    """A call, when it was made and what came of it."""
+    """A call of `function`, when it was made and what came of it."""
 
     def __init__(self, function: Callable[[], T]) -> None:
         self.function = function
@@ -40,6 +40,7 @@ class Call(Generic[T]):
         self.value: T
 
     def run(self) -> None:
+        """Make it, and keep its value or what it raises."""
         try:
             self.value = self.function()
         except BaseException as error:
@@ -47,7 +48,7 @@ class Call(Generic[T]):
         self.returned.set()
 
 
-class Worker:
+class DeadlineWorker:
     """One thread that makes calls for another, which waits no longer than it wants to.
 
     A call that is late goes on, and until it returns nothing else is begun. After `patience` [s]
@@ -83,7 +84,7 @@ class Worker:
         return call.value
 
     def post(self, function: Callable[[], T]) -> Call[T]:
-        """A call for which nobody waits; those made later come after it."""
+        """A call of `function` for which nobody waits; those made later come after it."""
         if self._thread is None:
             self._calls = queue.SimpleQueue()
             self._thread = threading.Thread(target=_serve, args=(self._calls,), daemon=True)

@@ -6,8 +6,19 @@ import logging
 from collections.abc import Callable
 from typing import Any
 
-from microbot_ros.control.contract import Controller, ControllerError, FieldCommand, Situation
-from microbot_ros.control.worker import BusyError, Call, HungError, LateError, Worker
+from microbot_ros.control.contract import (
+    Controller,
+    ControllerError,
+    ControllerInput,
+    FieldCommand,
+)
+from microbot_ros.control.deadline_worker import (
+    BusyError,
+    Call,
+    DeadlineWorker,
+    HungError,
+    LateError,
+)
 
 CONFIGURING = 30.0
 """How long [s] taking new parameters may last: files are read and code is compiled meanwhile."""
@@ -15,15 +26,16 @@ CONFIGURING = 30.0
 _log = logging.getLogger(__name__)
 
 
-class Runner:
+class ControllerThread:
     """Calls a controller, in order and each with a deadline, from a thread of its own.
 
-    A call that does not return in `patience` [s] is left behind, and the controller is replaced
-    by a fresh one with the same parameters.
+    `name` is for messages; `worker` makes, from the patience, what makes the calls. A call that
+    does not return in `patience` [s] is left behind, and the controller is replaced by a fresh one
+    with the same parameters.
     """
 
     def __init__(self, name: str, controller: Controller, patience: float,
-                 worker: Callable[[float], Worker] = Worker) -> None:
+                 worker: Callable[[float], DeadlineWorker] = DeadlineWorker) -> None:
         self._name = name
         self._controller = controller
         self._parameters = controller.parameters
@@ -62,25 +74,29 @@ class Runner:
             self._parameters = parameters
             self.renew()
 
-    def activate(self, situation: Situation, deadline: float) -> None:
-        """Let it get ready. Where that is late it is replaced: what it did is not known."""
+    def activate(self, inputs: ControllerInput, deadline: float) -> None:
+        """Let it get ready for `inputs`. Where that is late it is replaced: what it did is not
+        known.
+        """
         controller, configured = self._controller, self._configured
 
         def run() -> None:
             if configured is not None and configured.error is not None:
                 raise configured.error
-            controller.activate(situation)
+            controller.activate(inputs)
 
         self._call(run, deadline, replace_late=True)
         self._active = True
 
-    def compute(self, situation: Situation, deadline: float) -> FieldCommand:
-        """Its command. Where it has not been activated, that comes first, in half of the time."""
+    def compute(self, inputs: ControllerInput, deadline: float) -> FieldCommand:
+        """Its command for `inputs`, within `deadline` [s]; where need be activated, in half of
+        that.
+        """
         if not self._active:
             deadline /= 2
-            self.activate(situation, deadline)
+            self.activate(inputs, deadline)
         controller = self._controller
-        command: FieldCommand = self._call(lambda: controller.compute(situation), deadline)
+        command: FieldCommand = self._call(lambda: controller.compute(inputs), deadline)
         return command
 
     def deactivate(self, deadline: float) -> None:
@@ -120,6 +136,6 @@ class Runner:
 
 
 def reason(error: Exception) -> str:
-    """The exception in words for people."""
+    """The `error` in words for people."""
     named = isinstance(error, ControllerError | LateError | HungError | ValueError)
     return str(error) if named else f'{type(error).__name__}: {error}'

@@ -13,8 +13,8 @@ from microbot_ros.nodes.lifecycle import RELIABLE, RigNode
 from microbot_ros.nodes.topics import KEPT
 
 
-class Audience:
-    """Publishers of some topics, by name, and of `/clock`."""
+class PlaybackPublishers:
+    """Publishers, for a `node`, of topics by name, of these `kinds`, and of `/clock`."""
 
     def __init__(self, node: RigNode, kinds: dict[str, type]) -> None:
         self._node = node
@@ -29,13 +29,14 @@ class Audience:
         return sum(outlet.get_subscription_count() for outlet in self._all.values())
 
     def missing(self, at_least: int) -> list[str]:
-        """Topics that do not reach all their listeners yet, or reach fewer than so many."""
+        """Topics that do not reach all their listeners yet, or reach fewer than `at_least`."""
         return [name for name, outlet in self._all.items()
                 if outlet.get_subscription_count() < max(
                     at_least, self._node.count_subscribers(name))]
 
     def send(self, topic: str, data: bytes) -> bool:
-        """Publish serialised bytes; False where who keeps every message has no room for it yet.
+        """Publish serialised `data` on a `topic`; False where who keeps every message has no room
+        for it yet.
 
         It then waits 0.1 s for that room, which is how long Fast DDS lets a publisher wait.
         """
@@ -46,7 +47,7 @@ class Audience:
         return True
 
     def tell_time(self, t_ns: int) -> None:
-        """Publish the time [ns] on `/clock`."""
+        """Publish the time `t_ns` on `/clock`."""
         stamp = Time(sec=t_ns // 1_000_000_000, nanosec=t_ns % 1_000_000_000)
         self._clock.publish(Clock(clock=stamp))
 

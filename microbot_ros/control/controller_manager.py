@@ -1,4 +1,4 @@
-"""Runs one of several controllers, swaps them, and lets nothing unsafe out. No ROS in it."""
+"""Runs one of several controllers, switches them, and lets nothing unsafe out. No ROS in it."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from microbot_ros.control.contract import (
     PER_PARTICLE,
     Controller,
     ControllerError,
+    ControllerInput,
     FieldCommand,
     Limits,
     Result,
-    Situation,
     no_field,
 )
+from microbot_ros.control.controller_thread import ControllerThread, reason
+from microbot_ros.control.deadline_worker import DeadlineWorker, LateError
 from microbot_ros.control.field_record import FieldRecord
 from microbot_ros.control.forecast import look_ahead
-from microbot_ros.control.runner import Runner, reason
-from microbot_ros.control.worker import LateError, Worker
 
 _log = logging.getLogger(__name__)
 
@@ -33,7 +33,7 @@ LONGEST_STEP = 0.1
 
 
 @dataclass(frozen=True)
-class Answer:
+class SwitchResult:
     """Whether a request was granted, and why not."""
 
     ok: bool
@@ -49,36 +49,36 @@ class Outcome:
     message: str = ''
 
 
-class Switchboard:
+class ControllerManager:
     """All controllers of a rig, of which one drives.
 
     `controllers` by name, `active` the first to drive. A tick waits at most `deadline` [s] for
-    its controller and gives it up after `patience` [s]. Poses older than `stale_after` [s] mean
+    its controller and gives it up after `patience` [s]. Poses older than `pose_timeout` [s] mean
     no command. Particles that would be out of the workspace within `border` [s] turn the field;
     0: never. `worker` makes, from that patience, what calls a controller. Whatever goes wrong, the
     field falls to zero at the allowed slew, and the outcome says why. After a fault the controller
-    is not asked again before the next successful swap.
+    is not asked again before the next successful switch.
 
     Every command starts from the field that flows: the last command, or zero after stale poses,
-    after a gap between frames of more than `stale_after`, which no dead-man lets pass, and after
+    after a gap between frames of more than `pose_timeout`, which no dead-man lets pass, and after
     `let_go` and `reset`. Whoever drives the coils calls `let_go` when it puts them to zero.
     """
 
     def __init__(
         self, controllers: dict[str, Controller], active: str, *,
-        deadline: float = 0.01, patience: float = 0.5, stale_after: float = 0.2,
-        border: float = 0.5, worker: Callable[[float], Worker] = Worker,
+        deadline: float = 0.01, patience: float = 0.5, pose_timeout: float = 0.2,
+        border: float = 0.5, worker: Callable[[float], DeadlineWorker] = DeadlineWorker,
     ) -> None:
-        self._runners = {name: Runner(name, it, patience, worker)
+        self._threads = {name: ControllerThread(name, it, patience, worker)
                          for name, it in controllers.items()}
         self._active = active
         self._deadline = deadline
-        self._stale_after = stale_after
+        self._pose_timeout = pose_timeout
         self._border = border
         self._record = FieldRecord()
         self._field = np.zeros(2)
         self._fault = ''
-        self._last: Situation | None = None
+        self._last: ControllerInput | None = None
 
     @property
     def active(self) -> str:
@@ -90,57 +90,57 @@ class Switchboard:
         """Why the active controller is not asked any more; '' while it is."""
         return self._fault
 
-    def configure(self, name: str, parameters: Any) -> Answer:
+    def configure(self, name: str, parameters: Any) -> SwitchResult:
         """Give one controller new parameters, whether it drives or not; all or nothing."""
         try:
-            self._runners[name].configure(parameters)
+            self._threads[name].configure(parameters)
         except Exception as error:
-            return Answer(False, f'{name}: {reason(error)}')
-        return Answer(True)
+            return SwitchResult(False, f'{name}: {reason(error)}')
+        return SwitchResult(True)
 
-    def change(self, parameters: Mapping[str, Any], drives: str = '') -> Answer:
+    def change(self, parameters: Mapping[str, Any], drives: str = '') -> SwitchResult:
         """New parameters for the controllers named, then another one that drives: all or nothing.
 
         `drives` is '' where the same goes on driving.
         """
-        before = {name: self._runners[name].parameters for name in parameters}
+        before = {name: self._threads[name].parameters for name in parameters}
         taken: list[str] = []
-        answer = Answer(True)
+        answer = SwitchResult(True)
         for name, values in parameters.items():
             answer = self.configure(name, values)
             if not answer.ok:
                 break
             taken.append(name)
         if answer.ok and drives:
-            answer = self.swap(drives)
+            answer = self.switch_controller(drives)
         if not answer.ok:
             for name in taken:
-                self._runners[name].restore(before[name])
+                self._threads[name].restore(before[name])
         return answer
 
-    def swap(self, name: str) -> Answer:
+    def switch_controller(self, name: str) -> SwitchResult:
         """Let another controller drive from the next tick on; if it can't, nothing changes.
 
-        It is activated here, within the deadline, against the situation of the last tick and the
+        It is activated here, within the deadline, against the input of the last tick and the
         present field; then the one before is deactivated, in half of that. Naming the controller
         that drives restarts it, after a fault too.
         """
-        if name not in self._runners:
-            known = ', '.join(self._runners)
-            return Answer(False, f"no controller '{name}'; there are: {known}")
-        before, after = self._runners[self._active], self._runners[name]
+        if name not in self._threads:
+            known = ', '.join(self._threads)
+            return SwitchResult(False, f"no controller '{name}'; there are: {known}")
+        before, after = self._threads[self._active], self._threads[name]
         if after is before:
             before.deactivate(self._deadline / 2)
         try:
             if self._last is not None:
-                situation = dataclasses.replace(self._last, field=self._field.copy())
-                after.activate(situation, self._deadline)
+                inputs = dataclasses.replace(self._last, field=self._field.copy())
+                after.activate(inputs, self._deadline)
         except Exception as error:
-            return Answer(False, f'{name}: {reason(error)}')
+            return SwitchResult(False, f'{name}: {reason(error)}')
         if after is not before:
             before.deactivate(self._deadline / 2)
         self._active, self._fault = name, ''
-        return Answer(True, f'{name} drives')
+        return SwitchResult(True, f'{name} drives')
 
     def let_go(self) -> None:
         """No field flows any more: the next command starts from zero."""
@@ -150,46 +150,46 @@ class Switchboard:
         """Let go, and every controller forgets what it learned and did."""
         self.let_go()
         self._record.clear()
-        for runner in self._runners.values():
-            runner.renew()
+        for thread in self._threads.values():
+            thread.renew()
 
-    def tick(self, situation: Situation) -> Outcome:
-        """The command of this tick, or None where poses are too old to give one.
+    def tick(self, inputs: ControllerInput) -> Outcome:
+        """The command for `inputs`, or None where the poses are too old to give one.
 
         Particles without a finite position are left out before the controller looks.
         """
-        fresh = abs(situation.age) <= self._stale_after
-        if not fresh or situation.dt > self._stale_after:
+        fresh = abs(inputs.age) <= self._pose_timeout
+        if not fresh or inputs.dt > self._pose_timeout:
             self.let_go()
             self._record.clear()
         if not fresh:
-            return Outcome(None, Result.STALE, f'poses are {situation.age:.2f} s old')
-        situation = _with_delay_of_model(_usable(situation))
-        situation = dataclasses.replace(
-            situation, field=self._field.copy(), record=self._record)
-        self._last = situation = look_ahead(situation)
-        command, result, message = self._ask(situation)
-        field = _approach(self._field, command.field, situation)
+            return Outcome(None, Result.STALE, f'poses are {inputs.age:.2f} s old')
+        inputs = _with_delay_of_model(_usable(inputs))
+        inputs = dataclasses.replace(
+            inputs, field=self._field.copy(), record=self._record)
+        self._last = inputs = look_ahead(inputs)
+        command, result, message = self._ask(inputs)
+        field = _approach(self._field, command.field, inputs)
         self._field = field
-        self._record.note(situation.t + situation.delay, field, command.frequency)
+        self._record.note(inputs.t + inputs.delay, field, command.frequency)
         return Outcome(dataclasses.replace(command, field=field), result, message)
 
     def close(self) -> None:
         """Let the active controller go; nothing may be asked afterwards."""
-        self._runners[self._active].deactivate(self._deadline)
-        for runner in self._runners.values():
-            runner.close()
+        self._threads[self._active].deactivate(self._deadline)
+        for thread in self._threads.values():
+            thread.close()
 
-    def _ask(self, situation: Situation) -> tuple[FieldCommand, Result, str]:
+    def _ask(self, inputs: ControllerInput) -> tuple[FieldCommand, Result, str]:
         """What the controller answers, or zero field with the reason why not that."""
         if self._fault:
             return no_field(self._fault), Result.FAULT, self._fault
         try:
-            command = self._runners[self._active].compute(situation, self._deadline)
-            command = _checked(command, situation.limits)
+            command = self._threads[self._active].compute(inputs, self._deadline)
+            command = _checked(command, inputs.limits)
             if self._border > 0:
-                command = kept_in_view(situation, command, self._border)
-                command = _checked(command, situation.limits)
+                command = kept_in_view(inputs, command, self._border)
+                command = _checked(command, inputs.limits)
             return command, Result.OK, command.progress.message
         except ControllerError as error:
             result, why = error.result, str(error)
@@ -202,21 +202,21 @@ class Switchboard:
         return no_field(why), result, why
 
 
-def _usable(situation: Situation) -> Situation:
-    good = np.isfinite(situation.position).all(1)
+def _usable(inputs: ControllerInput) -> ControllerInput:
+    good = np.isfinite(inputs.position).all(1)
     if good.all():
-        return situation
-    rows = {name: getattr(situation, name)[good] for name in PER_PARTICLE}
-    return dataclasses.replace(situation, **rows)
+        return inputs
+    rows = {name: getattr(inputs, name)[good] for name in PER_PARTICLE}
+    return dataclasses.replace(inputs, **rows)
 
 
-def _with_delay_of_model(situation: Situation) -> Situation:
+def _with_delay_of_model(inputs: ControllerInput) -> ControllerInput:
     """A delay that the model knows of adds to how long a command takes to act."""
-    model = situation.model
+    model = inputs.model
     if model is None or not model.delay:
-        return situation
+        return inputs
     return dataclasses.replace(
-        situation, delay=situation.delay + model.delay, model=model.without('command_delay'))
+        inputs, delay=inputs.delay + model.delay, model=model.without('command_delay'))
 
 
 def _checked(command: FieldCommand, limits: Limits) -> FieldCommand:
@@ -230,15 +230,15 @@ def _checked(command: FieldCommand, limits: Limits) -> FieldCommand:
     return dataclasses.replace(command, field=field, frequency=float(command.frequency))
 
 
-def _approach(now: np.ndarray, wanted: np.ndarray, situation: Situation) -> np.ndarray:
+def _approach(now: np.ndarray, wanted: np.ndarray, inputs: ControllerInput) -> np.ndarray:
     """The wanted field, or as far towards it as the slew lets one tick go.
 
     A clock that stands or runs backwards gives no time to change in: the field stays. Letting
     go needs none.
     """
-    if not situation.dt > 0:
+    if not inputs.dt > 0:
         return now if wanted.any() else wanted
     step = wanted - now
-    length, longest = float(np.hypot(*step)), situation.limits.slew * min(
-        situation.dt, LONGEST_STEP)
+    length, longest = float(np.hypot(*step)), inputs.limits.slew * min(
+        inputs.dt, LONGEST_STEP)
     return now + step if length <= longest else now + step * (longest / length)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from microbot_ros.control.contract import NO_PLACES, Goals, ParticleLostError, Situation
+from microbot_ros.control.contract import NO_PLACES, ControllerInput, Goals, ParticleLostError
 from microbot_ros.control.steering import goals_in_reach
 
 
-class Itinerary:
+class GoalSequence:
     """Goals in order for one particle, named or chosen.
 
     The particle is the one asked for, else the one that the goals name first, else the one seen
@@ -31,32 +31,32 @@ class Itinerary:
     def __str__(self) -> str:
         return f'particle {self.particle}: goal {self._next + 1} of {len(self)}'
 
-    def update(self, situation: Situation, asked: int) -> None:
-        """Look at the goals; `asked` is the particle to drive, −1 for any.
+    def update(self, inputs: ControllerInput, asked: int) -> None:
+        """Look at the goals of `inputs`; `asked` is the particle to drive, −1 for any.
 
         GoalError for a goal outside the workspace.
         """
-        goals_in_reach(situation)
-        named = _first_named(situation.goals) if asked < 0 else asked
-        position = situation.goals.position
-        if situation.goals.ids is not None:
-            position = position[situation.goals.ids == named]
+        goals_in_reach(inputs)
+        named = _first_named(inputs.goals) if asked < 0 else asked
+        position = inputs.goals.position
+        if inputs.goals.ids is not None:
+            position = position[inputs.goals.ids == named]
         if not np.array_equal(position, self._position) or (named >= 0 and named != self.particle):
             self._position, self._next, self.done = position, 0, False
             self._seen = None
             self.particle = named
         self._named = named >= 0
 
-    def row(self, situation: Situation) -> int:
-        """The row of the particle; ParticleLostError where it, or any, is not seen."""
-        if not self._named and self.particle not in situation.ids:
-            if not len(situation.ids):
+    def row(self, inputs: ControllerInput) -> int:
+        """The particle's row of `inputs`; ParticleLostError where it, or any, is not seen."""
+        if not self._named and self.particle not in inputs.ids:
+            if not len(inputs.ids):
                 raise ParticleLostError('no particle is seen')
             near = self._position[self._next] if self._seen is None else self._seen
-            away = np.hypot(*(situation.position - near).T)
-            self.particle = int(situation.ids[np.argmin(away)])
-        row = situation.index(self.particle)
-        self._seen = situation.position[row]
+            away = np.hypot(*(inputs.position - near).T)
+            self.particle = int(inputs.ids[np.argmin(away)])
+        row = inputs.index(self.particle)
+        self._seen = inputs.position[row]
         return row
 
     def offset(self, place: complex, arrival: float) -> complex:

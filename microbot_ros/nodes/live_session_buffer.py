@@ -13,24 +13,24 @@ from sensor_msgs.msg import JointState, PointCloud2
 
 from microbot_ros import units
 from microbot_ros.nodes import messages
-from microbot_ros.nodes.remote import Remote
+from microbot_ros.nodes.graph_client import GraphClient
 from microbot_ros.records import Conditions, Session, Tracks
 from microbot_ros.session.from_recording import commands_of
 
 _LIVE_SECONDS = 1.0
 
 
-class Collector:
-    """Keeps the last `seconds` of a graph: `particles`, the commanded field, how fast it rolls,
-    and whether the gate let it through.
+class LiveSessionBuffer:
+    """Keeps the last `seconds` of the graph of a `client`: `particles`, the commanded field, how
+    fast it rolls, and whether the gate let it through.
     """
 
-    def __init__(self, remote: Remote, seconds: float) -> None:
+    def __init__(self, client: GraphClient, seconds: float) -> None:
         self._seconds = seconds
         self._frames: deque[tuple[float, np.ndarray]] = deque()
         self._commands: dict[str, deque[tuple[float, ...]]] = {}
-        self._remote = remote
-        subscribe = remote.node.create_subscription
+        self._client = client
+        subscribe = client.node.create_subscription
         subscribe(PointCloud2, 'particles', self._on_particles, 200)
         for topic, kind, value in (
             ('field/command', Vector3Stamped, lambda m: (m.vector.x, m.vector.y)),
@@ -42,7 +42,7 @@ class Collector:
 
     def conditions(self) -> Conditions:
         """What the model node was told of particles and fluid."""
-        told = self._remote.get('model', 'propulsion', 'radius_um', 'viscosity_mPa_s',
+        told = self._client.get('model', 'propulsion', 'radius_um', 'viscosity_mPa_s',
                                 'temperature_K', 'reference_field_mT')
         return Conditions(
             propulsion=told['propulsion'],
@@ -94,7 +94,7 @@ class Collector:
             # A command acts when it arrives; its stamp is the exposure that it answers. In a
             # replay the clock of this machine says nothing, and the stamp is the best there is.
             t = messages.to_seconds(message.header.stamp)
-            now = messages.to_seconds(self._remote.node.get_clock().now().to_msg())
+            now = messages.to_seconds(self._client.node.get_clock().now().to_msg())
             t = now if abs(now - t) < _LIVE_SECONDS else t
             if not rows or t > rows[-1][0]:
                 rows.append((t, *value(message)))

@@ -21,7 +21,7 @@ _PATIENCE = 5.0
 the question before its answer could reach anybody."""
 
 
-class Snapshot:
+class ParameterCollector:
     """Asks the nodes of a rig for their parameters as they come; `told(node, values)` each time.
 
     Without waiting: answers arrive by the executor of the node that asks.

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from microbot_ros.control.contract import Situation
+from microbot_ros.control.contract import ControllerInput
 from microbot_ros.control.drift_observer import DriftObserver
 from microbot_ros.control.steering import field_along
 
@@ -19,11 +19,11 @@ WELL_ENOUGH = 0.2
 """Standard deviation of the answer, of its size, from which on it is steered by."""
 
 
-class Pilot:
+class DriftCompensator:
     """Steers one particle at a time along courses over ground, against a drift it learns.
 
     The particle's own speed and φ, and the drift, come from a filter that runs along; estimates
-    in the situation only start it. For `rolling` particles the answer is the gain [m/s/Hz].
+    in the input only start it. For `rolling` particles the answer is the gain [m/s/Hz].
     """
 
     def __init__(self, rolling: bool = False) -> None:
@@ -32,16 +32,16 @@ class Pilot:
         self._observer: DriftObserver | None = None
         self._seen = -math.inf
 
-    def look(self, situation: Situation, row: int) -> complex:
-        """Where [m] the particle in a row will be when a command given now acts."""
-        exposed, record = situation.t - situation.age, situation.record
-        measured = complex(*situation.position[row].tolist())
-        sigma = float(situation.sigma[row])
+    def look(self, inputs: ControllerInput, row: int) -> complex:
+        """Where [m] the particle in a `row` of `inputs` will be when a command given now acts."""
+        exposed, record = inputs.t - inputs.age, inputs.record
+        measured = complex(*inputs.position[row].tolist())
+        sigma = float(inputs.sigma[row])
         sigma = sigma if sigma > 0 else 1e-7
         observer, since = self._observer, self._seen
-        if observer is None or self._particle != situation.ids[row]:
-            observer = self._observer = _start(situation, row, measured)
-            self._particle, self._seen = int(situation.ids[row]), exposed
+        if observer is None or self._particle != inputs.ids[row]:
+            observer = self._observer = _start(inputs, row, measured)
+            self._particle, self._seen = int(inputs.ids[row]), exposed
         elif exposed > since:
             if record.reaches(since):
                 shared = record.shared(since, exposed, self._rolling)
@@ -49,7 +49,7 @@ class Pilot:
             else:
                 observer.jump(exposed - since, measured, sigma)
             self._seen = exposed
-        acts = situation.t + situation.delay
+        acts = inputs.t + inputs.delay
         shared = record.shared(self._seen, acts, self._rolling)
         return observer.ahead(shared, acts - self._seen)
 
@@ -72,19 +72,19 @@ class Pilot:
         assert self._observer is not None
         return self._observer.drift
 
-    def steer(self, situation: Situation, course: float, strength: float) -> np.ndarray:
-        """The field (2,) [T] that brings a particle along `course` [rad] over ground.
+    def steer(self, inputs: ControllerInput, course: float, strength: float) -> np.ndarray:
+        """The field (2,), of `strength` [T], along `course` [rad] over ground for `inputs`.
 
         Crabbed against the drift, as far as the particle is faster than that.
         """
         across = (self.drift * cmath.exp(-1j * course)).imag / abs(self.answer)
         heading = course - math.asin(min(max(across, -1.0), 1.0))
-        return field_along(situation, heading - cmath.phase(self.answer), strength)
+        return field_along(inputs, heading - cmath.phase(self.answer), strength)
 
 
-def _start(situation: Situation, row: int, measured: complex) -> DriftObserver:
-    speed, phi = float(situation.speed[row]), float(situation.phi[row])
-    std = math.hypot(float(situation.speed_std[row]), speed * float(situation.phi_std[row]))
+def _start(inputs: ControllerInput, row: int, measured: complex) -> DriftObserver:
+    speed, phi = float(inputs.speed[row]), float(inputs.phi[row])
+    std = math.hypot(float(inputs.speed_std[row]), speed * float(inputs.phi_std[row]))
     if std <= UNKNOWN_ANSWER and math.isfinite(phi):
         return DriftObserver(measured, cmath.rect(speed, phi), std, EXPECTED_DRIFT)
     return DriftObserver(measured, 0j, UNKNOWN_ANSWER, EXPECTED_DRIFT)

@@ -16,8 +16,8 @@ import yaml
 from microbot_ros.errors import InputError
 from microbot_ros.nodes.graph import Graph
 from microbot_ros.nodes.offline import alone, end_offline, make_offline
-from microbot_ros.nodes.part import Part, SilentError, Stage
 from microbot_ros.nodes.recorder import keep_parameters
+from microbot_ros.nodes.replayed_node import ReplayedNode, SilentError, Stage
 from microbot_ros.nodes.topics import CHANGES, TOPICS, type_name
 from microbot_ros.session import RecordingWriter
 from microbot_ros.session.accounts import Doubt
@@ -31,8 +31,7 @@ STAGES = (
           'particles', ('particles/poses',)),
     Stage('model', ('particles', 'field/applied', 'field/command', 'field/rotation'),
           'model/state'),
-    Stage('controller', ('model/state', 'particles', 'goals',
-                         'particle_goals', 'goal_pose', 'path', 'joy'),
+    Stage('controller', ('model/state', 'goals', 'particle_goals', 'goal_pose', 'path', 'joy'),
           'field/command', ('field/rotation',)),
     Stage('coil_driver', ('field/command',), 'coils/command'),
 )
@@ -42,7 +41,7 @@ _READY_SECONDS = 30.0
 
 
 @dataclass(frozen=True)
-class Cast:
+class ReplayPlan:
     """Which nodes are in play, and which recorded topics they are played."""
 
     stages: tuple[Stage, ...]
@@ -73,8 +72,8 @@ class Cast:
         return frame_topic(self.played)
 
 
-def cast(source: Source, path: Path, nodes: Collection[str] = ()) -> Cast:
-    """The nodes to put in play: those named, or all whose input and answer were recorded.
+def plan_replay(source: Source, path: Path, nodes: Collection[str] = ()) -> ReplayPlan:
+    """The nodes to put in play from a `source` at `path`: those named, or all that were recorded.
 
     A tracker that was shown more frames than were kept cannot give the same answers, and is not
     put in play unless it is named. InputError where there is nothing to play.
@@ -100,12 +99,12 @@ def cast(source: Source, path: Path, nodes: Collection[str] = ()) -> Cast:
     if not frame:
         raise InputError(path, 'expected a recording of what a node took and what it answered')
     role = next(name for name in FRAMES if is_topic(frame, name))
-    return Cast(stages, played, frame.removesuffix(f'/{role}'))
+    return ReplayPlan(stages, played, frame.removesuffix(f'/{role}'))
 
 
 def recorded_parameters(recording: Recording, nodes: Collection[str], folder: Path,
                         ) -> dict[str, dict[str, Any]]:
-    """Node → the parameters it had, as kept inside the recording.
+    """Node, of `nodes`, → the parameters it had, as kept inside the recording.
 
     Files that parameters name are put into `folder` where they were kept too, and the names
     changed.
@@ -124,25 +123,20 @@ def recorded_parameters(recording: Recording, nodes: Collection[str], folder: Pa
     return found
 
 
-def rerun(session: Path, out: Path, players: Cast, parameters: dict[str, dict[str, Any]],
-          end_s: float = 0.0) -> str:
-    """Put `session` through the nodes and write that to `out`; why that was given up, or ''."""
-    return Rerun(session, out, players, parameters, end_s).run()
-
-
-class Rerun:
+class ReplayCheck:
     """Recorded inputs once more through today's nodes, in the order in which each node took them:
     a loop over frames, without a graph, a clock or a deadline.
 
-    What is played, up to `end_s` or the end if that is 0, and what the nodes say to it is written
-    to `out`, a recording. A coil driver drives an emulated amplifier.
+    What is played of `session`, by a `plan` and with `parameters`, up to `end_s` or the end if
+    that is 0, and what the nodes say to it is written to `out`, a recording. A coil driver drives
+    an emulated amplifier.
     """
 
-    def __init__(self, session: Path, out: Path, players: Cast,
+    def __init__(self, session: Path, out: Path, plan: ReplayPlan,
                  parameters: dict[str, dict[str, Any]], end_s: float = 0.0) -> None:
         if not 0 <= end_s < math.inf:
             raise InputError(session, f'end_s must be finite; received {end_s:g}')
-        self._session, self._out, self._players, self._end_s = session, out, players, end_s
+        self._session, self._out, self._plan, self._end_s = session, out, plan, end_s
         self._parameters = parameters
         self.played: dict[str, set[int]] = {}
         """By answer: the stamps [ns] of the frames that were played."""
@@ -156,12 +150,12 @@ class Rerun:
             self._check_types(source)
             folder = Path(leaving.enter_context(tempfile.TemporaryDirectory()))
             parameters = self._with_amplifier(folder, leaving)
-            leaving.enter_context(alone(self._players.namespace, parameters, folder))
+            leaving.enter_context(alone(self._plan.namespace, parameters, folder))
             writer = leaving.enter_context(RecordingWriter(self._out))
             end_ns = source.start_ns + round(self._end_s * 1e9) if self._end_s else source.end_ns
             parts = self._parts(source, writer, end_ns, leaving)
             inputs = source.messages(
-                {*self._players.played, CHANGES} & set(source.topics), end_ns=end_ns + 1)
+                {*self._plan.played, CHANGES} & set(source.topics), end_ns=end_ns + 1)
             try:
                 while moving := [part for part in parts if not part.over]:
                     # Two that wait for each other can't be, but for what is not recorded.
@@ -180,7 +174,7 @@ class Rerun:
         return ''
 
     def _check_types(self, source: Source) -> None:
-        for topic in self._players.played:
+        for topic in self._plan.played:
             kind = next(kind for name, (kind, _) in TOPICS.items() if is_topic(topic, name))
             if source.topics[topic].type != type_name(kind):
                 raise InputError(self._session, f'expected a {kind.__name__} on {topic}, found '
@@ -189,7 +183,7 @@ class Rerun:
     def _with_amplifier(self, folder: Path, leaving: contextlib.ExitStack,
                         ) -> dict[str, dict[str, Any]]:
         """The parameters of each node; those of a coil driver lead to an emulated amplifier."""
-        found = {node: dict(self._parameters.get(node, {})) for node in self._players.nodes}
+        found = {node: dict(self._parameters.get(node, {})) for node in self._plan.nodes}
         if 'coil_driver' in found:
             port = folder / 'amplifier'
             found['coil_driver'] |= {'amplifier': 'serial_transfer', 'port': str(port)}
@@ -200,12 +194,12 @@ class Rerun:
         return found
 
     def _parts(self, source: Source, writer: RecordingWriter, end_ns: int,
-               leaving: contextlib.ExitStack) -> list[Part]:
-        players, kept = (self._players.namespace, self._players.frame), set[str]()
-        parts: list[Part] = []
-        for stage in self._players.stages:
+               leaving: contextlib.ExitStack) -> list[ReplayedNode]:
+        names, kept = (self._plan.namespace, self._plan.frame), set[str]()
+        parts: list[ReplayedNode] = []
+        for stage in self._plan.stages:
             node = make_offline(stage.node)
             leaving.callback(end_offline, node)
             keep_parameters(writer, stage.node, node.values, kept)
-            parts.append(Part(node, stage, source, players, writer, end_ns))
+            parts.append(ReplayedNode(node, stage, source, names, writer, end_ns))
         return parts

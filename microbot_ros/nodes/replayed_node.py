@@ -50,12 +50,16 @@ class SilentError(Exception):
     """A node that must answer does not."""
 
 
-class Part:
-    """A node in play: its turns up to `end_ns` [ns], and what it has said in this replay."""
+class ReplayedNode:
+    """A node in play at a `stage`: its turns up to `end_ns`, and what it has said in this replay.
 
-    def __init__(self, node: Offline, stage: Stage, source: Source, players: tuple[str, str],
+    Turns come from `source`, what it says goes to `writer`; `names` are the namespace and the
+    topic that sets all nodes going.
+    """
+
+    def __init__(self, node: Offline, stage: Stage, source: Source, names: tuple[str, str],
                  writer: RecordingWriter, end_ns: int) -> None:
-        namespace, first = players
+        namespace, first = names
         self.answer = f'{namespace}/{stage.answer}'
         self.played: set[int] = set()
         """The stamps [ns] of the frames that it took."""
@@ -98,18 +102,21 @@ class Part:
         return self._next.taken[-1].at_ns if self._next else self._end_ns
 
     def gives(self, name: str) -> bool:
-        """Whether it publishes on a topic (without namespace)."""
+        """Whether it publishes on a topic, `name` without namespace."""
         return name in (self._stage.answer, *self._stage.also)
 
-    def ready(self, parts: Sequence[Part]) -> bool:
-        """Whether all that it took for its next frame has been said today, or never will be."""
+    def ready(self, parts: Sequence[ReplayedNode]) -> bool:
+        """Whether all that it took for its next frame has been said by `parts`, or never will be.
+        """
         assert self._next is not None
         return all(
             part.over or part._reached >= taken.stamp_ns for taken in self._next.taken
             for part in parts if part is not self and part.gives(taken.name or self._frame))
 
-    def step(self, parts: Sequence[Part]) -> None:
-        """Take what it took up to and with its next frame."""
+    def step(self, parts: Sequence[ReplayedNode]) -> None:
+        """Take what it took up to and with its next frame, of what `parts` have said where they
+        did.
+        """
         turn = self._next
         assert turn is not None
         stamp = turn.stamp_ns
@@ -130,7 +137,7 @@ class Part:
         if self._next is not None and self.now_ns > self._end_ns:
             self._next = None
 
-    def _take(self, taken: Taken, frame_ns: int, parts: Sequence[Part]) -> bool:
+    def _take(self, taken: Taken, frame_ns: int, parts: Sequence[ReplayedNode]) -> bool:
         """Whether there was such a thing to take."""
         name = taken.name or self._frame
         if name in self._node.alarms:
@@ -144,7 +151,7 @@ class Part:
         self._node.be_told(name, data, taken.at_ns, taken.verdicts)
         return True
 
-    def _data(self, name: str, taken: Taken, frame_ns: int, parts: Sequence[Part],
+    def _data(self, name: str, taken: Taken, frame_ns: int, parts: Sequence[ReplayedNode],
               ) -> bytes | None:
         """What it took: as said today by who is in play, else as recorded."""
         for part in parts:

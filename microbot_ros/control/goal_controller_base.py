@@ -10,19 +10,19 @@ from typing import Any, ClassVar
 from microbot_ros import units
 from microbot_ros.control.contract import (
     Controller,
+    ControllerInput,
     FieldCommand,
     Progress,
-    Situation,
     no_field,
 )
-from microbot_ros.control.itinerary import Itinerary
-from microbot_ros.control.pilot import Pilot
+from microbot_ros.control.drift_compensator import DriftCompensator
+from microbot_ros.control.goal_sequence import GoalSequence
 from microbot_ros.control.steering import Excitation
 from microbot_ros.settings import setting
 
 
 @dataclass(frozen=True)
-class JourneyParameters:
+class GoalControllerParameters:
     """Whom to drive, and how closely."""
 
     particle: int = setting(
@@ -36,12 +36,12 @@ class JourneyParameters:
         lower=0.1, upper=60.0)
 
 
-class Journey(Controller):
+class GoalControllerBase(Controller):
     """One particle through the goals in order; a new list starts from its first, an empty one
     cancels. Until the particle's answer to the field is known, the field goes round a triangle.
     """
 
-    Parameters = JourneyParameters
+    Parameters = GoalControllerParameters
     rolling: ClassVar[bool] = False
 
     def __init__(self) -> None:
@@ -50,43 +50,43 @@ class Journey(Controller):
 
     def reset(self) -> None:
         """Forget the goals, how far they were done, whom it drove and what was learned of it."""
-        self._itinerary = Itinerary()
+        self._sequence = GoalSequence()
         self._excitation = Excitation()
-        self._pilot = Pilot(self.rolling)
+        self._compensator = DriftCompensator(self.rolling)
 
-    def activate(self, situation: Situation) -> None:
-        """ParticleLostError where the particle asked for is not seen."""
+    def activate(self, inputs: ControllerInput) -> None:
+        """ParticleLostError where the particle asked for is not in `inputs`."""
         self._excitation.stop()
         if self.parameters.particle >= 0:
-            situation.index(self.parameters.particle)
+            inputs.index(self.parameters.particle)
 
-    def compute(self, situation: Situation) -> FieldCommand:
-        """Towards the next goal, or what is done at the last, or the triangle."""
+    def compute(self, inputs: ControllerInput) -> FieldCommand:
+        """For `inputs` towards the next goal, or what is done at the last, or the triangle."""
         p: Any = self.parameters
-        itinerary, pilot = self._itinerary, self._pilot
-        itinerary.update(situation, p.particle)
-        if not len(itinerary):
+        sequence, compensator = self._sequence, self._compensator
+        sequence.update(inputs, p.particle)
+        if not len(sequence):
             return no_field('waits for a goal')
-        row = itinerary.row(situation)
-        place = pilot.look(situation, row)
-        particles = situation.ids[row:row + 1]
+        row = sequence.row(inputs)
+        place = compensator.look(inputs, row)
+        particles = inputs.ids[row:row + 1]
         strength = units.to_si('field_mT', p.field_mT)
-        if not pilot.ready:
+        if not compensator.ready:
             return self._excitation.command(
-                situation, p.learn_leg_s, strength, particles=particles,
-                frequency=self.fastest(situation))
+                inputs, p.learn_leg_s, strength, particles=particles,
+                frequency=self.fastest(inputs))
         self._excitation.stop()
-        offset = itinerary.offset(place, units.to_si('arrival_um', p.arrival_um))
-        message = f'{itinerary}, {abs(offset) * 1e6:.1f} µm'
+        offset = sequence.offset(place, units.to_si('arrival_um', p.arrival_um))
+        message = f'{sequence}, {abs(offset) * 1e6:.1f} µm'
         return dataclasses.replace(
-            self.drive(situation, offset, strength),
-            progress=Progress(message, itinerary.done, abs(offset)),
+            self.drive(inputs, offset, strength),
+            progress=Progress(message, sequence.done, abs(offset)),
             particles=particles)
 
-    def fastest(self, situation: Situation) -> float:
-        """The highest frequency [Hz] it uses."""
+    def fastest(self, inputs: ControllerInput) -> float:
+        """The highest frequency [Hz] it uses for `inputs`."""
         return 0.0
 
     @abstractmethod
-    def drive(self, situation: Situation, offset: complex, strength: float) -> FieldCommand:
-        """With a field of `strength` [T] to the present goal, `offset` [m] away."""
+    def drive(self, inputs: ControllerInput, offset: complex, strength: float) -> FieldCommand:
+        """For `inputs`, with a field of `strength` [T] to the present goal, `offset` [m] away."""

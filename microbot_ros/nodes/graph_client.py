@@ -58,8 +58,8 @@ class Taken:
     controller: str
 
 
-class Remote:
-    """A client of the graph with a node of its own, beside the nodes of one namespace.
+class GraphClient:
+    """A client of the graph with a node, `name`, of its own, beside those of one `namespace`.
 
     Use as a context. What it asks of a node ends with that node's answer, or with RigError: the
     node is not there, says nothing or refuses.
@@ -83,7 +83,7 @@ class Remote:
         self.node.create_subscription(
             DiagnosticStatus, 'controller/progress', self._on_progress, 10)
 
-    def __enter__(self) -> Remote:
+    def __enter__(self) -> GraphClient:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -92,13 +92,13 @@ class Remote:
         rclpy.try_shutdown()
 
     def spin(self, seconds: float) -> None:
-        """Serve callbacks for that long."""
+        """Serve callbacks for so many `seconds`."""
         deadline = time.monotonic() + seconds
         while (left := deadline - time.monotonic()) > 0:
             self._executor.spin_once(timeout_sec=left)
 
     def until(self, true: Callable[[], Any], seconds: float) -> bool:
-        """Serve callbacks until something is true, at most that long; whether it is."""
+        """Serve callbacks until something is `true`, at most `seconds`; whether it is."""
         deadline = time.monotonic() + seconds
         while not true():
             left = deadline - time.monotonic()
@@ -128,10 +128,10 @@ class Remote:
         """Call `tell(points)`, of type messages.ESTIMATE, for every `model/state`."""
         self.node.create_subscription(
             PointCloud2, 'model/state',
-            lambda message: tell(messages.points(message, messages.ESTIMATE)), 10)
+            lambda message: tell(messages.estimates(message)), 10)
 
     def echo(self, seconds: float = 2.5) -> str:
-        """Send a message through the middleware and back; its name. InputError if none came."""
+        """Send a message through the middleware and back; its name. InputError after `seconds`."""
         heard: list[String] = []
         self.node.create_subscription(String, '~/echo', heard.append, 1)
         publisher = self.node.create_publisher(String, '~/echo', 1)
@@ -157,7 +157,7 @@ class Remote:
             raise RigError(f'coil_driver: {answer.message}')
 
     def record(self, begin: bool) -> str:
-        """Begin or end a recording; which folder. RigError with the recorder's reason.
+        """End a recording or `begin` one; which folder. RigError with the recorder's reason.
 
         To be as it was told to be is a refusal only to the first request: a later one is sent
         because the answer to that was lost.
@@ -196,7 +196,7 @@ class Remote:
 
     def send_goals(self, positions: Sequence[tuple[float, float]],
                    particles: Sequence[int] | None = None) -> Taken:
-        """Where to go, in order [m], until the controller has taken it.
+        """Send `positions` (x, y) [m] to go to, in order, until the controller has taken it.
 
         With `particles` the goal of each of those; no position cancels.
         """
@@ -208,7 +208,9 @@ class Remote:
         return self._hand_over('particle_goals', messages.cloud(goals, stamp), 'goals')
 
     def send_path(self, positions: Sequence[tuple[float, float]]) -> Taken:
-        """A path to follow [m], until the controller has taken it; no position cancels."""
+        """Send `positions` (x, y) [m] as a path to follow, until the controller has taken it; no
+        position cancels.
+        """
         array = messages.poses(np.array(positions, float).reshape(-1, 2),
                                np.zeros(len(positions)), self.node.get_clock().now().to_msg())
         return self._hand_over('path', Path(header=array.header, poses=[

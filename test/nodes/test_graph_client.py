@@ -14,7 +14,7 @@ from geometry_msgs.msg import Vector3Stamped
 from rclpy.service import Service
 
 from microbot_ros.nodes.graph import Graph
-from microbot_ros.nodes.remote import Remote
+from microbot_ros.nodes.graph_client import GraphClient
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(240)]
 
@@ -47,12 +47,12 @@ def test_goals_are_taken_each_time_beside_a_recorder_that_was_there_first(
         tmp_path: Path) -> None:
     parameters = _parameters(tmp_path, {'recorder': {'folder': str(tmp_path / 'recording')}})
     heard: list[dict[str, str]] = []
-    with Graph(lambda *_: None) as graph, Remote('test') as remote:
+    with Graph(lambda *_: None) as graph, GraphClient('test') as client:
         for node in ('recorder', 'controller'):
             graph.start_nodes([node], parameters)
             graph.wait_ready(60.0)
-        remote.watch_progress(lambda _level, _sentence, values: heard.append(values))
-        assert remote.until(lambda: heard, 10)
+        client.watch_progress(lambda _level, _sentence, values: heard.append(values))
+        assert client.until(lambda: heard, 10)
 
         def has(goals: int, path: bool) -> bool:
             """Whether the controller holds so many goals, and a path of its own."""
@@ -65,13 +65,13 @@ def test_goals_are_taken_each_time_beside_a_recorder_that_was_there_first(
             assert "taken by controller 'hold', which does not go there" in out
             # It is there when the command ends, and not some time later.
             heard.clear()
-            assert remote.until(lambda: heard, 10)
-            assert remote.until(lambda count=count: has(count, False), 1.0)
+            assert client.until(lambda: heard, 10)
+            assert client.until(lambda count=count: has(count, False), 1.0)
         status, out, _ = _microbot('goal', '--path', '0,0', '10,0')
         assert (status, out[:16]) == (0, 'path of 2 points')
-        assert remote.until(lambda: has(10, True), 1.0)
+        assert client.until(lambda: has(10, True), 1.0)
         assert _microbot('goal', '--cancel') == (0, 'cancelled\n', '')
-        assert remote.until(lambda: has(0, True), 1.0)
+        assert client.until(lambda: has(0, True), 1.0)
 
 
 @pytest.mark.parametrize('words', [

@@ -1,4 +1,4 @@
-"""A thousand swaps in a loop at 100 Hz, among all controllers and some that are faulty on purpose.
+"""A thousand switches in a loop at 100 Hz, among all controllers and some faulty on purpose.
 
 A virtual machine stands still now and then, for longer than a tick. So that this is neither
 counted as ours nor used as an excuse, a witness of real-time priority watches each processor.
@@ -24,22 +24,22 @@ import numpy as np
 from bench._closed_loop import FIELD, VIEW
 from microbot_ros.control.contract import (
     Controller,
+    ControllerInput,
     FieldCommand,
     Goals,
     Limits,
     ParticleLostError,
-    Situation,
     no_field,
 )
+from microbot_ros.control.controller_manager import ControllerManager
 from microbot_ros.control.predictive import PredictiveParameters
 from microbot_ros.control.registry import controller_classes
-from microbot_ros.control.switchboard import Switchboard
-from microbot_ros.control.testkit import situation
+from microbot_ros.control.testkit import controller_input
 from microbot_ros.model.model import Model
 
 PERIOD = 0.01
 DEADLINE = 0.0035
-"""[s] What is late in a swap and in the tick after it costs at most twice that: under a period."""
+"""[s] What is late in a switch and in the tick after it costs at most twice that: < a period."""
 _WITNESS_PERIOD, _WITNESS_NOTICES = 1e-3, 2e-3
 
 Stalls = list[list[tuple[float, float]]]
@@ -47,7 +47,7 @@ Stalls = list[list[tuple[float, float]]]
 
 
 @dataclass(frozen=True)
-class Swapped:
+class Switched:
     """`missed` ticks, those missed while the machine stood still (`stalled`), and the largest
     step over the slew and field over the limit."""
 
@@ -61,7 +61,7 @@ class _Faulty(Controller):
     interface_version = 1
     summary = 'Faulty on purpose.'
 
-    def compute(self, situation: Situation) -> FieldCommand:
+    def compute(self, inputs: ControllerInput) -> FieldCommand:
         return no_field('')
 
 
@@ -95,14 +95,14 @@ _FAULTS: dict[str, dict[str, Callable[..., FieldCommand]]] = {
 }
 
 
-def swapped(count: int = 1000) -> Swapped:
-    """Two ticks for each swap."""
+def switched(count: int = 1000) -> Switched:
+    """Two ticks for each switch."""
     logging.getLogger('microbot_ros.control').setLevel(logging.CRITICAL)
     with _undisturbed() as stalls:
         ticks, fields = _loop(2 * count)
     late = _late(ticks, stalls)
     steps = np.hypot(*np.diff(fields, axis=0, prepend=0).T)
-    return Swapped(late, _late(ticks, []) - late, float(steps.max()) / (_LIMITS.slew * PERIOD),
+    return Switched(late, _late(ticks, []) - late, float(steps.max()) / (_LIMITS.slew * PERIOD),
                    float(np.hypot(*fields.T).max()) / _LIMITS.field)
 
 
@@ -110,18 +110,18 @@ _LIMITS = Limits(FIELD, 0.3, 50.0)
 _GOALS = Goals(np.array([[30e-6, 0], [0, 30e-6], [-30e-6, 0]]))
 
 
-def _board() -> tuple[Switchboard, list[str]]:
-    """A switchboard, configured, and the names of what it holds."""
+def _board() -> tuple[ControllerManager, list[str]]:
+    """A controller manager, configured, and the names of what it holds."""
     kinds = controller_classes() | {
         name: type(name, (_Faulty,), act) for name, act in _FAULTS.items()}
-    board = Switchboard({name: kind() for name, kind in kinds.items()}, 'hold',
+    manager = ControllerManager({name: kind() for name, kind in kinds.items()}, 'hold',
                         deadline=DEADLINE, patience=0.1)
     for name, kind in kinds.items():
-        board.configure(name, kind.Parameters())
-    board.configure('predictive', PredictiveParameters(budget_ms=2.0))
+        manager.configure(name, kind.Parameters())
+    manager.configure('predictive', PredictiveParameters(budget_ms=2.0))
     gc.collect()
     gc.freeze()  # as the process of the nodes does: a full collection takes longer than a tick
-    return board, list(kinds)
+    return manager, list(kinds)
 
 
 def _loop(count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -129,21 +129,21 @@ def _loop(count: int) -> tuple[np.ndarray, np.ndarray]:
 
     A tick that is late makes the next ones due later, so that each miss counts once.
     """
-    board, names = _board()
+    manager, names = _board()
     rng = np.random.default_rng(0)
     ticks, fields = np.empty((count, 2)), np.empty((count, 2))
     due = time.monotonic()
     for k in range(count):
         time.sleep(max(0.0, due - time.monotonic()))
         if k % 2 == 0:
-            board.swap(names[rng.integers(len(names))])
-        outcome = board.tick(situation(
+            manager.switch_controller(names[rng.integers(len(names))])
+        outcome = manager.tick(controller_input(
             t=k * PERIOD, dt=PERIOD, limits=_LIMITS, workspace=VIEW, goals=_GOALS,
             path=_GOALS.position, joystick=rng.uniform(-1, 1, 2), model=Model(FIELD)))
         fields[k] = math.nan if outcome.command is None else outcome.command.field
         ticks[k] = due, time.monotonic()
         due += PERIOD * max(1, math.ceil((ticks[k, 1] - due) / PERIOD))
-    board.close()
+    manager.close()
     gc.unfreeze()
     return ticks, fields
 
@@ -170,7 +170,7 @@ def _undisturbed() -> Iterator[Stalls]:
     except PermissionError:
         yield stalls
         return
-    witnesses = [subprocess.Popen([sys.executable, '-m', 'bench._swaps', str(processor)],
+    witnesses = [subprocess.Popen([sys.executable, '-m', 'bench._switches', str(processor)],
                                   text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
                  for processor in os.sched_getaffinity(0)]
     for witness in witnesses:

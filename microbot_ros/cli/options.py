@@ -1,0 +1,25 @@
+"""What options of several commands have in common."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import click
+
+namespace_option = click.option(
+    '--namespace', default='/', show_default=True, metavar='NAME',
+    help='Which rig, where its nodes run in a ROS namespace of their own.')
+
+
+class FiniteFloatRange(click.FloatRange):
+    """The type of a number within a range, in which NaN is not, as it is in click's own."""
+
+    def convert(self, value: Any, param: click.Parameter | None,
+                ctx: click.Context | None) -> float:
+        """The number that `value` stands for; click's `BadParameter` where it is not allowed.
+
+        `param` and `ctx` are click's own, for its message.
+        """
+        number: float = super().convert(value, param, ctx)
+        return number if math.isfinite(number) else self.fail(f'{value} is no number', param, ctx)
