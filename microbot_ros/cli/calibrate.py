@@ -129,7 +129,7 @@ def _from_readings(source: Path, settings: CoilSettings) -> _Found:
 
 
 def _from_tracks(source: Path, settings: CoilSettings) -> _Found:
-    from microbot_ros.cli.calibrate_figure import draw_deviations
+    from microbot_ros.cli.calibrate_figures import draw_coils
     from microbot_ros.discovery.coil_map import coil_map
     from microbot_ros.magnetics.pairs import with_pairs
     from microbot_ros.session import read_session
@@ -148,4 +148,4 @@ def _from_tracks(source: Path, settings: CoilSettings) -> _Found:
     if found.unexplained:
         lines.append(f'! something else is left, against {", ".join(found.unexplained)}: see '
                      'microbot discover')
-    return _Found(corrected, summary, lines, lambda path: draw_deviations(found, path))
+    return _Found(corrected, summary, lines, lambda path: draw_coils(found, path))

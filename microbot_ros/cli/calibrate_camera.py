@@ -99,7 +99,7 @@ def camera(
       microbot calibrate camera recordings/monday --config rig.yaml --out out/camera
       microbot calibrate camera rollers/ --phi-deg 0 --out out/camera
     """
-    from microbot_ros.cli.calibrate_camera_figure import draw
+    from microbot_ros.cli.calibrate_figures import draw_camera
     from microbot_ros.files import output_folder, write_text
 
     if not (session or graticule or particles):
@@ -122,7 +122,7 @@ def camera(
         write_text(folder / 'camera.yaml', part.as_yaml())
         write_text(folder / 'calibration.json', text)
         if turn or lines:
-            draw(folder / 'calibration.png', turn, image, lines)
+            draw_camera(folder / 'calibration.png', turn, image, lines)
     if json_path:
         write_text(json_path, text)
     for line in [*part.lines, f'written to {out}']:

@@ -102,7 +102,7 @@ class PlayerNode(RigNode):
         self._open = contextlib.ExitStack()
         self._source = self._open.enter_context(open_source(values.session))
         self._kinds = self._find_kinds(set(values.topics))
-        self._publishers = PlaybackPublishers(self, self._kinds)
+        self._outlets = PlaybackPublishers(self, self._kinds)
         self._rig = LiveRig(self, self._kinds)
         self._look_due = 0.0
         self._alone = values.into_live_rig
@@ -173,7 +173,7 @@ class PlayerNode(RigNode):
         # Told a turn of the executor later, so that who heard the last answer too has taken it.
         self._done = self._lockstep.finished and not self._unsent and (
             bool(self._answers) or now - self._asked > _ACKNOWLEDGED_SECONDS
-            or self._publishers.has_all())
+            or self._outlets.has_all())
         if not self._begun:
             self._gather(now)
         elif not self._lockstep.missing:
@@ -193,11 +193,11 @@ class PlayerNode(RigNode):
 
     def _gather(self, now: float) -> None:
         """Begin when whoever listens is there; in lock-step that is somebody for every topic."""
-        listeners = self._publishers.count
+        listeners = self._outlets.count
         if listeners != self._listeners:
             self._listeners, self._found = listeners, now
         missing = [topic for topic in self._answers if not self.count_publishers(topic)]
-        missing += self._publishers.missing(at_least=1 if self._answers else 0)
+        missing += self._outlets.missing(at_least=1 if self._answers else 0)
         incomplete = missing or not listeners or now - self._found < _SETTLED_SECONDS
         if self._answers and missing and now - self._asked > self.settings.patience_s:
             self._give_up(f'not everybody is there for {missing[0]}')
@@ -215,16 +215,16 @@ class PlayerNode(RigNode):
             if not self._send(message) or time.monotonic() - now > 5 * _CLOCK_SECONDS:
                 break
         if not self._answers and not self._unsent:
-            self._publishers.tell_time(self._playback.clock_ns(now))
+            self._outlets.tell_time(self._playback.clock_ns(now))
 
     def _send(self, message: Message) -> bool:
         """Whether there was room for it; if not it is kept for the next turn."""
         self._asked = time.monotonic()
         if self._answers:
-            self._publishers.tell_time(message.t_ns)
+            self._outlets.tell_time(message.t_ns)
         if message.topic == CHANGES:
             self._change_again(message.data)
-        elif not self._publishers.send(message.topic, bytes(message.data)):
+        elif not self._outlets.send(message.topic, bytes(message.data)):
             self._unsent = message
             self.complain(f'waiting for a listener of {message.topic} that keeps all and is late')
             return False
@@ -245,7 +245,7 @@ class PlayerNode(RigNode):
             self._send(message)
         count = self._sent - sent
         if not self._answers:
-            self._publishers.tell_time(self._playback.clock_ns(now))
+            self._outlets.tell_time(self._playback.clock_ns(now))
         response.success, response.message = count > 0, f'{count} messages'
         return response
 
