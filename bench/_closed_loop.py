@@ -23,7 +23,7 @@ from microbot_ros.control.controller_manager import ControllerManager
 from microbot_ros.model.model import Model
 from microbot_ros.model.particle import Fluid, rotational_drag
 from microbot_ros.virtual_rig.body import bodies
-from microbot_ros.virtual_rig.hidden import hide
+from microbot_ros.virtual_rig.injected_effects import inject_effect
 from microbot_ros.virtual_rig.world import FieldHistory, World
 
 FLUID = Fluid(viscosity=1.245e-3)
@@ -64,7 +64,7 @@ class Loop:
         body = bodies(FLUID, radius, moment, self.phi, self.position, speed=self.speed,
                       heading=self.heading)
         for name, parameters in self.effects.items():
-            hide(body, name, parameters, reference_field=FIELD)
+            inject_effect(body, name, parameters, reference_field=FIELD)
         self.world = World(body, np.random.default_rng(self.seed + 1000))
         self._fields: deque[tuple[float, np.ndarray]] = deque([(-1.0, np.zeros(2))], maxlen=256)
         self._ticks = 0

@@ -16,7 +16,7 @@ from microbot_ros.model.particle import Fluid, translational_diffusion
 from microbot_ros.records import Conditions, Session, Tracks
 from microbot_ros.session import read_session
 from microbot_ros.virtual_rig.commands import Herding, steps
-from microbot_ros.virtual_rig.experiment import Camera, as_tracks, draw_swarm, perform
+from microbot_ros.virtual_rig.record_session import Camera, as_tracks, draw_swarm, record_session
 from microbot_ros.virtual_rig.world import World
 
 FIELD = 5e-3
@@ -65,7 +65,7 @@ def _draw(
     )
     camera = Camera(rate, shutter, sigma, missed, run=3.0, dropped=missed / 5)
     conditions = Conditions(radius=RADIUS, viscosity=FLUID.viscosity, reference_field=FIELD)
-    session, path = perform(World(swarm, rng), control, camera, duration, rng, conditions)
+    session, path = record_session(World(swarm, rng), control, camera, duration, rng, conditions)
     return Run(session, truth, sigma, shutter / rate), path.position
 
 
@@ -116,14 +116,14 @@ def record_change(seed: int, factor: complex, changed: float = 20.0) -> tuple[Ru
     world = World(swarm, rng)
     camera = Camera(30.0, 0.0, 0.1e-6)
     conditions = Conditions(radius=RADIUS, viscosity=FLUID.viscosity, reference_field=FIELD)
-    first, _ = perform(world, commands, camera, changed, rng, conditions)
+    first, _ = record_session(world, commands, camera, changed, rng, conditions)
     later = swarm.copy()
     later['x'], later['y'] = world.position.T
     later['heading'] = world.heading
     later['speed'] *= abs(factor)
     later['phi'] += np.angle(factor)
     after = replace(commands, t=commands.t - changed)
-    second, _ = perform(World(later, rng), after, camera, 4.0, rng, conditions)
+    second, _ = record_session(World(later, rng), after, camera, 4.0, rng, conditions)
     session = replace(first, tracks=_joined(first.tracks, second.tracks, changed))
     truth = later['speed'] * np.exp(1j * later['phi'])
     return Run(session, truth, 0.1e-6, 0.0), changed
@@ -152,7 +152,7 @@ def quiet_hours(seed: int, hours: float = 2.0, rate: float = 5.0) -> int:
     tracks = as_tracks(times, truth + 0.1e-6 * rng.normal(size=truth.shape))
     conditions = Conditions(radius=RADIUS, viscosity=FLUID.viscosity, reference_field=FIELD)
     alarms, standing = 0, set[str]()
-    for estimates in replay(Run(Session(tracks, commands, conditions), particles.velocity,
+    for estimates in replay(Run(Session(tracks, commands, conditions), particles.velocity_phasor,
                                 0.1e-6, 0.0)):
         now = {text for text in estimates.diagnosis if 'cannot be told apart' not in text}
         alarms += bool(now - standing)

@@ -59,16 +59,20 @@ class Kind:
     levels: bool = False
 
 
-def _plain(name: str, neutral: float = 0.0) -> Callable[[Hideout], Callable[[float], Parameters]]:
-    """One parameter, that far above its neutral value."""
-    return lambda _: lambda s: {name: neutral + s}
+def _plain(
+    name: str, null_value: float = 0.0,
+) -> Callable[[Hideout], Callable[[float], Parameters]]:
+    """One parameter, that far above its null value."""
+    return lambda _: lambda s: {name: null_value + s}
 
 
-def _signed(name: str, neutral: float = 0.0) -> Callable[[Hideout], Callable[[float], Parameters]]:
-    """One parameter, that far from its neutral value on either side."""
+def _signed(
+    name: str, null_value: float = 0.0,
+) -> Callable[[Hideout], Callable[[float], Parameters]]:
+    """One parameter, that far from its null value on either side."""
     def shaped(at: Hideout) -> Callable[[float], Parameters]:
         sign = at.sign()
-        return lambda s: {name: neutral + sign * s}
+        return lambda s: {name: null_value + sign * s}
     return shaped
 
 

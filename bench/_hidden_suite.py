@@ -18,7 +18,6 @@ import numpy as np
 from bench._hidden_effects import KINDS, LISTED, Hideout, Parameters
 from microbot_ros.estimation.noise import Noise, whiten
 from microbot_ros.model.effects import EFFECTS
-from microbot_ros.model.forces import rolled_frequency
 from microbot_ros.model.increments import increments, respond
 from microbot_ros.model.langevin import Path
 from microbot_ros.model.model import Model, ParticleParameters
@@ -27,8 +26,9 @@ from microbot_ros.model.timeline import Timeline
 from microbot_ros.records import Commands, Conditions, Session
 from microbot_ros.units import to_si
 from microbot_ros.virtual_rig.commands import Herding, steps
-from microbot_ros.virtual_rig.experiment import Camera, Feedback, draw_swarm, perform
-from microbot_ros.virtual_rig.hidden import hide
+from microbot_ros.virtual_rig.dynamics import roll_frequency
+from microbot_ros.virtual_rig.injected_effects import inject_effect
+from microbot_ros.virtual_rig.record_session import Camera, Feedback, draw_swarm, record_session
 from microbot_ros.virtual_rig.world import World
 
 FIELD = 5e-3
@@ -80,13 +80,13 @@ class Experiment:
         """
         swarm, camera = self.swarm.copy(), self.camera
         for effect, parameters in effects.items():
-            hide(swarm, effect, parameters, FIELD)
+            inject_effect(swarm, effect, parameters, FIELD)
         if quiet is not None:
-            swarm['diffusion'] = swarm['turning'] = 0.0
+            swarm['diffusion'] = swarm['rotational_diffusion'] = 0.0
             camera = Camera(camera.frame_rate)
         rng = np.random.default_rng(self.chance)
         control = self.control() if quiet is None else quiet
-        session, path = perform(
+        session, path = record_session(
             World(swarm, rng), control, camera, self.duration, rng, self.conditions)
         return session, path
 
@@ -241,8 +241,9 @@ class Yardstick:
         timeline = Timeline(self.commands, self.path.t, self.path.position)
         plain = increments(self._baseline, particles, timeline)
         if effect == 'drive_response':  # filmed with the mechanics of rollers, not with curves
-            cut_in, step_out = (parameters.get(k, v) for k, v in _ROLLS_ALWAYS.items())
-            turns = rolled_frequency(self.commands.frequency, cut_in, step_out)
+            roller = swarm[:1].copy()
+            inject_effect(roller, effect, _ROLLS_ALWAYS | parameters, FIELD)
+            turns = np.array([roll_frequency(roller[0], f) for f in self.commands.frequency])
             rolled = Timeline(replace(self.commands, frequency=turns), self.path.t)
             return _sum(increments(self._baseline, particles, rolled) - plain)
         added = kind(**{p.field: to_si(p.name, parameters[p.name]) for p in kind.parameters()})

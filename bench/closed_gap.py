@@ -30,8 +30,8 @@ from microbot_ros.model.particle import rotational_drag
 from microbot_ros.records import Conditions, Session
 from microbot_ros.virtual_rig.body import bodies
 from microbot_ros.virtual_rig.commands import steps
-from microbot_ros.virtual_rig.experiment import Camera, perform
-from microbot_ros.virtual_rig.hidden import hide
+from microbot_ros.virtual_rig.injected_effects import inject_effect
+from microbot_ros.virtual_rig.record_session import Camera, record_session
 from microbot_ros.virtual_rig.world import World
 
 LATE: dict[str, dict[str, float]] = {
@@ -79,10 +79,10 @@ def _filmed(effect: str, parameters: Mapping[str, float]) -> Session:
     body = bodies(FLUID, radius, moment, rng.uniform(-np.pi, np.pi, 4),
                   np.array([[-6, -4], [6, -4], [-6, 4], [6, 4]]) * 1e-5,
                   speed=rng.uniform(3.5e-6, 5e-6, 4))
-    hide(body, effect, parameters, reference_field=FIELD)
+    inject_effect(body, effect, parameters, reference_field=FIELD)
     commands = steps(rng, 60.0, FIELD, dwell=(1.0, 3.0))
     camera = Camera(30.0, exposure=0.5, noise=5e-8, missed=0.02)
-    session, _ = perform(World(body, rng), commands, camera, 60.0, rng, CONDITIONS)
+    session, _ = record_session(World(body, rng), commands, camera, 60.0, rng, CONDITIONS)
     return session
 
 

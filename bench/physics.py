@@ -9,11 +9,11 @@ import numpy as np
 
 from bench.figure import Figure, seconds
 from microbot_ros.model.first_order import simulate
-from microbot_ros.model.langevin import langevin
+from microbot_ros.model.langevin import simulate_langevin
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.particle import Fluid, Particle, rotational_drag, speed_from_force
+from microbot_ros.paper import repetition as paper
 from microbot_ros.records import Commands
-from microbot_ros.virtual_rig import paper_experiment as paper
 
 _CALLS = 50
 
@@ -68,7 +68,7 @@ def _langevin() -> Figure:
         Particle(4.6e-6, 4e-13, 4e-13, phi, 4e-13) for phi in rng.uniform(-np.pi, np.pi, 1000)]
     commands = Commands(np.array([0.0, 0.4]), np.array([[5e-3, 0.0], [0.0, 5e-3]]))
     times = np.linspace(0.0, 1.0, 31)
-    (spent,) = seconds(lambda: langevin(fluid, swimmers, commands, times, rng))
+    (spent,) = seconds(lambda: simulate_langevin(fluid, swimmers, commands, times, rng))
     return Figure(3, 'Langevin, 1,000 particles, 1 ms steps, against real time', 1 / spent, '×',
                   '≥ 1', 'the clock', spent <= 1)
 

@@ -18,7 +18,7 @@ PARENT = 'MICROBOT_PARENT'
 
 
 class Stopped(BaseException):
-    """A signal asked for the end; not an Exception, so that nothing on the way swallows it."""
+    """The signal of that `number` asked for the end; no Exception, so that nothing swallows it."""
 
     def __init__(self, number: int) -> None:
         super().__init__(signal.Signals(number).name)

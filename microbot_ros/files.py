@@ -88,7 +88,7 @@ def _line_of(tree: yaml.Node | None, location: tuple[int | str, ...]) -> int | N
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write a file in one step: readers see the old content or the new, never a half."""
+    """Write a `text` file in one step: readers see the old content or the new, never a half."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f'.{path.name}.')

@@ -75,7 +75,12 @@ class Commands:
 
 @dataclass(frozen=True)
 class Conditions:
-    """What a session knows of its rig, in SI; None where it was not said."""
+    """What a session knows of its rig, in SI; None where it was not said.
+
+    `propulsion` 'catalytic' or 'rolling'; `radius` [m] of the particles; `viscosity` [Pa·s] and
+    `temperature` [K] of the fluid; `frame_rate` [Hz]; `pixel_size` [m] in the workspace;
+    `reference_field` [T] at which alignment times are stated.
+    """
 
     propulsion: str = 'catalytic'
     radius: float | None = None
@@ -88,7 +93,7 @@ class Conditions:
 
 @dataclass(frozen=True)
 class Session:
-    """One recording: what was seen, what was commanded, under which conditions."""
+    """One recording: what was seen, what was commanded, under which conditions; its `name`."""
 
     tracks: Tracks
     commands: Commands

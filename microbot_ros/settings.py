@@ -15,7 +15,11 @@ from microbot_ros import units
 
 @dataclass(frozen=True)
 class About:
-    """What is known of a setting beside its name and default."""
+    """What is known of a setting beside its name and default.
+
+    `description` for people; `lower` and `upper` bound it, None where nothing does; `choices`,
+    where only these are allowed; `read_only`: fixed at start-up.
+    """
 
     description: str
     lower: float | None = None
@@ -35,10 +39,11 @@ def setting(
     read_only: bool = False,
     formerly: str = '',
 ) -> Any:
-    """A dataclass field with a default, a meaning and what is allowed; the name ends in its unit.
+    """A dataclass field with a default and what is allowed; the name ends in its unit.
 
-    `read_only` settings are fixed at start-up: safety limits, device names. `formerly` is a name
-    from before, which is still taken; two settings that have it in common are both set by it.
+    `description`, `lower`, `upper` and `choices` as in `About`. `read_only` settings are fixed at
+    start-up: safety limits, device names. `formerly` is a name from before, which is still taken;
+    two settings that have it in common are both set by it.
     """
     about = About(description, lower, upper, choices, read_only, formerly)
     if isinstance(default, list):
@@ -53,7 +58,7 @@ def about(settings: type, name: str) -> About:
 
 
 def defaults(settings: type) -> dict[str, Any]:
-    """Field → default, in the order of the class."""
+    """Field → default of a `settings` class, in the order of the class."""
     return {
         field.name: field.default_factory() if callable(field.default_factory) else field.default
         for field in dataclasses.fields(settings)
@@ -70,7 +75,7 @@ def renamed(settings: type) -> dict[str, list[str]]:
 
 
 def convert(settings: type, name: str, value: Any) -> Any:
-    """The value in the type of the field `name`, checked against its range and choices.
+    """The value in the type of the field `name` of a `settings` class, checked.
 
     An integer is taken where a float is meant. Raises ValueError with what was expected: for
     another type, NaN or infinity, a value outside the range or not among the choices.

@@ -1,4 +1,4 @@
-"""Units at the edge. The core computes in SI; files, plots and screens name their unit.
+"""Display units. The core computes in SI; files, plots and screens name their unit.
 
 A name that carries a unit ends in one of the suffixes below: `x_um`, `field_mT`, `tau_s`.
 """
@@ -6,6 +6,8 @@ A name that carries a unit ends in one of the suffixes below: `x_um`, `field_mT`
 from __future__ import annotations
 
 import math
+from decimal import Decimal
+from functools import cache
 from typing import TypeVar
 
 import numpy as np
@@ -72,3 +74,21 @@ def from_si(name: str, value: Number) -> Number:
     """An SI value in the unit that the name carries: `from_si('x_um', 2e-6) == 2.0`."""
     ending = suffix(name)
     return value / _SUFFIXES[ending][0] if ending else value
+
+
+def exact_si(name: str, value: Decimal | float | str) -> float:
+    """A number in the unit of its name in SI, rounded once: 3.7 µm is the float 3.7e-6.
+
+    ArithmeticError where a text `value` is no number.
+    """
+    return float(Decimal(str(value)) * _factor(name))
+
+
+def exact_display(name: str, value: float) -> Decimal:
+    """An SI `value` in the unit of its name, without rounding: `exact_si` gives it back."""
+    return Decimal(repr(value)) / _factor(name)
+
+
+@cache
+def _factor(name: str) -> Decimal:
+    return Decimal(repr(to_si(name, 1.0)))

@@ -1,4 +1,4 @@
-"""Shared by all tests: a ROS domain of one's own, and where the real recordings are."""
+"""Shared by all tests: a ROS domain of one's own, the oracles, where the real recordings are."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ def _own_domain() -> int:
     raise RuntimeError('no free ROS domain')
 
 
+sys.path.insert(0, str(Path(__file__).parent))
 os.environ['ROS_DOMAIN_ID'] = str(_own_domain())
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 os.environ.setdefault('MPLBACKEND', 'Agg')

@@ -131,10 +131,10 @@ def _from_readings(source: Path, settings: CoilSettings) -> _Found:
 def _from_tracks(source: Path, settings: CoilSettings) -> _Found:
     from microbot_ros.cli.calibrate_figures import draw_coils
     from microbot_ros.discovery.coil_map import coil_map
-    from microbot_ros.magnetics.pairs import with_pairs
+    from microbot_ros.magnetics.calibration import with_coil_map
     from microbot_ros.session import read_session
     found = coil_map(read_session(source))
-    corrected = with_pairs(settings, found.gain_ratio.value, found.skew.value, found.matrix,
+    corrected = with_coil_map(settings, found.gain_ratio.value, found.skew.value, found.matrix,
                            found.offset)
     coils = {winding.name: {'gain': winding.gain, 'sign': winding.sign}
              for winding in corrected.windings}

@@ -110,7 +110,7 @@ def _watch(out: Path, seconds: float, rounds: int, jobs: int, json_path: Path | 
         try:
             found = _discover([session], [place / 'session'], place, jobs, json_path, progress)
             if found.model.effects:
-                _propose(place / 'model.yaml', found.model.steady, progress)
+                _propose(place / 'model.yaml', found.model.time_invariant, progress)
         except InputError as error:
             if look == rounds:
                 raise
@@ -119,11 +119,11 @@ def _watch(out: Path, seconds: float, rounds: int, jobs: int, json_path: Path | 
             return
 
 
-def _propose(file: Path, steady: bool, progress: Console) -> None:
+def _propose(file: Path, time_invariant: bool, progress: Console) -> None:
     """How a running graph takes the model."""
     for node in ('model', 'controller'):
         progress.print(f'to use it: microbot set {node} model_file {file}', soft_wrap=True)
-    if not steady:
+    if not time_invariant:
         progress.print('! It has an effect that counts time: here from the first frame heard, '
                        'in a node from its start.')
 

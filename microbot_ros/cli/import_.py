@@ -61,8 +61,8 @@ def command(
 
     from microbot_ros.files import write_text
     from microbot_ros.session import write_session
-    from microbot_ros.session.lab.answers import Answers
-    from microbot_ros.session.lab.assemble import import_session
+    from microbot_ros.session.spreadsheets.assemble import import_session
+    from microbot_ros.session.spreadsheets.sheets import Answers
     from microbot_ros.units import to_si
 
     if angle_offset_deg is not None and not math.isfinite(angle_offset_deg):
@@ -94,7 +94,7 @@ def command(
 
 
 def _named_columns(pairs: tuple[str, ...]) -> dict[str, str]:
-    from microbot_ros.session.lab.columns import ROLES
+    from microbot_ros.session.spreadsheets.columns import ROLES
 
     named = {}
     for pair in pairs:

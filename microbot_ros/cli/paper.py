@@ -36,10 +36,9 @@ def command(out: Path, repetitions: int, seed: int, json_path: Path | None) -> N
     from rich.progress import track
 
     from microbot_ros.files import output_folder, write_text
-    from microbot_ros.virtual_rig.paper_experiment import attempt, run_times
-    from microbot_ros.virtual_rig.paper_figures import draw_errors, draw_trajectories, png
-    from microbot_ros.virtual_rig.paper_page import page
-    from microbot_ros.virtual_rig.paper_summary import summarise
+    from microbot_ros.paper.repetition import attempt, run_times
+    from microbot_ros.paper.report import draw_errors, draw_trajectories, page, png
+    from microbot_ros.paper.summary import summarise
 
     progress = Console(stderr=True)
     seeds = range(seed, seed + repetitions)

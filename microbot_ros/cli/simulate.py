@@ -32,8 +32,8 @@ def command(scenario_yaml: Path, out: Path, json_path: Path | None) -> None:
 
     from microbot_ros import __version__
     from microbot_ros.files import output_folder, write_text
-    from microbot_ros.model.effect_table import exact_edge
     from microbot_ros.session import write_session
+    from microbot_ros.units import exact_display
     from microbot_ros.virtual_rig.scenario import read_scenario
     from microbot_ros.virtual_rig.simulation import run
 
@@ -46,7 +46,7 @@ def command(scenario_yaml: Path, out: Path, json_path: Path | None) -> None:
     truth: dict[str, Any] = {
         'physics': scenario.physics, 'seed': scenario.seed, 'version': __version__,
         'particles': {
-            int(i): {name: float(exact_edge(name, float(speed))), 'phi_rad': float(phi)}
+            int(i): {name: float(exact_display(name, float(speed))), 'phi_rad': float(phi)}
             for i, speed, phi in zip(particles.ids, particles.speed, particles.phi, strict=True)},
         'effects': scenario.model_dump(mode='json')['effects'],
     }

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from microbot_ros.model.effect_context import EffectContext, Places
 from microbot_ros.model.effects.alignment_lag import AlignmentLag
-from microbot_ros.model.heading import course
+from microbot_ros.model.heading import heading_course
 from microbot_ros.model.model import Model
-from microbot_ros.model.scene import Places, Scene
 
 QUICKEST = 0.02
 """Alignment time [s] that stands in where the model has none, so that plans are smooth in B."""
@@ -59,12 +59,12 @@ class Swarm:
         ∫e^{i(θ − φ)} dt of each (K, N, V) [s] and the heading at the edges (K + 1, N, V).
         """
         paths, headings = [], []
-        # The models differ in their lag, which is no part of the scene.
-        scene = self._scene(self.models[0], duration, self.models[0].field(field))
+        # The models differ in their lag, which is no part of the context.
+        context = self._context(self.models[0], duration, self.models[0].field(field))
         for model, start in zip(self.models, self.heading, strict=True):
-            way = course(model, scene, np.full(field.shape[1], start))
-            paths.append(way.path)
-            headings.append(way.heading)
+            course = heading_course(model, context, np.full(field.shape[1], start))
+            paths.append(course.path)
+            headings.append(course.heading)
         return np.stack(paths, 1), np.stack(headings, 1)
 
     def surroundings(self, duration: np.ndarray, field: np.ndarray,
@@ -75,19 +75,19 @@ class Swarm:
         """
         model = self.models[0]
         places = Places(np.stack([position.real, position.imag], -1))
-        scene = self._scene(model, duration, model.field(field)[..., None, :], places)
-        factor = np.broadcast_to(model.speed_factor(scene), position.shape)
-        drift = model.drift(scene)
+        context = self._context(model, duration, model.field(field)[..., None, :], places)
+        factor = np.broadcast_to(model.speed_factor(context), position.shape)
+        drift = model.drift(context)
         if drift is None:
             return factor, np.zeros(position.shape, complex)
         return factor, np.broadcast_to(drift[..., 0] + 1j * drift[..., 1], position.shape)
 
-    def _scene(self, model: Model, duration: np.ndarray, field: np.ndarray,
-               places: Places | None = None) -> Scene:
+    def _context(self, model: Model, duration: np.ndarray, field: np.ndarray,
+               places: Places | None = None) -> EffectContext:
         shape = (len(duration), *(1,) * (field.ndim - 2))
         span = duration.reshape(shape)
         middle = self.t + np.cumsum(duration).reshape(shape) - span / 2
-        return Scene(middle, span, field, np.ones(shape), model.reference_field, places)
+        return EffectContext(middle, span, field, np.ones(shape), model.reference_field, places)
 
 
 def with_lags(model: Model, lags: list[float | None]) -> tuple[Model, ...]:

@@ -114,7 +114,7 @@ def _fit(session: Session) -> Fit:
     ladder = Ladder(evidences)
     model = ladder.fit.model
     for effect in (*SOUGHT, *BESIDE):
-        model = model.with_effect(EFFECTS[effect].neutral())
+        model = model.with_effect(EFFECTS[effect].null())
     return ladder.stand(model)
 
 

@@ -247,7 +247,7 @@ def _swimmers(fit: Fit) -> ParticleParameters:
     """The particles of the last session."""
     last = fit.parts[-1]
     first = last.evidence.first_track
-    return ParticleParameters.from_velocity(last.evidence.ids[first], last.swim[first])
+    return ParticleParameters.from_velocity_phasor(last.evidence.ids[first], last.swim[first])
 
 
 def _localisation(fit: Fit) -> Estimate:

@@ -12,8 +12,8 @@ import numpy as np
 from microbot_ros.discovery.chance import tail
 from microbot_ros.discovery.ladder import without
 from microbot_ros.discovery.likelihood import Fit, Part
+from microbot_ros.model.effect_context import EffectContext
 from microbot_ros.model.effects.drive_response import DriveResponse
-from microbot_ros.model.scene import Scene
 
 FEWEST = 10
 """Levels from which both a curve and the scatter about it can be told."""
@@ -30,9 +30,9 @@ def curve_p_value(fit: Fit) -> float:
         return 1.0
     frequency, gain, std = gains.T
     nothing = np.zeros(len(gains))
-    scene = Scene(nothing, nothing, np.zeros((len(gains), 2)), frequency,
+    context = EffectContext(nothing, nothing, np.zeros((len(gains), 2)), frequency,
                   fit.model.reference_field)
-    ratio = 2 * (scattered(gain, std, effect.speed_factor(scene))
+    ratio = 2 * (scattered(gain, std, effect.speed_factor(context))
                  - scattered(gain, std, np.ones(len(gains))))
     return tail(ratio, min(len(effect.parameters()), len(gains) - 1))
 

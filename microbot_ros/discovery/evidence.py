@@ -221,8 +221,8 @@ def _lost(evidence: Evidence, model: Model, turning: float) -> np.ndarray:
     From when Brownian turning, amplified by every turn of nearly 180°, spreads them wider than a
     linear filter can follow, until the field has gathered them again.
     """
-    nobody = ParticleParameters.from_velocity(np.zeros(1, int), np.ones(1, complex))
-    kept = heading_response(model, nobody, evidence.timeline).kept[:, 0]
+    nobody = ParticleParameters.from_velocity_phasor(np.zeros(1, int), np.ones(1, complex))
+    kept = heading_response(model, nobody, evidence.timeline).heading_retention[:, 0]
     kick = 2 * (evidence.turning or turning) * np.diff(evidence.times)
     variance = np.zeros(len(evidence.times))
     for k in range(len(kept)):

@@ -81,7 +81,7 @@ def _trial(fit: Fit, plan: _Plan) -> Evidence:
     e = last.evidence
     commands = _commands(plan, e.commands)
     tracks = e.first_track
-    particles = ParticleParameters.from_velocity(e.ids[tracks], last.swim[tracks])
+    particles = ParticleParameters.from_velocity_phasor(e.ids[tracks], last.swim[tracks])
     first = np.isfinite(e.places[:, tracks, 0]).argmax(axis=0)
     start = fit.model.true_position(e.places[first, tracks])
     times = np.arange(0.0, TRIAL, max(e.interval, 1 / 30))

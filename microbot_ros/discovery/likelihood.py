@@ -330,13 +330,13 @@ def remembers(model: Model, evidence: Evidence) -> bool:
 
 def _heading(model: Model, p: Part) -> tuple[np.ndarray, np.ndarray]:
     """What a turn does over every frame interval, and what is left of it: (T−1, N) each."""
-    particles = ParticleParameters.from_velocity(p.evidence.ids, p.swim)
+    particles = ParticleParameters.from_velocity_phasor(p.evidence.ids, p.swim)
     response = heading_response(model, particles, p.evidence.timeline)
-    bend = np.nan_to_num(response.sensitivity[..., 0] + 1j * response.sensitivity[..., 1])
+    bend = np.nan_to_num(response.heading_sensitivity @ [1, 1j])
     shape = p.evidence.z[1:].shape
     return (
         np.ascontiguousarray(np.broadcast_to(bend, shape)),
-        np.ascontiguousarray(np.broadcast_to(response.kept, shape)),
+        np.ascontiguousarray(np.broadcast_to(response.heading_retention, shape)),
     )
 
 

@@ -95,5 +95,5 @@ def _refitted(found: Discovery, times: np.ndarray, positions: np.ndarray,
     """The particles as the first-order model alone sees them, under the same noise."""
     ratio = max(found.localisation.value**2 / found.diffusion.value, 1e-6)
     z, swum = (x @ np.array([1, 1j]) for x in (positions, path))
-    return ParticleParameters.from_velocity(
+    return ParticleParameters.from_velocity_phasor(
         found.particles.ids, GainLikelihood(times, z, swum).at(ratio).gain)

@@ -90,12 +90,12 @@ def limit(found: Limit) -> str:
     parameter, unit = found.parameter, symbol(found.parameter.name)
     if not np.isfinite(found.upper_limit):
         return 'not bounded by these data'
-    neutral = float(parameter.edge(parameter.neutral))
-    value = float(parameter.edge(found.upper_limit))
+    null_value = float(parameter.display_units(parameter.null_value))
+    value = float(parameter.display_units(found.upper_limit))
     if parameter.inverse:
         return f'{number(value)} {unit} or longer'
-    if neutral:
-        return f'within {neutral:g} ± {number(abs(value - neutral))} {unit}'.strip()
+    if null_value:
+        return f'within {null_value:g} ± {number(abs(value - null_value))} {unit}'.strip()
     return f'up to {number(abs(value))} {unit}'.strip()
 
 

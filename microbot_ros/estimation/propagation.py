@@ -54,7 +54,7 @@ class Propagator:
         timeline = Timeline(commands, np.array([start, end]))
         one = ParticleParameters(np.zeros(1, int), np.ones(1), np.zeros(1))
         bent = heading_response(self.model, one, timeline)
-        return bent.sensitivity[0] @ [1, 1j], bent.kept[0]
+        return bent.heading_sensitivity[0] @ [1, 1j], bent.heading_retention[0]
 
     def look_ahead(
         self, log: CommandLog, delay: float, start: float, end: float, positions: np.ndarray,

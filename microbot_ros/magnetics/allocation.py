@@ -36,9 +36,10 @@ _ROUNDING = 1e-9
 
 
 class Allocation(NamedTuple):
-    """Currents (4,) [A], the in-plane field (2,) [T] they make with the background, the heat [W].
+    """Currents (4,) [A], the in-plane field (2,) [T] they make with the background, the heat.
 
-    `saturated`: the limits did not allow the wanted magnitude; the direction is kept.
+    `power` is the heat [W]. `saturated`: the limits did not allow the wanted magnitude; the
+    direction is kept.
     """
 
     currents: np.ndarray
@@ -109,12 +110,14 @@ class Allocator:
         return float((self._reach[outward] / across[outward]).min())
 
     def largest_current(self, magnitude: float) -> float:
-        """The largest current [A] that any coil needs for a field [T] that is turned all round."""
+        """The largest current [A] that any coil needs for a field of `magnitude` [T] turned all
+        round.
+        """
         angles = np.radians(np.arange(360.0))
         fields = magnitude * np.stack([np.cos(angles), np.sin(angles)], axis=1)
         return max(float(np.abs(self.allocate(field).currents).max()) for field in fields)
 
-    def price(self, direction: ArrayLike) -> float:
+    def power_ratio(self, direction: ArrayLike) -> float:
         """Heat for a field along a direction (2,), limits aside, over the least possible heat.
 
         What cancelling the gradient costs; 1 where none is cancelled or none is left to cancel.

@@ -1,8 +1,9 @@
-"""Gain and sign of each coil, and the background, from gaussmeter readings.
+"""Gain and sign of each coil, and the background, from gaussmeter readings or from tracks.
 
 Every reading is B = b + Σₖ gₖ Iₖ cₖ(p), with cₖ the field per ampere of coil k's geometry at the
 probe's place p. It is linear in the signed gains gₖ and the background b: one least-squares fit.
-The background includes the zero offset of the probe.
+The background includes the zero offset of the probe. Tracks tell less: of pairs of opposite
+coils, no coil by itself (`with_coil_map`).
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy as np
 
 from microbot_ros.errors import InputError
 from microbot_ros.magnetics.coils import CoilSet
-from microbot_ros.magnetics.settings import CoilSettings
+from microbot_ros.magnetics.settings import CoilSettings, Vector, Winding
 from microbot_ros.units import from_si, to_si
 
 # A fit is believed when it leaves less than this part of the readings' variation unexplained (a
@@ -46,8 +47,10 @@ class Readings:
 
 @dataclass(frozen=True)
 class Calibration:
-    """What the readings say of the rig: signed gains (4,) and background (2,) [T], with their
-    standard deviations; `residuals` (M, 3) [T] as `Readings.field`.
+    """What the readings say of the rig, by the `names` of the coils.
+
+    Signed `gain` (4,) with `gain_std`, `background` (2,) [T] with `background_std`; `residuals`
+    (M, 3) [T] as `Readings.field`.
     """
 
     names: tuple[str, ...]
@@ -196,3 +199,34 @@ def _swap(readings: Readings, coils: CoilSet, unexplained: float) -> str:
     best = min(residual for residual, _ in fits)
     simplest = min((found for residual, found in fits if residual <= 1.1 * best), key=len)
     return ', '.join(simplest)
+
+
+def with_coil_map(settings: CoilSettings, gain_ratio: float, skew: float, matrix: np.ndarray,
+               offset: np.ndarray) -> CoilSettings:
+    """Coils that make B = `matrix` (2, 2) B_cmd + `offset` (2,) [T] of the currents that the coils
+    in `settings` need for B_cmd: the y pair stronger by `gain_ratio` and turned about the
+    workspace centre by `skew` [rad] towards +x. Raises InputError where there are no such pairs.
+    """
+    field = np.abs(CoilSet(settings).actuation_matrix()[:2])
+    of_y = field[1] > field[0]
+    if of_y.sum() != 2:
+        raise InputError('coils', 'expected two coils along x and two along y')
+    windings = tuple(
+        _turned(winding, -skew).model_copy(update={'gain': winding.gain * gain_ratio})
+        if y else winding for winding, y in zip(settings.windings, of_y, strict=True))
+    # Currents were chosen for what was wanted less the background that the file knew.
+    background = 1e3 * (offset + matrix @ (1e-3 * np.array(settings.background_mT)))
+    return CoilSettings(windings=windings, background_mT=tuple(background.tolist()))
+
+
+def _turned(winding: Winding, angle: float) -> Winding:
+    """The coil turned about the z axis of the workspace."""
+    def turn(vector: Vector) -> Vector:
+        x, y, z = vector
+        cosine, sine = math.cos(angle), math.sin(angle)
+        return cosine * x - sine * y, sine * x + cosine * y, z
+
+    return winding.model_copy(update={
+        'position_mm': turn(winding.position_mm),
+        'axis': winding.axis and turn(winding.axis),
+        'vertices_mm': winding.vertices_mm and tuple(map(turn, winding.vertices_mm))})

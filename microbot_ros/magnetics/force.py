@@ -22,7 +22,7 @@ _RINGS = 50
 
 
 @dataclass(frozen=True)
-class Particle:
+class MagneticParticle:
     """A magnetised sphere in a fluid; by default the paper's, with an assumed magnetisation.
 
     `radius` [m], `viscosity` [Pa s], `speed` of its own propulsion [m/s] (the slowest of the
@@ -60,7 +60,7 @@ def torque(moment: np.ndarray, field: np.ndarray) -> np.ndarray:
 
 
 def force_speed(
-    coils: CoilSet, points: np.ndarray, magnitude: float, particle: Particle,
+    coils: CoilSet, points: np.ndarray, magnitude: float, particle: MagneticParticle,
 ) -> np.ndarray:
     """Speed (M,) [m/s] at which the force drags the particle in the plane, at its worst.
 
@@ -86,16 +86,16 @@ def force_speed(
 
 
 def negligible_radius(
-    coils: CoilSet, magnitude: float, particle: Particle | None = None, fraction: float = 0.01,
-    within: float = 10e-3,
+    coils: CoilSet, magnitude: float, particle: MagneticParticle | None = None,
+    fraction: float = 0.01, within: float = 10e-3,
 ) -> float:
     """Radius [m] about the centre inside which the force stays below a part of the propulsion.
 
-    Inside it `force_speed` is nowhere more than `fraction` of the particle's own speed. 0 where
-    it is already at the centre; `within` [m] where it is not up to there. InputError as
-    `force_speed`.
+    Inside it `force_speed` at a field of `magnitude` [T] is nowhere more than `fraction` of the
+    particle's own speed. 0 where it is already at the centre; `within` [m] where it is not up to
+    there. InputError as `force_speed`.
     """
-    particle = particle or Particle()
+    particle = particle or MagneticParticle()
     angles = np.linspace(0, 2 * np.pi, _DIRECTIONS, endpoint=False)
     circle = np.column_stack([np.cos(angles), np.sin(angles)])
 

@@ -95,7 +95,8 @@ def loop_field(points: np.ndarray, centre: np.ndarray, axes: np.ndarray, a: floa
                out: np.ndarray) -> None:
     """Write the field per ampere [T/A] at points (M, 3) [m] to out (M, 3).
 
-    `axes` (3, 3): the loop's x, y and z axes as columns; `a` its radius [m]. NaN on the wire.
+    `centre` (3,) [m]; `axes` (3, 3): the loop's x, y and z axes as columns; `a` its radius [m];
+    `turns` multiplies the field. NaN on the wire.
     """
     block = np.empty((11, _BLOCK))
     for start in range(0, len(points), _BLOCK):
@@ -121,7 +122,8 @@ def loop_gradient(points: np.ndarray, centre: np.ndarray, axes: np.ndarray, a: f
                   turns: float, out: np.ndarray) -> None:
     """Write the gradient per ampere ∂Bᵢ/∂xⱼ [T/m/A] at points (M, 3) [m] to out (M, 3, 3).
 
-    Symmetric and free of trace, since the field has neither curl nor divergence off the wire.
+    `centre`, `axes`, `a` and `turns` as in `loop_field`. Symmetric and free of trace, since the
+    field has neither curl nor divergence off the wire.
     """
     block = np.empty((11, _BLOCK))
     local = np.empty((3, 3))

@@ -55,7 +55,7 @@ def polyline_field(points: np.ndarray, vertices: np.ndarray, turns: float,
                    out: np.ndarray) -> None:
     """Write the field per ampere [T/A] at points (M, 3) [m] to out (M, 3).
 
-    The current runs along vertices (V, 3) [m] in their order. NaN on the wire.
+    The current runs along vertices (V, 3) [m] in their order, `turns` times. NaN on the wire.
     """
     work = np.empty((3, 3))
     for i in range(len(points)):
@@ -68,7 +68,10 @@ def polyline_field(points: np.ndarray, vertices: np.ndarray, turns: float,
 @_compiled
 def polyline_gradient(points: np.ndarray, vertices: np.ndarray, turns: float,
                       out: np.ndarray) -> None:
-    """Write the gradient per ampere ∂Bᵢ/∂xⱼ [T/m/A] at points (M, 3) [m] to out (M, 3, 3)."""
+    """Write the gradient per ampere ∂Bᵢ/∂xⱼ [T/m/A] at points (M, 3) [m] to out (M, 3, 3).
+
+    `vertices` and `turns` as in `polyline_field`.
+    """
     work = np.empty((3, 3))
     for i in range(len(points)):
         out[i] = 0

@@ -16,8 +16,8 @@ does; within this angle noise decides, not the equation.
 
 
 @numba.njit(cache=True)
-def turn(start, target, rate, span):  # type: ignore[no-untyped-def]
-    """Follow the heading through S spans of constant target and rate, n courses at once.
+def integrate_alignment(start, target, rate, span):  # type: ignore[no-untyped-def]
+    """Solve dχ/dt = κ sin(ψ − χ) through S spans of constant ψ and κ, n headings at once.
 
     `start` (n,) complex, zero where the heading is not defined yet: it is then that of the first
     target which is not zero. `target` (S, n) e^{iψ}, zero where there is no field; `rate` κ (S, n)
@@ -31,8 +31,8 @@ def turn(start, target, rate, span):  # type: ignore[no-untyped-def]
     S, n = target.shape
     heading = np.zeros((S + 1, n), np.complex128)
     path = np.zeros((S, n), np.complex128)
-    bend = np.zeros((S, n), np.complex128)
-    kept = np.zeros((S, n))
+    sensitivity = np.zeros((S, n), np.complex128)
+    retention = np.zeros((S, n))
     for i in range(n):
         w = start[i]
         for k in range(S):
@@ -44,13 +44,14 @@ def turn(start, target, rate, span):  # type: ignore[no-untyped-def]
             heading[k, i] = w
             if u == 0:
                 u = w
-            C, Sn, dC, dS, cos1, sin1, kept[k, i] = _span(w * u.conjugate(), rate[k, i], span[k])
+            C, Sn, dC, dS, cos1, sin1, retention[k, i] = _span(
+                w * u.conjugate(), rate[k, i], span[k])
             path[k, i] = u * complex(C, Sn)
-            bend[k, i] = u * complex(dC, dS)
+            sensitivity[k, i] = u * complex(dC, dS)
             w = u * complex(cos1, sin1)
             w /= abs(w)
         heading[S, i] = w
-    return heading, path, bend, kept
+    return heading, path, sensitivity, retention
 
 
 @numba.njit(cache=True)
@@ -62,8 +63,8 @@ def _span(relative, rate, h):  # type: ignore[no-untyped-def]
     q = math.exp(-rate * h)
     near, far = (1 + cos0) / 2, (1 - cos0) / 2
     scale = near + far * q * q
-    kept = q / scale
-    cos1, sin1 = (near - far * q * q) / scale, kept * sin0
+    retention = q / scale
+    cos1, sin1 = (near - far * q * q) / scale, retention * sin0
     if rate * h < 1e-100:
         C, Sn, dC, dS = h * cos0, h * sin0, -h * sin0, h * cos0
     else:
@@ -71,23 +72,24 @@ def _span(relative, rate, h):  # type: ignore[no-untyped-def]
         C = h + math.log1p(far * lost) / rate
         Sn = 2 * math.atan2(sin0 * turned / 2, near + far * q) / rate
         dC, dS = sin0 * lost / (2 * rate * scale), turned * (near - far * q) / (rate * scale)
-    return C, Sn, dC, dS, cos1, sin1, kept
+    return C, Sn, dC, dS, cos1, sin1, retention
 
 
 @numba.njit(cache=True)
-def chain(first, bend, kept):  # type: ignore[no-untyped-def]
+def chain_intervals(first, sensitivity, retention):  # type: ignore[no-untyped-def]
     """Derivatives over whole frame intervals from those over their spans.
 
-    `first` (F,): the span with which each interval begins; `bend` (S, n), `kept` (S, n). Returns
-    the derivative of each interval's path and of the heading at its end, both with respect to
-    the heading at its start: (F, n) complex and (F, n).
+    `first` (F,): the span with which each interval begins; `sensitivity` (S, n) complex [s] and
+    `retention` (S, n) as `integrate_alignment` returns them. Returns the derivative of each
+    interval's path [s] and of the heading at its end, both with respect to the heading at its
+    start: (F, n) complex and (F, n).
     """
-    S, n = kept.shape
+    S, n = retention.shape
     F = len(first)
-    bends, keeps = np.zeros((F, n), np.complex128), np.ones((F, n))
+    sensitivities, retentions = np.zeros((F, n), np.complex128), np.ones((F, n))
     for f in range(F):
         for k in range(first[f], first[f + 1] if f + 1 < F else S):
             for i in range(n):
-                bends[f, i] += keeps[f, i] * bend[k, i]
-                keeps[f, i] *= kept[k, i]
-    return bends, keeps
+                sensitivities[f, i] += retentions[f, i] * sensitivity[k, i]
+                retentions[f, i] *= retention[k, i]
+    return sensitivities, retentions

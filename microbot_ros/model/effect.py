@@ -6,17 +6,26 @@ import dataclasses
 from abc import ABC
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, ClassVar, Literal, Self
+from typing import ClassVar, Literal, Protocol, Self
 
 import numpy as np
 
+from microbot_ros.model.effect_context import EffectContext
 from microbot_ros.model.parameter import Parameter
-from microbot_ros.model.scene import Scene
-
-if TYPE_CHECKING:
-    from microbot_ros.model.timeline import Timeline
+from microbot_ros.records import Commands
 
 Stage = Literal['field', 'heading', 'velocity', 'observation']
+
+
+class Recorded(Protocol):
+    """What one recording shows, as far as an effect may ask; `timeline.Timeline` is one.
+
+    `times` (T,) [s] of the frames; `positions` (T, N, 2) [m] or None.
+    """
+
+    commands: Commands
+    times: np.ndarray
+    positions: np.ndarray | None
 
 
 @dataclass(frozen=True)
@@ -31,13 +40,13 @@ class Effect(ABC):
     stage: ClassVar[Stage]
     summary: ClassVar[str]
     """One sentence for people."""
-    shows_under: ClassVar[str]
+    required_excitation: ClassVar[str]
     """The excitation that it needs to be seen."""
-    mistaken_for: ClassVar[tuple[str, ...]]
+    confounded_with: ClassVar[tuple[str, ...]]
     """Effects that look alike under ordinary commands."""
     needs_position: ClassVar[bool] = False
-    """Whether a hook reads `scene.position` or the pairs."""
-    steady: ClassVar[bool] = True
+    """Whether a hook reads `context.position` or the pairs."""
+    time_invariant: ClassVar[bool] = True
     """Whether it is the same at all times while the command stays."""
 
     @classmethod
@@ -55,14 +64,14 @@ class Effect(ABC):
         }
 
     @classmethod
-    def neutral(cls) -> Self:
+    def null(cls) -> Self:
         """The effect at strength zero: it does nothing."""
-        return cls(**{p.field: p.neutral for p in cls.parameters()})
+        return cls(**{p.field: p.null_value for p in cls.parameters()})
 
     @classmethod
-    def starts(cls, timeline: Timeline) -> tuple[Self, ...]:  # noqa: ARG003
-        """Where fits may begin: shapes spread over what the recording can show, ≥ 1 instance."""
-        return (cls.neutral(),)
+    def starts(cls, recorded: Recorded) -> tuple[Self, ...]:  # noqa: ARG003
+        """Where fits may begin: shapes spread over what was `recorded`, ≥ 1 instance."""
+        return (cls.null(),)
 
     def values(self) -> dict[Parameter, float]:
         """Every parameter with its value in SI."""
@@ -75,26 +84,27 @@ class Effect(ABC):
         return 0.0
 
     def field(self, B: np.ndarray) -> np.ndarray:
-        """The field (..., 2) [T] made of the field (..., 2) that the effects before it left."""
+        """The field (..., 2) [T] made of the field `B` (..., 2) that the effects before it left.
+        """
         return B
 
     # Stage 2, the heading -----------------------------------------------------------------------
 
-    def heading_offset(self, scene: Scene) -> np.ndarray | float:
+    def heading_offset(self, context: EffectContext) -> np.ndarray | float:
         """An angle (..., 1 or N) [rad] added to the heading that the field asks for."""
         return 0.0
 
-    def alignment_rate(self, scene: Scene) -> np.ndarray | None:
+    def alignment_rate(self, context: EffectContext) -> np.ndarray | None:
         """Rate κ (..., 1 or N) [1/s] of dθ/dt = κ sin(θ_B + φ − θ); None: aligned at once."""
         return None
 
     # Stage 3, the velocity ----------------------------------------------------------------------
 
-    def speed_factor(self, scene: Scene) -> np.ndarray | float:
-        """A factor (..., 1 or N) on the self-propulsion, averaged over the scene's span."""
+    def speed_factor(self, context: EffectContext) -> np.ndarray | float:
+        """A factor (..., 1 or N) on the self-propulsion, averaged over the context's span."""
         return 1.0
 
-    def drift(self, scene: Scene) -> np.ndarray | None:
+    def drift(self, context: EffectContext) -> np.ndarray | None:
         """Velocity (..., 1 or N, 2) [m/s] added to the propulsion; None: nothing."""
         return None
 
@@ -105,5 +115,5 @@ class Effect(ABC):
         return position
 
     def true_position(self, observed: np.ndarray) -> np.ndarray:
-        """The inverse of `observe`."""
+        """The inverse of `observe`: true positions (..., 2) [m] of `observed` ones (..., 2)."""
         return observed

@@ -9,23 +9,11 @@ from typing import Annotated, Any, cast
 import pydantic
 from pydantic_core import InitErrorDetails, PydanticCustomError, ValidationError
 
-from microbot_ros import units
 from microbot_ros.files import Settings
 from microbot_ros.model.effect import Effect
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.parameter import Parameter
-
-
-def exact_si(name: str, value: Decimal | float | str) -> float:
-    """A number in the unit of its name in SI, rounded once: 3.7 µm is the float 3.7e-6."""
-    factor = units.to_si(name, 1.0)
-    return float(Decimal(str(value)) * Decimal(repr(factor)))
-
-
-def exact_edge(name: str, value: float) -> Decimal:
-    """An SI number in the unit of its name, without rounding: `exact_si` gives it back."""
-    factor = units.to_si(name, 1.0)
-    return Decimal(repr(value)) / Decimal(repr(factor))
+from microbot_ros.units import exact_display, exact_si
 
 
 def build_effects(table: Mapping[str, Mapping[str, Decimal | float | str]]) -> tuple[Effect, ...]:
@@ -53,7 +41,7 @@ def _known_only(what: str) -> Any:
 
 
 def _number(p: Parameter) -> Any:
-    low, high = (float(exact_edge(p.name, bound)) for bound in (p.low, p.high))
+    low, high = (float(exact_display(p.name, bound)) for bound in (p.low, p.high))
     return Annotated[float, pydantic.Field(ge=low, le=high, allow_inf_nan=p.inverse)]
 
 

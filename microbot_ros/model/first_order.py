@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from microbot_ros.model.heading import as_complex, follow
-from microbot_ros.model.increments import Response, as_vectors, respond
+from microbot_ros.model.effect_context import EffectContext, Places
+from microbot_ros.model.heading import integrate_heading
+from microbot_ros.model.increments import Response, respond
 from microbot_ros.model.model import Model, ParticleParameters
-from microbot_ros.model.scene import Places, Scene
 from microbot_ros.model.timeline import Timeline
+from microbot_ros.model.vectors import as_complex, as_vectors
 from microbot_ros.records import Commands
 
 
@@ -28,8 +29,8 @@ def simulate(model: Model, particles: ParticleParameters, commands: Commands, ti
         return _step(model, particles, timeline, np.asarray(start, dtype=float), begin)
     response = respond(model, timeline, begin)
     if response.propulsion.shape[1] == 1:
-        return _spread(response, particles.velocity, np.asarray(start, dtype=float))
-    moved = as_vectors(particles.velocity * response.propulsion) + response.drift
+        return _spread(response, particles.velocity_phasor, np.asarray(start, dtype=float))
+    moved = as_vectors(particles.velocity_phasor * response.propulsion) + response.drift
     return np.concatenate([[start], start + np.cumsum(moved, axis=0)])
 
 
@@ -53,15 +54,15 @@ def _spread(response: Response, velocity: np.ndarray, start: np.ndarray) -> np.n
 
 def _step(model: Model, particles: ParticleParameters, timeline: Timeline, start: np.ndarray,
           begin: np.ndarray | None) -> np.ndarray:
-    segments, way, scene = follow(model, timeline, begin)
-    mean = particles.velocity * (way.path / scene.span)
+    segments, course, context = integrate_heading(model, timeline, begin)
+    mean = particles.velocity_phasor * (course.path / context.span)
     position = np.empty((len(timeline.times), *start.shape))
     position[0] = p = start
     last = segments.frames[1:] - 1
     frame = 1
-    for k, h in enumerate(scene.span[:, 0].tolist()):
+    for k, h in enumerate(context.span[:, 0].tolist()):
         def velocity(at: np.ndarray, k: int = k) -> np.ndarray:
-            return _velocity(model, scene.at(k, Places(at)), mean[k])
+            return _velocity(model, context.at(k, Places(at)), mean[k])
 
         k1 = velocity(p)
         k2 = velocity(p + h / 2 * k1)
@@ -74,8 +75,8 @@ def _step(model: Model, particles: ParticleParameters, timeline: Timeline, start
     return position
 
 
-def _velocity(model: Model, scene: Scene, propulsion: np.ndarray) -> np.ndarray:
-    """dp/dt (N, 2) in a scene under a propulsion (N,) before the speed's factors."""
-    velocity = as_vectors(propulsion * model.speed_factor(scene))
-    drift = model.drift(scene)
+def _velocity(model: Model, context: EffectContext, propulsion: np.ndarray) -> np.ndarray:
+    """dp/dt (N, 2) in a context under a propulsion (N,) before the speed's factors."""
+    velocity = as_vectors(propulsion * model.speed_factor(context))
+    drift = model.drift(context)
     return velocity if drift is None else velocity + drift

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
+from microbot_ros.model.effect_context import EffectContext
 from microbot_ros.model.model import Model
-from microbot_ros.model.scene import Scene
 from microbot_ros.model.timeline import Segments, Timeline
+from microbot_ros.model.vectors import as_complex
 
 
 @dataclass(frozen=True)
@@ -16,73 +17,73 @@ class Course:
     """The heading less φ, χ = θ − φ, through S spans; n is 1 where all particles share it.
 
     `heading` (S + 1, n): e^{iχ} at the edges, zero where the heading is not defined yet; `path`
-    (S, n) [s]: ∫e^{iχ} dt over each span; `bend` (S, n) [s]: its derivative with respect to χ at
-    the start of the span; `kept` (S, n): the derivative of χ at its end with respect to that.
+    (S, n) [s]: ∫e^{iχ} dt over each span; `heading_sensitivity` (S, n) [s]: the derivative of
+    `path` with respect to χ at the start of the span; `heading_retention` (S, n): that of χ at
+    its end.
     """
 
     heading: np.ndarray
     path: np.ndarray
-    bend: np.ndarray
-    kept: np.ndarray
+    heading_sensitivity: np.ndarray
+    heading_retention: np.ndarray
 
     def after(self, lead: int) -> Course:
         """The course without its first `lead` spans."""
-        return Course(*(a[lead:] for a in (self.heading, self.path, self.bend, self.kept)))
+        return Course(*(getattr(self, field.name)[lead:] for field in fields(self)))
 
 
-def follow(model: Model, timeline: Timeline, start: np.ndarray | None = None,
-           ) -> tuple[Segments, Course, Scene]:
-    """The spans of a timeline, the course from the first frame on, and its scene.
+def integrate_heading(
+    model: Model, timeline: Timeline, start: np.ndarray | None = None,
+) -> tuple[Segments, Course, EffectContext]:
+    """The heading under a `model` through a `timeline`: its spans, the course, the context.
 
-    `start` (N,) is e^{iχ} at the first frame; without it the history of commands decides.
+    Course and context begin with the first frame. `start` (N,) is e^{iχ} there; without it the
+    history of commands decides.
     """
     segments = timeline.segments(model)
-    scene = segments.scene(model)
-    inside = scene.after(segments.lead, timeline.places(model))
+    context = segments.context(model)
+    inside = context.after(segments.lead, timeline.places(model))
     if start is not None:
-        return segments, course(model, inside, start), inside
-    return segments, course(model, scene).after(segments.lead), inside
+        return segments, heading_course(model, inside, start), inside
+    return segments, heading_course(model, context).after(segments.lead), inside
 
 
-def course(model: Model, scene: Scene, start: np.ndarray | None = None) -> Course:
-    """Follow the heading through consecutive spans of constant field.
+def heading_course(
+    model: Model, context: EffectContext, start: np.ndarray | None = None,
+) -> Course:
+    """Integrate the heading through consecutive spans of constant field.
 
-    `scene` has S spans; `start` (n,) is e^{iχ} when they begin. Without it the heading begins
+    `context` has S spans; `start` (n,) is e^{iχ} when they begin. Without it the heading begins
     with the first field that is not zero, aligned to it, and is undefined before. Where the field
     is zero it stays.
     """
-    target, driven = _target(model, scene)
-    rate = model.alignment_rate(scene)
+    target, driven = _target(model, context)
+    rate = model.alignment_rate(context)
     if rate is not None:
-        from microbot_ros.model.alignment_kernel import turn
+        from microbot_ros.model.alignment_kernel import integrate_alignment
 
         begin = np.zeros(1, complex) if start is None else np.asarray(start, dtype=complex)
         shape = np.broadcast_shapes(target.shape, rate.shape, (1, len(begin)))
-        return Course(*turn(
+        return Course(*integrate_alignment(
             np.broadcast_to(begin, shape[1:]), np.broadcast_to(target, shape),
-            np.broadcast_to(rate, shape), scene.span[:, 0],
+            np.broadcast_to(rate, shape), context.span[:, 0],
         ))
-    kept = np.zeros(target.shape)
+    retention = np.zeros(target.shape)
     if not driven.all():
         target = _hold(target, driven, start)
-        kept = np.where(driven | (target == 0), 0.0, 1.0)
-    path = target * scene.span
+        retention = np.where(driven | (target == 0), 0.0, 1.0)
+    path = target * context.span
     heading = np.concatenate([target, target[-1:]])
-    return Course(heading, path, 1j * path * kept, kept)
+    return Course(heading, path, 1j * path * retention, retention)
 
 
-def as_complex(vectors: np.ndarray) -> np.ndarray:
-    """Real vectors (..., 2) as complex numbers (...), the inverse of `increments.as_vectors`."""
-    return np.ascontiguousarray(vectors).view(complex)[..., 0]
-
-
-def _target(model: Model, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+def _target(model: Model, context: EffectContext) -> tuple[np.ndarray, np.ndarray]:
     """e^{iχ} that the field asks for (S, n), zero without a field, and whether there is one."""
-    field = as_complex(scene.field)
+    field = as_complex(context.field)
     strength = np.abs(field)
     driven = strength > 0
     target = field / np.where(driven, strength, 1.0)
-    return target * np.exp(1j * model.heading_offset(scene)), driven
+    return target * np.exp(1j * model.heading_offset(context)), driven
 
 
 def _hold(target: np.ndarray, driven: np.ndarray, start: np.ndarray | None) -> np.ndarray:

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from microbot_ros.model.heading import follow
+from microbot_ros.model.heading import integrate_heading
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.timeline import Timeline
+from microbot_ros.model.vectors import as_vectors
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,7 @@ class Response:
 
     def increments(self, particles: ParticleParameters) -> np.ndarray:
         """Measured displacements (T−1, N, 2) [m]; NaN only where a particle's own place is."""
-        moved = as_vectors(particles.velocity * self.propulsion)
+        moved = as_vectors(particles.velocity_phasor * self.propulsion)
         moved += self.drift
         return self.model.observe(moved)
 
@@ -45,11 +46,6 @@ class Response:
         return self.model.observe(self.drift)
 
 
-def as_vectors(z: np.ndarray) -> np.ndarray:
-    """Complex (...) as real vectors (..., 2)."""
-    return np.ascontiguousarray(z).view(float).reshape(*z.shape, 2)
-
-
 def respond(model: Model, timeline: Timeline, start: np.ndarray | None = None) -> Response:
     """The response of a model on a timeline: exact for commands that hold until the next.
 
@@ -57,14 +53,14 @@ def respond(model: Model, timeline: Timeline, start: np.ndarray | None = None) -
     in closed form; terms that depend on position are taken at the timeline's positions. `start`
     (N,) is e^{i(θ−φ)} at the first frame; without it the heading follows from the commands.
     """
-    segments, way, scene = follow(model, timeline, start)
-    propulsion = segments.sum(way.path * model.speed_factor(scene))
-    drift = model.drift(scene)
+    segments, course, context = integrate_heading(model, timeline, start)
+    propulsion = segments.sum(course.path * model.speed_factor(context))
+    drift = model.drift(context)
     if drift is None:
         moved = np.zeros((len(propulsion), 1, 2))
     else:
-        moved = segments.sum(drift * scene.span[..., None])
-    return Response(model, propulsion, moved, way.heading[segments.frames])
+        moved = segments.sum(drift * context.span[..., None])
+    return Response(model, propulsion, moved, course.heading[segments.frames])
 
 
 def increments(model: Model, particles: ParticleParameters, timeline: Timeline) -> np.ndarray:
@@ -76,26 +72,30 @@ def increments(model: Model, particles: ParticleParameters, timeline: Timeline) 
 class HeadingResponse:
     """How a small turn of the heading at a frame is felt until the next.
 
-    `theta` (T, N) [rad], NaN where not defined yet; `sensitivity` (T−1, N, 2) [m/rad]: the
-    derivative of each measured increment with respect to θ at its start; `kept` (T−1, N): the
-    part of the turn that is left at its end, 0 where alignment is immediate, 1 without a field.
+    `theta` (T, N) [rad], NaN where not defined yet; `heading_sensitivity` (T−1, N, 2) [m/rad]:
+    the derivative of each measured increment with respect to θ at its start; `heading_retention`
+    (T−1, N): the part of the turn that is left at its end, 0 where alignment is immediate, 1
+    without a field.
     """
 
     theta: np.ndarray
-    sensitivity: np.ndarray
-    kept: np.ndarray
+    heading_sensitivity: np.ndarray
+    heading_retention: np.ndarray
 
 
 def heading_response(model: Model, particles: ParticleParameters,
                      timeline: Timeline) -> HeadingResponse:
-    """The heading's path and what noise in it does, for a filter on top of the increments."""
-    from microbot_ros.model.alignment_kernel import chain
+    """The heading of `particles` at the frames of a `timeline`, and what noise in it does.
 
-    segments, way, scene = follow(model, timeline)
-    bend = way.bend * model.speed_factor(scene)
-    kept = np.broadcast_to(way.kept, bend.shape)
-    bends, keeps = chain(segments.first, bend, kept)
-    at_frames = way.heading[segments.frames]
+    For a filter of positions whose state holds the heading too.
+    """
+    from microbot_ros.model.alignment_kernel import chain_intervals
+
+    segments, course, context = integrate_heading(model, timeline)
+    sensitivity = course.heading_sensitivity * model.speed_factor(context)
+    retention = np.broadcast_to(course.heading_retention, sensitivity.shape)
+    sensitivity, retention = chain_intervals(segments.first, sensitivity, retention)
+    at_frames = course.heading[segments.frames]
     theta = np.where(at_frames == 0, np.nan, np.angle(at_frames)) + particles.phi
-    sensitivity = model.observe(as_vectors(particles.velocity * bends))
-    return HeadingResponse(theta, sensitivity, np.broadcast_to(keeps, sensitivity.shape[:2]))
+    felt = model.observe(as_vectors(particles.velocity_phasor * sensitivity))
+    return HeadingResponse(theta, felt, np.broadcast_to(retention, felt.shape[:2]))

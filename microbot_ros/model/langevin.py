@@ -45,7 +45,7 @@ class Path:
 
 
 @numba.njit(cache=True)
-def align(heading: float, target: float, angle: float) -> float:
+def align_heading(heading: float, target: float, angle: float) -> float:
     """The heading [rad] after turning by dθ/dt = κ sin(target − θ) for κ·time = `angle`.
 
     Exact: the half-angle tangent of target − θ decays as exp(−κt). At a right-about error, the
@@ -57,15 +57,16 @@ def align(heading: float, target: float, angle: float) -> float:
 
 
 @numba.njit(cache=True)
-def turn(
+def step_heading(
     heading: float, target: float, rate: float, diffusion: float, duration: float, normal: float,
 ) -> float:
-    """The heading [rad] one step later: aligned at `rate` κ [1/s], spread by `diffusion` [rad²/s].
+    """The heading [rad] after `duration` [s]: turned at `rate` κ [1/s], spread by `diffusion`
+    [rad²/s].
 
     `normal` is a standard normal number. About the target the spread is that of the linearised
     equation, D_r (1 − exp(−2κt)) / κ; away from it the free 2 D_r t.
     """
-    settled = align(heading, target, rate * duration)
+    settled = align_heading(heading, target, rate * duration)
     stiffness = 2 * rate * duration * max(math.cos(target - settled), 0.0)
     narrowing = -math.expm1(-stiffness) / stiffness if stiffness > 1e-9 else 1.0
     return settled + math.sqrt(2 * diffusion * duration * narrowing) * normal
@@ -78,7 +79,7 @@ def step_grid(start: float, end: float, longest: float = STEP) -> tuple[np.ndarr
     return start + (np.arange(count) + 0.5) * length, length
 
 
-def langevin(
+def simulate_langevin(
     fluid: Fluid,
     particles: Sequence[Particle],
     commands: Commands,
@@ -122,16 +123,16 @@ def langevin(
 def _advance(
     position: np.ndarray, heading: np.ndarray, strength: np.ndarray, direction: np.ndarray,
     length: float, rng: np.random.Generator, speed: np.ndarray, phi: np.ndarray,
-    rate_per_tesla: np.ndarray, diffusion: np.ndarray, turning: np.ndarray,
+    rate_per_tesla: np.ndarray, diffusion: np.ndarray, heading_diffusion: np.ndarray,
 ) -> None:
     """Step every sphere, in place, through the fields of successive steps of equal length."""
     for i in range(len(heading)):
         spread = math.sqrt(2 * diffusion[i] * length)
         for k in range(len(strength)):
             before = heading[i]
-            heading[i] = turn(
-                before, direction[k] + phi[i], rate_per_tesla[i] * strength[k], turning[i],
-                length, rng.standard_normal(),
+            heading[i] = step_heading(
+                before, direction[k] + phi[i], rate_per_tesla[i] * strength[k],
+                heading_diffusion[i], length, rng.standard_normal(),
             )
             during = (before + heading[i]) / 2
             position[i, 0] += (

@@ -9,9 +9,9 @@ from typing import Literal
 import numpy as np
 
 from microbot_ros.model.effect import Effect
+from microbot_ros.model.effect_context import EffectContext
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.parameter import Parameter
-from microbot_ros.model.scene import Scene
 from microbot_ros.records import Commands, Conditions
 
 Propulsion = Literal['catalytic', 'rolling']
@@ -31,22 +31,24 @@ class ParticleParameters:
     phi: np.ndarray
 
     @cached_property
-    def velocity(self) -> np.ndarray:
+    def velocity_phasor(self) -> np.ndarray:
         """v e^{iφ} (N,): the velocity in the frame of the field, as complex numbers."""
         return self.speed * np.exp(1j * self.phi)
 
     @classmethod
-    def from_velocity(cls, ids: np.ndarray, velocity: np.ndarray) -> ParticleParameters:
-        """From v e^{iφ} (N,): the inverse of `velocity`, φ within ±π."""
-        return cls(np.asarray(ids), np.abs(velocity), np.angle(velocity))
+    def from_velocity_phasor(cls, ids: np.ndarray, velocity_phasor: np.ndarray,
+                             ) -> ParticleParameters:
+        """From v e^{iφ} (N,): the inverse of `velocity_phasor`, φ within ±π."""
+        return cls(np.asarray(ids), np.abs(velocity_phasor), np.angle(velocity_phasor))
 
 
 @dataclass(frozen=True)
 class Model:
     """The first-order model with its effects; with none it is the paper's dp/dt = v R(φ) u.
 
-    `reference_field` [T] is the strength at which alignment times are stated. `effects` are kept
-    in the order of the library, at most one of a kind, so that models that say the same are equal.
+    `reference_field` [T] is the strength at which alignment times are stated; with `propulsion`
+    'rolling' speeds are gains per rotation frequency. `effects` are kept in the order of the
+    library, at most one of a kind, so that models that say the same are equal.
     """
 
     reference_field: float
@@ -120,9 +122,9 @@ class Model:
         return any(effect.needs_position for effect in self.effects)
 
     @property
-    def steady(self) -> bool:
+    def time_invariant(self) -> bool:
         """Whether nothing changes while the command stays."""
-        return all(effect.steady for effect in self.effects)
+        return all(effect.time_invariant for effect in self.effects)
 
     # The four stages ----------------------------------------------------------------------------
 
@@ -137,39 +139,39 @@ class Model:
             commanded = effect.field(commanded)
         return commanded
 
-    def heading_offset(self, scene: Scene) -> np.ndarray | float:
+    def heading_offset(self, context: EffectContext) -> np.ndarray | float:
         """Stage 2: the angle (..., 1 or N) [rad] by which θ_B + φ is off."""
-        return sum(effect.heading_offset(scene) for effect in self.effects)
+        return sum(effect.heading_offset(context) for effect in self.effects)
 
-    def alignment_rate(self, scene: Scene) -> np.ndarray | None:
+    def alignment_rate(self, context: EffectContext) -> np.ndarray | None:
         """Stage 2: κ (..., 1 or N) [1/s] of dθ/dt = κ sin(θ_B + φ − θ); None: at once."""
-        rates = (effect.alignment_rate(scene) for effect in self.effects)
+        rates = (effect.alignment_rate(context) for effect in self.effects)
         return next((rate for rate in rates if rate is not None), None)
 
-    def speed_factor(self, scene: Scene) -> np.ndarray | float:
+    def speed_factor(self, context: EffectContext) -> np.ndarray | float:
         """Stage 3: what a particle's `speed` is multiplied by (..., 1 or N)."""
-        factor: np.ndarray | float = scene.frequency if self.propulsion == 'rolling' else 1.0
+        factor: np.ndarray | float = context.frequency if self.propulsion == 'rolling' else 1.0
         for effect in self.effects:
             if effect.stage == 'velocity':
-                factor = factor * effect.speed_factor(scene)
+                factor = factor * effect.speed_factor(context)
         return factor
 
-    def aging(self, t: float) -> complex:
+    def gain_change_since_start(self, t: float) -> complex:
         """What v e^{iφ} of the beginning has become at `t` [s], by what counts time alone."""
         now, zero = np.full(1, t), np.zeros(1)
-        scene = Scene(now, zero, np.zeros((1, 2)), zero, self.reference_field)
+        context = EffectContext(now, zero, np.zeros((1, 2)), zero, self.reference_field)
         changed = 1.0 + 0j
         for effect in self.effects:
-            if not effect.steady:
-                turn = np.exp(1j * effect.heading_offset(scene))
-                changed *= complex(np.squeeze(effect.speed_factor(scene) * turn))
+            if not effect.time_invariant:
+                turn = np.exp(1j * effect.heading_offset(context))
+                changed *= complex(np.squeeze(effect.speed_factor(context) * turn))
         return changed
 
-    def drift(self, scene: Scene) -> np.ndarray | None:
+    def drift(self, context: EffectContext) -> np.ndarray | None:
         """Stage 3: the velocity (..., 1 or N, 2) [m/s] besides propulsion; None: none."""
         total = None
         for effect in self.effects:
-            drift = effect.drift(scene) if effect.stage == 'velocity' else None
+            drift = effect.drift(context) if effect.stage == 'velocity' else None
             if drift is not None:
                 total = drift if total is None else total + drift
         return total
@@ -181,7 +183,7 @@ class Model:
         return position
 
     def true_position(self, observed: np.ndarray) -> np.ndarray:
-        """The inverse of `observe`."""
+        """The inverse of `observe`: true positions (..., 2) [m] of `observed` ones (..., 2)."""
         for effect in reversed(self.effects):
             observed = effect.true_position(observed)
         return observed

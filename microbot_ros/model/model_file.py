@@ -11,14 +11,15 @@ import pydantic
 import yaml
 
 from microbot_ros.files import Settings, read_yaml, write_text
-from microbot_ros.model.effect_table import EffectTable, build_effects, exact_edge, exact_si
+from microbot_ros.model.effect_table import EffectTable, build_effects
 from microbot_ros.model.model import Model, ParticleParameters, Propulsion
+from microbot_ros.units import exact_display, exact_si
 
-# What a particle's `speed` is called at the edge.
+# What a particle's `speed` is called in files.
 _SPEED = {'catalytic': 'v_um_s', 'rolling': 'gain_um_s_hz'}
 
 
-class _Particle(Settings):
+class _ParticleEntry(Settings):
     id: int
     v_um_s: float = 0.0
     gain_um_s_hz: float = 0.0
@@ -28,7 +29,7 @@ class _Particle(Settings):
 class _ModelFile(Settings):
     propulsion: Propulsion = 'catalytic'
     reference_field_mT: Annotated[float, pydantic.Field(gt=0)]
-    particles: tuple[_Particle, ...] = ()
+    particles: tuple[_ParticleEntry, ...] = ()
     effects: EffectTable = pydantic.Field(default_factory=dict)
 
     @pydantic.model_validator(mode='after')
@@ -70,13 +71,14 @@ def write_model(path: str | Path, model: Model, particles: ParticleParameters) -
     name = _SPEED[model.propulsion]
     content = {
         'propulsion': model.propulsion,
-        'reference_field_mT': exact_edge('reference_field_mT', model.reference_field),
+        'reference_field_mT': exact_display('reference_field_mT', model.reference_field),
         'particles': [
-            {'id': int(i), name: exact_edge(name, float(v)), 'phi_rad': exact_edge('', float(phi))}
+            {'id': int(i), name: exact_display(name, float(v)), 'phi_rad': float(phi)}
             for i, v, phi in zip(particles.ids, particles.speed, particles.phi, strict=True)
         ],
         'effects': {
-            effect.id: {p.name: exact_edge(p.name, v) for p, v in effect.values().items()}
+            effect.id: {
+                p.name: exact_display(p.name, v) for p, v in effect.values().items()}
             for effect in model.effects
         },
     }

@@ -12,15 +12,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from microbot_ros.model.forces import unit
 from microbot_ros.model.particle import (
     Fluid,
     Particle,
     rotational_drag,
-    speed_from_force,
     stokes_drag,
-    translational_time,
 )
+from microbot_ros.model.vectors import unit
 from microbot_ros.records import Commands
 
 _Rates = Callable[[float, np.ndarray], np.ndarray]
@@ -43,7 +41,7 @@ def newton_stokes(
         np.array([getattr(p, name) for p in particles])
         for name in ('mass', 'moment', 'moment_of_inertia'))
     slowing = stokes_drag(fluid, _radius(particles)) / mass
-    turning = rotational_drag(fluid, _radius(particles)) / inertia
+    spin_damping = rotational_drag(fluid, _radius(particles)) / inertia
     push = np.array([p.force for p in particles]) / mass
     phi = np.array([p.phi for p in particles])
 
@@ -55,7 +53,7 @@ def newton_stokes(
             u, v, angle, spin = state.reshape(6, -1)[2:]
             return np.concatenate((
                 u, v, push * np.cos(angle) - slowing * u, push * np.sin(angle) - slowing * v,
-                spin, torque * np.sin(target - angle) - turning * spin))
+                spin, torque * np.sin(target - angle) - spin_damping * spin))
 
         return rate
 
@@ -73,7 +71,7 @@ def stokes_translation(
 ) -> np.ndarray:
     """Translation alone, as the paper reduces it: positions (T, N, 2) [m].
 
-    m dv/dt = F R(φ)u − 6πηr v, the heading following the field at once; otherwise like
+    m dv/dt = F R(φ)u − 6πηr v, the heading following the field at once; `times` and `start` as in
     `newton_stokes`. Without a field there is no propulsion.
     """
     mass = np.array([p.mass for p in particles])[:, None]
@@ -107,31 +105,6 @@ def _solve(
         state = leg.y[:, -1]
         states[rows] = leg.y[:, :len(times[rows])].T
     return states
-
-
-def exact_translation(
-    fluid: Fluid, particles: Sequence[Particle], commands: Commands, times: np.ndarray,
-    start: np.ndarray,
-) -> np.ndarray:
-    """The same as `stokes_translation` in closed form, one exponential a leg."""
-    tau = translational_time(
-        fluid, _radius(particles), np.array([p.mass for p in particles]))[:, None]
-    position, velocity = np.array(start, dtype=float), np.zeros((len(particles), 2))
-    path = np.empty((len(times), len(particles), 2))
-    path[0] = position
-    for begin, end, field, rows in _legs(commands, times):
-        steady = speed_from_force(fluid, _radius(particles)[:, None], _force(particles, field))
-
-        def after(
-            t: np.ndarray, position: np.ndarray = position, velocity: np.ndarray = velocity,
-            steady: np.ndarray = steady,
-        ) -> tuple[np.ndarray, np.ndarray]:
-            left = (velocity - steady) * np.exp(-t / tau)
-            return position + steady * t + tau * (velocity - steady - left), steady + left
-
-        path[rows] = after((times[rows] - begin)[:, None, None])[0]
-        position, velocity = after(np.array(end - begin))
-    return path
 
 
 def _radius(particles: Sequence[Particle]) -> np.ndarray:

@@ -13,12 +13,12 @@ from microbot_ros import units
 class Parameter:
     """A parameter of an effect; all values in SI.
 
-    `name` is the name at the edge, with its unit as suffix; the field that holds it in SI is
-    `field`, the name without the unit. `low` and `high` bound it, `scale` is a typical size.
-    A strength vanishes at `neutral`: with all its strengths there, an effect does nothing. A
-    `shape` parameter (a place, a width, a frequency) means nothing without a strength; its
-    `neutral` only stands in until there is one. Where the effect vanishes at infinity
-    (`inverse`), the natural coordinate for a fit is the reciprocal.
+    `name` is the name in files and on screens, with its unit as suffix, `meaning` one phrase for
+    people; the field that holds it in SI is `field`, the name without the unit. `low` and `high`
+    bound it, `scale` is a typical size. A strength vanishes at `null_value`: with all its
+    strengths there, an effect does nothing. A `shape` parameter (a place, a width, a frequency)
+    means nothing without a strength; its `null_value` only stands in until there is one. Where the
+    effect vanishes at infinity (`inverse`), the natural coordinate for a fit is the reciprocal.
     """
 
     name: str
@@ -26,7 +26,7 @@ class Parameter:
     low: float
     high: float
     scale: float
-    neutral: float = 0.0
+    null_value: float = 0.0
     shape: bool = False
     inverse: bool = False
 
@@ -36,13 +36,13 @@ class Parameter:
         return self.name.removesuffix(units.suffix(self.name))
 
     def to_fit(self, value: float) -> float:
-        """The dimensionless coordinate used in fits: 0 at `neutral`."""
-        return self.scale / value if self.inverse else (value - self.neutral) / self.scale
+        """The dimensionless coordinate used in fits: 0 at `null_value`."""
+        return self.scale / value if self.inverse else (value - self.null_value) / self.scale
 
     def from_fit(self, coordinate: float) -> float:
         """The SI value at a fit coordinate; the reciprocal of 0 is infinity."""
         if not self.inverse:
-            return self.neutral + coordinate * self.scale
+            return self.null_value + coordinate * self.scale
         return self.scale / coordinate if coordinate else float('inf')
 
     @property
@@ -51,14 +51,17 @@ class Parameter:
         ends = (self.to_fit(self.low), self.to_fit(self.high))
         return min(ends), max(ends)
 
-    def edge(self, value: float) -> float:
+    def display_units(self, value: float) -> float:
         """An SI value in the unit of the name."""
         return units.from_si(self.name, value)
 
 
 def parameter(name: str, meaning: str, low: float, high: float, scale: float, *,
               default: float | None = None, **how: Any) -> Any:
-    """A dataclass field that declares a `Parameter`; `default` makes it optional in files."""
+    """A dataclass field that declares a `Parameter`; `default` makes it optional in files.
+
+    `name`, `meaning`, `low`, `high`, `scale` and `how`, the rest, are those of `Parameter`.
+    """
     declared = Parameter(name, meaning, low, high, scale, **how)
     metadata = {'parameter': declared}
     if default is None:

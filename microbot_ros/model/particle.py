@@ -37,7 +37,7 @@ class Fluid:
 class Particle:
     """One sphere: radius [m], mass [kg], propulsive force [N], offset φ [rad], moment [A·m²].
 
-    φ is the angle from the field to the direction of travel. ValueError unless radius and mass
+    `phi` is the angle from the field to the direction of travel. ValueError unless radius and mass
     are positive and finite and the rest is finite.
     """
 
@@ -66,34 +66,38 @@ def _require_positive(name: str, value: float) -> None:
 
 
 def stokes_drag(fluid: Fluid, radius: Values) -> Values:
-    """Translational drag coefficient 6πηr [N·s/m]."""
+    """Translational drag coefficient 6πηr [N·s/m] of a sphere of `radius` r [m]."""
     return 6 * math.pi * fluid.viscosity * radius
 
 
 def rotational_drag(fluid: Fluid, radius: Values) -> Values:
-    """Rotational drag coefficient 8πηr³ [N·m·s]."""
+    """Rotational drag coefficient 8πηr³ [N·m·s] of a sphere of `radius` r [m]."""
     return 8 * math.pi * fluid.viscosity * radius**3
 
 
 def translational_diffusion(fluid: Fluid, radius: Values) -> Values:
-    """Stokes–Einstein kT/(6πηr) [m²/s]: each coordinate spreads as √(2Dt)."""
+    """Stokes–Einstein kT/(6πηr) [m²/s], `radius` r [m]: each coordinate spreads as √(2Dt)."""
     return BOLTZMANN * fluid.temperature / stokes_drag(fluid, radius)
 
 
 def rotational_diffusion(fluid: Fluid, radius: Values) -> Values:
-    """Stokes–Einstein–Debye kT/(8πηr³) [rad²/s]: the heading spreads as √(2 D_r t)."""
+    """Stokes–Einstein–Debye kT/(8πηr³) [rad²/s], `radius` r [m]: the heading spreads as √(2 D_r
+    t).
+    """
     return BOLTZMANN * fluid.temperature / rotational_drag(fluid, radius)
 
 
 def translational_time(fluid: Fluid, radius: Values, mass: Values) -> Values:
-    """Time constant m/(6πηr) [s] with which the velocity follows the force."""
+    """Time constant m/(6πηr) [s] with which the velocity of a `mass` [kg], `radius` [m] follows.
+    """
     return mass / stokes_drag(fluid, radius)
 
 
 def rotational_time(fluid: Fluid, radius: Values, mass: Values) -> Values:
     """Time constant I/(8πηr³) = m/(20πηr) [s] with which ω follows the torque.
 
-    Not the time in which the heading aligns with a field: that is `alignment_time`.
+    Of a uniform sphere of `radius` r [m] and `mass` m [kg]. Not the time in which the heading
+    aligns with a field: that is `alignment_time`.
     """
     return mass / (20 * math.pi * fluid.viscosity * radius)
 
@@ -101,8 +105,8 @@ def rotational_time(fluid: Fluid, radius: Values, mass: Values) -> Values:
 def alignment_time(fluid: Fluid, radius: Values, moment: Values, field: Values) -> Values:
     """Time constant 8πηr³/(dB) [s] with which the heading turns into a field.
 
-    `moment` d [A·m²] and `field` B [T] are magnitudes. Where either is zero nothing turns the
-    particle, and the time is infinite.
+    `radius` r [m]; `moment` d [A·m²] and `field` B [T] are magnitudes. Where either is zero
+    nothing turns the particle, and the time is infinite.
     """
     with np.errstate(divide='ignore'):
         time: Values = np.divide(rotational_drag(fluid, radius), np.multiply(moment, field))
@@ -110,15 +114,16 @@ def alignment_time(fluid: Fluid, radius: Values, moment: Values, field: Values) 
 
 
 def speed_from_force(fluid: Fluid, radius: Values, force: Values) -> Values:
-    """Terminal speed F/(6πηr) [m/s]."""
+    """Terminal speed F/(6πηr) [m/s] of a sphere of `radius` r [m] under a `force` F [N]."""
     return force / stokes_drag(fluid, radius)
 
 
 def force_from_speed(fluid: Fluid, radius: Values, speed: Values) -> Values:
-    """The force 6πηr·v [N] that Stokes' drag balances at a steady speed [m/s]."""
+    """The force 6πηr·v [N], `radius` r [m], that Stokes' drag balances at a steady speed v [m/s].
+    """
     return speed * stokes_drag(fluid, radius)
 
 
 def sphere_mass(radius: Values, density: float) -> Values:
-    """Mass [kg] of a sphere of the given density [kg/m³]."""
+    """Mass [kg] of a sphere of the given `radius` [m] and density [kg/m³]."""
     return 4 / 3 * math.pi * radius**3 * density

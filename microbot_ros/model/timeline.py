@@ -8,8 +8,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from microbot_ros.model.effect_context import EffectContext, Places
 from microbot_ros.model.model import Model
-from microbot_ros.model.scene import Places, Scene
 from microbot_ros.records import Commands
 
 Key = TypeVar('Key')
@@ -54,10 +54,10 @@ class Segments:
         """The frame interval (S − lead,) that each span after the lead belongs to."""
         return np.repeat(np.arange(len(self.first)), np.diff(self.frames))
 
-    def scene(self, model: Model) -> Scene:
-        """The scene in every span, the lead included, with the field after stage 1."""
+    def context(self, model: Model) -> EffectContext:
+        """The context in every span, the lead included, with the field after stage 1."""
         field = model.field(self.field)
-        return Scene(self.t, self.span, field, self.frequency, model.reference_field)
+        return EffectContext(self.t, self.span, field, self.frequency, model.reference_field)
 
 
 class Timeline:
@@ -95,7 +95,7 @@ class Timeline:
             self._places, key, lambda: Places(model.true_position(positions[:-1])[interval]))
 
     def _key(self, model: Model) -> tuple[float, bool]:
-        return model.delay, model.steady and not model.needs_position
+        return model.delay, model.time_invariant and not model.needs_position
 
     def _cut(self, delay: float, whole: bool) -> Segments:
         commands, times = self.commands, self.times

@@ -12,7 +12,7 @@ from rclpy.task import Future
 
 from microbot_ros.nodes.lifecycle import RigNode
 from microbot_ros.session.lockstep import FRAMES
-from microbot_ros.session.topics import is_topic
+from microbot_ros.session.recording import is_topic
 
 ACTING = frozenset({'camera', 'tracker', 'model', 'controller', 'coil_driver', 'virtual_rig'})
 """Nodes that see or move particles. A recorder or a viewer may watch whatever is played."""

@@ -24,9 +24,8 @@ from microbot_ros.nodes.playback_publishers import PlaybackPublishers
 from microbot_ros.nodes.topics import CHANGES, TOPICS
 from microbot_ros.session.lockstep import LockStep, frame_topic, header_stamp_ns
 from microbot_ros.session.playback import Playback, open_source
-from microbot_ros.session.recording import Message
-from microbot_ros.session.topics import is_topic
-from microbot_ros.session.turns import InTurn
+from microbot_ros.session.recording import Message, is_topic
+from microbot_ros.session.replay_order import ReplayOrder
 from microbot_ros.settings import setting
 
 _CLOCK_SECONDS = 0.01
@@ -120,7 +119,7 @@ class PlayerNode(RigNode):
         frame = frame_topic(self._kinds, self._answers)
         if self._answers:
             # The controller's, where it is in play: it is what people change.
-            source = InTurn(source, frame, next(
+            source = ReplayOrder(source, frame, next(
                 (topic for topic in self._answers if is_topic(topic, 'field/command')),
                 self._answers[-1]))
             topics += {CHANGES} & set(source.topics)

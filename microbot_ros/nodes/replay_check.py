@@ -23,8 +23,7 @@ from microbot_ros.session import RecordingWriter
 from microbot_ros.session.accounts import Doubt
 from microbot_ros.session.lockstep import FRAMES, frame_topic
 from microbot_ros.session.playback import Source, open_source
-from microbot_ros.session.recording import Recording
-from microbot_ros.session.topics import is_topic
+from microbot_ros.session.recording import Recording, is_topic
 
 STAGES = (
     Stage('tracker', ('camera/image_raw', 'field/applied', 'field/command', 'field/rotation'),

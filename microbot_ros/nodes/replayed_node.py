@@ -28,7 +28,7 @@ from microbot_ros.session.bag import whole
 from microbot_ros.session.inputs import Inputs, OfNode
 from microbot_ros.session.lockstep import header_stamp_ns
 from microbot_ros.session.playback import Source
-from microbot_ros.session.topics import is_topic
+from microbot_ros.session.recording import is_topic
 
 _ANSWER_SECONDS = 1.0
 """How long a node that answers from a thread of its own may take."""

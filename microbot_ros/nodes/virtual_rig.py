@@ -28,7 +28,7 @@ from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import IMAGES_OUT, OK, WARN, RigNode
 from microbot_ros.settings import setting
 from microbot_ros.virtual_rig.body import bodies
-from microbot_ros.virtual_rig.hidden import hide
+from microbot_ros.virtual_rig.injected_effects import inject_effect
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 from microbot_ros.virtual_rig.world import FieldHistory, World
 
@@ -125,7 +125,7 @@ class VirtualRigNode(RigNode):
             np.array(values.phis_rad), _spread(count, half, rng),
             speed=np.array(values.speeds_um_s) * 1e-6, heading=rng.uniform(-np.pi, np.pi, count))
         if values.effect:
-            hide(made, values.effect, _named(values.effect_parameters, self.get_name()),
+            inject_effect(made, values.effect, _named(values.effect_parameters, self.get_name()),
                  reference_field=_REFERENCE_FIELD)
         world = World(made, rng, half_extent=half)
         # The first step compiles; it must not happen while frames are due.

@@ -24,7 +24,7 @@ from microbot_ros.errors import InputError
 from microbot_ros.session.lockstep import header_stamp_ns
 from microbot_ros.session.playback import Source
 from microbot_ros.session.recording import Message
-from microbot_ros.session.turns import InTurn
+from microbot_ros.session.replay_order import ReplayOrder
 
 CHANGE, CALLS, FRAME = 'parameters', 'calls', ''
 IN_TIME, LATE, BUSY, HUNG = 't', 'l', 'b', 'h'
@@ -40,8 +40,10 @@ HEALED_NS = 1_000_000_000
 
 
 class Taken(NamedTuple):
-    """One thing that a node took: topic (without namespace) or another name, the stamp [ns] of
-    the message, the node's time [ns], and how calls to a controller came out ('': in time)."""
+    """One thing that a node took: topic (without namespace) or another name, the stamp of the
+    message, `stamp_ns` [ns], the node's time, `at_ns` [ns], and in `verdicts` how calls to a
+    controller came out ('': in time).
+    """
 
     name: str
     stamp_ns: int
@@ -65,7 +67,8 @@ class Turn:
 
 @dataclass(frozen=True)
 class Doubt:
-    """Frames with stamps from `first_ns` to `last_ns` [ns] that can't be judged, and why."""
+    """Frames with stamps from `first_ns` to `last_ns` [ns] that can't be judged, and the `reason`.
+    """
 
     first_ns: int
     last_ns: float
@@ -73,7 +76,10 @@ class Doubt:
 
 
 def lasting(first_ns: int, reason: str) -> Doubt:
-    """A doubt about what a node remembers: nothing takes it away again."""
+    """A doubt from `first_ns` [ns] on, about what a node remembers: nothing takes it away again.
+
+    `reason` says why, for people.
+    """
     return Doubt(first_ns, math.inf, reason)
 
 
@@ -145,7 +151,7 @@ def likely_turns(source: Source, frame: str, answer: str, others: dict[str, str]
                 if answer in source.topics else {})
     arrivals = {others[topic]: [m.t_ns for m in source.messages([topic])] for topic in others}
     taken: list[Taken] = []
-    for message in InTurn(source, frame, answer).messages([frame, *others]):
+    for message in ReplayOrder(source, frame, answer).messages([frame, *others]):
         if message.topic != frame:
             name = others[message.topic]
             taken.append(Taken(name, header_stamp_ns(message.data), message.t_ns))

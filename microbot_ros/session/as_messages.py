@@ -50,8 +50,11 @@ class SessionMessages:
         self, topics: Collection[str] | None = None, start_ns: int | None = None,
         end_ns: int | None = None,
     ) -> Iterator[Message]:
-        """Messages in order of time as `Recording.messages` gives them; of one time, commands
-        come before the particles they move."""
+        """Messages of `topics` (None: all) from `start_ns` up to `end_ns` [ns] in order of time.
+
+        As `Recording.messages` gives them; of one time, commands come before the particles they
+        move.
+        """
         series = {
             COMMAND: self._commands(), ROTATION: self._rotations(), PARTICLES: self._particles(),
         }

@@ -22,7 +22,10 @@ def typestore() -> Any:
 
 
 def whole(data: bytes, msgtype: str) -> bytes:
-    """A serialised message without what may follow it: rclpy reserves room by an estimate."""
+    """Serialised `data` of a message of type `msgtype` without what may follow it.
+
+    rclpy reserves room by an estimate.
+    """
     definition = typestore().get_msgdef(msgtype)
     read = definition.deserialize_cdr_le if data[1] & 1 else definition.deserialize_cdr_be
     _, end = read(data[4:], 0, definition.cls, typestore())

@@ -21,7 +21,10 @@ _Key = tuple[int, int]
 
 @dataclass(frozen=True)
 class Parting:
-    """The first field of the first pair of messages that differ, `t_s` since the start of a."""
+    """The first field of the first pair of messages that differ, `t_s` since the start of `a`.
+
+    `a` and `b` are its values in either recording.
+    """
 
     t_s: float
     field: str

@@ -12,7 +12,8 @@ import yaml
 from microbot_ros.errors import InputError
 from microbot_ros.files import Settings, output_folder, read_yaml
 from microbot_ros.records import Commands, Conditions, Session, Tracks
-from microbot_ros.session.tables import Layout, Table, from_text, read_table, to_text, write_table
+from microbot_ros.session.tables import Layout, Table, read_table, write_table
+from microbot_ros.units import exact_display, exact_si
 
 NOMINAL_FIELD = 1e-3
 """Magnitude [T] given to a rolling field where a session states none: only its direction and
@@ -44,9 +45,9 @@ class SessionFile(Settings):
     reference_field_mT: pydantic.PositiveFloat | None = None
 
     def conditions(self, rolling: bool) -> Conditions:
-        """In SI; where the propulsion is not said, the kind of the commands says it."""
+        """The conditions in SI; where the propulsion is not said, `rolling` commands say it."""
         values = {
-            name: from_text(repr(value), key)
+            name: exact_si(key, value)
             for name, key in _SUFFIXED.items() if (value := getattr(self, key)) is not None
         }
         propulsion = self.propulsion or ('rolling' if rolling else 'catalytic')
@@ -58,7 +59,7 @@ def conditions_text(conditions: Conditions) -> str:
     content: dict[str, object] = {'propulsion': conditions.propulsion}
     for name, key in _SUFFIXED.items():
         if (value := getattr(conditions, name)) is not None:
-            content[key] = float(to_text(value, key))
+            content[key] = float(exact_display(key, value))
     return yaml.safe_dump(content, sort_keys=False)
 
 

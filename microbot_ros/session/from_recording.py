@@ -126,7 +126,8 @@ def _find_series(recording: Recording, name: str) -> _Series | None:
 
 
 def commands_of(series: dict[str, tuple[np.ndarray, np.ndarray]]) -> Commands:
-    """The commands that topics tell together, each as times (K,) [s] and values (K, n).
+    """The commands that topics tell together: `series` of times (K,) [s] and values (K, n) by
+    topic.
 
     `field/command` (K, 2) [T] is what matters, `field/rotation` (K, 1) [Hz] turns it, and
     `coils/applied` (K, 1) says whether any current flowed; without `field/command`,
@@ -135,15 +136,15 @@ def commands_of(series: dict[str, tuple[np.ndarray, np.ndarray]]) -> Commands:
     if 'field/command' not in series:
         nothing = np.empty(0), np.empty((0, 2))
         return changes(*series.get('field/applied', nothing), None)
-    gate, turning = series.get('coils/applied'), series.get('field/rotation')
+    gate, rotation = series.get('coils/applied'), series.get('field/rotation')
     t = np.unique(np.concatenate([times for times, _ in series.values()]))
     commanded = _held(t, *series['field/command'])
     if gate is not None:
         commanded = commanded * _held(t, *gate)
-    if turning is None:
+    if rotation is None:
         return changes(t, commanded, None)
     # No field turns nothing, whatever rate was last told.
-    return changes(t, commanded, _held(t, *turning)[:, 0] * commanded.any(axis=1))
+    return changes(t, commanded, _held(t, *rotation)[:, 0] * commanded.any(axis=1))
 
 
 def _held(t: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -153,7 +154,10 @@ def _held(t: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def changes(t: np.ndarray, b: np.ndarray, frequency: np.ndarray | None) -> Commands:
-    """Commands of fields `b` (K, 2) [T] without the rows that repeat the one before."""
+    """Commands of fields `b` (K, 2) [T] without the rows that repeat the one before.
+
+    `t` (K,) [s] ascends; `frequency` (K,) [Hz], or None.
+    """
     state = b if frequency is None else np.column_stack([b, frequency])
     new = np.append(True, (np.diff(state, axis=0) != 0).any(axis=1))[:len(t)]
     return Commands(t[new], b[new], None if frequency is None else frequency[new])
@@ -171,7 +175,7 @@ def _conditions(recording: Recording, rolling: bool) -> Conditions:
 
 
 def stamp_ns(content: Any) -> int:
-    """The stamp of a decoded message's header [ns]."""
+    """The stamp [ns] in the header of `content`, a decoded message."""
     stamp = content.header.stamp
     return stamp.sec * 1_000_000_000 + stamp.nanosec
 

@@ -8,9 +8,8 @@ from collections.abc import Collection, Iterator
 from microbot_ros.session.accounts import CHANGE
 from microbot_ros.session.lockstep import header_stamp_ns
 from microbot_ros.session.playback import Source
-from microbot_ros.session.recording import Message
-from microbot_ros.session.topics import is_topic
-from microbot_ros.session.turns import CHANGES
+from microbot_ros.session.recording import Message, is_topic
+from microbot_ros.session.replay_order import CHANGES
 
 APART_NS = 2_000_000_000
 """A recorder hears a message no further than this from when another node takes it."""
@@ -28,7 +27,7 @@ class OfNode:
         self, topics: Collection[str] | None = None, start_ns: int | None = None,
         end_ns: int | None = None,
     ) -> Iterator[Message]:
-        """As of the source."""
+        """As of the source: of `topics` (None: all) from `start_ns` up to `end_ns` [ns]."""
         return (message for message in self._source.messages(topics, start_ns, end_ns)
                 if not is_topic(message.topic, CHANGES) or self._is_own(message.data))
 
@@ -48,7 +47,8 @@ class Inputs:
         self._read_ns = 0
 
     def find(self, name: str, stamp_ns: int, at_ns: int) -> bytes | None:
-        """The message of that stamp [ns] that came closest to a moment [ns]; None where none did.
+        """The message of stamp `stamp_ns` that came closest to the moment `at_ns` [ns]; None if
+        none did.
 
         A change of parameters without a stamp is the last that was reported before the moment.
         """

@@ -7,8 +7,7 @@ from collections.abc import Collection, Iterator
 
 from microbot_ros.errors import InputError
 from microbot_ros.session.playback import Playback
-from microbot_ros.session.recording import Message
-from microbot_ros.session.topics import is_topic
+from microbot_ros.session.recording import Message, is_topic
 
 FRAMES = ('camera/image_raw', 'particles', 'model/state', 'field/command')
 """What sets the nodes going; each answers the one before."""
@@ -55,16 +54,21 @@ class LockStep:
             yield self._sent(message)
 
     def step(self, now: float) -> Iterator[Message]:
-        """Pause, and hand out the next message, unless an answer is still to come."""
+        """Pause, and hand out the next message, unless an answer is still to come.
+
+        `now` [s] is from any steady clock.
+        """
         if not self._missing:
             yield from map(self._sent, self._playback.step(now))
 
     def expect(self, topic: str, stamp_ns: int) -> None:
-        """Wait also for this."""
+        """Wait also for an answer on `topic` of stamp `stamp_ns` [ns]."""
         self._missing[topic] = stamp_ns
 
     def answer(self, topic: str, stamp_ns: int) -> None:
-        """An answer has come; any other than the one that is missing counts for nothing."""
+        """An answer on `topic` of stamp `stamp_ns` [ns] has come; another than is missing is
+        nothing.
+        """
         if self._missing.get(topic) == stamp_ns:
             del self._missing[topic]
 
@@ -77,10 +81,10 @@ class LockStep:
 
 
 def header_stamp_ns(data: bytes) -> int:
-    """The stamp [ns] of a serialised message that begins with a std_msgs/Header.
+    """The stamp [ns] in serialised `data` of a message that begins with a std_msgs/Header.
 
-    OMG CDR: an encapsulation of four bytes whose second is odd for little-endian, then
-    `int32 sec, uint32 nanosec`. InputError for what is too short to hold one.
+    OMG CDR: an encapsulation of four bytes whose second is odd for little-endian, then `int32 sec,
+    uint32 nanosec`. InputError for what is too short to hold one.
     """
     if len(data) < 12:
         raise InputError('lock-step', f'expected a message with a header, found {len(data)} bytes')

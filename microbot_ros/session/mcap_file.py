@@ -19,15 +19,15 @@ from mcap.records import Message as McapMessage
 from mcap.summary import Summary
 
 from microbot_ros.errors import InputError
-from microbot_ros.session.scan import BROKEN, complete_index, scan
-from microbot_ros.session.segment import MAGIC, closing_bytes
-from microbot_ros.session.walk import chunk_data, chunk_messages, file_records, stream_at
+from microbot_ros.session.mcap_records import chunk_data, chunk_messages, file_records, stream_at
+from microbot_ros.session.mcap_recovery import BROKEN, complete_index, recover_summary
+from microbot_ros.session.mcap_writer import MAGIC, closing_bytes
 
 _FOOTER_BYTES = 9 + 20 + len(MAGIC)
 
 
 class Message(NamedTuple):
-    """One recorded message: time of receipt [ns], content as CDR bytes."""
+    """One recorded message: its `topic` and `type`, time of receipt `t_ns` [ns], CDR `data`."""
 
     topic: str
     type: str
@@ -147,7 +147,7 @@ class McapFile:
             if summary is not None and summary.statistics is not None and summary.channels:
                 return summary, 0
             self.complete = summary is not None
-        return scan(self._file)
+        return recover_summary(self._file)
 
     def _inside(
         self, index: ChunkIndex, wanted: dict[int, tuple[str, str]], start_ns: int, end_ns: int,

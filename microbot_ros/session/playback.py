@@ -11,8 +11,7 @@ from typing import Protocol
 from microbot_ros.errors import InputError
 from microbot_ros.session.as_messages import SessionMessages
 from microbot_ros.session.folder import read_folder
-from microbot_ros.session.recording import Message, Topic, is_recording, open_recording
-from microbot_ros.session.topics import is_topic
+from microbot_ros.session.recording import Message, Topic, is_recording, is_topic, open_recording
 
 SLOWEST, FASTEST = 0.1, 100.0
 
@@ -28,7 +27,8 @@ class Source(Protocol):
         self, topics: Collection[str] | None = None, start_ns: int | None = None,
         end_ns: int | None = None,
     ) -> Iterator[Message]:
-        """Messages in order of time."""
+        """Messages of `topics` (None: all) from `start_ns` up to `end_ns` [ns] in order of time.
+        """
 
 
 @contextmanager

@@ -14,8 +14,8 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 
 from microbot_ros.errors import InputError
 from microbot_ros.session.bag import typestore
+from microbot_ros.session.recording import is_topic
 from microbot_ros.session.store import MIB, Store, Topic, Worth
-from microbot_ros.session.topics import is_topic
 
 # A class of messages is dropped while more than this waits in memory, or less is free on disk.
 MOST_QUEUED = {Worth.OVERLAY: 32 * MIB, Worth.FRAME: 256 * MIB, Worth.DATA: 512 * MIB}
@@ -27,7 +27,11 @@ _NICENESS = 5
 
 @dataclass(frozen=True)
 class RecorderStatus:
-    """How a recording is doing; `problem` is '' or one sentence for people."""
+    """How a recording is doing; `problem` is '' or one sentence for people.
+
+    Messages by topic: `counts` taken, `dropped` given up. `bytes_written` on disk, `queued_bytes`
+    in memory, `free_bytes` left on the disk.
+    """
 
     counts: dict[str, int]
     dropped: dict[str, int]
@@ -69,9 +73,10 @@ class RecordingWriter:
         self._thread.start()
 
     def write(self, topic: str, msgtype: str, t_ns: int, data: bytes) -> None:
-        """Queue one message: its topic with the leading slash, its type, the time of receipt
-        [ns] and its CDR bytes. ValueError for a type that ROS 2 Jazzy does not define,
-        RuntimeError after `close`."""
+        """Queue one message: its topic with the leading slash, its type `msgtype`, the time of
+        receipt `t_ns` [ns] and its CDR `data`. ValueError for a type that ROS 2 Jazzy does not
+        define, RuntimeError after `close`.
+        """
         if self._closing.is_set():
             raise RuntimeError('the recording is closed')
         with self._lock:
@@ -83,7 +88,9 @@ class RecordingWriter:
             self._queued_bytes += len(data)
 
     def attach(self, name: str, content: str | bytes) -> None:
-        """Keep a file inside the recording: parameters, `rig.yaml`, `model.yaml`, notes."""
+        """Keep a file's `content` inside the recording: parameters, `rig.yaml`, `model.yaml`,
+        notes.
+        """
         now = time.time_ns()
         data = content.encode() if isinstance(content, str) else content
         media = 'text/plain' if isinstance(content, str) else 'application/octet-stream'
@@ -91,7 +98,7 @@ class RecordingWriter:
             self._queue.append(Attachment(now, now, name, media, data))
 
     def describe(self, name: str, entries: dict[str, str]) -> None:
-        """Keep named keys and values inside the recording: conditions, versions, a title."""
+        """Keep named `entries` inside the recording: conditions, versions, a title."""
         with self._lock:
             self._queue.append(Metadata(name, entries))
 

@@ -18,14 +18,13 @@ from microbot_ros.errors import InputError
 from microbot_ros.files import write_text
 from microbot_ros.session.bag import METADATA_FILE, metadata_text, typestore
 from microbot_ros.session.mcap_file import McapFile, Message
-from microbot_ros.session.topics import is_topic
 
 _FOREVER = 2**63
 
 
 @dataclass(frozen=True)
 class Topic:
-    """What a recording holds of one topic."""
+    """What a recording holds of one topic: the `type` and the `count` of its messages."""
 
     type: str
     count: int
@@ -62,7 +61,7 @@ class Recording:
     def topic(self, name: str, msgtype: str) -> str | None:
         """The recorded topic that plays a role, in whatever namespace; None where there is none.
 
-        InputError where there are several, or the topic is of another type than expected.
+        InputError where there are several, or the topic is of another type than `msgtype`.
         """
         found = [topic for topic in self.topics if is_topic(topic, name)]
         if len(found) > 1:
@@ -208,3 +207,11 @@ def _listed_files(metadata: Path) -> list[Path]:
 def _segment_number(path: Path) -> tuple[int, str]:
     match = re.search(r'_(\d+)$', path.stem)
     return (int(match.group(1)) if match else 0), path.stem
+
+
+def is_topic(topic: str, name: str) -> bool:
+    """Whether a recorded `topic` is `name` in whatever namespace.
+
+    '/particles' and '/rig/particles' are both 'particles'.
+    """
+    return f'/{topic}'.endswith(f'/{name}')

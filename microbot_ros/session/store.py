@@ -13,8 +13,8 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 
 from microbot_ros.files import write_text
 from microbot_ros.session.bag import METADATA_FILE, metadata_text
-from microbot_ros.session.chunk import ChunkBuilder, ClosedChunk
-from microbot_ros.session.segment import Segment
+from microbot_ros.session.mcap_chunk import ChunkBuilder, ClosedChunk
+from microbot_ros.session.mcap_writer import McapWriter
 
 MIB = 2**20
 CHUNK_BYTES = 4 * MIB
@@ -37,7 +37,7 @@ class Worth(IntEnum):
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic as it is recorded."""
+    """A topic as it is recorded: its `schema` and `channel` records, and what it is worth."""
 
     schema: Schema
     channel: Channel
@@ -59,7 +59,7 @@ class Store:
         self.free_bytes = shutil.disk_usage(folder).free
         self._folder = folder
         self._synced = 0.0
-        self._segments: list[Segment] = []
+        self._writers: list[McapWriter] = []
         self._next_segment()
         self._topics: dict[int, Topic] = {}
         self._builders = {worth: ChunkBuilder() for worth in Worth}
@@ -69,10 +69,13 @@ class Store:
     @property
     def bytes_written(self) -> int:
         """Bytes in all files so far."""
-        return sum(segment.size for segment in self._segments)
+        return sum(segment.size for segment in self._writers)
 
     def add(self, topic: Topic, t_ns: int, data: bytes) -> None:
-        """Take one message; it is on disk after the next `tick` that finds its chunk due."""
+        """Take one message, received at `t_ns` [ns] with CDR `data`.
+
+        It is on disk after the next `tick` that finds its chunk due.
+        """
         builder = self._builders[topic.worth]
         if not builder.size:
             self._opened[topic.worth] = time.monotonic()
@@ -96,7 +99,7 @@ class Store:
         self._write()
         self._sync()
         old = now - self._segment_began >= SEGMENT_SECONDS
-        if (old or self._segment.size >= SEGMENT_BYTES) and not self._waiting:
+        if (old or self._writer.size >= SEGMENT_BYTES) and not self._waiting:
             self._roll()
 
     def close(self, lost: Counter[str]) -> None:
@@ -107,8 +110,8 @@ class Store:
         if dropped := self.dropped + lost:
             self.add_record(Metadata('dropped', {name: str(n) for name, n in dropped.items()}))
         try:
-            self._segment.finish()
-            text = metadata_text({s.path: s.summary for s in self._segments})
+            self._writer.finish()
+            text = metadata_text({s.path: s.summary for s in self._writers})
             write_text(self._folder / METADATA_FILE, text)
         except OSError as error:
             self.refused = error.strerror or str(error)
@@ -116,7 +119,7 @@ class Store:
 
     def abandon(self) -> None:
         """Leave the files as they are."""
-        self._segment.abandon()
+        self._writer.abandon()
 
     def _flush(self, worth: Worth) -> None:
         if self._builders[worth].size:
@@ -140,22 +143,22 @@ class Store:
         if time.monotonic() - self._synced < SYNC_SECONDS:
             return
         try:
-            self._segment.sync()
+            self._writer.sync()
         except OSError as error:
             self.refused = error.strerror or str(error)
         self._synced = time.monotonic()
 
     def _write_one(self, item: ClosedChunk | Attachment | Metadata) -> None:
         if isinstance(item, Attachment):
-            self._segment.add_attachment(item)
+            self._writer.add_attachment(item)
         elif isinstance(item, Metadata):
-            self._segment.add_metadata(item)
+            self._writer.add_metadata(item)
         else:
             for index in item.indexes:
-                if index.channel_id not in self._segment.summary.channels:
+                if index.channel_id not in self._writer.summary.channels:
                     topic = self._topics[index.channel_id]
-                    self._segment.add_channel(topic.schema, topic.channel)
-            self._segment.add_chunk(item)
+                    self._writer.add_channel(topic.schema, topic.channel)
+            self._writer.add_chunk(item)
             self.counts.update(self._by_topic(item))
 
     def _drop(self, worths: list[Worth]) -> None:
@@ -172,13 +175,13 @@ class Store:
         }
 
     def _next_segment(self) -> None:
-        name = f'{self._folder.resolve().name}_{len(self._segments)}.mcap'
-        self._segment = Segment(self._folder / name)
-        self._segments.append(self._segment)
+        name = f'{self._folder.resolve().name}_{len(self._writers)}.mcap'
+        self._writer = McapWriter(self._folder / name)
+        self._writers.append(self._writer)
         self._segment_began = time.monotonic()
 
     def _roll(self) -> None:
-        full = self._segment
+        full = self._writer
         try:
             self._next_segment()
             full.finish()

@@ -8,17 +8,69 @@ from pathlib import Path
 import numpy as np
 
 from microbot_ros.errors import InputError
-from microbot_ros.records import Session
+from microbot_ros.records import Commands, Session
 from microbot_ros.session.as_messages import SessionMessages
-from microbot_ros.session.excitation import Excitation, excitation
 from microbot_ros.session.folder import read_folder
 from microbot_ros.session.from_recording import session_of, stamp_ns
 from microbot_ros.session.recording import Recording
 
+_SAME_LEVEL = 0.02
+"""Values closer than this share of the largest are one level."""
+_SPREAD = 0.5
+"""Circular variance below which the directions count as bunched; 1 is even, 0 is one."""
+_ONE_SENSE = 0.95
+_STEP = 1e-3
+"""Turns smaller than this [rad] are read-back noise, not turns."""
+
+
+@dataclass(frozen=True)
+class CommandSpread:
+    """The spread of the commands over the time that particles were seen.
+
+    `rows` commands in all; `off_share` of that time nothing was commanded; `direction_variance` is
+    circular, weighted by time: 0 for one direction, 1 for all alike; `magnitudes_mT` and
+    `frequencies_hz` are the levels used; `turns_left` and `turns_right` count changes of
+    direction.
+    """
+
+    rows: int
+    off_share: float
+    direction_variance: float
+    magnitudes_mT: tuple[float, ...]
+    frequencies_hz: tuple[float, ...]
+    turns_left: int
+    turns_right: int
+
+    def sentences(self) -> list[str]:
+        """What a person should know before fitting, and what to do about it."""
+        if self.off_share > 1 - 1e-9:
+            return ['No field was commanded: only drift and diffusion can be learnt.']
+        said = []
+        if self.direction_variance < _SPREAD:
+            said.append(
+                'The directions are bunched: the offset of the heading cannot be told from a '
+                'drift; command directions all around the circle.')
+        else:
+            said.append('The directions cover the circle.')
+        turns = self.turns_left + self.turns_right
+        if turns and max(self.turns_left, self.turns_right) >= _ONE_SENSE * turns:
+            said.append(
+                'The direction turns one way only: the offset of the heading cannot be told from '
+                'a delay; turn both ways.')
+        levels = self.frequencies_hz or self.magnitudes_mT
+        if len(levels) < 2:
+            what = 'frequency' if self.frequencies_hz else 'magnitude'
+            said.append(f'One {what} only: what depends on it cannot be seen; use at least two.')
+        return said
+
 
 @dataclass(frozen=True)
 class TopicSurvey:
-    """One topic; a gap is a pause of more than three of its median intervals."""
+    """One topic: its `name` and `type`, the `count` of its messages, their `rate_hz`.
+
+    A gap is a pause of more than three of its median intervals; `longest_gap_s` is the longest of
+    all pauses.
+    """
 
     name: str
     type: str
@@ -32,9 +84,11 @@ class TopicSurvey:
 class Survey:
     """What `microbot info` tells. None where a session does not know.
 
-    `frames` with tracks and `frames_missing` among them are judged by the times of exposure;
-    `dropped` is what the recorder had to give up, by topic; `latency_ms` runs from exposure to
-    the amplifier's acknowledgement.
+    `kind` of what lies at `path`, 'recording' or 'folder'; `complete` unless it was cut off;
+    `duration_s` from the first message to the last; `particles` counts them; `frames` with tracks
+    and `frames_missing` among them are judged by the times of exposure; `dropped` is what the
+    recorder had to give up, by topic; `latency_ms` runs from exposure to the amplifier's
+    acknowledgement; `attachments` by name; `metadata` as recorded; `remarks` for people.
     """
 
     path: str
@@ -47,7 +101,7 @@ class Survey:
     frames_missing: int | None
     dropped: dict[str, int]
     latency_ms: dict[str, float] | None
-    excitation: Excitation | None
+    excitation: CommandSpread | None
     attachments: tuple[str, ...]
     metadata: dict[str, dict[str, str]]
     remarks: tuple[str, ...]
@@ -80,7 +134,7 @@ def _survey(
     frames = spread = None
     if session is not None:
         frames = np.unique(session.tracks.t)
-        spread = excitation(session.commands, frames[0], frames[-1])
+        spread = command_spread(session.commands, frames[0], frames[-1])
         late = session.commands.t[:1] - frames[0]
         if (late > 0).any():
             remarks = [*remarks, f'Nothing was commanded in the first {late[0]:.3g} s.']
@@ -100,7 +154,8 @@ def _survey(
 
 
 def missing_frames(times: np.ndarray) -> int:
-    """Frames that an even frame rate would have had between the first and the last of them."""
+    """Frames that an even frame rate would have had between the first and the last of `times` [s].
+    """
     steps = np.diff(times)
     if not len(steps):
         return 0
@@ -128,3 +183,36 @@ def _latency(recording: Recording) -> dict[str, float] | None:
         spent.append((stamp_ns(content) - exposure) / 1e6)
     p50, p99 = np.percentile(spent, [50, 99])
     return {'p50': float(p50), 'p99': float(p99)}
+
+
+def command_spread(commands: Commands, start: float, end: float) -> CommandSpread:
+    """The spread of `commands` between the times `start` and `end` [s]."""
+    edges = np.clip(np.append(commands.t, np.inf), start, end)
+    held = np.diff(edges)
+    bx, by = commands.field.T
+    magnitude, angle = np.hypot(bx, by), np.arctan2(by, bx)
+    frequency = commands.frequency
+    on = (magnitude > 0) & (held > 0)
+    if frequency is not None:
+        on &= frequency != 0
+    time_on = held[on].sum()
+    resultant = abs((held[on] * np.exp(1j * angle[on])).sum()) / time_on if time_on else 1.0
+    turn = np.angle(np.exp(1j * np.diff(angle[on])))
+    return CommandSpread(
+        rows=len(commands.t), off_share=float(1 - time_on / (end - start)) if end > start else 1.0,
+        direction_variance=float(1 - resultant), magnitudes_mT=_levels(magnitude[on] * 1e3),
+        frequencies_hz=() if frequency is None else _levels(frequency[on]),
+        turns_left=int((turn > _STEP).sum()), turns_right=int((turn < -_STEP).sum()),
+    )
+
+
+def _levels(values: np.ndarray) -> tuple[float, ...]:
+    """The distinct levels among values, ascending; what is nearly the same is one."""
+    ordered = np.sort(values)
+    width = _SAME_LEVEL * np.abs(ordered).max(initial=0.0)
+    levels = []
+    while len(ordered):
+        size = np.searchsorted(ordered, ordered[0] + width, side='right')
+        levels.append(float(f'{np.median(ordered[:size]):.4g}'))
+        ordered = ordered[size:]
+    return tuple(levels)

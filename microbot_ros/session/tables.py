@@ -1,7 +1,7 @@
 """Checked CSV tables whose numbers survive the way there and back to the last bit.
 
-Units are changed in the decimal text, not by multiplying: `0.1` in a column `x_um` is the double
-nearest to 1e-7, and that double is written as `0.1` again.
+Units are changed in decimals (`units.exact_si`): `0.1` in a column `x_um` is the double nearest to
+1e-7, and that double is written as `0.1` again.
 """
 
 from __future__ import annotations
@@ -9,20 +9,20 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
 
 from microbot_ros.errors import InputError
-from microbot_ros.units import to_si
+from microbot_ros.units import exact_display, exact_si
 
 
 @dataclass(frozen=True)
 class Layout:
     """The columns of one kind of table; the unit of each is the suffix of its name.
 
-    Cells of `optional` columns may be empty (NaN); `ignored` columns may hold anything.
+    All of `required` must be there; cells of `optional` columns may be empty (NaN); `ignored`
+    columns may hold anything.
     """
 
     required: tuple[str, ...]
@@ -40,7 +40,9 @@ class Table:
     lines: np.ndarray
 
     def refuse(self, bad: np.ndarray, expected: str) -> None:
-        """Raise InputError at the first row where `bad` (rows,) is true."""
+        """Raise InputError, naming what was `expected`, at the first row where `bad` (rows,) is
+        true.
+        """
         if bad.any():
             raise InputError(self.path, expected, int(self.lines[np.argmax(bad)]))
 
@@ -91,16 +93,7 @@ def to_text(value: float, name: str) -> str:
         return ''
     if isinstance(value, int):
         return str(value)
-    return format(Decimal(repr(value)).scaleb(-_exponent(name)).normalize(), 'f')
-
-
-def from_text(cell: str, name: str) -> float:
-    """The SI value of decimal text in the unit of its name; NaN if it is no number."""
-    return _number(cell, _exponent(name))
-
-
-def _exponent(name: str) -> int:
-    return round(math.log10(to_si(name, 1.0)))
+    return format(exact_display(name, value).normalize(), 'f')
 
 
 def _headers(layouts: Sequence[Layout]) -> str:
@@ -127,10 +120,9 @@ def _header(
 def _column(
     path: Path, name: str, texts: Sequence[str], lines: np.ndarray, optional: bool,
 ) -> np.ndarray:
-    shift = _exponent(name)
     values = []
     for line, cell in zip(lines, texts, strict=True):
-        value = _number(cell.strip(), shift)
+        value = _number(cell.strip(), name)
         if not math.isfinite(value) and not (optional and not cell.strip()):
             found = f"'{cell.strip()}'" if cell.strip() else 'an empty cell'
             raise InputError(path, f"expected a number in '{name}', found {found}", int(line))
@@ -138,11 +130,11 @@ def _column(
     return np.array(values, dtype=float)
 
 
-def _number(cell: str, shift: int) -> float:
-    mantissa, _, power = cell.lower().partition('e')
+def _number(cell: str, name: str) -> float:
+    """The SI value of decimal text in the unit of its name; NaN if it is no number."""
     if '_' in cell:  # Python's, nobody else's
         return math.nan
     try:
-        return float(f'{mantissa}e{int(power or 0) + shift}')
-    except ValueError:
+        return exact_si(name, cell)
+    except (ArithmeticError, ValueError):
         return math.nan

@@ -17,11 +17,11 @@ def assign(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rows of predictions and of detections that belong together.
 
-    `predicted` (N, 2) with variance per coordinate (N,) and the farthest distance (N,) to look;
-    `found` (M, 2) with variance `noise` (M,); `looks` (N, F) and `found_looks` (M, F) are traits
-    that vary by `spread` from frame to frame. Maximises the likelihood of the whole picture:
-    displacements follow Student's t, and `stranger` [1/px²] is the likelihood that a particle
-    goes unseen and a new one turns up instead.
+    `predicted` (N, 2) [px] with variance per coordinate (N,) and the farthest distance to look,
+    `reach` (N,) [px]; `found` (M, 2) with variance `noise` (M,); `looks` (N, F) and `found_looks`
+    (M, F) are traits that vary by `spread` from frame to frame. Maximises the likelihood of the
+    whole picture: displacements follow Student's t, and `stranger` [1/px²] is the likelihood that
+    a particle goes unseen and a new one turns up instead.
     """
     limit = -np.log(stranger)
     pairs = _pairs(predicted, variance, reach, looks, found, noise, found_looks, spread, limit)

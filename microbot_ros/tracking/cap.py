@@ -32,9 +32,10 @@ def first_harmonic(pixels: Samples, rest: np.ndarray, basis: np.ndarray) -> np.n
 def centre_shift(table: np.ndarray, reach_px: float) -> float:
     """How far [px] along θ the particle's centre lies from the fitted one.
 
-    Metal that covers one half of a sphere, seen from the side, and its mirror image add up to
-    the same all around: about the true centre the picture has no second harmonic. Seen from a
-    point s off the centre, f₂ is s/2·(f₁′ − f₁/r), so that part of f₂ tells s.
+    Metal that covers one half of a sphere, seen from the side, and its mirror image add up to the
+    same all around: about the true centre the picture has no second harmonic. Seen from a point s
+    off the centre, f₂ is s/2·(f₁′ − f₁/r), so that part of f₂ tells s. `table` (3, K): the
+    profiles f₀, f₁ and f₂ in steps of `TABLE_STEP` px, judged up to `reach_px`.
     """
     radii = np.arange(table.shape[1]) * TABLE_STEP
     near = (radii > 1) & (radii < reach_px)

@@ -20,7 +20,7 @@ from microbot_ros.tracking.fit import (
     Y,
     fit,
 )
-from microbot_ros.tracking.lattice import Lattice
+from microbot_ros.tracking.lookup_fit import LookupFit
 from microbot_ros.tracking.matched_filter import MatchedFilter
 from microbot_ros.tracking.neighbours import doubled
 from microbot_ros.tracking.search import Light, whole
@@ -88,7 +88,7 @@ class RoundDetector:
         """Boxes to look at begin and end at multiples of this."""
         self.margin_px = appearance.reach_px + appearance.diameter_px / 2
         """How far from a particle the picture bears on what is measured."""
-        self._lattice = None if appearance.capped else Lattice(appearance)
+        self._lookup_fit = None if appearance.capped else LookupFit(appearance)
         radii = np.arange(appearance.table.shape[1]) * TABLE_STEP
         energy = 2 * np.pi * TABLE_STEP * float(np.sum(radii * appearance.table[0] ** 2))
         self._limits = (
@@ -147,8 +147,8 @@ class RoundDetector:
         self, image: np.ndarray, grid: np.ndarray, rows: np.ndarray, active: np.ndarray
     ) -> np.ndarray:
         """Fit the active rows in place; a cap's direction needs the fit pixel by pixel."""
-        if self._lattice is not None:
-            return self._lattice.fit(image, grid, self._spacing, rows, active)
+        if self._lookup_fit is not None:
+            return self._lookup_fit.fit(image, grid, self._spacing, rows, active)
         return fit(
             image, grid, self._spacing, rows, active, self.appearance.table,
             self.appearance.reach_px, _ITERATIONS, _SWEEPS)

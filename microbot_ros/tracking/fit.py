@@ -58,7 +58,10 @@ def _model(parameters, table, u, v):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, fastmath=FAST)
 def background_at(grid, spacing, x, y):  # type: ignore[no-untyped-def]
-    """The background, bilinear between the centres of cells of `spacing` px."""
+    """The background at a point x, y [px], bilinear between the centres of cells.
+
+    `grid` (h, w) holds the background of each cell of `spacing` px.
+    """
     gx = min(max((x + 0.5) / spacing - 0.5, 0.0), grid.shape[1] - 1.0)
     gy = min(max((y + 0.5) / spacing - 0.5, 0.0), grid.shape[0] - 1.0)
     i, j = int(gx), int(gy)
@@ -223,9 +226,9 @@ def fit(image, grid, spacing, parameters, active, table, reach, iterations, swee
 
     `image` (H, W); `grid` its background in cells of `spacing` px; `parameters` (N, 6) holds the
     start (θ NaN: found from the picture) and receives the fit where `active` (N,) is True, the
-    rest only being drawn as neighbours; `table` (1 or 3, K) the profiles in steps of
-    `TABLE_STEP` px; `reach` the radius [px] of the fitted disc. `sweeps` counts the
-    turns that particles with neighbours in reach take.
+    rest only being drawn as neighbours; `table` (1 or 3, K) the profiles in steps of `TABLE_STEP`
+    px; `reach` the radius [px] of the fitted disc. `iterations` bounds the Gauss–Newton steps of a
+    particle, `sweeps` counts the turns that particles with neighbours in reach take.
 
     Returns (N, 8): the standard deviation of each parameter from the residual (NaN where there is
     none), the residual's variance [grey²] and the number of pixels. A particle that the picture
@@ -267,7 +270,10 @@ def fit(image, grid, spacing, parameters, active, table, reach, iterations, swee
 
 @numba.njit(cache=True)
 def background_of(grid, spacing, x, y):  # type: ignore[no-untyped-def]
-    """The background at points x, y (N,) [px]: (N,)."""
+    """The background at points x, y (N,) [px]: (N,).
+
+    `grid` and `spacing` as in `background_at`.
+    """
     light = np.empty(len(x))
     for k in range(len(x)):
         light[k] = background_at(grid, spacing, float(x[k]), float(y[k]))

@@ -40,7 +40,7 @@ class Graticule:
 
 
 def measure_graticule(image: np.ndarray, source: str) -> Graticule:
-    """The strongest set of parallel lines in a picture (H, W).
+    """The strongest set of parallel lines in an `image` (H, W).
 
     The period is the peak of the Fourier spectrum, found between its samples; that of the whole
     picture leads to that of each quarter. Raises InputError naming `source` where nothing in the

@@ -21,11 +21,11 @@ from microbot_ros.tracking.fit import (
     Y,
     fit,
 )
-from microbot_ros.tracking.guess import (
+from microbot_ros.tracking.initial_size import (
     LEAST_DIAMETER,
-    Guess,
-    best_guess,
-    guess_at,
+    InitialSize,
+    best_initial_size,
+    initial_size_at,
     outer_diameter,
 )
 from microbot_ros.tracking.outline import OutlineDetector
@@ -63,35 +63,37 @@ def learn(frames: list[np.ndarray], settings: TrackerSettings) -> Appearance | N
 def learning(
     frames: list[np.ndarray], settings: TrackerSettings
 ) -> Generator[None, None, Appearance | None]:
-    """`learn` in portions of some milliseconds, so that a live loop can go on meanwhile."""
+    """`learn` from `frames` in portions of some milliseconds, so that a live loop can go on."""
     step = max(1, len(frames) // _MOST_FRAMES)
     frames = frames[::step][:_MOST_FRAMES]
-    guess = yield from best_guess(frames, settings)
+    initial = yield from best_initial_size(frames, settings)
     # A wide window collects the energy of debris and halos too: look again at the size of what
     # was found, or the fits would run into the limits of their size.
     for _ in range(_MOST_RESCALINGS):
-        if guess is None:
+        if initial is None:
             return None
-        diameter = outer_diameter(frames, guess)
-        if settings.diameter_px is not None or abs(diameter - guess.diameter) < _NEAR * diameter:
+        diameter = outer_diameter(frames, initial)
+        if settings.diameter_px is not None or abs(diameter - initial.diameter) < _NEAR * diameter:
             break
-        guess = guess_at(frames, max(diameter, LEAST_DIAMETER), guess.sign)
+        initial = initial_size_at(frames, max(diameter, LEAST_DIAMETER), initial.sign)
         yield
-    if guess is None:
+    if initial is None:
         return None
-    return (yield from _Learner(frames, guess, settings).appearance())
+    return (yield from _Learner(frames, initial, settings).appearance())
 
 
 class _Learner:
     """Alternates between where the particles are and what they look like."""
 
-    def __init__(self, frames: list[np.ndarray], guess: Guess, settings: TrackerSettings) -> None:
+    def __init__(
+        self, frames: list[np.ndarray], initial: InitialSize, settings: TrackerSettings,
+    ) -> None:
         self._frames = frames
         self._settings = settings
-        self._reach = 1.5 * guess.diameter + 3
-        self._spacing = max(4, int(np.ceil(guess.diameter)))
+        self._reach = 1.5 * initial.diameter + 3
+        self._spacing = max(4, int(np.ceil(initial.diameter)))
         self._grids = [background(frame, self._spacing) for frame in frames]
-        self._parameters = [_start(spots) for spots in guess.spots]
+        self._parameters = [_start(spots) for spots in initial.spots]
         self._radii = np.arange(0, 2.2 * self._reach, TABLE_STEP)
         self._basis = RadialBasis(self._reach, self._radii)
         self._table = self._basis.fit(self._samples(), harmonics=[0])

@@ -9,17 +9,17 @@ import numpy as np
 from microbot_ros.tracking.appearance import Appearance
 from microbot_ros.tracking.assign import assign
 from microbot_ros.tracking.detect import Detections
-from microbot_ros.tracking.jump import common_jump, common_shake
+from microbot_ros.tracking.global_motion import common_displacement, common_shake
 from microbot_ros.tracking.motion import Motion
 from microbot_ros.tracking.neighbours import count_within
 from microbot_ros.tracking.settings import TrackerSettings
 from microbot_ros.tracking.states import (
     LEAST_SIGMA,
     PLACE,
-    RESPONSE,
     UNNAMED,
+    VELOCITY_PHASOR,
     TrackStates,
-    born,
+    initiate_tracks,
     phasor,
     planar,
 )
@@ -52,7 +52,10 @@ _EXPECTED_FOR = 5
 """Frames for which an unseen particle is still looked for at its prediction."""
 
 class Linker:
-    """Follows particles from frame to frame. Identities count up from 0 and are never reused."""
+    """Follows particles from frame to frame. Identities count up from 0 and are never reused.
+
+    `size` is the height and width [px] of the pictures.
+    """
 
     def __init__(
         self, settings: TrackerSettings, appearance: Appearance, size: tuple[int, int]
@@ -72,8 +75,8 @@ class Linker:
         self._expected_step = np.empty((0, 2))
         self._early_frames = settings.confirm_frames - 1
         nothing = np.empty(0)
-        self.states = born(np.empty((0, 2)), nothing, nothing, nothing, nothing, 0.0, 0.0,
-                           self._early_frames)
+        self.states = initiate_tracks(
+            np.empty((0, 2)), nothing, nothing, nothing, nothing, 0.0, 0.0, self._early_frames)
         self.named = self.states
         """The particles that were given their identities in the last frame."""
 
@@ -90,12 +93,12 @@ class Linker:
         if abs(drive) / dt > 1.01 * self._drive_rate:
             # What was learned from less drive, or from a part of a frame, says next to nothing.
             self._drive_rate = abs(drive) / dt
-            states.forget_response(self._response_variance)
-        self._expected_step = planar(drive * states.motion[:, RESPONSE])
-        states.predict(dt, self._interval, drive, self._motion, self._response_variance)
+            states.forget_velocity_phasor(self._phasor_variance)
+        self._expected_step = planar(drive * states.motion[:, VELOCITY_PHASOR])
+        states.predict(dt, self._interval, drive, self._motion, self._phasor_variance)
 
     @property
-    def _response_variance(self) -> float:
+    def _phasor_variance(self) -> float:
         """What is reckoned with before a particle's response is known."""
         if self._drive_rate == 0.0 or self._interval is None:
             return 0.0
@@ -130,15 +133,15 @@ class Linker:
         states.step[unseen] = np.nan
         states.theta[unseen] = np.nan
         self._follow_hosts()
-        self._bury()
-        self._christen()
+        self._delete_tracks()
+        self._confirm_tracks()
         fresh = np.ones(len(found), bool)
         fresh[detection] = False
         if len(track) and everywhere:
             self._birth_rate += 0.02 * (int(fresh.sum()) - self._birth_rate)
             self._birth_rate = max(self._birth_rate, _BIRTHS[1])
         if np.any(fresh):
-            self.states = self.states.join(self._born(found[fresh]))
+            self.states = self.states.join(self._initiate_tracks(found[fresh]))
 
     def _jumped(self, found: Detections) -> np.ndarray:
         """Where to look beside the predictions (2,) [px], if the whole picture moved.
@@ -159,7 +162,7 @@ class Linker:
 
     def _moved(self, seen: np.ndarray, found: np.ndarray) -> np.ndarray | None:
         """The displacement (2,) [px] of the whole picture, if it is enough to mislead."""
-        jump = common_jump(seen, found, _JUMPED * self._diameter, self._size)
+        jump = common_displacement(seen, found, _JUMPED * self._diameter, self._size)
         if jump is not None:
             return jump
         shake = common_shake(seen, found, self.max_step_px, _ALIKE * self._diameter)
@@ -232,7 +235,7 @@ class Linker:
                 states.missed[i] = 1
                 continue
             states.host[i] = states.id[host]
-            states.motion[i, :RESPONSE] = states.motion[host, :RESPONSE]
+            states.motion[i, :VELOCITY_PHASOR] = states.motion[host, :VELOCITY_PHASOR]
             states.covariance[i, PLACE] = states.covariance[i, :, PLACE] = 0.0
             states.covariance[i, PLACE, PLACE] = states.radius[host] ** 2
 
@@ -256,7 +259,7 @@ class Linker:
             value, now = getattr(states, name), getattr(found, name)[detection]
             value[track[alone]] *= (now[alone] / value[track[alone]]) ** 0.2
 
-    def _bury(self) -> None:
+    def _delete_tracks(self) -> None:
         states = self.states
         patience = np.where(states.id == UNNAMED, 0, self._settings.coast_frames)
         height, width = self._size
@@ -267,7 +270,7 @@ class Linker:
         if not np.all(stay):
             self.states = states.take(stay)
 
-    def _christen(self) -> None:
+    def _confirm_tracks(self) -> None:
         states = self.states
         often = states.hits >= self._settings.confirm_frames
         due = np.flatnonzero((states.id == UNNAMED) & often)
@@ -275,11 +278,11 @@ class Linker:
         self._next_id += len(due)
         self.named = states.take(due)
 
-    def _born(self, found: Detections) -> TrackStates:
+    def _initiate_tracks(self, found: Detections) -> TrackStates:
         speed = max(self._motion.velocity_step, (self.max_step_px / 4) ** 2)
-        return born(
+        return initiate_tracks(
             found.xy, found.sigma, found.theta, found.contrast, found.radius,
-            speed / (self._interval or 1.0) ** 2, self._response_variance, self._early_frames)
+            speed / (self._interval or 1.0) ** 2, self._phasor_variance, self._early_frames)
 
 
 def _goes_on(before: np.ndarray, now: np.ndarray) -> bool:

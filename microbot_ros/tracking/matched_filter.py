@@ -88,9 +88,12 @@ class MatchedFilter:
         self, image: np.ndarray, least_sigma: float, least_contrast: float,
         boxes: np.ndarray | None,
     ) -> np.ndarray:
-        """Rows (N, 3), x, y [px] and contrast [grey] of maxima, in boxes [px]; None for all.
+        """Rows (N, 3), x, y [px] and contrast [grey] of maxima of an `image`, in boxes; None for
+        all.
 
-        What noise and texture there is, is judged when the whole picture is searched.
+        Maxima count from `least_sigma` standard deviations of the response and from
+        `least_contrast` [grey]. What noise and texture there is, is judged when the whole picture
+        is searched.
         """
         shape = (image.shape[0] // self.shrink, image.shape[1] // self.shrink)
         # Fresh memory for each frame would cost as much as the filters.

@@ -21,9 +21,10 @@ class Motion:
     """Random steps on top of a velocity that persists: variances per coordinate, learned online.
 
     Successive displacements d of a particle with velocity variance V, random step variance S per
-    second and localisation variance σ² have ⟨d²⟩ = V dt² + S dt + 2σ² and
-    ⟨d d′⟩ = V dt² − σ² (V. Berglund, Physical Review E 82, 011917, 2010, with a velocity added),
-    so both follow from two averages, and Brownian spheres and swimmers need no setting.
+    second and localisation variance σ² have ⟨d²⟩ = V dt² + S dt + 2σ² and ⟨d d′⟩ = V dt² − σ² (V.
+    Berglund, Physical Review E 82, 011917, 2010, with a velocity added), so both follow from two
+    averages, and Brownian spheres and swimmers need no setting. `diameter_px` of the particles
+    sets what is believed before anything was seen.
     """
 
     def __init__(self, diameter_px: float) -> None:
@@ -34,7 +35,9 @@ class Motion:
         self._least = (0.02 * diameter_px) ** 2
 
     def learn(self, step: np.ndarray, previous: np.ndarray, sigma: np.ndarray) -> None:
-        """Add pairs of successive displacements (N, 2) [px] with their σ (N,) [px]."""
+        """Add displacements `step` (N, 2) [px], those of the `previous` frame, and `sigma` (N,)
+        [px].
+        """
         if len(step) == 0:
             return
         # One wrong link must not widen the gate for all: long steps count as three usual ones.

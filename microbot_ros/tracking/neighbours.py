@@ -40,7 +40,10 @@ def _pairs(rows, near):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def neighbours(parameters, near):  # type: ignore[no-untyped-def]
-    """Who lies within `near` px of each particle: those of n are other[first[n]:first[n + 1]]."""
+    """Who lies within `near` px of each particle: those of n are other[first[n]:first[n + 1]].
+
+    `parameters` (N, 6) as in `fit.fit`.
+    """
     pairs = _pairs(parameters, near)
     first = np.zeros(len(parameters) + 1, np.int64)
     for i, j in pairs:
@@ -57,7 +60,10 @@ def neighbours(parameters, near):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def doubled(rows, good, closest):  # type: ignore[no-untyped-def]
-    """Whether a particle of higher contrast, itself good, lies closer than `closest`: (N,)."""
+    """Whether a particle of higher contrast, itself good, lies closer than `closest` px: (N,).
+
+    `rows` (N, 6) as in `fit.fit`; `good` (N,).
+    """
     doubled = np.zeros(len(rows), np.bool_)
     for i, j in _pairs(rows, closest):
         if good[i] and good[j]:

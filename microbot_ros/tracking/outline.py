@@ -131,7 +131,7 @@ class OutlineDetector:
         )
 
     def irregularity(self, image: np.ndarray) -> float:
-        """How far particles are from equal discs; 0 where there is none.
+        """How far the particles of an `image` are from equal discs; 0 where there is none.
 
         The spread of ln(diameter) or the typical ln(length/width), whichever is larger.
         """

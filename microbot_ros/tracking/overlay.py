@@ -24,7 +24,7 @@ def draw_overlay(
     image: np.ndarray, poses: Poses, radius_px: float = 8.0,
     trails: dict[int, deque[np.ndarray]] | None = None,
 ) -> np.ndarray:
-    """A frame (H, W) uint8 or uint16 with its particles, as (H, W, 3) BGR.
+    """An `image` (H, W) uint8 or uint16 with its particles, as (H, W, 3) BGR.
 
     A ring of `radius_px` and the identity mark each particle, a thin ring one that is only
     predicted; a line points along θ where it is known; `trails` holds earlier positions.
@@ -53,7 +53,11 @@ def draw_overlay(
 
 
 class OverlayVideo:
-    """A film of overlays: H.264 in MP4, which browsers and players show."""
+    """A film of overlays: H.264 in MP4, which browsers and players show.
+
+    `size` is the height and width of the frames [px], `frame_rate` that of the film [Hz],
+    `radius_px` as in `draw_overlay`.
+    """
 
     def __init__(
         self, path: Path, size: tuple[int, int], frame_rate: float, radius_px: float
@@ -80,7 +84,7 @@ class OverlayVideo:
         self._file.close()
 
     def write(self, image: np.ndarray, poses: Poses) -> None:
-        """Add one frame with its particles and their trails."""
+        """Add one frame, `image` (H, W), with its particles and their trails."""
         self._trails = {
             int(i): self._trails.get(int(i), deque(maxlen=_TRAIL)) for i in poses.id}
         for i, place in zip(poses.id, poses.xy, strict=True):

@@ -19,7 +19,10 @@ from microbot_ros.tracking.fit import (
 
 
 class Samples(NamedTuple):
-    """Pixels (P,) of particles: r/s [px], φ−θ [rad], grey/contrast, contrast, whose they are."""
+    """Pixels (P,) of particles: `r` over size [px], `angle` φ − θ [rad], `grey` over contrast.
+
+    `weight` is the contrast [grey], `owner` the number of the particle.
+    """
 
     r: np.ndarray
     angle: np.ndarray
@@ -32,7 +35,10 @@ def samples(
     frames: list[np.ndarray], grids: list[np.ndarray], spacing: int,
     parameters: list[np.ndarray], reach: float,
 ) -> Samples:
-    """All pixels within `reach` [px] of the particles, `parameters` (N, 6) per frame."""
+    """All pixels within `reach` [px] of the particles, `parameters` (N, 6) per frame.
+
+    `grids`: the background of each frame, in cells of `spacing` px.
+    """
     parts: list[tuple[np.ndarray, ...]] = []
     span = int(reach)
     v, u = np.mgrid[-span:span + 1, -span:span + 1]
@@ -53,7 +59,10 @@ def samples(
 
 
 class RadialBasis:
-    """Cubic B-splines in r, flat at r = 0 as a smooth picture is, up to `reach` [px]."""
+    """Cubic B-splines in r, flat at r = 0 as a smooth picture is, up to `reach` [px].
+
+    Profiles are tabulated at `radii` (K,) [px], in steps of `TABLE_STEP`.
+    """
 
     def __init__(self, reach: float, radii: np.ndarray) -> None:
         self._reach = reach
@@ -67,7 +76,7 @@ class RadialBasis:
         return self._table[index]
 
     def profile(self, coefficients: np.ndarray) -> np.ndarray:
-        """The profile at all radii, nothing beyond the reach."""
+        """The profile of `coefficients` (splines,) at all radii, nothing beyond the reach."""
         fade = np.clip((self._reach + 1 - self._radii) / 2, 0, 1)
         return self._table @ coefficients * fade * fade * (3 - 2 * fade)
 
@@ -91,11 +100,8 @@ class RadialBasis:
         return table / np.max(np.abs(table[0]))
 
     def _evaluate(self, r: np.ndarray) -> np.ndarray:
-        spacing = self._knots[1]
+        from scipy.interpolate import BSpline
 
-        def bump(z: np.ndarray) -> np.ndarray:
-            z = np.abs(z)
-            return np.where(z < 1, 2 / 3 - z**2 + z**3 / 2, np.maximum(2 - z, 0) ** 3 / 6)
-
-        mirrored = np.where(self._knots > 0, bump((r[:, None] + self._knots) / spacing), 0.0)
-        return bump((r[:, None] - self._knots) / spacing) + mirrored
+        bump = BSpline.basis_element(self._knots[1] * np.arange(-2, 3), extrapolate=False)
+        mirrored = np.where(self._knots > 0, np.nan_to_num(bump(r[:, None] + self._knots)), 0.0)
+        return np.nan_to_num(bump(r[:, None] - self._knots)) + mirrored

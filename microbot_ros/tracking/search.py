@@ -18,7 +18,7 @@ _MEDIAN = 5
 
 
 def whole(shape: tuple[int, ...]) -> np.ndarray:
-    """The one box (1, 4) that is all of a picture (H, W)."""
+    """The one box (1, 4) that is all of a picture of that `shape` (H, W)."""
     return np.array([[0, 0, shape[0], shape[1]]])
 
 
@@ -35,7 +35,7 @@ def grown(boxes, margin, shape):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def in_cells(boxes, size, shape):  # type: ignore[no-untyped-def]
-    """The cells of `size` px, of so many (rows, columns), that hold a part of the boxes."""
+    """The cells of `size` px, of a `shape` of (rows, columns), that hold a part of the boxes."""
     cells = np.empty_like(boxes)
     for k in range(len(boxes)):
         for axis in range(2):
@@ -45,7 +45,8 @@ def in_cells(boxes, size, shape):  # type: ignore[no-untyped-def]
 
 
 def block_mean(image: np.ndarray, size: int) -> np.ndarray:
-    """Means (H // size, W // size) float32 over square blocks; a rest at the edge is left out."""
+    """Means (H // size, W // size) float32 of an `image` over square blocks; a rest is left out.
+    """
     mean = np.empty((image.shape[0] // size, image.shape[1] // size), np.float32)
     block_mean_into(mean, image, size, 0, whole(mean.shape))
     return mean
@@ -53,7 +54,10 @@ def block_mean(image: np.ndarray, size: int) -> np.ndarray:
 
 @numba.njit(cache=True, fastmath=FAST)
 def block_mean_into(mean, image, size, pad, boxes):  # type: ignore[no-untyped-def]
-    """`block_mean` in boxes of cells, into `mean`, which has `pad` cells of margin."""
+    """`block_mean` of an `image` over blocks of `size` px, in boxes of cells, into `mean`.
+
+    `mean` has `pad` cells of margin.
+    """
     scale = np.float32(1.0 / (size * size))
     for y0, x0, y1, x1 in boxes:
         line = np.empty((x1 - x0) * size, np.float32)
@@ -100,7 +104,9 @@ class Light:
         self._cells = np.empty((0, 0), np.float32)
 
     def look(self, image: np.ndarray, boxes: np.ndarray, margin: int = 0) -> np.ndarray:
-        """The light (H // spacing, W // spacing), as it is now up to `margin` px from a box."""
+        """The light (H // spacing, W // spacing) of an `image`, anew up to `margin` px from the
+        `boxes`.
+        """
         import cv2
 
         if min(image.shape) < self._spacing:
@@ -121,16 +127,16 @@ def _block_mean_near(cells, image, size, margin, boxes):  # type: ignore[no-unty
 
 
 def background(image: np.ndarray, spacing: int) -> np.ndarray:
-    """The light without particles in all of a picture; see `Light`."""
+    """The light without particles in all of an `image`, in cells of `spacing` px; see `Light`."""
     return Light(spacing).look(image, whole(image.shape))
 
 
 @numba.njit(cache=True)
 def peaks(response, shrink, least, separation, boxes):  # type: ignore[no-untyped-def]
-    """Rows (N, 3) of x, y [px], value: maxima above `least` within ±`separation` cells.
+    """Rows (N, 3) of x, y [px], value: maxima of a `response` above `least`.
 
-    In boxes of cells of `shrink` px that don't overlap; what lies around them, up to the
-    separation, is compared with.
+    A maximum is the highest within ±`separation` cells. In boxes of cells of `shrink` px that
+    don't overlap; what lies around them, up to the separation, is compared with.
     """
     height, width = response.shape
     found = []

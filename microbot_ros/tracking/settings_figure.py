@@ -16,7 +16,8 @@ def write_settings_figure(
     path: Path, image: np.ndarray, found: Detections, appearance: Appearance,
     settings: TrackerSettings,
 ) -> None:
-    """A frame with its detections, the learned picture, its profile, and the settings in words."""
+    """An `image` with its detections, the learned picture, its profile, and the settings in words.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12, 8), layout='constrained')

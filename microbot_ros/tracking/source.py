@@ -26,7 +26,7 @@ _MISCOUNT = 2
 
 @dataclass(frozen=True)
 class Frame:
-    """One picture: its number in the source, its time [s], and (H, W) grey uint8 or uint16."""
+    """One picture: its `index` in the source, its time `t` [s], `image` (H, W) uint8 or uint16."""
 
     index: int
     t: float
@@ -80,7 +80,7 @@ def open_source(
 
 
 def grey(image: Any) -> np.ndarray | None:
-    """A decoded picture, an array, as (H, W) grey of its own depth; None if not 8 or 16 bit."""
+    """A decoded `image`, an array, as (H, W) grey of its own depth; None if not 8 or 16 bit."""
     import cv2
 
     if image.dtype not in (np.uint8, np.uint16):
@@ -93,7 +93,10 @@ def grey(image: Any) -> np.ndarray | None:
 
 
 class VideoSource:
-    """A video file, decoded once from start to end."""
+    """A video file, decoded once from start to end.
+
+    `report` is given sentences about what is odd; `frame_rate` [Hz] overrules the source's own.
+    """
 
     def __init__(
         self, path: Path, report: Callable[[str], None], frame_rate: float | None = None
@@ -156,7 +159,10 @@ class VideoSource:
 
 
 class ImageSource:
-    """Images as frames, in natural order of their names (2 before 10)."""
+    """Images as frames, in natural order of their names (2 before 10).
+
+    `report` is given sentences about what is odd; `frame_rate` [Hz] overrules the source's own.
+    """
 
     def __init__(
         self,

@@ -8,7 +8,7 @@ import numpy as np
 
 from microbot_ros.tracking.motion import Motion
 
-PLACE, VELOCITY, RESPONSE = range(3)
+PLACE, VELOCITY, VELOCITY_PHASOR = range(3)
 """Columns of `TrackStates.motion`, and rows and columns of its covariance."""
 
 UNNAMED = -1
@@ -20,7 +20,7 @@ LEAST_SIGMA = 0.05
 _SURPRISE = 9.0
 """Squared innovation, in its variance, from which a particle is taken to have changed course."""
 
-_RESPONSE_LASTS = 1000.0
+_PHASOR_LASTS = 1000.0
 """Frames over which a particle's response to the drive is expected to change."""
 
 
@@ -28,13 +28,13 @@ _RESPONSE_LASTS = 1000.0
 class TrackStates:
     """The particles being followed, arrays of equal length N; px, s, rad.
 
-    `motion` (N, 3) complex, x + iy: place [px], velocity of its own [px/s], response to the drive
-    [px per unit of it]: speed times e^{iφ}, the same at every direction of the drive.
-    `covariance` (N, 3, 3) Hermitian, of these, per coordinate. `measured` (N, 2) the last
-    measurement; `step` (N, 2) the displacement to it that neither drive nor jump explains, NaN
-    after a gap; `hits` the frames seen, `missed` the frames since; `host` the identity of the
-    particle that it has merged with, −1 where it is on its own; `early` (N, K, 2) the first K
-    measurements.
+    `id` identities; `motion` (N, 3) complex, x + iy: place [px], velocity of its own [px/s],
+    velocity phasor [px per unit of the drive]: speed times e^{iφ}, the same at every direction of
+    the drive. `covariance` (N, 3, 3) Hermitian, of these, per coordinate. `measured` (N, 2) the
+    last measurement, with its `sigma`, `theta`, `contrast` and `radius`; `step` (N, 2) the
+    displacement to it that neither drive nor jump explains, NaN after a gap; `hits` the frames
+    seen, `missed` the frames since; `host` the identity of the particle that it has merged with,
+    −1 where it is on its own; `early` (N, K, 2) the first K measurements.
     """
 
     id: np.ndarray
@@ -65,11 +65,11 @@ class TrackStates:
         return self.covariance[:, PLACE, PLACE].real
 
     def velocity(self, drive_rate: complex) -> np.ndarray:
-        """Velocity (N, 2) [px/s] under a drive of so much per second."""
-        return planar(self.motion[:, VELOCITY] + drive_rate * self.motion[:, RESPONSE])
+        """Velocity (N, 2) [px/s] under a drive of `drive_rate` per second."""
+        return planar(self.motion[:, VELOCITY] + drive_rate * self.motion[:, VELOCITY_PHASOR])
 
     def take(self, rows: np.ndarray) -> TrackStates:
-        """Some of the particles."""
+        """The particles of some `rows`, numbers or a mask."""
         return TrackStates(*(getattr(self, part.name)[rows] for part in fields(self)))
 
     def join(self, other: TrackStates) -> TrackStates:
@@ -79,15 +79,18 @@ class TrackStates:
             for part in fields(self)
         ))
 
-    def forget_response(self, variance: float) -> None:
-        """Start learning the response to the drive anew, from nothing known to `variance`."""
-        self.motion[:, RESPONSE] = 0.0
-        self.covariance[:, RESPONSE] = self.covariance[:, :, RESPONSE] = 0.0
-        self.covariance[:, RESPONSE, RESPONSE] = variance
+    def forget_velocity_phasor(self, variance: float) -> None:
+        """Start learning the velocity phasor anew, from nothing known to `variance`."""
+        self.motion[:, VELOCITY_PHASOR] = 0.0
+        self.covariance[:, VELOCITY_PHASOR] = self.covariance[:, :, VELOCITY_PHASOR] = 0.0
+        self.covariance[:, VELOCITY_PHASOR, VELOCITY_PHASOR] = variance
 
     def predict(self, dt: float, interval: float, drive: complex, motion: Motion,
-                response_variance: float) -> None:
-        """Move all on by `dt` [s], where frames usually come every `interval`, under `drive`."""
+                phasor_variance: float) -> None:
+        """Move all on by `dt` [s], where frames usually come every `interval`, under `drive`.
+
+        `phasor_variance` is that of a velocity phasor of which nothing is known.
+        """
         frames = dt / interval
         keep = motion.keep(frames)
         step = np.array([[1, dt, drive], [0, keep, 0], [0, 0, 1]])
@@ -96,10 +99,10 @@ class TrackStates:
         self.covariance += np.diag([
             motion.random_step * frames,
             motion.velocity_step / interval**2 * (1 - keep**2),
-            response_variance * frames / _RESPONSE_LASTS])
+            phasor_variance * frames / _PHASOR_LASTS])
 
     def correct(self, rows: np.ndarray, found: np.ndarray, noise: np.ndarray) -> None:
-        """Kalman update of some particles by measured places (K, 2) of variance `noise` (K,).
+        """Kalman update of some `rows` (K,) by the places `found` (K, 2) of variance `noise` (K,).
 
         In Joseph's form: the short one lets rounding errors of a covariance grow.
         """
@@ -116,11 +119,16 @@ class TrackStates:
         self.covariance[rows] = left @ covariance @ left.conj().swapaxes(1, 2) + measured
 
 
-def born(
+def initiate_tracks(
     xy: np.ndarray, sigma: np.ndarray, theta: np.ndarray, contrast: np.ndarray,
-    radius: np.ndarray, velocity_variance: float, response_variance: float, early_frames: int,
+    radius: np.ndarray, velocity_variance: float, phasor_variance: float, early_frames: int,
 ) -> TrackStates:
-    """States of particles seen for the first time: xy (N, 2), the others (N,)."""
+    """States of particles seen for the first time.
+
+    `xy` (N, 2), `sigma`, `theta`, `contrast`, `radius` (N,) as measured; `velocity_variance`
+    [px²/s²] and `phasor_variance` of what is not known yet; `early_frames` measurements will be
+    kept.
+    """
     count = len(xy)
     early = np.full((count, early_frames, 2), np.nan)
     early[:, 0] = xy
@@ -129,7 +137,7 @@ def born(
     covariance = np.zeros((count, 3, 3), complex)
     covariance[:, PLACE, PLACE] = sigma**2 + LEAST_SIGMA**2
     covariance[:, VELOCITY, VELOCITY] = velocity_variance
-    covariance[:, RESPONSE, RESPONSE] = response_variance
+    covariance[:, VELOCITY_PHASOR, VELOCITY_PHASOR] = phasor_variance
     return TrackStates(
         id=np.full(count, UNNAMED), motion=motion, covariance=covariance, measured=xy.copy(),
         step=np.full((count, 2), np.nan), sigma=sigma.copy(), theta=theta.copy(),
@@ -138,11 +146,11 @@ def born(
 
 
 def phasor(xy: np.ndarray) -> np.ndarray:
-    """Vectors (..., 2) as x + iy (...)."""
+    """Vectors `xy` (..., 2) as complex x + iy (...)."""
     return xy[..., 0] + 1j * xy[..., 1]
 
 
 def planar(z: np.ndarray) -> np.ndarray:
-    """x + iy (...) as vectors (..., 2)."""
+    """Complex `z` = x + iy (...) as vectors (..., 2)."""
     parts: np.ndarray = np.ascontiguousarray(z).view(float).reshape(*np.shape(z), 2)
     return parts

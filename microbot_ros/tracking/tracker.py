@@ -11,17 +11,20 @@ import numpy as np
 from microbot_ros.errors import InputError
 from microbot_ros.tracking.appearance import Appearance
 from microbot_ros.tracking.detect import RoundDetector
+from microbot_ros.tracking.frame_quality import FrameQuality
 from microbot_ros.tracking.learn import learning
 from microbot_ros.tracking.link import Linker
-from microbot_ros.tracking.lookout import Lookout
 from microbot_ros.tracking.outline import OutlineDetector
+from microbot_ros.tracking.search_windows import SearchWindows
 from microbot_ros.tracking.settings import TrackerSettings
 from microbot_ros.tracking.states import TrackStates
-from microbot_ros.tracking.watch import Watch
 
 
 class FrameError(InputError):
-    """A frame that can not be used: wrong size, encoding or time. The tracker is as before."""
+    """A frame that can not be used: wrong size, encoding or time. The tracker is as before.
+
+    `expected` says what would have been right.
+    """
 
     def __init__(self, expected: str) -> None:
         super().__init__('frame', expected)
@@ -72,8 +75,8 @@ class Tracker:
     its machine with the rest of the loop.
 
     The whole picture is searched every `full_search_interval` [s], as soon as anything is not as
-    expected, and around the known particles otherwise: see `Lookout`. A new particle is found
-    that much later at most; with 0 every search is for all.
+    expected, and around the known particles otherwise: see `SearchWindows`. A new particle is
+    found that much later at most; with 0 every search is for all.
     """
 
     def __init__(
@@ -93,7 +96,7 @@ class Tracker:
         self._learning: Generator[None, None, Appearance | None] | None = None
         self.remarks: dict[str, str] = {}
         """What is wrong with the last frame, as far as it shows: kind → sentence."""
-        self._watch = Watch()
+        self._frame_quality = FrameQuality()
         self._last = -math.inf
         self._refused = -math.inf
 
@@ -128,7 +131,7 @@ class Tracker:
         self._check(image, drive)
         dt = self._interval(t)
         if self.appearance is None:
-            self.remarks = self._watch.look(image, dt, 0.0)
+            self.remarks = self._frame_quality.look(image, dt, 0.0)
             self._learn(image)
             return _poses(t, None, 0j)
         if self._follower is None:
@@ -137,7 +140,7 @@ class Tracker:
         pushed = 0j if drive is None else complex(*drive)
         self._follower.follow(image, t, dt, pushed)
         linker = self._follower.linker
-        self.remarks = self._watch.look(image, dt, linker.jump)
+        self.remarks = self._frame_quality.look(image, dt, linker.jump)
         if self._follower.detector.remark:
             self.remarks['strange'] = self._follower.detector.remark
         return _poses(t, linker.states, pushed / dt if dt else 0j)
@@ -192,7 +195,7 @@ class _Follower:
                  full_search_interval: float) -> None:
         self.detector = make_detector(appearance, settings)
         self.linker = Linker(settings, appearance, size)
-        self._lookout = Lookout(full_search_interval, self.linker.max_step_px,
+        self._search_windows = SearchWindows(full_search_interval, self.linker.max_step_px,
                                 self.detector.margin_px, self.detector.grain_px)
 
     def follow(self, image: np.ndarray, t: float, dt: float | None, pushed: complex) -> None:
@@ -200,13 +203,13 @@ class _Follower:
         if dt is not None:
             self.linker.predict(dt, pushed)
         expected = self.linker.expected()
-        windows = self._lookout.windows(t, self.linker.states, image.shape)
+        windows = self._search_windows.windows(t, self.linker.states, image.shape)
         if windows is not None:
             found = self.detector.detect(image, expected, windows)
             if len(found) >= len(expected):
                 self.linker.update(found, everywhere=False)
                 return
-        self._lookout.looked_everywhere(t)
+        self._search_windows.looked_everywhere(t)
         self.linker.update(self.detector.detect(image, expected))
 
 

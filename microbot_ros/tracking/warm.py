@@ -12,7 +12,7 @@ from microbot_ros.tracking.tracker import Tracker
 
 
 def warm_up(dtype: type[np.uint8] | type[np.uint16] = np.uint8) -> None:
-    """Run every path of the tracker once on small pictures.
+    """Run every path of the tracker once on small pictures of that `dtype`.
 
     Compiled code is kept on disk, so this takes some ten seconds once and a fraction of a second
     afterwards. Call it before frames come.

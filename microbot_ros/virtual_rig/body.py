@@ -1,6 +1,6 @@
 """The record of one simulated particle: its state, what it is, and what disturbs it.
 
-Every disturbance the simulated world knows is a column with a neutral value, so that each
+Every disturbance the simulated world knows is a column with a null value, so that each
 particle can have its own strength of each. All values are SI.
 """
 
@@ -19,9 +19,9 @@ from microbot_ros.model.particle import (
 )
 
 # Column → value at which it changes nothing. The state and the sphere itself come first.
-_NEUTRAL = {
+_NULL_VALUES = {
     'x': 0.0, 'y': 0.0, 'heading': 0.0, 'phi': 0.0, 'fuel': 1.0,
-    'radius': 0.0, 'drag': 1.0, 'turn_drag': 1.0, 'diffusion': 0.0, 'turning': 0.0,
+    'radius': 0.0, 'drag': 1.0, 'turn_drag': 1.0, 'diffusion': 0.0, 'rotational_diffusion': 0.0,
     'speed': 0.0, 'gain': 0.0, 'moment': 0.0,
     # amplifier, coils and stray field
     'delay': 0.0, 'deadband': 0.0, 'gain_y': 1.0, 'skew': 0.0,
@@ -47,7 +47,7 @@ _NEUTRAL = {
     'trap_speed': 0.0, 'trap_length': 1.0,
 }
 
-BODY = np.dtype([(name, np.float64) for name in _NEUTRAL])
+BODY = np.dtype([(name, np.float64) for name in _NULL_VALUES])
 """One particle; columns in the order in which the chain from amplifier to camera meets them."""
 
 
@@ -69,13 +69,13 @@ def bodies(
     """
     radius = np.asarray(radius, dtype=float)
     result = np.empty(len(radius), BODY)
-    for name, neutral in _NEUTRAL.items():
-        result[name] = neutral
+    for name, null_value in _NULL_VALUES.items():
+        result[name] = null_value
     result['x'], result['y'] = np.asarray(position, dtype=float).T
     result['drag'] = stokes_drag(fluid, radius)
     result['turn_drag'] = rotational_drag(fluid, radius)
     result['diffusion'] = translational_diffusion(fluid, radius)
-    result['turning'] = rotational_diffusion(fluid, radius)
+    result['rotational_diffusion'] = rotational_diffusion(fluid, radius)
     given = {'radius': radius, 'moment': moment, 'phi': phi, 'speed': speed, 'gain': gain}
     for name, value in (given | {'heading': heading}).items():
         result[name] = value

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from microbot_ros.model.forces import unit
+from microbot_ros.model.vectors import unit
 from microbot_ros.records import Commands
 
 Levels = float | Sequence[float] | np.ndarray
@@ -18,8 +18,8 @@ def steps(
 ) -> Commands:
     """Directions drawn evenly within ± `spread` of `centre` [rad], each held for a while.
 
-    The while is drawn evenly from `dwell` [s]; `field` [T] and, for rollers, `frequency` [Hz]
-    are one level or several to draw from with every step. The paper's legs are
+    The whiles, drawn evenly from `dwell` [s], fill `duration` [s]; `field` [T] and, for rollers,
+    `frequency` [Hz] are one level or several to draw from with every step. The paper's legs are
     `dwell=(2, 6)`.
     """
     most = math.ceil(duration / dwell[0])
@@ -33,7 +33,10 @@ def steps(
 
 
 def rotating(duration: float, field: float, period: float, update: float = 0.05) -> Commands:
-    """A field turning anticlockwise once in `period` [s], set anew every `update` [s]."""
+    """A `field` [T] turning anticlockwise once in `period` [s], set anew every `update` [s].
+
+    For `duration` [s].
+    """
     begin = np.arange(0.0, duration, update)
     return Commands(begin, field * unit(2 * math.pi * begin / period))
 
@@ -41,9 +44,9 @@ def rotating(duration: float, field: float, period: float, update: float = 0.05)
 class Herding:
     """Feedback: bring the particle that strayed furthest back to the middle, then the next.
 
-    Decides on the noisy positions that the camera reports, so command and noise are tied as in
-    any closed loop. `phi` (N,) [rad] are its ideas of the particles' offsets; it stays with one
-    particle for `patience` [s].
+    Decides on the noisy positions that the camera reports, so command and noise are tied as in any
+    closed loop. `phi` (N,) [rad] are its ideas of the particles' offsets; the strength of its
+    `field` [T] is constant; it stays with one particle for `patience` [s].
     """
 
     def __init__(self, phi: np.ndarray, field: float, patience: float = 2.0) -> None:

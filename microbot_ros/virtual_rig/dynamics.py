@@ -1,9 +1,9 @@
 """What moves and turns a simulated particle in one short step, compiled.
 
-Each function is one cause. They read a particle's record (`body.BODY`) and know nothing of the
-equations that the rest of the project fits. `advance` puts them together. All are in one file
+Each function is one cause. They read a particle's record (`body.BODY`) and share no
+code with the model that is fitted. `advance` puts them together. All are in one file
 because numba's cache notices changes in the caller's own file only: after a change to
-`langevin.turn` touch this one.
+`langevin.step_heading` touch this one.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from microbot_ros.model.langevin import turn
+from microbot_ros.model.langevin import step_heading
 
 Pair = tuple[float, float]
 
@@ -27,7 +27,7 @@ def _deadband(value: float, width: float) -> float:
 
 @numba.njit(cache=True)
 def felt_field(body: Any, x: float, y: float) -> Pair:
-    """From the command to the field at the particle: amplifier, coils, stray field [T]."""
+    """From the command x, y [T] to the field at a body: amplifier, coils, stray field [T]."""
     x, y = _deadband(x, body.deadband), _deadband(y, body.deadband)
     y_coil = body.gain_y * y
     return (
@@ -46,8 +46,9 @@ def _hill(drive: float, half: float, steepness: float) -> float:
 def roll_frequency(body: Any, frequency: float) -> float:
     """How often the particle turns in a field rotating at `frequency` [Hz], on average.
 
-    The mechanics of `forces.rolled_frequency`: below cut-in the surface holds it, beyond
-    step-out it slips. Where a steepness is given, empirical curves.
+    Below cut-in the surface holds it, and it takes up √(f² − cut_in²) above; beyond step-out it
+    slips and keeps f − √(f² − step_out²) (the averaged Adler equation, for either barrier alone).
+    Where the `body` has a steepness, empirical curves.
     """
     drive = abs(frequency)
     if drive == 0:
@@ -64,7 +65,10 @@ def roll_frequency(body: Any, frequency: float) -> float:
 
 @numba.njit(cache=True)
 def own_speed(body: Any, frequency: float, t: float) -> float:
-    """Speed along the heading [m/s]: burning fuel or rolling, before neighbours slow it."""
+    """Speed [m/s] of a body along its heading at time `t` [s]: burning fuel or rolling.
+
+    Before neighbours slow it. `frequency` [Hz] is that of the field.
+    """
     speed = body.speed * body.fuel + body.gain * roll_frequency(body, frequency)
     speed *= 1 + body.pulse_depth * math.sin(2 * math.pi * body.pulse_frequency * t)
     speed *= 1 + body.x / body.uphill_length + body.facing * math.cos(3 * body.heading)
@@ -73,9 +77,10 @@ def own_speed(body: Any, frequency: float, t: float) -> float:
 
 @numba.njit(cache=True)
 def tilt(body: Any, strength: float, rng: np.random.Generator) -> Pair:
-    """Parts of the axis along and across the mean heading, from the Boltzmann distribution.
+    """Parts of a body's axis along and across the mean heading, from the Boltzmann distribution.
 
-    The axis' angle from the field has the density exp(κ cos ϑ) on the sphere, κ = |B|/b₀.
+    The axis' angle from the field of `strength` |B| [T] has the density exp(κ cos ϑ) on the
+    sphere, κ = |B|/b₀.
     """
     if body.field_scale == 0:
         return 1.0, 0.0
@@ -90,7 +95,8 @@ def tilt(body: Any, strength: float, rng: np.random.Generator) -> Pair:
 
 @numba.njit(cache=True)
 def flow(body: Any, t: float) -> tuple[float, float, float]:
-    """Velocity [m/s] and rotation, half the vorticity [rad/s], of the fluid at the particle."""
+    """Velocity [m/s] and rotation, half the vorticity [rad/s], of the fluid at a body at `t` [s].
+    """
     sway = body.sway_speed * math.cos(2 * math.pi * body.sway_frequency * t + body.sway_phase)
     profile = (body.y / body.channel_half_width) ** 2
     settling = math.exp(-t / body.settling_time)
@@ -108,7 +114,10 @@ def flow(body: Any, t: float) -> tuple[float, float, float]:
 
 @numba.njit(cache=True)
 def place_force(body: Any, strength: float) -> Pair:
-    """Velocity [m/s] by forces that depend on the place: field maximum, hot spot, trap."""
+    """Velocity [m/s] of a body by forces that depend on the place: field maximum, hot spot, trap.
+
+    `strength` is |B| [T].
+    """
     x, y = body.x - body.spot_x, body.y - body.spot_y
     squared = (x**2 + y**2) / body.spot_width**2
     spot = body.spot_speed / body.spot_width * math.exp((1 - squared) / 2)
@@ -119,7 +128,7 @@ def place_force(body: Any, strength: float) -> Pair:
 
 @numba.njit(cache=True)
 def gradient_force(body: Any, gradient: np.ndarray) -> Pair:
-    """Velocity [m/s] by the magnetic force (m·∇)B; `gradient` is ∂B_a/∂x_b [T/m]."""
+    """Velocity [m/s] of a body by the magnetic force (m·∇)B; `gradient` is ∂B_a/∂x_b [T/m]."""
     angle = body.heading - body.phi
     mx, my = body.moment * math.cos(angle), body.moment * math.sin(angle)
     return (
@@ -145,7 +154,8 @@ def dipole_velocity(body: Any, other: Any, x: float, y: float, r: float) -> Pair
 
 @numba.njit(cache=True)
 def neighbours(bodies: np.ndarray, i: int) -> tuple[float, float, float]:
-    """Velocity [m/s] by all others, and the factor by which they slow the body's own motion."""
+    """Velocity [m/s] of body `i` by all other `bodies`, and the factor by which they slow its own.
+    """
     body, u, v, slowing = bodies[i], 0.0, 0.0, 0.0
     for j in range(len(bodies)):
         if j == i:
@@ -172,13 +182,18 @@ def neighbours(bodies: np.ndarray, i: int) -> tuple[float, float, float]:
 @numba.njit(cache=True)
 def rotate(body: Any, bx: float, by: float, vorticity: float, t: float, dt: float,
            normal: float) -> None:
-    """Turn the particle, in place: magnetic torque against drag, fluid, chirality, noise."""
+    """Turn a body for `dt` [s] about `t` [s], in place: torque against drag, fluid, chirality,
+    noise.
+
+    Field `bx`, `by` [T]; `vorticity`, the rotation of the fluid [rad/s]; `normal`, a standard
+    normal number.
+    """
     body.phi += body.slip_rate * dt
     wobble = body.wobble_angle * math.sin(2 * math.pi * body.wobble_frequency * t)
     strength = math.sqrt(bx**2 + by**2)
     target = math.atan2(by, bx) + body.phi + wobble
     rate = body.moment * strength / body.turn_drag
-    body.heading = turn(body.heading, target, rate, body.turning, dt, normal)
+    body.heading = step_heading(body.heading, target, rate, body.rotational_diffusion, dt, normal)
     body.heading += (vorticity + body.spin) * dt
 
 
@@ -188,7 +203,12 @@ def advance(
     gradient: np.ndarray, frequency: np.ndarray, half_extent: np.ndarray,
     rng: np.random.Generator, mean: np.ndarray,
 ) -> None:
-    """Take all bodies through equal steps about the times `middle`; adds to `mean` the average."""
+    """Take all bodies through steps of `length` [s] about the times `middle` (K,) [s].
+
+    `rows` (R,) [s]: when each row of `field` (R, 1 or N, 2) [T], `gradient` (R or 0, 1 or N, 2, 2)
+    [T/m] and `frequency` (R,) [Hz] begins. Walls lie at ± `half_extent` (2,) [m]. Adds to `mean`
+    (N, 2) [m] the average position.
+    """
     velocity = np.empty((len(bodies), 2))
     here, no_gradient = np.zeros(2), np.zeros((2, 2))
     for t in middle:

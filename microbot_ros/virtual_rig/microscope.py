@@ -101,7 +101,8 @@ class Microscope:
         return light
 
     def render(self, position: np.ndarray, theta: np.ndarray, t: float) -> np.ndarray:
-        """One frame (H, W) uint8 of particles at `position` (N, 2) [m], headings `theta` (N,).
+        """One frame (H, W) uint8 at time `t` [s] of particles at `position` (N, 2) [m], headings
+        `theta`.
 
         See `expose`; shot and read noise differ from call to call.
         """

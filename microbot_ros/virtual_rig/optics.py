@@ -15,7 +15,10 @@ def _window(centre: float, reach: float, size: int) -> tuple[int, int]:
 
 @njit(cache=True)
 def draw_smudge(light: ndarray, x: float, y: float, width: float, depth: float) -> None:
-    """Multiply `light` (H, W) by a dark Gaussian spot at (x, y), std `width` [px]."""
+    """Multiply `light` (H, W) by a dark Gaussian spot at (x, y), std `width` [px].
+
+    In its middle it takes the part `depth` of the light.
+    """
     top, bottom = _window(y, 4 * width, light.shape[0])
     left, right = _window(x, 4 * width, light.shape[1])
     for i in range(top, bottom):
@@ -36,10 +39,11 @@ def draw_sphere(light: ndarray, x: float, y: float, heading: float, radius: floa
                 z: float, cap: float) -> None:
     """Multiply `light` (H, W) by the transmission of a Janus sphere at (x, y), all in pixels.
 
-    `heading` [rad] as it is on the picture, y down; `blur` is the standard deviation of the
-    point spread; `z` within ±1 is how far the sphere is above the focal plane: below it the
-    edge is bordered by a dark line, above it by a bright one (Becke's line). But for the cap
-    the transmission is a smooth function of the distance from (x, y) alone: its centre is exact.
+    `radius` of the sphere; `heading` [rad] as it is on the picture, y down; `blur` is the standard
+    deviation of the point spread; `z` within ±1 is how far the sphere is above the focal plane:
+    below it the edge is bordered by a dark line, above it by a bright one (Becke's line). `cap` is
+    the part of the light that the metal takes; but for it the transmission is a smooth function of
+    the distance from (x, y) alone: its centre is exact.
     """
     reach = radius + 5 * blur + 2
     top, bottom = _window(y, reach, light.shape[0])

@@ -12,14 +12,14 @@ import pydantic
 
 from microbot_ros.errors import InputError
 from microbot_ros.files import Settings, line_of, read_yaml
-from microbot_ros.model.effect_table import exact_si
 from microbot_ros.model.model import Model, ParticleParameters, Propulsion
 from microbot_ros.model.model_file import read_model
 from microbot_ros.model.particle import Fluid
 from microbot_ros.records import Commands, Conditions
+from microbot_ros.units import exact_si
 from microbot_ros.virtual_rig.commands import Herding, rotating, steps
-from microbot_ros.virtual_rig.experiment import Camera, Feedback
-from microbot_ros.virtual_rig.hidden import check
+from microbot_ros.virtual_rig.injected_effects import check
+from microbot_ros.virtual_rig.record_session import Camera, Feedback
 
 Positive = Annotated[float, pydantic.Field(gt=0)]
 Fraction = Annotated[float, pydantic.Field(ge=0, lt=1)]
@@ -35,7 +35,7 @@ class FluidSettings(Settings):
 
 
 class CameraSettings(Settings):
-    """The section `camera`; see `experiment.Camera`."""
+    """The section `camera`; see `record_session.Camera`."""
 
     frame_rate_hz: Positive
     exposure: Annotated[float, pydantic.Field(ge=0, le=1)] = 0.0
@@ -130,7 +130,9 @@ class CommandSettings(Settings):
     def control(
         self, duration: float, phi: np.ndarray, rng: np.random.Generator,
     ) -> Commands | Feedback:
-        """The commands, or the feedback that decides them, in SI; phi (N,) [rad]."""
+        """The commands for `duration` [s], or the feedback that decides them, in SI; phi (N,)
+        [rad].
+        """
         if self.steps:
             s = self.steps
             return steps(
@@ -264,6 +266,6 @@ def _with_model(path: Path, scenario: Scenario, model: Model) -> Scenario:
             path, f"'reference_field_mT': expected {model.reference_field * 1e3:g}, as in "
             f'{scenario.model}', line_of(path, 'reference_field_mT'))
     found = {
-        effect.id: {p.name: p.edge(value) for p, value in effect.values().items()}
+        effect.id: {p.name: p.display_units(value) for p, value in effect.values().items()}
         for effect in model.effects}
     return scenario.model_copy(update={'effects': found | scenario.effects})

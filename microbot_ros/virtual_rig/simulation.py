@@ -16,14 +16,14 @@ from microbot_ros.model.newton_stokes import newton_stokes
 from microbot_ros.model.particle import Particle, rotational_drag, sphere_mass, stokes_drag
 from microbot_ros.records import Commands, Session
 from microbot_ros.virtual_rig.body import bodies
-from microbot_ros.virtual_rig.experiment import (
+from microbot_ros.virtual_rig.injected_effects import inject_effect
+from microbot_ros.virtual_rig.record_session import (
     Feedback,
     as_tracks,
     detection_errors,
-    perform,
+    record_session,
     scatter,
 )
-from microbot_ros.virtual_rig.hidden import hide
 from microbot_ros.virtual_rig.scenario import Scenario
 from microbot_ros.virtual_rig.world import World
 
@@ -46,7 +46,7 @@ def run(scenario: Scenario, particles: ParticleParameters, source: str) -> Sessi
     heading = rng.uniform(-math.pi, math.pi, count)
     if scenario.physics == 'langevin':
         world = World(_bodies(scenario, particles, start, heading), rng)
-        session, _ = perform(
+        session, _ = record_session(
             world, control, scenario.camera.camera(), scenario.duration_s, rng,
             scenario.conditions)
     else:
@@ -64,7 +64,7 @@ def _bodies(
         scenario.medium, radius, _moment(scenario), particles.phi, start, heading=heading,
         **{'speed' if scenario.propulsion == 'catalytic' else 'gain': particles.speed})
     for effect, parameters in scenario.effects.items():
-        hide(made, effect, parameters, scenario.reference_field)
+        inject_effect(made, effect, parameters, scenario.reference_field)
     return made
 
 

@@ -11,7 +11,7 @@ from microbot_ros.model.first_order import simulate
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.records import Commands, Conditions, Session
 from microbot_ros.session import write_session
-from microbot_ros.virtual_rig.experiment import as_tracks
+from microbot_ros.virtual_rig.record_session import as_tracks
 
 
 def write_example(folder):

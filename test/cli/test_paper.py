@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from microbot_ros.cli import microbot
 from microbot_ros.errors import InputError
-from microbot_ros.virtual_rig import paper_experiment as experiment
+from microbot_ros.paper import repetition as experiment
 
 
 def run(*arguments):

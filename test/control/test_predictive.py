@@ -48,7 +48,7 @@ def test_a_plan_comes_to_what_the_models_integrator_says(effects):
     model = Model(LIMIT, effects=(*effects, AlignmentLag(0.2)))
     swarm, plan = make(model, lags=(None, None)), some_plan(1)
     edges = np.concatenate([[0.0], np.cumsum(plan.duration)])
-    particles = ParticleParameters.from_velocity(np.arange(2), ANSWER)
+    particles = ParticleParameters.from_velocity_phasor(np.arange(2), ANSWER)
     start = np.stack([swarm.position.real, swarm.position.imag], -1)
     expected = simulate(model, particles, Commands(edges[:-1], plan.field), edges, start,
                         heading=particles.phi)

@@ -8,8 +8,8 @@ import pytest
 from microbot_ros.model.particle import Fluid
 from microbot_ros.records import Conditions, Session
 from microbot_ros.virtual_rig.commands import steps
-from microbot_ros.virtual_rig.experiment import Camera, draw_swarm, perform
-from microbot_ros.virtual_rig.hidden import hide
+from microbot_ros.virtual_rig.injected_effects import inject_effect
+from microbot_ros.virtual_rig.record_session import Camera, draw_swarm, record_session
 from microbot_ros.virtual_rig.world import World
 
 FLUID = Fluid(1.245e-3)
@@ -28,12 +28,12 @@ def film(seed, effects=None, count=3, duration=30.0, camera=Camera(20.0, 0.0, 0.
         made['gain'], made['speed'] = rng.uniform(1e-6, 2e-6, count), 0.0
         frequency = np.array([0.5, 1.0, 2.0, 4.0, 8.0])
     for name, parameters in (effects or {}).items():
-        hide(made, name, parameters, FIELD)
+        inject_effect(made, name, parameters, FIELD)
     truth = made.copy()
     known = Conditions('rolling' if rolling else 'catalytic', radius=RADIUS,
                        viscosity=FLUID.viscosity, reference_field=FIELD)
     command = steps(rng, duration, levels, dwell, frequency=frequency)
-    session, _ = perform(World(made, rng), command, camera, duration, rng, known)
+    session, _ = record_session(World(made, rng), command, camera, duration, rng, known)
     return Session(session.tracks, session.commands, session.conditions, f'film-{seed}'), truth
 
 

@@ -15,7 +15,7 @@ from microbot_ros.magnetics import CoilSet, CoilSettings
 from microbot_ros.model.particle import Fluid
 from microbot_ros.records import Commands, Conditions
 from microbot_ros.session import write_session
-from microbot_ros.virtual_rig.experiment import Camera, draw_swarm, perform
+from microbot_ros.virtual_rig.record_session import Camera, draw_swarm, record_session
 from microbot_ros.virtual_rig.world import World
 
 GAIN, SKEW, BACKGROUND = 1.15, 0.08, np.array([0.2e-3, -0.1e-3])
@@ -86,7 +86,7 @@ def test_directions_that_do_not_tell_are_refused(directions, seed):
     command = Commands(t, 5e-3 * np.stack([np.cos(angle), np.sin(angle)], axis=1))
     made = draw_swarm(rng, 3, Fluid(1.245e-3), 5e-3, aligns_in=2e-5, half_extent=1e-4,
                       spacing=30e-6)
-    session, _ = perform(World(made, rng), command, Camera(20.0, 0.0, 0.1e-6), 40.0, rng,
+    session, _ = record_session(World(made, rng), command, Camera(20.0, 0.0, 0.1e-6), 40.0, rng,
                          Conditions('catalytic', radius=4.6e-6, viscosity=1.245e-3))
     with pytest.raises(InputError, match=r'(gain ratio|skew) .* command eight directions'):
         coil_map(session)

@@ -134,7 +134,7 @@ def test_parameters_come_back_within_their_spread(film, name, parameters):
     spread = np.sqrt(np.diag(fit.covariance))
     for k, (_, parameter) in enumerate(fit.model.parameters):
         off = fit.model.vector()[k] - parameter.to_fit(
-            parameters[parameter.name] / parameter.edge(1.0))
+            parameters[parameter.name] / parameter.display_units(1.0))
         assert abs(off) < 4 * spread[k]
         assert spread[k] < 0.5
     if len(fit.parts[0].evidence.ids) == len(truth):

@@ -7,7 +7,7 @@ from scipy import stats
 from microbot_ros.discovery.ladder import Ladder
 from microbot_ros.discovery.maps import _holm, residual_maps
 from microbot_ros.discovery.screen import screen
-from microbot_ros.virtual_rig.experiment import Camera
+from microbot_ros.virtual_rig.record_session import Camera
 
 
 def maps_of(session):

@@ -16,14 +16,14 @@ from bench._score_card import Case, Outcome, judge, true_model
 from bench.discovery import interval
 from microbot_ros.discovery.discover import discover
 from microbot_ros.model.effects import EFFECTS
-from microbot_ros.virtual_rig import hidden
-from microbot_ros.virtual_rig.hidden import check
+from microbot_ros.virtual_rig import injected_effects
+from microbot_ros.virtual_rig.injected_effects import check
 
 
 def test_every_effect_of_the_library_can_be_hidden_and_the_rest_is_in_no_library():
     assert set(LISTED) == set(EFFECTS)
     assert not set(UNLISTED) & set(EFFECTS)
-    assert set(hidden.UNLISTED) - set(UNLISTED) == {'chirality'}
+    assert set(injected_effects.UNLISTED) - set(UNLISTED) == {'chirality'}
 
 
 @pytest.mark.parametrize('effect', KINDS)

@@ -14,8 +14,8 @@ from microbot_ros.model.particle import Fluid, translational_diffusion
 from microbot_ros.records import Commands, Conditions, Session, Tracks
 from microbot_ros.session import read_session
 from microbot_ros.virtual_rig.commands import steps
-from microbot_ros.virtual_rig.experiment import Camera, draw_swarm, perform
-from microbot_ros.virtual_rig.hidden import hide
+from microbot_ros.virtual_rig.injected_effects import inject_effect
+from microbot_ros.virtual_rig.record_session import Camera, draw_swarm, record_session
 from microbot_ros.virtual_rig.world import World
 
 FIELD = 5e-3
@@ -29,8 +29,8 @@ def experiment(seed, hidden=None, seconds=30.0):
     swarm = draw_swarm(rng, 3, FLUID, FIELD, half_extent=300e-6, spacing=100e-6)
     gain = swarm['speed'] * np.exp(1j * swarm['phi'])
     if hidden:
-        hide(swarm, *hidden, reference_field=FIELD)
-    session, _ = perform(World(swarm, rng), steps(rng, seconds, FIELD, (2.0, 6.0)),
+        inject_effect(swarm, *hidden, reference_field=FIELD)
+    session, _ = record_session(World(swarm, rng), steps(rng, seconds, FIELD, (2.0, 6.0)),
                          Camera(20.0, 0.0, 0.1e-6, 0.05), seconds, rng, CONDITIONS)
     return session, gain
 

@@ -11,7 +11,7 @@ from microbot_ros.model.particle import Fluid
 from microbot_ros.records import Commands, Conditions
 from microbot_ros.tracking import ImageToWorkspace
 from microbot_ros.virtual_rig.commands import steps
-from microbot_ros.virtual_rig.experiment import Camera, draw_swarm, perform
+from microbot_ros.virtual_rig.record_session import Camera, draw_swarm, record_session
 from microbot_ros.virtual_rig.world import World
 
 FIELD = 5e-3
@@ -23,7 +23,7 @@ def swim(seed, phi, commands=None):
     rng = np.random.default_rng(seed)
     swarm = draw_swarm(rng, len(phi), Fluid(1.245e-3), FIELD, half_extent=300e-6, spacing=60e-6)
     swarm['phi'] = phi
-    session, _ = perform(
+    session, _ = record_session(
         World(swarm, rng), commands or steps(rng, 20.0, FIELD, (1.0, 3.0)),
         Camera(20.0, 0.0, 0.1e-6, 0.05), 20.0, rng,
         Conditions(radius=4.6e-6, viscosity=1.245e-3, reference_field=FIELD))

@@ -19,8 +19,8 @@ from microbot_ros.model.model_file import write_model
 from microbot_ros.model.particle import Fluid
 from microbot_ros.records import Commands, Conditions
 from microbot_ros.virtual_rig.commands import steps
-from microbot_ros.virtual_rig.experiment import Camera, draw_swarm, perform
-from microbot_ros.virtual_rig.hidden import hide
+from microbot_ros.virtual_rig.injected_effects import inject_effect
+from microbot_ros.virtual_rig.record_session import Camera, draw_swarm, record_session
 from microbot_ros.virtual_rig.world import World
 
 FIELD = 5e-3
@@ -33,10 +33,10 @@ def experiment(seed, seconds=20.0, hidden=None, **camera):
     swarm = draw_swarm(rng, 3, Fluid(1.245e-3), FIELD, half_extent=300e-6, spacing=100e-6)
     gain = swarm['speed'] * np.exp(1j * swarm['phi'])
     if hidden:
-        hide(swarm, *hidden, reference_field=FIELD)
+        inject_effect(swarm, *hidden, reference_field=FIELD)
     commands = steps(rng, seconds, FIELD, (1.0, 3.0))
     shot = Camera(**{'frame_rate': 20.0, 'noise': 0.1e-6, **camera})
-    session, _ = perform(World(swarm, rng), commands, shot, seconds, rng, CONDITIONS)
+    session, _ = record_session(World(swarm, rng), commands, shot, seconds, rng, CONDITIONS)
     return session, gain
 
 
@@ -118,7 +118,7 @@ def test_what_one_way_turning_confounds_is_said():
         [np.cos(0.6 * np.arange(120)), np.sin(0.6 * np.arange(120))], axis=-1))
     rng = np.random.default_rng(0)
     swarm = draw_swarm(rng, 2, Fluid(1.245e-3), FIELD)
-    session, _ = perform(World(swarm, rng), commands, Camera(20.0, 0.0, 1e-7), 12.0, rng,
+    session, _ = record_session(World(swarm, rng), commands, Camera(20.0, 0.0, 1e-7), 12.0, rng,
                          CONDITIONS)
     said = {text for found in replay(session) for text in found.diagnosis}
     assert any(text.startswith('φ and delay cannot be told apart') for text in said)
@@ -128,7 +128,7 @@ def test_under_one_constant_command_drift_hides():
     straight = Commands(np.zeros(1), np.array([[FIELD, 0.0]]))
     rng = np.random.default_rng(0)
     swarm = draw_swarm(rng, 2, Fluid(1.245e-3), FIELD)
-    session, _ = perform(World(swarm, rng), straight, Camera(20.0, 0.0, 1e-7), 10.0, rng,
+    session, _ = record_session(World(swarm, rng), straight, Camera(20.0, 0.0, 1e-7), 10.0, rng,
                          CONDITIONS)
     last = replay(session)[-1]
     for name in ('speed', 'φ'):

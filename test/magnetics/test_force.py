@@ -8,7 +8,7 @@ import pytest
 from microbot_ros.errors import InputError
 from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings, Loop
 from microbot_ros.magnetics.force import (
-    Particle,
+    MagneticParticle,
     force,
     force_speed,
     negligible_radius,
@@ -49,7 +49,7 @@ def test_moment_follows_the_whole_field_background_included():
     content = CoilSettings().model_dump(exclude_none=True)
     content['windings'][0]['gain'] = 0.62
     coils = CoilSet(CoilSettings.model_validate({**content, 'background_mT': (1.5, -2)}))
-    particle, speeds = Particle(), []
+    particle, speeds = MagneticParticle(), []
     for angle in np.radians(np.arange(0, 360, 5)):
         # At the centre the whole field is the wanted one, so the moment points along it.
         unit = np.array([np.cos(angle), np.sin(angle), 0])
@@ -66,14 +66,14 @@ def test_torque_turns_the_moment_into_the_field():
 
 
 def test_numbers_of_the_papers_particle():
-    particle = Particle()
+    particle = MagneticParticle()
     assert particle.drag == pytest.approx(1.0795e-7, rel=1e-4)
     assert particle.moment == pytest.approx(4.077e-13, rel=1e-3)
     assert particle.alignment_time(1e-3) == pytest.approx(7.47e-3, rel=1e-3)
 
 
 def test_force_is_negligible_on_this_rig_up_to_where_it_is_not():
-    coils, particle = CoilSet(), Particle()
+    coils, particle = CoilSet(), MagneticParticle()
     radius = negligible_radius(coils, 1e-3)
     assert 1.5e-3 < radius < 2e-3  # under 1 % of the slowest particle's own speed
     turned = np.linspace(0, 2 * np.pi, 73)
@@ -86,7 +86,7 @@ def test_force_is_negligible_on_this_rig_up_to_where_it_is_not():
 
 def test_force_grows_with_moment_and_field():
     coils = CoilSet()
-    strong = Particle(magnetisation=3e3)
+    strong = MagneticParticle(magnetisation=3e3)
     assert negligible_radius(coils, 1e-3, strong, 0.03) == pytest.approx(
         negligible_radius(coils, 1e-3), rel=1e-5)
     # What is a force in proportion to the field is a gradient in proportion to it: B twice.
@@ -100,7 +100,7 @@ def test_uneven_coils_drag_even_at_the_centre():
     content['windings'][0]['gain'] = 0.62
     coils = CoilSet(CoilSettings.model_validate(content))
     assert negligible_radius(coils, 1e-3) == 0
-    assert negligible_radius(coils, 1e-3, Particle(magnetisation=1.0), within=2e-3) == 2e-3
+    assert negligible_radius(coils, 1e-3, MagneticParticle(magnetisation=1.0), within=2e-3) == 2e-3
 
 
 @pytest.mark.parametrize('magnitude', [0, -1e-3, np.nan, np.inf, 9e-3])

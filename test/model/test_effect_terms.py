@@ -170,5 +170,5 @@ def test_simulation_follows_the_terms_of_the_interface(names):
     particles = ParticleParameters(np.arange(3), SPEED * 1e-6, PHI)
     simulated = model.observe(simulate(model, particles, COMMANDS, TIMES, START * 1e-6)) * 1e6
     # Exact, but for the middle of each span that stands for what changes slowly within it.
-    tolerance = 1e-6 if model.steady and not model.needs_position else 3e-4
+    tolerance = 1e-6 if model.time_invariant and not model.needs_position else 3e-4
     np.testing.assert_allclose(simulated, naive_tracks(values, rolling), atol=tolerance)

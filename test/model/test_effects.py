@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from microbot_ros import units
+from microbot_ros.model.effect_context import EffectContext, Places
 from microbot_ros.model.effects import EFFECTS
-from microbot_ros.model.effects.incomplete_alignment import langevin
+from microbot_ros.model.effects.incomplete_alignment import langevin_function
 from microbot_ros.model.increments import respond
 from microbot_ros.model.model import Model, ParticleParameters
-from microbot_ros.model.scene import Places, Scene
 from microbot_ros.model.timeline import Timeline
 from microbot_ros.records import Commands
 
@@ -40,7 +40,7 @@ PUBLIC = {
 # An instance of each at plain strength; shapes away from their stand-ins.
 PLAIN = {
     name: effect(**{
-        p.field: p.from_fit(1.3) if p.shape or p.inverse else p.neutral + 0.7 * p.scale
+        p.field: p.from_fit(1.3) if p.shape or p.inverse else p.null_value + 0.7 * p.scale
         for p in effect.parameters()
     })
     for name, effect in EFFECTS.items()
@@ -105,9 +105,9 @@ def test_parameters_have_units_ranges_and_a_field_in_si(effect):
         assert p.meaning
         assert p.scale > 0
         assert p.low < p.high
-        assert p.low <= p.neutral <= p.high
-        assert p.to_fit(p.neutral) == 0
-        assert p.from_fit(0.0) == p.neutral
+        assert p.low <= p.null_value <= p.high
+        assert p.to_fit(p.null_value) == 0
+        assert p.from_fit(0.0) == p.null_value
         value = getattr(PLAIN[effect.id], p.field)
         assert p.from_fit(p.to_fit(value)) == pytest.approx(value, rel=1e-12)
         assert p.fit_bounds[0] <= p.to_fit(value) <= p.fit_bounds[1]
@@ -119,11 +119,12 @@ def test_it_says_what_it_is_and_what_it_is_mistaken_for(effect):
     assert effect.stage in ('field', 'heading', 'velocity', 'observation')
     assert effect.__doc__
     assert effect.summary.endswith('.')
-    assert effect.shows_under
-    assert effect.id not in effect.mistaken_for
-    assert effect.mistaken_for
-    for other in effect.mistaken_for:
-        assert effect.id in EFFECTS[other].mistaken_for, f'{other} does not name {effect.id} back'
+    assert effect.required_excitation
+    assert effect.id not in effect.confounded_with
+    assert effect.confounded_with
+    for other in effect.confounded_with:
+        named_back = EFFECTS[other].confounded_with
+        assert effect.id in named_back, f'{other} does not name {effect.id} back'
 
 
 @every_effect
@@ -135,7 +136,7 @@ def test_at_strength_zero_it_does_nothing_whatever_its_shape(effect, data):
         for p in effect.parameters() if p.shape
     }
     line = timeline(frames=31)
-    off = dataclasses.replace(effect.neutral(), **shapes)
+    off = dataclasses.replace(effect.null(), **shapes)
     np.testing.assert_allclose(moved(off, line), baseline(effect, line), rtol=1e-12, atol=1e-21)
 
 
@@ -168,30 +169,31 @@ def test_central_differences_are_finite_smooth_and_not_all_zero(effect):
 def test_hooks_broadcast_over_time_and_particles(effect):
     rng = np.random.default_rng(1)
     shape = (4, 3)
-    scene = Scene(
+    context = EffectContext(
         t=rng.uniform(0, 9, (*shape, 1)), span=rng.uniform(0, 0.1, (*shape, 1)),
         field=rng.normal(0, 1e-3, (*shape, 1, 2)), frequency=rng.uniform(1, 9, (*shape, 1)),
         reference_field=1e-3, places=Places(rng.normal(0, 3e-5, (*shape, 5, 2))),
     )
     model = model_of(PLAIN[effect.id])
-    together = hooks(model, scene, shape)
+    together = hooks(model, context, shape)
     for i, j in np.ndindex(shape):
-        one = Scene(scene.t[i, j], scene.span[i, j], scene.field[i, j], scene.frequency[i, j],
-                    1e-3, Places(scene.position[i, j]))
+        one = EffectContext(
+            context.t[i, j], context.span[i, j], context.field[i, j], context.frequency[i, j],
+            1e-3, Places(context.position[i, j]))
         for all_of_them, alone in zip(together, hooks(model, one, ()), strict=True):
             np.testing.assert_allclose(all_of_them[i, j], alone, rtol=1e-12, atol=1e-22)
 
 
-def hooks(model: Model, scene: Scene, shape: tuple[int, ...]) -> list[np.ndarray]:
+def hooks(model: Model, context: EffectContext, shape: tuple[int, ...]) -> list[np.ndarray]:
     """What every hook gives, for five particles."""
-    rate, drift = model.alignment_rate(scene), model.drift(scene)
+    rate, drift = model.alignment_rate(context), model.drift(context)
     return [
-        model.field(scene.field),
-        np.broadcast_to(model.heading_offset(scene), (*shape, 5)),
+        model.field(context.field),
+        np.broadcast_to(model.heading_offset(context), (*shape, 5)),
         np.broadcast_to(0.0 if rate is None else rate, (*shape, 5)),
-        np.broadcast_to(model.speed_factor(scene), (*shape, 5)),
+        np.broadcast_to(model.speed_factor(context), (*shape, 5)),
         np.broadcast_to(0.0 if drift is None else drift, (*shape, 5, 2)),
-        model.observe(scene.position),
+        model.observe(context.position),
     ]
 
 
@@ -214,7 +216,7 @@ def test_langevin_between_its_limits():
     x = np.array([0.0, 1e-6, 9.999e-3, 1.0001e-2, 1.0, 50.0, 1e9])
     exact = [0.0, 1e-6 / 3, 9.999e-3 / 3 - 9.999e-3**3 / 45, 1.0001e-2 / 3 - 1.0001e-2**3 / 45,
              0.31303528549933130, 1 - 1 / 50, 1 - 1e-9]
-    np.testing.assert_allclose(langevin(x), exact, rtol=1e-9)
+    np.testing.assert_allclose(langevin_function(x), exact, rtol=1e-9)
 
 
 @every_effect

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import fixed_quad, solve_ivp
 
-from microbot_ros.model.alignment_kernel import turn
+from microbot_ros.model.alignment_kernel import integrate_alignment
 from microbot_ros.model.effects.alignment_lag import AlignmentLag
 from microbot_ros.model.effects.dipole_interaction import DipoleInteraction
 from microbot_ros.model.effects.heading_slip import HeadingSlip
@@ -194,16 +194,17 @@ def test_one_span_of_turning_against_quadrature(rate, delta):
                             n=40)[0] for a, b in pairwise([0.0, 0.01, 0.03, 0.1, 0.3, 1.0])]
         return sum(parts)
 
-    heading, path, bend, kept = turn(
+    heading, path, sensitivity, retention = integrate_alignment(
         np.array([np.exp(1j * delta)]), np.ones((1, 1), complex), np.full((1, 1), rate),
         np.array([1.0]))
     h = 1e-5
     after = 2 * np.arctan(np.tan(delta / 2) * np.exp(-rate))
     assert heading[1, 0] == pytest.approx(np.exp(1j * after), abs=1e-14)
     assert path[0, 0] == pytest.approx(way(delta), abs=1e-12)
-    assert bend[0, 0] == pytest.approx((way(delta + h) - way(delta - h)) / (2 * h), abs=2e-8)
+    slope = (way(delta + h) - way(delta - h)) / (2 * h)
+    assert sensitivity[0, 0] == pytest.approx(slope, abs=2e-8)
     slope = np.exp(-rate) / (np.cos(delta / 2) ** 2 + np.sin(delta / 2) ** 2 * np.exp(-2 * rate))
-    assert kept[0, 0] == pytest.approx(slope, rel=1e-12)
+    assert retention[0, 0] == pytest.approx(slope, rel=1e-12)
 
 
 def test_slip_under_lag_is_of_second_order_in_the_frames():

@@ -56,7 +56,7 @@ def test_increments_are_those_of_the_simulation(model):
 def test_increments_are_linear_in_v_and_phi(model):
     _, timeline = prepared(model)
     response = respond(model, timeline)
-    c = PARTICLES.velocity
+    c = PARTICLES.velocity_phasor
     ab = np.stack([c.real, c.imag], axis=-1)
     linear = np.einsum('tixk,ik->tix', np.broadcast_to(
         response.columns(), (len(TIMES) - 1, 3, 2, 2)), ab) + response.offset()
@@ -98,9 +98,9 @@ def test_a_turned_heading_is_felt_as_the_sensitivity_says():
         ends = [respond(model, later, np.exp(1j * (theta + turn - PARTICLES.phi)))
                 for turn in (1e-5, -1e-5)]
         slope = (ends[0].increments(PARTICLES) - ends[1].increments(PARTICLES))[0] / 2e-5
-        np.testing.assert_allclose(felt.sensitivity[k], slope, rtol=1e-6, atol=1e-14)
+        np.testing.assert_allclose(felt.heading_sensitivity[k], slope, rtol=1e-6, atol=1e-14)
         turned = np.angle(ends[0].heading[-1] / ends[1].heading[-1]) / 2e-5
-        np.testing.assert_allclose(felt.kept[k], turned, rtol=1e-6)
+        np.testing.assert_allclose(felt.heading_retention[k], turned, rtol=1e-6)
 
 
 def test_the_heading_path_is_that_of_the_increments():
@@ -115,10 +115,10 @@ def test_alignment_at_once_forgets_a_turned_heading_and_no_field_keeps_it():
     field = np.array([[B, 0.0], [0.0, 0.0]])
     timeline = Timeline(Commands(np.array([0.0, 1.0]), field), np.array([0.0, 0.5, 1.0, 1.5, 2.0]))
     felt = heading_response(Model(B), PARTICLES, timeline)
-    np.testing.assert_array_equal(felt.kept[:, 0], [0, 0, 1, 1])
-    np.testing.assert_allclose(felt.sensitivity[3] @ [1, 1j],
-                               0.5j * PARTICLES.velocity, rtol=1e-12)
-    np.testing.assert_array_equal(felt.sensitivity[:2], 0)
+    np.testing.assert_array_equal(felt.heading_retention[:, 0], [0, 0, 1, 1])
+    np.testing.assert_allclose(felt.heading_sensitivity[3] @ [1, 1j],
+                               0.5j * PARTICLES.velocity_phasor, rtol=1e-12)
+    np.testing.assert_array_equal(felt.heading_sensitivity[:2], 0)
 
 
 def test_a_heading_is_unknown_before_the_first_command():

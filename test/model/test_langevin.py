@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from microbot_ros.model.langevin import align, langevin, step_grid
+from microbot_ros.model.langevin import align_heading, simulate_langevin, step_grid
 from microbot_ros.model.particle import (
     Fluid,
     Particle,
@@ -23,7 +23,7 @@ NOTHING = Commands(np.array([0.0]), np.zeros((1, 2)))
 
 
 def run(particle, commands, times, seed, count=2000, **start):
-    return langevin(
+    return simulate_langevin(
         FLUID, [particle] * count, commands, np.asarray(times), np.random.default_rng(seed),
         **start)
 
@@ -107,9 +107,9 @@ def test_alignment_is_the_exact_solution():
     for start in (-3.0, -1.0, 0.3, 2.9):
         solved = solve_ivp(
             lambda _, y: 2.0 * np.sin(0.4 - y), (0, 1.5), [start], rtol=1e-11, atol=1e-12)
-        assert align(start, 0.4, 3.0) == pytest.approx(solved.y[0, -1], abs=1e-9)
-    assert align(1.0, 1.0 + 2 * math.pi, 5.0) == pytest.approx(1.0)
-    assert align(0.3, 2.0, 0.0) == pytest.approx(0.3)
+        assert align_heading(start, 0.4, 3.0) == pytest.approx(solved.y[0, -1], abs=1e-9)
+    assert align_heading(1.0, 1.0 + 2 * math.pi, 5.0) == pytest.approx(1.0)
+    assert align_heading(0.3, 2.0, 0.0) == pytest.approx(0.3)
 
 
 def test_halving_the_steps_changes_nothing_beyond_chance():

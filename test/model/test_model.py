@@ -43,7 +43,7 @@ def test_the_reference_field_must_be_positive(field):
 
 
 def test_the_vector_goes_to_parameters_and_back():
-    model = Model(1e-3, effects=tuple(effect.neutral() for effect in EFFECTS.values()))
+    model = Model(1e-3, effects=tuple(effect.null() for effect in EFFECTS.values()))
     strengths = [not p.shape for _, p in model.parameters]
     assert not model.vector()[strengths].any()
     at = np.random.default_rng(0).uniform(0.5, 2.0, len(model.parameters))
@@ -68,6 +68,6 @@ def test_a_baseline_takes_its_reference_from_the_conditions_or_the_commands():
 
 def test_velocity_in_the_frame_of_the_field_and_back():
     particles = ParticleParameters(np.array([4, 7]), np.array([1e-6, 2e-6]), np.array([0.3, -3.0]))
-    back = ParticleParameters.from_velocity(particles.ids, particles.velocity)
+    back = ParticleParameters.from_velocity_phasor(particles.ids, particles.velocity_phasor)
     np.testing.assert_allclose(back.speed, particles.speed)
     np.testing.assert_allclose(back.phi, particles.phi)

@@ -108,14 +108,14 @@ def test_a_bad_effect_is_named_with_its_line(tmp_path, more, line, message):
 def test_every_limit_holds_and_nothing_beyond_it_is_read(tmp_path, name):
     path = tmp_path / 'model.yaml'
     nobody = ParticleParameters(np.zeros(0, dtype=int), np.zeros(0), np.zeros(0))
-    neutral = EFFECTS[name].neutral()
-    for p in neutral.parameters():
+    null = EFFECTS[name].null()
+    for p in null.parameters():
         for limit, beyond in ((p.low, -1e-9 * p.scale), (p.high, 1e-9 * p.scale)):
-            inside = Model(1e-3, effects=(dataclasses.replace(neutral, **{p.field: limit}),))
+            inside = Model(1e-3, effects=(dataclasses.replace(null, **{p.field: limit}),))
             write_model(path, inside, nobody)
             assert read_model(path)[0] == inside
             for value in (limit + beyond, np.nan) if np.isfinite(limit) else (np.nan,):
-                effect = dataclasses.replace(neutral, **{p.field: value})
+                effect = dataclasses.replace(null, **{p.field: value})
                 with pytest.raises(ValueError, match=p.name):
                     write_model(path, Model(1e-3, effects=(effect,)), nobody)
 

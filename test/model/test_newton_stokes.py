@@ -1,19 +1,15 @@
 """Newton–Stokes against its closed form, against lag in closed form and against first order."""
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from microbot_ros.model.first_order import simulate
-from microbot_ros.model.forces import unit
-from microbot_ros.model.langevin import align
+from microbot_ros.model.langevin import align_heading
 from microbot_ros.model.model import Model, ParticleParameters
-from microbot_ros.model.newton_stokes import (
-    exact_translation,
-    newton_stokes,
-    stokes_translation,
-)
+from microbot_ros.model.newton_stokes import newton_stokes, stokes_translation
 from microbot_ros.model.particle import (
     Fluid,
     Particle,
@@ -22,6 +18,7 @@ from microbot_ros.model.particle import (
     speed_from_force,
     translational_time,
 )
+from microbot_ros.model.vectors import unit
 from microbot_ros.records import Commands
 
 FLUID = Fluid(1.245e-3)
@@ -35,6 +32,26 @@ def three(mass=MASS, moment=0.0):
     return [
         Particle(RADIUS, mass, force, phi, moment)
         for force, phi in zip(FORCES, PHIS, strict=True)]
+
+
+def exact_translation(fluid, particles, commands, times, start):
+    """`stokes_translation` in closed form, one exponential a leg: positions (T, N, 2) [m]."""
+    radius, mass, force, phi = np.transpose([
+        (p.radius, p.mass, p.force, p.phi) for p in particles])
+    tau = translational_time(fluid, radius, mass)[:, None]
+    edges = np.unique(np.append(commands.t, times[[0, -1]]))
+    position, velocity = np.array(start, dtype=float), np.zeros((len(particles), 2))
+    path = np.tile(position, (len(times), 1, 1))
+    for begin, end in pairwise(edges[(edges >= times[0]) & (edges <= times[-1])]):
+        x, y = commands.field_at(begin)
+        ahead = unit(math.atan2(y, x) + phi) * (x != 0 or y != 0)
+        steady = speed_from_force(fluid, radius, force)[:, None] * ahead
+        inside = (times > begin) & (times <= end)
+        t = np.append(times[inside], end)[:, None, None] - begin
+        left = (velocity - steady) * np.exp(-t / tau)
+        moved = position + steady * t + tau * (velocity - steady - left)
+        path[inside], position, velocity = moved[:-1], moved[-1], steady + left[-1]
+    return path
 
 
 def first_order(times):
@@ -90,7 +107,7 @@ def test_heading_turns_on_the_overdamped_time_not_on_the_inertial_one():
     times = np.array([0.0, 0.1, 0.3, 0.9])
     _, heading = newton_stokes(FLUID, particles, COMMANDS, times, START, np.zeros(3))
     tau = alignment_time(FLUID, RADIUS, moment, 5e-3)
-    expected = [[align(0.0, 0.3 + phi, t / tau) for phi in PHIS] for t in times]
+    expected = [[align_heading(0.0, 0.3 + phi, t / tau) for phi in PHIS] for t in times]
     assert heading == pytest.approx(np.array(expected), abs=2e-5)
 
 

@@ -13,7 +13,7 @@ from microbot_ros.session.as_messages import SessionMessages
 from microbot_ros.session.lockstep import LockStep, frame_topic, header_stamp_ns
 from microbot_ros.session.playback import Playback
 from microbot_ros.session.recording import Message, Topic
-from microbot_ros.session.turns import InTurn
+from microbot_ros.session.replay_order import ReplayOrder
 
 SOURCE = SessionMessages(small_session())
 ALL = list(SOURCE.messages())
@@ -121,7 +121,7 @@ COMMANDS = [message('/field/command', t + 30, t - 3) for t in (100, 200, 300)]
     (90, 90), (110, 100), (130, 100), (131, 131), (150, 150), (215, 200), (400, 400)])
 def test_a_goal_stands_before_the_frame_whose_answer_was_the_first_after_it(told, taken):
     goal = message('/goals', told)
-    source = InTurn(Listed([*FRAMES, *COMMANDS, goal]), '/particles', '/field/command')
+    source = ReplayOrder(Listed([*FRAMES, *COMMANDS, goal]), '/particles', '/field/command')
     played = list(source.messages(['/particles', '/goals']))
     assert [m for m in played if m.topic == '/particles'] == FRAMES
     place = [m.topic for m in played].index('/goals')
@@ -139,7 +139,8 @@ STATES = [message('/model/state', t + 20, t - 3) for t in (100, 200, 300)]
 def test_a_goal_that_came_while_the_controller_computed_waits_a_change_it_reports_does_not(
         topic, told, taken):
     source = Listed([*FRAMES, *STATES, *COMMANDS, message(topic, told)])
-    played = list(InTurn(source, '/particles', '/field/command').messages(['/particles', topic]))
+    ordered = ReplayOrder(source, '/particles', '/field/command')
+    played = list(ordered.messages(['/particles', topic]))
     assert next(m.t_ns for m in played if m.topic == topic) == taken
     assert [m.t_ns for m in played] == sorted(m.t_ns for m in played)
 
@@ -147,8 +148,8 @@ def test_a_goal_that_came_while_the_controller_computed_waits_a_change_it_report
 def test_without_recorded_answers_everything_stays_where_it_was():
     goal = message('/goals', 115)
     source = Listed([*FRAMES, goal])
-    assert list(InTurn(source, '/particles', '/field/command').messages()) == source.listed
-    plain = InTurn(SOURCE, '/particles', '/field/command')
+    assert list(ReplayOrder(source, '/particles', '/field/command').messages()) == source.listed
+    plain = ReplayOrder(SOURCE, '/particles', '/field/command')
     assert list(plain.messages()) == ALL
     assert list(plain.messages(None, ALL[5].t_ns, ALL[9].t_ns)) == [
         m for m in ALL if ALL[5].t_ns <= m.t_ns < ALL[9].t_ns]

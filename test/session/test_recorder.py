@@ -12,7 +12,7 @@ from rosbags.highlevel import AnyReader
 
 from microbot_ros.errors import InputError
 from microbot_ros.session import RecordingWriter, open_recording, recorder, store
-from microbot_ros.session.segment import Segment
+from microbot_ros.session.mcap_writer import McapWriter
 from microbot_ros.session.store import MIB
 
 MS = 1_000_000
@@ -80,7 +80,7 @@ def test_segments_roll_by_size_and_read_as_one(tmp_path, monkeypatch):
     rolled = threading.Event()
     grow = store.Store._next_segment
     monkeypatch.setattr(store.Store, '_next_segment', lambda self: (grow(self), (
-        rolled.set() if len(self._segments) == 3 else None)))
+        rolled.set() if len(self._writers) == 3 else None)))
     with RecordingWriter(tmp_path / 'run') as writer:
         i = 0
         while not rolled.is_set():
@@ -117,14 +117,14 @@ def test_a_slow_disk_costs_overlays_first_and_no_command(tmp_path, monkeypatch):
         store.Worth.OVERLAY: 20_000, store.Worth.FRAME: 100_000, store.Worth.DATA: 10**9})
     monkeypatch.setattr(store, 'FLUSH_SECONDS', 0.0)
     stuck, freed = threading.Event(), threading.Event()
-    write = Segment.add_chunk
+    write = McapWriter.add_chunk
 
     def slowly(self, closed):
         stuck.set()
         assert freed.wait(60)
         write(self, closed)
 
-    monkeypatch.setattr(Segment, 'add_chunk', slowly)
+    monkeypatch.setattr(McapWriter, 'add_chunk', slowly)
     with RecordingWriter(tmp_path / 'run') as writer:
         writer.write('/field/command', VECTOR, 1, vector(1, 0, 0))
         assert stuck.wait(60)
@@ -176,7 +176,7 @@ def test_a_disk_that_stays_full_leaves_a_readable_recording_and_says_so(tmp_path
         raise OSError(28, 'No space left on device')
 
     with RecordingWriter(tmp_path / 'run') as writer:
-        monkeypatch.setattr(Segment, '_append', full)
+        monkeypatch.setattr(McapWriter, '_append', full)
         expected = fill(writer, 3)
     assert 'No space left' in writer.status().problem
     assert writer.status().dropped == expected
@@ -193,8 +193,8 @@ def test_a_disk_that_stays_full_costs_data_only_when_memory_is_full_too(tmp_path
         store.Worth.OVERLAY: 2_000, store.Worth.FRAME: 4_000, store.Worth.DATA: 8_000})
     monkeypatch.setattr(store, 'FLUSH_SECONDS', 0.0)
     with RecordingWriter(tmp_path / 'run') as writer:
-        write, lost_first = Segment._append, []
-        monkeypatch.setattr(Segment, '_append', full)
+        write, lost_first = McapWriter._append, []
+        monkeypatch.setattr(McapWriter, '_append', full)
         sent = 0
         while '/field/command' not in writer.status().dropped:
             sent += 1
@@ -206,7 +206,7 @@ def test_a_disk_that_stays_full_costs_data_only_when_memory_is_full_too(tmp_path
         status = writer.status()
         assert status.queued_bytes <= 8_000 + 2 * len(image(0))
         assert '1 of /field/command' in status.problem
-        monkeypatch.setattr(Segment, '_append', write)
+        monkeypatch.setattr(McapWriter, '_append', write)
     assert '/field/command' not in lost_first
     status = writer.status()
     assert status.counts['/field/command'] == sent - 1
@@ -235,7 +235,7 @@ def test_a_recorder_that_failed_counts_all_it_loses_and_says_why(tmp_path, monke
 def test_a_new_segment_that_the_disk_refuses_leaves_the_old_one_in_use(tmp_path, monkeypatch):
     monkeypatch.setattr(store, 'SEGMENT_BYTES', 1000)
     monkeypatch.setattr(store, 'FLUSH_SECONDS', 0.0)
-    begin, refused = Segment.__init__, threading.Event()
+    begin, refused = McapWriter.__init__, threading.Event()
 
     def refuse(self, path):
         if not path.name.endswith('_0.mcap'):
@@ -243,7 +243,7 @@ def test_a_new_segment_that_the_disk_refuses_leaves_the_old_one_in_use(tmp_path,
             raise OSError(28, 'No space left on device')
         begin(self, path)
 
-    monkeypatch.setattr(Segment, '__init__', refuse)
+    monkeypatch.setattr(McapWriter, '__init__', refuse)
     with RecordingWriter(tmp_path / 'run') as writer:
         expected = fill(writer)
         assert refused.wait(60)

@@ -25,7 +25,7 @@ from microbot_ros.session import (
 )
 from microbot_ros.session.as_messages import SessionMessages
 from microbot_ros.session.bag import typestore
-from microbot_ros.session.segment import Segment
+from microbot_ros.session.mcap_writer import McapWriter
 
 HERE = Path(__file__).parent
 
@@ -149,9 +149,9 @@ def test_a_recording_in_progress_reads_as_far_as_it_goes_and_is_not_repaired(
     tmp_path, monkeypatch,
 ):
     monkeypatch.setattr(store, 'FLUSH_SECONDS', 0.0)
-    write, written = Segment.add_chunk, threading.Event()
+    write, written = McapWriter.add_chunk, threading.Event()
     monkeypatch.setattr(
-        Segment, 'add_chunk', lambda self, chunk: (write(self, chunk), written.set()))
+        McapWriter, 'add_chunk', lambda self, chunk: (write(self, chunk), written.set()))
     with RecordingWriter(tmp_path / 'run') as writer:
         writer.write('/field/command', VECTOR, 7, vector(7, 1, 2))
         assert written.wait(60)

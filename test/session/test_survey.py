@@ -9,8 +9,12 @@ from microbot_ros.records import Commands, Session
 from microbot_ros.session import RecordingWriter, open_recording, write_session
 from microbot_ros.session.as_messages import SessionMessages
 from microbot_ros.session.bag import typestore
-from microbot_ros.session.excitation import excitation
-from microbot_ros.session.survey import missing_frames, survey_folder, survey_recording
+from microbot_ros.session.survey import (
+    command_spread,
+    missing_frames,
+    survey_folder,
+    survey_recording,
+)
 
 TIME_REFERENCE = 'sensor_msgs/msg/TimeReference'
 
@@ -23,27 +27,27 @@ def circle(*degrees: float, magnitude: float = 2e-3) -> Commands:
 
 
 def said(commands: Commands, end: float | None = None) -> str:
-    return ' '.join(excitation(commands, 0, end or len(commands.t)).sentences())
+    return ' '.join(command_spread(commands, 0, end or len(commands.t)).sentences())
 
 
 def test_even_directions_have_circular_variance_one_and_one_direction_zero():
-    assert excitation(circle(0, 90, 180, 270), 0, 4).direction_variance == pytest.approx(1)
-    assert excitation(circle(40, 40), 0, 2).direction_variance == pytest.approx(0)
+    assert command_spread(circle(0, 90, 180, 270), 0, 4).direction_variance == pytest.approx(1)
+    assert command_spread(circle(40, 40), 0, 2).direction_variance == pytest.approx(0)
     # Two at right angles: the resultant is cos 45°.
-    assert excitation(circle(0, 90), 0, 2).direction_variance == pytest.approx(1 - 0.5**0.5)
+    assert command_spread(circle(0, 90), 0, 2).direction_variance == pytest.approx(1 - 0.5**0.5)
 
 
 def test_directions_are_weighted_by_the_time_they_are_held():
-    spread = excitation(circle(0, 180), 0.5, 1.5)
+    spread = command_spread(circle(0, 180), 0.5, 1.5)
     assert spread.direction_variance == pytest.approx(1)
-    assert excitation(circle(0, 180), 0.5, 1.0).direction_variance == pytest.approx(0)
+    assert command_spread(circle(0, 180), 0.5, 1.0).direction_variance == pytest.approx(0)
     # The last row holds on: 1 s at 0° against 3 s at 180°.
-    assert excitation(circle(0, 180), 0, 4).direction_variance == pytest.approx(0.5)
+    assert command_spread(circle(0, 180), 0, 4).direction_variance == pytest.approx(0.5)
 
 
 def test_levels_turns_and_rest_are_counted():
     field = np.array([[1, 0], [0, 1], [0, 0], [0, 2.0], [1.999, 0], [0, -2]]) * 1e-3
-    spread = excitation(Commands(np.arange(6.0), field), 0, 6)
+    spread = command_spread(Commands(np.arange(6.0), field), 0, 6)
     assert spread.magnitudes_mT == (1, 2)
     assert (spread.turns_left, spread.turns_right) == (1, 2)
     assert spread.off_share == pytest.approx(1 / 6)
@@ -53,7 +57,7 @@ def test_levels_turns_and_rest_are_counted():
 def test_a_rolling_field_that_does_not_turn_is_off():
     commands = circle(0, 90, 180)
     rolling = Commands(commands.t, commands.field, np.array([0.0, 5, 10]))
-    spread = excitation(rolling, 0, 3)
+    spread = command_spread(rolling, 0, 3)
     assert spread.frequencies_hz == (5, 10)
     assert spread.off_share == pytest.approx(1 / 3)
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from microbot_ros.tracking import Appearance, Drive, TrackerSettings
 from microbot_ros.tracking.detect import Detections
-from microbot_ros.tracking.jump import common_jump, common_shake
+from microbot_ros.tracking.global_motion import common_displacement, common_shake
 from microbot_ros.tracking.link import Linker
 from microbot_ros.tracking.states import planar
 
@@ -46,7 +46,7 @@ def _swim(driven: bool, seed: int) -> int:
     """Identity switches of swimmers at 5 frames/s whose field turns every second or so."""
     rng = np.random.default_rng(seed)
     count, dt, substeps = 12, 0.2, 20
-    response = rng.uniform(15, 40, count) * np.exp(1j * rng.uniform(-np.pi, np.pi, count))
+    velocity_phasor = rng.uniform(15, 40, count) * np.exp(1j * rng.uniform(-np.pi, np.pi, count))
     place = rng.uniform(60, _SIDE - 60, count) + 1j * rng.uniform(60, _SIDE - 60, count)
     linker, drive = _linker(), Drive()
     field, turns_at, switches = 1 + 0j, 0.0, 0
@@ -59,7 +59,7 @@ def _swim(driven: bool, seed: int) -> int:
                 field *= cmath.exp(1j * rng.uniform(0.6, 1.4) * math.pi)
                 turns_at = t + rng.uniform(0.6, 1.6)
                 drive.command(t, np.array([field.real, field.imag]))
-            place = place + response * field * dt / substeps
+            place = place + velocity_phasor * field * dt / substeps
         place = place + rng.normal(0, 0.3, count) + 1j * rng.normal(0, 0.3, count)
         if frame:
             pushed = complex(*drive.between(frame * dt, (frame + 1) * dt))
@@ -81,40 +81,41 @@ def test_a_turn_of_the_field_keeps_identities_that_constant_velocity_loses() -> 
 
 def test_speed_and_angle_of_each_particle_are_learned_and_predict_a_turn() -> None:
     rng = np.random.default_rng(2)
-    response = np.array([30 * cmath.exp(0.5j), 20 * cmath.exp(-2j), 12 + 0j])
+    velocity_phasor = np.array([30 * cmath.exp(0.5j), 20 * cmath.exp(-2j), 12 + 0j])
     place = np.array([80 + 80j, 200 + 90j, 120 + 210j])
     linker = _linker()
     for frame in range(120):
         push = cmath.exp(1j * (frame // 10) * 2.2) / 10
-        place = place + response * push
+        place = place + velocity_phasor * push
         if frame:
             linker.predict(0.1, push)
         linker.update(_seen(planar(place), rng))
     rows = np.argsort(np.abs(linker.states.motion[:, 0][:, None] - place).argmin(axis=1))
-    np.testing.assert_allclose(linker.states.motion[rows, 2], response, atol=1.0)
+    np.testing.assert_allclose(linker.states.motion[rows, 2], velocity_phasor, atol=1.0)
     turned = linker.states.velocity(-1j)[rows]
-    np.testing.assert_allclose(turned, planar(-1j * response), atol=2.5)
+    np.testing.assert_allclose(turned, planar(-1j * velocity_phasor), atol=2.5)
 
 
 def test_slow_swimmers_at_a_high_rate_are_not_lost_to_what_the_field_might_do() -> None:
     """The first drive covers a hundredth of a frame, the frames come unevenly."""
     rng = np.random.default_rng(6)
     place = np.array([80 + 80j, 200 + 90j, 120 + 210j, 220 + 220j])
-    response = 9 * np.exp(1j * rng.uniform(-np.pi, np.pi, 4))
+    velocity_phasor = 9 * np.exp(1j * rng.uniform(-np.pi, np.pi, 4))
     linker, angle = _linker(), 0.0
     for frame in range(900):
         dt = (1 + rng.poisson(0.5)) / 60
         if frame % 30 == 0:
             angle = rng.uniform(-np.pi, np.pi)
         push = cmath.exp(1j * angle) * (dt if frame > 20 else dt / 100 if frame == 20 else 0)
-        place = place + response * push + rng.normal(0, 0.05, 4) + 1j * rng.normal(0, 0.05, 4)
+        noise = rng.normal(0, 0.05, 4) + 1j * rng.normal(0, 0.05, 4)
+        place = place + velocity_phasor * push + noise
         if frame:
             linker.predict(dt, push)
         linker.update(_seen(planar(place), rng))
     assert sorted(_names(linker, planar(place))) == [0, 1, 2, 3]
     assert len(linker.states) == 4
     rows = np.argsort(np.abs(linker.states.motion[:, 0][:, None] - place).argmin(axis=1))
-    np.testing.assert_allclose(linker.states.motion[rows, 2], response, atol=3.0)
+    np.testing.assert_allclose(linker.states.motion[rows, 2], velocity_phasor, atol=3.0)
     covariance = linker.states.covariance
     np.testing.assert_allclose(covariance, covariance.conj().swapaxes(1, 2), rtol=1e-9, atol=1e-9)
     assert np.linalg.eigvalsh(covariance).min() > 0
@@ -166,16 +167,16 @@ def test_few_particles_or_new_ones_are_no_jump() -> None:
     rng = np.random.default_rng(5)
     here = rng.uniform(0, _SIDE, (30, 2))
     size = (_SIDE, _SIDE)
-    assert common_jump(here[:2], here[:2] + 20, 5.0, size) is None
-    assert common_jump(here, np.empty((0, 2)), 5.0, size) is None
-    assert common_jump(here, here, 5.0, size) is None
-    assert common_jump(here, here[:18], 5.0, size) is None
+    assert common_displacement(here[:2], here[:2] + 20, 5.0, size) is None
+    assert common_displacement(here, np.empty((0, 2)), 5.0, size) is None
+    assert common_displacement(here, here, 5.0, size) is None
+    assert common_displacement(here, here[:18], 5.0, size) is None
     others = sum(
-        common_jump(here[:10], rng.uniform(0, _SIDE, (10, 2)), 5.0, size) is not None
+        common_displacement(here[:10], rng.uniform(0, _SIDE, (10, 2)), 5.0, size) is not None
         for _ in range(200))
     assert others == 0
     found = np.vstack([here[:24] + np.array([31.0, -18.0]), rng.uniform(0, _SIDE, (15, 2))])
-    np.testing.assert_allclose(common_jump(here, found, 5.0, size), [31, -18], atol=1e-9)
+    np.testing.assert_allclose(common_displacement(here, found, 5.0, size), [31, -18], atol=1e-9)
 
 
 @settings(max_examples=60, deadline=None)

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from microbot_ros.virtual_rig import scenario
-from microbot_ros.virtual_rig.hidden import HIDDEN, UNLISTED
+from microbot_ros.virtual_rig.injected_effects import INJECTABLE, UNLISTED
 
 DOCS = (Path(__file__).parents[2] / 'docs/simulation.md').read_text(encoding='utf-8')
 SECTIONS = [
@@ -20,7 +20,7 @@ def test_every_key_is_documented(section):
 
 
 def test_every_effect_is_documented():
-    assert [effect for effect in HIDDEN if f'`{effect}`' not in DOCS] == []
+    assert [effect for effect in INJECTABLE if f'`{effect}`' not in DOCS] == []
     rows = {line.split('|')[1].strip(' `'): line for line in DOCS.splitlines() if '|' in line}
     for effect, parameters in UNLISTED.items():
         assert [name for name in parameters if f'`{name}`' not in rows[effect]] == []

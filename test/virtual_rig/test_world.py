@@ -7,25 +7,20 @@ import math
 
 import numpy as np
 import pytest
+from oracles import dipole_force, dipole_mobility, rolled_frequency, swimmer_flow
 from scipy import stats
 
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.first_order import simulate
-from microbot_ros.model.forces import (
-    dipole_force,
-    dipole_mobility,
-    rolled_frequency,
-    swimmer_flow,
-    unit,
-)
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.particle import Fluid, rotational_drag, stokes_drag
+from microbot_ros.model.vectors import unit
 from microbot_ros.records import Commands
 from microbot_ros.units import to_si
 from microbot_ros.virtual_rig import dynamics
 from microbot_ros.virtual_rig.body import bodies
 from microbot_ros.virtual_rig.commands import steps
-from microbot_ros.virtual_rig.hidden import LISTED, UNLISTED, hide
+from microbot_ros.virtual_rig.injected_effects import LISTED, UNLISTED, inject_effect
 from microbot_ros.virtual_rig.world import FieldHistory, World
 
 FLUID = Fluid(1.245e-3)
@@ -40,7 +35,7 @@ def swarm(aligns_in=0.02e-3, **columns):
     """Three particles without noise that align almost at once."""
     moment = rotational_drag(FLUID, RADIUS) / (aligns_in * FIELD)
     made = bodies(FLUID, np.full(3, RADIUS), np.full(3, moment), PHIS, PLACES, speed=SPEEDS)
-    made['diffusion'] = made['turning'] = 0.0
+    made['diffusion'] = made['rotational_diffusion'] = 0.0
     for name, value in columns.items():
         made[name] = value
     return made
@@ -116,7 +111,7 @@ def test_world_and_library_mean_the_same_by(effect):
     made = swarm(gain=0.8e-6, speed=0.0) if rolling else swarm()
     first = commands.field[0]
     made['heading'] = math.atan2(first[1], first[0]) + PHIS
-    hide(made, effect, STRENGTHS[effect], FIELD)
+    inject_effect(made, effect, STRENGTHS[effect], FIELD)
     path = travel(made, commands, times)
     how = {'speeds': np.full(3, 0.8e-6), 'propulsion': 'rolling'} if rolling else {}
     expected = predicted({effect: STRENGTHS[effect]}, commands, times, **how)
@@ -137,14 +132,14 @@ def test_two_effects_at_once_add_up():
     times = np.linspace(0, 12, 25)
     made = swarm(heading=math.atan2(*command().field[0][::-1]) + PHIS)
     for effect, parameters in both.items():
-        hide(made, effect, parameters, FIELD)
+        inject_effect(made, effect, parameters, FIELD)
     expected = predicted(both, command(), times)
     assert np.abs(travel(made, command(), times) - expected).max() < 0.02e-6
 
 
 def test_a_parameter_can_differ_from_particle_to_particle():
     made = swarm(heading=math.atan2(*command().field[0][::-1]) + PHIS)
-    hide(made, 'alignment_lag', {'tau_s': [0.1, 0.3, 0.6]}, FIELD)
+    inject_effect(made, 'alignment_lag', {'tau_s': [0.1, 0.3, 0.6]}, FIELD)
     times = np.linspace(0, 12, 25)
     path = travel(made, command(), times)
     for i, tau in enumerate((0.1, 0.3, 0.6)):
@@ -160,7 +155,7 @@ def test_brownian_spread_and_heading_fluctuations():
         FLUID, np.full(count, 1e-6), np.full(count, moment), np.zeros(count),
         np.column_stack((np.arange(count) * 1e-4, np.zeros(count))), heading=np.zeros(count))
     start = np.column_stack((made['x'], made['y']))
-    diffusion, turning = made['diffusion'][0], made['turning'][0]
+    diffusion, turning = made['diffusion'][0], made['rotational_diffusion'][0]
     world = World(made, np.random.default_rng(1))
     world.advance(0.1, FieldHistory(np.zeros(1), np.zeros((1, 1, 2))))
     low, high = stats.chi2(2 * count).interval(0.999)
@@ -253,7 +248,7 @@ def test_every_effect_in_no_library_moves_particles(effect):
     aligns_in = 0.1 if effect == 'chirality' else 0.1e-3
     made = swarm(aligns_in, heading=0.0)
     plain = travel(made.copy(), command(), times)
-    hide(made, effect, UNLISTED_STRENGTHS[effect], FIELD)
+    inject_effect(made, effect, UNLISTED_STRENGTHS[effect], FIELD)
     assert np.abs(travel(made, command(), times) - plain).max() > 1e-6
 
 
@@ -276,7 +271,7 @@ def test_impossible_effects_are_refused(effect, parameters, complaint):
     made = swarm()
     untouched = made.copy()
     with pytest.raises(ValueError, match=complaint):
-        hide(made, effect, parameters, FIELD)
+        inject_effect(made, effect, parameters, FIELD)
     assert np.array_equal(made, untouched)
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from microbot_ros.model.effect import Effect
+from microbot_ros.model.effect_context import EffectContext
 from microbot_ros.model.parameter import parameter
-from microbot_ros.model.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -22,12 +22,13 @@ class AlignmentLag(Effect):
     id = 'alignment_lag'
     stage = 'heading'
     summary = 'The heading needs time to turn into the field, longer in a weaker one.'
-    shows_under = 'turns of the command by different angles, best some near 180° and some near 30°'
-    mistaken_for = ('command_delay', 'heading_slip')
+    required_excitation = (
+        'turns of the command by different angles, best some near 180° and some near 30°')
+    confounded_with = ('command_delay', 'heading_slip')
 
     tau: float = parameter('tau_s', 'alignment time at the reference field', 0.0, 30.0, 0.1)
 
-    def alignment_rate(self, scene: Scene) -> np.ndarray | None:
+    def alignment_rate(self, context: EffectContext) -> np.ndarray | None:
         if self.tau == 0:
             return None
-        return scene.strength / (scene.reference_field * self.tau)
+        return context.strength / (context.reference_field * self.tau)

@@ -17,8 +17,9 @@ class AmplifierDeadband(Effect):
     id = 'amplifier_deadband'
     stage = 'field'
     summary = 'Each axis of the field loses a fixed amount, and is zero below it.'
-    shows_under = 'commands in all directions, best weak ones: headings bend towards the axes'
-    mistaken_for = ('coil_gain_mismatch', 'incomplete_alignment')
+    required_excitation = (
+        'commands in all directions, best weak ones: headings bend towards the axes')
+    confounded_with = ('coil_gain_mismatch', 'incomplete_alignment')
 
     deadband: float = parameter('deadband_mT', 'field that each axis loses', 0.0, 1e-2, 1e-4)
 

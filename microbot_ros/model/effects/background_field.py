@@ -17,8 +17,9 @@ class BackgroundField(Effect):
     id = 'background_field'
     stage = 'field'
     summary = 'A constant field adds to the commanded one and bends the heading.'
-    shows_under = 'commands in all directions, best at two field magnitudes: it bends as 1/|B|'
-    mistaken_for = ('uniform_drift', 'coil_gain_mismatch', 'coil_misalignment')
+    required_excitation = (
+        'commands in all directions, best at two field magnitudes: it bends as 1/|B|')
+    confounded_with = ('uniform_drift', 'coil_gain_mismatch', 'coil_misalignment')
 
     bx: float = parameter('bx_mT', 'background field to the right', -2e-2, 2e-2, 1e-4)
     by: float = parameter('by_mT', 'background field upwards', -2e-2, 2e-2, 1e-4)

@@ -17,13 +17,14 @@ class CoilGainMismatch(Effect):
     id = 'coil_gain_mismatch'
     stage = 'field'
     summary = 'The y coils make a field of other strength than the x coils for the same command.'
-    shows_under = 'commands in all directions, best with a background field known to be small'
-    mistaken_for = (
+    required_excitation = (
+        'commands in all directions, best with a background field known to be small')
+    confounded_with = (
         'background_field', 'coil_misalignment', 'amplifier_deadband', 'pixel_anisotropy',
     )
 
     gain_ratio: float = parameter(
-        'gain_ratio', 'y coils over x coils', 0.2, 5.0, 0.1, neutral=1.0,
+        'gain_ratio', 'y coils over x coils', 0.2, 5.0, 0.1, null_value=1.0,
     )
 
     def field(self, B: np.ndarray) -> np.ndarray:

@@ -17,8 +17,8 @@ class CoilMisalignment(Effect):
     id = 'coil_misalignment'
     stage = 'field'
     summary = 'The axis of the y coils leans towards that of the x coils.'
-    shows_under = 'commands in all directions'
-    mistaken_for = ('background_field', 'coil_gain_mismatch')
+    required_excitation = 'commands in all directions'
+    confounded_with = ('background_field', 'coil_gain_mismatch')
 
     skew: float = parameter('skew_rad', 'lean of the y axis towards +x', -1.0, 1.0, 0.1)
 

@@ -15,8 +15,9 @@ class CommandDelay(Effect):
     id = 'command_delay'
     stage = 'field'
     summary = 'The field changes a fixed time after it is commanded.'
-    shows_under = 'turns of the command by different angles, or of its strength or frequency'
-    mistaken_for = ('alignment_lag', 'heading_slip')
+    required_excitation = (
+        'turns of the command by different angles, or of its strength or frequency')
+    confounded_with = ('alignment_lag', 'heading_slip')
 
     delay: float = parameter('delay_s', 'from command to field', 0.0, 2.0, 0.05)
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from microbot_ros.model.effect import Effect
+from microbot_ros.model.effect_context import EffectContext
 from microbot_ros.model.parameter import parameter
-from microbot_ros.model.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -25,18 +25,18 @@ class DipoleInteraction(Effect):
     id = 'dipole_interaction'
     stage = 'velocity'
     summary = 'Neighbours attract each other in line with the field and repel side by side.'
-    shows_under = 'several particles near each other, under fields of different directions'
-    mistaken_for = ('hydrodynamic_slowdown',)
+    required_excitation = 'several particles near each other, under fields of different directions'
+    confounded_with = ('hydrodynamic_slowdown',)
     needs_position = True
 
     strength: float = parameter('strength_um5_s', 'S', 0.0, 1e-21, 1e-26)
 
-    def drift(self, scene: Scene) -> np.ndarray:
+    def drift(self, context: EffectContext) -> np.ndarray:
         # With b̂ = β and r̂ = e as complex numbers the bracket is −½ e − ¼ β² ē − 5/4 β̄² e³, so the
         # sums over neighbours do not depend on the field and are made once.
-        first, third = scene.known_places.dipole_sums
-        strength = scene.strength
-        field = scene.field[..., 0] + 1j * scene.field[..., 1]
+        first, third = context.known_places.dipole_sums
+        strength = context.strength
+        field = context.field[..., 0] + 1j * context.field[..., 1]
         turn = (field / np.where(strength > 0, strength, 1.0)) ** 2
         push = 0.5 * first + 0.25 * turn * first.conj() + 1.25 * turn.conj() * third
         push *= -self.strength * (strength > 0)

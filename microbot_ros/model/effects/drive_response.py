@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import numpy as np
 
-from microbot_ros.model.effect import Effect
+from microbot_ros.model.effect import Effect, Recorded
+from microbot_ros.model.effect_context import EffectContext
 from microbot_ros.model.parameter import parameter
-from microbot_ros.model.scene import Scene
-
-if TYPE_CHECKING:
-    from microbot_ros.model.timeline import Timeline
 
 
 @dataclass(frozen=True)
@@ -30,39 +27,41 @@ class DriveResponse(Effect):
     id = 'drive_response'
     stage = 'velocity'
     summary = 'The rolling speed is not proportional to the frequency: cut-in, slip or step-out.'
-    shows_under = 'several rotation frequencies, visited in an order that is not also that of time'
-    mistaken_for = ('speed_decay', 'incomplete_alignment')
+    required_excitation = (
+        'several rotation frequencies, visited in an order that is not also that of time')
+    confounded_with = ('speed_decay', 'incomplete_alignment')
 
     cut_in: float = parameter('cut_in_hz', 'frequency of half the gain', 0.0, 20.0, 1.0)
     slip: float = parameter('slip', 'part of the gain that is lost above', -2.0, 1.0, 0.3)
     step_out: float = parameter(
         'step_out_hz', 'frequency at which half the slip is reached', 0.1, 200.0, 10.0,
-        neutral=10.0, shape=True,
+        null_value=10.0, shape=True,
     )
     cut_in_steepness: float = parameter(
-        'cut_in_steepness', 'n', 1.0, 16.0, 2.0, neutral=2.0, shape=True, default=2.0,
+        'cut_in_steepness', 'n', 1.0, 16.0, 2.0, null_value=2.0, shape=True, default=2.0,
     )
     step_out_steepness: float = parameter(
-        'step_out_steepness', 'm', 1.0, 16.0, 4.0, neutral=4.0, shape=True, default=4.0,
+        'step_out_steepness', 'm', 1.0, 16.0, 4.0, null_value=4.0, shape=True, default=4.0,
     )
 
-    def speed_factor(self, scene: Scene) -> np.ndarray:
-        f = np.abs(scene.frequency)
+    def speed_factor(self, context: EffectContext) -> np.ndarray:
+        f = np.abs(context.frequency)
         follows = hill(f, self.cut_in, self.cut_in_steepness)
         return follows * (1 - self.slip * hill(f, self.step_out, self.step_out_steepness))
 
     @classmethod
-    def starts(cls, timeline: Timeline) -> tuple[Self, ...]:
-        f = timeline.commands.frequency
+    def starts(cls, recorded: Recorded) -> tuple[Self, ...]:
+        f = recorded.commands.frequency
         driven = np.abs(f[f != 0]) if f is not None else np.empty(0)
         if not driven.size:
-            return (cls.neutral(),)
+            return (cls.null(),)
         low, *corners = np.quantile(np.unique(driven), [0.1, 0.25, 0.5, 0.75]).tolist()
         return tuple(cls(low / 2, slip, corner) for corner in corners for slip in (0.0, 0.5))
 
 
 def hill(f: np.ndarray, half: float, steepness: float) -> np.ndarray:
-    """fⁿ/(fⁿ + halfⁿ) for f ≥ 0: from 0 to 1, one half at `half`; 1 everywhere for half = 0."""
+    """fⁿ/(fⁿ + halfⁿ) for f ≥ 0 and n = `steepness`: from 0 to 1, one half at `half` > 0, else 1.
+    """
     if half == 0:
         return np.ones_like(f)
     with np.errstate(divide='ignore', over='ignore'):

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from microbot_ros.model.effect import Effect
+from microbot_ros.model.effect_context import EffectContext
 from microbot_ros.model.parameter import parameter
-from microbot_ros.model.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -22,11 +22,11 @@ class GradientForce(Effect):
     id = 'gradient_force'
     stage = 'velocity'
     summary = 'Particles are pushed away from the centre, more in a stronger field.'
-    shows_under = 'positions spread over the workspace, at two field strengths or more'
-    mistaken_for = ('linear_flow', 'hot_spot')
+    required_excitation = 'positions spread over the workspace, at two field strengths or more'
+    confounded_with = ('linear_flow', 'hot_spot')
     needs_position = True
 
     rate: float = parameter('rate_per_s_mT', 'k', -1e3, 1e3, 1.0)
 
-    def drift(self, scene: Scene) -> np.ndarray:
-        return self.rate * scene.strength[..., None] * scene.position
+    def drift(self, context: EffectContext) -> np.ndarray:
+        return self.rate * context.strength[..., None] * context.position

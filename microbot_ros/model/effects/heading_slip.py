@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from microbot_ros.model.effect import Effect
+from microbot_ros.model.effect_context import EffectContext
 from microbot_ros.model.parameter import parameter
-from microbot_ros.model.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -18,11 +18,11 @@ class HeadingSlip(Effect):
     id = 'heading_slip'
     stage = 'heading'
     summary = 'The angle between the field and the direction of travel changes steadily.'
-    shows_under = 'a long recording; a command that does not itself turn at a steady rate'
-    mistaken_for = ('alignment_lag', 'command_delay')
-    steady = False
+    required_excitation = 'a long recording; a command that does not itself turn at a steady rate'
+    confounded_with = ('alignment_lag', 'command_delay')
+    time_invariant = False
 
     rate: float = parameter('rate_rad_s', 'rate at which φ grows', -1.0, 1.0, 0.01)
 
-    def heading_offset(self, scene: Scene) -> np.ndarray:
-        return self.rate * scene.t
+    def heading_offset(self, context: EffectContext) -> np.ndarray:
+        return self.rate * context.t

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import numpy as np
 
-from microbot_ros.model.effect import Effect
+from microbot_ros.model.effect import Effect, Recorded
+from microbot_ros.model.effect_context import EffectContext
 from microbot_ros.model.parameter import parameter
-from microbot_ros.model.scene import Scene
-
-if TYPE_CHECKING:
-    from microbot_ros.model.timeline import Timeline
-
 
 _WIDTHS = (3, 5, 8, 12, 20)
 """Widths to begin with: the extent of the tracks over these."""
@@ -26,27 +22,27 @@ class HotSpot(Effect):
     id = 'hot_spot'
     stage = 'velocity'
     summary = 'Particles are pushed away from (or drawn to) one heated place.'
-    shows_under = 'tracks that pass on different sides of the place, at about its width'
-    mistaken_for = ('uniform_drift', 'linear_flow', 'gradient_force', 'speed_decay')
+    required_excitation = 'tracks that pass on different sides of the place, at about its width'
+    confounded_with = ('uniform_drift', 'linear_flow', 'gradient_force', 'speed_decay')
     needs_position = True
 
     x: float = parameter('x_um', 'the spot', -1e-2, 1e-2, 1e-5, shape=True)
     y: float = parameter('y_um', 'the spot', -1e-2, 1e-2, 1e-5, shape=True)
     speed: float = parameter('speed_um_s', 'A, outwards', -1e-4, 1e-4, 1e-6)
-    width: float = parameter('width_um', 's', 1e-6, 1e-2, 1e-5, neutral=2e-5, shape=True)
+    width: float = parameter('width_um', 's', 1e-6, 1e-2, 1e-5, null_value=2e-5, shape=True)
 
-    def drift(self, scene: Scene) -> np.ndarray:
-        away = (scene.position - np.array([self.x, self.y])) / self.width
+    def drift(self, context: EffectContext) -> np.ndarray:
+        away = (context.position - np.array([self.x, self.y])) / self.width
         fall = np.exp(0.5 - (away**2).sum(axis=-1, keepdims=True) / 2)
         return self.speed * away * fall
 
     @classmethod
-    def starts(cls, timeline: Timeline) -> tuple[Self, ...]:
+    def starts(cls, recorded: Recorded) -> tuple[Self, ...]:
         """On grids over what the tracks cover, a width apart, at five widths."""
-        if timeline.positions is None:
-            return (cls.neutral(),)
-        low = np.nanmin(timeline.positions, axis=(0, 1))
-        high = np.nanmax(timeline.positions, axis=(0, 1))
+        if recorded.positions is None:
+            return (cls.null(),)
+        low = np.nanmin(recorded.positions, axis=(0, 1))
+        high = np.nanmax(recorded.positions, axis=(0, 1))
         extent = float(max(high - low))
         return tuple(
             cls(x, y, 0.0, extent / part) for part in _WIDTHS

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from microbot_ros.model.effect import Effect
+from microbot_ros.model.effect_context import EffectContext
 from microbot_ros.model.parameter import parameter
-from microbot_ros.model.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -18,11 +18,11 @@ class HydrodynamicSlowdown(Effect):
     id = 'hydrodynamic_slowdown'
     stage = 'velocity'
     summary = 'Particles are slower the nearer their neighbours are.'
-    shows_under = 'several particles whose distances change, by a good part of their size'
-    mistaken_for = ('dipole_interaction',)
+    required_excitation = 'several particles whose distances change, by a good part of their size'
+    confounded_with = ('dipole_interaction',)
     needs_position = True
 
     length: float = parameter('length_um', 'ℓ', -1e-4, 1e-4, 1e-6)
 
-    def speed_factor(self, scene: Scene) -> np.ndarray:
-        return np.maximum(1 - self.length * scene.known_places.nearness, 0.0)
+    def speed_factor(self, context: EffectContext) -> np.ndarray:
+        return np.maximum(1 - self.length * context.known_places.nearness, 0.0)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from microbot_ros.model.effect import Effect
+from microbot_ros.model.effect_context import EffectContext
 from microbot_ros.model.parameter import parameter
-from microbot_ros.model.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -22,18 +22,18 @@ class IncompleteAlignment(Effect):
     id = 'incomplete_alignment'
     stage = 'velocity'
     summary = 'The particles are slower in weak fields, which align them incompletely.'
-    shows_under = 'several field strengths; at one alone the speeds absorb it'
-    mistaken_for = ('amplifier_deadband', 'drive_response', 'speed_decay')
+    required_excitation = 'several field strengths; at one alone the speeds absorb it'
+    confounded_with = ('amplifier_deadband', 'drive_response', 'speed_decay')
 
     field_scale: float = parameter('field_scale_mT', 'k_B T / moment', 0.0, 1e-1, 1e-3)
 
-    def speed_factor(self, scene: Scene) -> np.ndarray | float:
+    def speed_factor(self, context: EffectContext) -> np.ndarray | float:
         if self.field_scale == 0:
             return 1.0
-        return langevin(scene.strength / self.field_scale)
+        return langevin_function(context.strength / self.field_scale)
 
 
-def langevin(x: np.ndarray) -> np.ndarray:
+def langevin_function(x: np.ndarray) -> np.ndarray:
     """L(x) = coth x − 1/x; near zero its series x/3 − x³/45, where the difference cancels."""
     small = np.abs(x) < 1e-2
     large = np.where(small, 1.0, x)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from microbot_ros.model.effect import Effect
+from microbot_ros.model.effect_context import EffectContext
 from microbot_ros.model.parameter import parameter
-from microbot_ros.model.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -18,8 +18,8 @@ class LinearFlow(Effect):
     id = 'linear_flow'
     stage = 'velocity'
     summary = 'The liquid moves, faster further from the origin: shear, stretching or a vortex.'
-    shows_under = 'positions spread over the workspace and visited more than once'
-    mistaken_for = ('uniform_drift', 'hot_spot', 'gradient_force')
+    required_excitation = 'positions spread over the workspace and visited more than once'
+    confounded_with = ('uniform_drift', 'hot_spot', 'gradient_force')
     needs_position = True
 
     gxx: float = parameter('gxx_per_s', 'd v_x / d x', -1.0, 1.0, 1e-2)
@@ -27,5 +27,5 @@ class LinearFlow(Effect):
     gyx: float = parameter('gyx_per_s', 'd v_y / d x', -1.0, 1.0, 1e-2)
     gyy: float = parameter('gyy_per_s', 'd v_y / d y', -1.0, 1.0, 1e-2)
 
-    def drift(self, scene: Scene) -> np.ndarray:
-        return scene.position @ np.array([[self.gxx, self.gyx], [self.gxy, self.gyy]])
+    def drift(self, context: EffectContext) -> np.ndarray:
+        return context.position @ np.array([[self.gxx, self.gyx], [self.gxy, self.gyy]])

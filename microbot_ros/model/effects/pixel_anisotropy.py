@@ -17,10 +17,10 @@ class PixelAnisotropy(Effect):
     id = 'pixel_anisotropy'
     stage = 'observation'
     summary = 'The picture is stretched along one axis.'
-    shows_under = 'commands in all directions'
-    mistaken_for = ('coil_gain_mismatch',)
+    required_excitation = 'commands in all directions'
+    confounded_with = ('coil_gain_mismatch',)
 
-    aspect: float = parameter('aspect', 'y over x', 0.2, 5.0, 0.1, neutral=1.0)
+    aspect: float = parameter('aspect', 'y over x', 0.2, 5.0, 0.1, null_value=1.0)
 
     def observe(self, position: np.ndarray) -> np.ndarray:
         return position * np.array([1.0, self.aspect])

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from microbot_ros.model.effect import Effect
+from microbot_ros.model.effect_context import EffectContext
 from microbot_ros.model.parameter import parameter
-from microbot_ros.model.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -18,11 +18,12 @@ class UniformDrift(Effect):
     id = 'uniform_drift'
     stage = 'velocity'
     summary = 'Every particle is carried along at the same velocity, whatever is commanded.'
-    shows_under = 'commands whose directions average out, so that propulsion does not hide it'
-    mistaken_for = ('background_field', 'linear_flow', 'periodic_drift', 'hot_spot')
+    required_excitation = (
+        'commands whose directions average out, so that propulsion does not hide it')
+    confounded_with = ('background_field', 'linear_flow', 'periodic_drift', 'hot_spot')
 
     wx: float = parameter('wx_um_s', 'drift to the right', -1e-4, 1e-4, 1e-6)
     wy: float = parameter('wy_um_s', 'drift upwards', -1e-4, 1e-4, 1e-6)
 
-    def drift(self, scene: Scene) -> np.ndarray:
+    def drift(self, context: EffectContext) -> np.ndarray:
         return np.array([[self.wx, self.wy]])

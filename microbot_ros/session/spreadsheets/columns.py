@@ -1,0 +1,116 @@
+"""What a column holds, by its name: 'Pos X', 'x_1 [px]', 'Times', 'Rolling Frequency'."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from microbot_ros.errors import InputError
+from microbot_ros.session.spreadsheets.sheets import Sheet
+
+# Role → names it goes by, in lower case with single blanks.
+_NAMES = {
+    'time': ('t', 'time', 'times', 'timestamp', 'elapsed', 'elapsed time', 'dt', 'interval',
+             'position t'),
+    'frame': ('frame', 'frames', 'frame number', 'frame no', 'slice', 'image'),
+    'particle': ('particle', 'particle id', 'id', 'track', 'track id', 'trackid', 'robot',
+                 'robot id', 'trajectory', 'blob id', 'blobid'),
+    'x': ('x', 'pos x', 'x pos', 'position x', 'x position', 'posx', 'centroid x', 'cx',
+          'centre x', 'center x', 'x coordinate', 'x coord'),
+    'y': ('y', 'pos y', 'y pos', 'position y', 'y position', 'posy', 'centroid y', 'cy',
+          'centre y', 'center y', 'y coordinate', 'y coord'),
+    'theta': ('theta', 'heading', 'orientation', 'yaw'),
+    'direction': ('direction', 'alpha', 'field angle', 'field direction', 'rolling direction'),
+    'frequency': ('frequency', 'freq', 'rolling frequency', 'rotation frequency',
+                  'rolling freq', 'field frequency'),
+    'bx': ('bx', 'b x', 'field x'),
+    'by': ('by', 'b y', 'field y'),
+}
+ROLES = tuple(_NAMES)
+_ROLE_OF = {name: role for role, names in _NAMES.items() for name in names}
+_SINGLE = ('time', 'frame', 'particle', 'direction', 'frequency', 'bx', 'by')
+
+# How units are written → the suffix by which `units` knows them.
+_UNITS = {
+    'px': '_px', 'pixel': '_px', 'pixels': '_px', 'um': '_um', 'µm': '_um', 'μm': '_um',
+    'micron': '_um', 'microns': '_um', 'mm': '_mm', 'm': '_m', 's': '_s', 'sec': '_s',
+    'seconds': '_s', 'ms': '_ms', 'deg': '_deg', 'degrees': '_deg', '°': '_deg', 'rad': '_rad',
+    'radians': '_rad', 'hz': '_hz', 'mt': '_mT', 't': '_T', 'g': '_G', 'gauss': '_G',
+}
+_BRACKETED = re.compile(r'[\[(]\s*([^\])]+?)\s*[\])]')
+_NUMBERED = re.compile(r'^(?:(?:robot|particle|track|r|p)?\s*(\d+)\s+(\D+?)|(\D+?)\s*(\d+))$')
+_WHOSE = re.compile(r'\b(?:robot|particle|track)\b\s*')
+
+
+@dataclass(frozen=True)
+class Column:
+    """What column number `index` of a sheet holds: its `role`, one of `ROLES`; `unit` is a suffix
+    such as '_px', '' where the name says none; `particle` is the number in its name, None where
+    there is none.
+    """
+
+    index: int
+    role: str
+    unit: str = ''
+    particle: int | None = None
+
+
+def find_columns(sheet: Sheet, named: dict[str, str]) -> list[Column]:
+    """The columns of a sheet whose role is known, `named` (role → name) taking precedence.
+
+    InputError where two columns claim one role.
+    """
+    columns = []
+    for index, name in enumerate(sheet.names):
+        told = next((role for role, chosen in named.items() if chosen == name), None)
+        column = Column(index, told, _split_unit(name)[1]) if told else _recognise(index, name)
+        if column and (told or column.role not in named):
+            columns.append(column)
+    # Beside the identity of a track, a bare 'ID' numbers the rows.
+    identities = [column for column in columns if column.role == 'particle']
+    if len(identities) > 1:
+        columns = [c for c in columns if c not in identities or _split_unit(
+            sheet.names[c.index])[0] != 'id']
+    seen: dict[tuple[str, int | None], Column] = {}
+    for column in columns:
+        key = column.role, None if column.role in _SINGLE else column.particle
+        if key in seen:
+            first, second = sheet.names[seen[key].index], sheet.names[column.index]
+            raise InputError(sheet.place, f"expected one column for {column.role}, found '{first}'"
+                                          f" and '{second}'; choose by --column "
+                                          f"{column.role}='{first}'")
+        seen[key] = column
+    return columns
+
+
+def _recognise(index: int, name: str) -> Column | None:
+    plain, unit = _split_unit(name)
+    if plain in _ROLE_OF:
+        return Column(index, _ROLE_OF[plain], unit)
+    bare = _WHOSE.sub('', plain).strip()
+    if _ROLE_OF.get(bare) in ('x', 'y', 'theta'):  # 'Robot X'
+        return Column(index, _ROLE_OF[bare], unit)
+    match = _NUMBERED.match(bare) or _NUMBERED.match(plain)
+    if match:
+        word, number = match[2] or match[3], match[1] or match[4]
+        role = _ROLE_OF.get(word.strip())
+        if role and role not in _SINGLE:
+            return Column(index, role, unit, int(number))
+    return None
+
+
+def _split_unit(name: str) -> tuple[str, str]:
+    """A name in lower case with single blanks, and its unit as a suffix."""
+    bracketed = _BRACKETED.search(name)
+    if bracketed and bracketed[1].lower() in _UNITS:
+        return _plain(_BRACKETED.sub(' ', name)), _UNITS[bracketed[1].lower()]
+    words = _plain(_BRACKETED.sub(r' \1 ', name)).split(' ')
+    # A last word can be a unit ('time ms', 'x px') unless the whole is a name ('b x', 'field t').
+    if len(words) > 1 and words[-1] in _UNITS and ' '.join(words) not in _ROLE_OF:
+        return ' '.join(words[:-1]), _UNITS[words[-1]]
+    return ' '.join(words), ''
+
+
+def _plain(name: str) -> str:
+    spaced = re.sub(r'(?<=[a-z])(?=[A-Z])', ' ', name)
+    return re.sub(r'[\s_.\-]+', ' ', spaced).strip().lower()

@@ -1,0 +1,199 @@
+"""Any table a laboratory keeps, as sheets of named columns, and what people answer about it."""
+
+from __future__ import annotations
+
+import math
+import re
+import zipfile
+from collections import Counter
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, time, timedelta
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from microbot_ros.errors import InputError
+
+_SPREADSHEETS = ('.xlsx', '.xlsm')
+_TEXTS = ('.csv', '.tsv', '.txt', '.dat')
+_DECIMAL_COMMA = re.compile(r'^\s*[+-]?\d+,\d+\s*$')
+_BLANK = ('', 'nan', 'na', 'n/a', 'none', '-')
+
+
+@dataclass(frozen=True)
+class Answers:
+    """Answers to what a file leaves open, in SI; None where it is left to detection.
+
+    `columns` gives the name of the column for a role; `position_unit`, `time_unit`, `angle_unit`
+    and `field_unit` are suffixes as `units` knows them; `pixel_size` [m]; `y_axis`, the way it
+    points; `times`, what the column of times holds; `frame_rate` [Hz]; `angle_sense`, which way
+    angles grow; `angle_offset` [rad], what the table's angles are too large by.
+    """
+
+    columns: dict[str, str] = field(default_factory=dict)
+    position_unit: str | None = None
+    pixel_size: float | None = None
+    y_axis: Literal['up', 'down'] | None = None
+    time_unit: str | None = None
+    times: Literal['moments', 'intervals'] | None = None
+    frame_rate: float | None = None
+    angle_unit: str | None = None
+    angle_sense: Literal['counterclockwise', 'clockwise'] | None = None
+    angle_offset: float | None = None
+    field_unit: str | None = None
+
+
+class Assumptions(list[str]):
+    """What was taken for granted, a sentence each and no sentence twice."""
+
+    def add(self, sentence: str) -> None:
+        """Say it unless it was said."""
+        if sentence not in self:
+            self.append(sentence)
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """One table: `source` is its file and `name` what people call it; `rows` hold as many cells
+    as there are `names`, and row i stands in line `lines[i]` of the file."""
+
+    source: Path
+    name: str
+    names: list[str]
+    rows: list[tuple[Any, ...]]
+    lines: list[int]
+
+    @property
+    def place(self) -> str:
+        """The file and the sheet, for messages."""
+        return str(self.source) if self.name == self.source.stem else f'{self.source}[{self.name}]'
+
+    def numbers(self, column: int) -> np.ndarray:
+        """A column as floats (n,), NaN where a cell is blank; InputError for text."""
+        values = np.empty(len(self.rows))
+        for i, row in enumerate(self.rows):
+            value = _number(row[column])
+            if value is None:
+                found = f"found '{row[column]}'"
+                raise InputError(
+                    self.place, f"expected a number in '{self.names[column]}', {found}",
+                    self.lines[i])
+            values[i] = value
+        return values
+
+
+def read_sheets(path: Path) -> tuple[list[Sheet], list[str]]:
+    """All sheets of a spreadsheet, of a text file, or of a folder of text files, and sentences
+    that say what was taken for granted."""
+    if path.is_dir():
+        files = sorted(file for file in path.iterdir() if file.suffix.lower() in _TEXTS)
+        if not files:
+            raise InputError(path, f'expected files ending in {", ".join(_TEXTS)}')
+        pairs = [_read_text(file) for file in files]
+        return [sheet for sheet, _ in pairs], [said for _, said in pairs if said]
+    if not path.is_file():
+        raise InputError(path, 'expected a spreadsheet or a table, found nothing')
+    if path.suffix.lower() in _SPREADSHEETS:
+        return _read_spreadsheet(path), []
+    if path.suffix.lower() == '.xls':
+        raise InputError(path, 'expected .xlsx; save the old format anew')
+    sheet, said = _read_text(path)
+    return [sheet], [said] if said else []
+
+
+def _read_spreadsheet(path: Path) -> list[Sheet]:
+    import openpyxl
+
+    try:
+        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+    except (OSError, KeyError, ValueError, zipfile.BadZipFile):
+        raise InputError(path, 'expected an .xlsx spreadsheet') from None
+    try:
+        sheets = [
+            _sheet(path, page.title, list(page.iter_rows(values_only=True)))
+            for page in book.worksheets
+        ]
+    finally:
+        book.close()
+    filled = [sheet for sheet in sheets if sheet is not None]
+    if not filled:
+        raise InputError(path, 'expected a sheet with a header and rows below it')
+    return filled
+
+
+def _read_text(path: Path) -> tuple[Sheet, str]:
+    try:
+        lines = path.read_text(encoding='utf-8-sig').splitlines()
+    except (OSError, UnicodeDecodeError):
+        raise InputError(path, 'expected a table in text (UTF-8)') from None
+    mark = _delimiter([line for line in lines if line.strip()][:20])
+    rows: list[tuple[Any, ...]] = [
+        tuple(cell.strip().strip('"') for cell in (line.split(mark) if mark else line.split()))
+        for line in lines
+    ]
+    said = ''
+    if mark != ',' and any(_DECIMAL_COMMA.match(cell) for row in rows[:50] for cell in row):
+        rows = [tuple(_with_point(cell) for cell in row) for row in rows]
+        said = f'{path.name}: decimal commas'
+    sheet = _sheet(path, path.stem, rows)
+    if sheet is None:
+        raise InputError(path, 'expected a header and rows below it')
+    return sheet, said
+
+
+def _delimiter(lines: list[str]) -> str | None:
+    """The mark that divides every line alike; None for blanks."""
+    for mark in (';', '\t', ','):
+        counts = Counter(line.count(mark) for line in lines)
+        if counts and counts.most_common(1)[0][0] > 0:
+            return mark
+    return None
+
+
+def _with_point(cell: str) -> str:
+    return cell.replace(',', '.') if _DECIMAL_COMMA.match(cell) else cell
+
+
+def _sheet(path: Path, name: str, rows: list[tuple[Any, ...]]) -> Sheet | None:
+    """The table below the first row that looks like a header; None where there is none."""
+    numbered = [(i, row) for i, row in enumerate(rows, 1) if any(not _blank(c) for c in row)]
+    header = next((k for k, (_, row) in enumerate(numbered) if _words(row) >= 2), None)
+    if header is None or header + 1 == len(numbered):
+        return None
+    names = [str(cell).strip() if not _blank(cell) else '' for cell in numbered[header][1]]
+    body = numbered[header + 1:]
+    # Some programs explain their columns in further rows of words.
+    while len(body) > 1 and _words(body[0][1]) == sum(not _blank(c) for c in body[0][1]):
+        body = body[1:]
+    for line, row in body:
+        if any(not _blank(cell) for cell in row[len(names):]):
+            raise InputError(path, f'expected {len(names)} values, found {len(row)}', line)
+    padded = [(tuple(row) + (None,) * len(names))[:len(names)] for _, row in body]
+    return Sheet(path, name, names, padded, [line for line, _ in body])
+
+
+def _words(row: tuple[Any, ...]) -> int:
+    """How many cells of a row are neither numbers nor blank."""
+    return sum(_number(cell) is None for cell in row)
+
+
+def _blank(cell: Any) -> bool:
+    return cell is None or (isinstance(cell, str) and cell.strip().lower() in _BLANK)
+
+
+def _number(cell: Any) -> float | None:
+    """A cell as a number, NaN where it is blank, None where it is text; dates in seconds."""
+    if _blank(cell):
+        return math.nan
+    if isinstance(cell, datetime):
+        return cell.replace(tzinfo=UTC).timestamp()  # no hour is missing in UTC
+    if isinstance(cell, time):
+        return cell.hour * 3600 + cell.minute * 60 + cell.second + cell.microsecond / 1e6
+    if isinstance(cell, timedelta):
+        return cell.total_seconds()
+    try:
+        value = float(cell)
+    except (TypeError, ValueError):
+        return None
+    return value if math.isfinite(value) else None

@@ -1,0 +1,66 @@
+"""What is wrong with the pictures as they come: light, saturation, frames that are missing."""
+
+from __future__ import annotations
+
+import numpy as np
+
+_SAMPLES = 32
+"""Points across the shorter side at which the light is read."""
+
+_FLICKER, _DRIFT = 0.1, 0.3
+"""Relative change of the light: from its latest, and from when particles were learned."""
+
+_RECENT, _LEARNED = 0.1, 30
+"""Share of a new frame in what is recent; frames after which the light counts as learned."""
+
+_SATURATED = 0.02
+"""Share of the picture at the top of its range; nothing can be measured there."""
+
+_LATE = 2.5
+"""Usual intervals: longer ones have lost more than a frame."""
+
+
+class FrameQuality:
+    """Keeps what is usual of light and time, and says what is not."""
+
+    def __init__(self) -> None:
+        self._light = 0.0
+        self._first_light = 0.0
+        self._interval = 0.0
+        self._frames = 0
+
+    def look(self, image: np.ndarray, dt: float | None, jump_px: float) -> dict[str, str]:
+        """What is wrong with an `image` (H, W) that came `dt` [s] after the last: kind → sentence.
+
+        `jump_px` is how far the picture has jumped, as the linker found.
+        """
+        said = self._see(image)
+        self._frames += 1
+        if dt is not None:
+            if dt > _LATE * self._interval > 0:
+                said['late'] = f'{dt:.3f} s without a frame, usual are {self._interval:.3f} s'
+            self._interval += _RECENT * (dt - self._interval) if self._interval else dt
+        if jump_px:
+            said['jump'] = f'the picture jumped by {jump_px:.0f} px'
+        return said
+
+    def _see(self, image: np.ndarray) -> dict[str, str]:
+        spacing = max(1, min(image.shape) // _SAMPLES)
+        sample = image[::spacing, ::spacing].ravel()
+        full = np.mean(sample == np.iinfo(image.dtype).max)
+        light = float(np.partition(sample, sample.size // 2)[sample.size // 2])
+        said = {}
+        if full > _SATURATED:
+            said['saturated'] = f'{100 * full:.0f} % of the picture are saturated'
+        if sample.max() == sample.min():
+            said['blank'] = 'the picture is blank'
+        change = light / self._light - 1 if self._light else 0.0
+        if abs(change) > _FLICKER:
+            said['flicker'] = f'the light jumped by {100 * change:+.0f} %'
+        self._light = self._light + _RECENT * (light - self._light) if self._frames else light
+        if self._frames < _LEARNED:
+            self._first_light = self._light
+        drift = self._light / self._first_light - 1 if self._first_light else 0.0
+        if abs(drift) > _DRIFT:
+            said['drift'] = f'the light is {100 * drift:+.0f} % off what it was at the start'
+        return said

@@ -1,0 +1,153 @@
+"""Every public function, class and method has a docstring that describes its parameters.
+
+A parameter is described where the docstring of the function or of its class names it, as an
+identifier or in words (`frame_rate`: 'frame rate'), or where its annotation is a type of ours,
+whose own docstring describes it, or one that leaves nothing to say. What overrides inherits.
+"""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+import microbot_ros
+
+ROOT = Path(microbot_ros.__file__).parent
+ROOMS = sorted({
+    path.relative_to(ROOT).parts[0].removesuffix('.py') for path in ROOT.rglob('*.py')}
+    - {'__init__'})
+
+_TO_DO = ('cli', 'control', 'discovery', 'drive', 'estimation', 'nodes')
+"""Rooms whose docstrings are still to be completed."""
+
+_SAYS_IT_ALL = {
+    'Path', 'BinaryIO', 'TextIO', 'Generator', 'Console', 'TracebackType', 'Attachment', 'Channel',
+    'ChunkIndex', 'Metadata', 'Schema', 'Summary'}
+"""Types that need no description: a file, chance, a terminal, the records of MCAP."""
+
+_HOOKS = re.compile(r'validator|\bclick\.|\bproperty\b|cached_property|\.setter|overload')
+"""Decorators whose functions are called by a framework, or described in its own way."""
+
+FUNCTION = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+def public_modules(room):
+    for path in sorted([*(ROOT / room).rglob('*.py'), *ROOT.glob(f'{room}.py')]):
+        parts = path.relative_to(ROOT).with_suffix('').parts
+        if not any(part.startswith('_') and part != '__init__' for part in parts):
+            yield path, ast.parse(path.read_text(encoding='utf-8'))
+
+
+def classes_by_name():
+    found = {}
+    for room in ROOMS:
+        for _, tree in public_modules(room):
+            found |= {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
+    return found
+
+
+CLASSES = classes_by_name()
+
+
+def names_in(annotation):
+    """All identifiers of an annotation, those within quotes too."""
+    return set(re.findall(r'\w+', ast.unparse(annotation))) if annotation else set()
+
+
+def inherits(method, cls):
+    """Whether a class above defines the method and says what it does."""
+    for base in cls.bases:
+        above = CLASSES.get(re.split(r'[.\[]', ast.unparse(base))[-1])
+        if above is None or above is cls:
+            continue
+        own = {node.name: node for node in above.body if isinstance(node, FUNCTION)}
+        if (method in own and ast.get_docstring(own[method])) or inherits(method, above):
+            return True
+    return False
+
+
+def described(name, docstring):
+    words = name.strip('_').replace('_', '[ _]').removesuffix('s')
+    return re.search(rf'\b{words}s?\b', docstring, re.IGNORECASE) is not None
+
+
+def undescribed(function, docstring):
+    """The parameters of a function that neither a docstring nor their type describes."""
+    given = function.args
+    for one in (*given.posonlyargs, *given.args, given.vararg, *given.kwonlyargs, given.kwarg):
+        if one is None or one.arg in ('self', 'cls') or one.arg.startswith('_'):
+            continue
+        types = names_in(one.annotation)
+        ours = any(ast.get_docstring(CLASSES[t]) for t in types & CLASSES.keys())
+        if not ours and not types & _SAYS_IT_ALL and not described(one.arg, docstring):
+            yield one.arg
+
+
+def is_dataclass(cls):
+    return any('dataclass' in ast.unparse(d) for d in cls.decorator_list) or any(
+        'NamedTuple' in ast.unparse(b) for b in cls.bases)
+
+
+def undescribed_fields(cls, docstring):
+    """Public fields of a dataclass without a word in the docstring or a string below them."""
+    for node, after in zip(cls.body, [*cls.body[1:], None], strict=True):
+        if not isinstance(node, ast.AnnAssign) or 'ClassVar' in ast.unparse(node.annotation):
+            continue
+        name = node.target.id
+        below = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+        declared = isinstance(node.value, ast.Call)  # a setting or a parameter, with its meaning
+        ours = names_in(node.annotation) & CLASSES.keys()
+        if not (name.startswith('_') or below or declared or ours or described(name, docstring)):
+            yield name
+
+
+def complaints(path, tree):
+    """(where, what is wrong) of one module."""
+    def check(function, label, cls=None):
+        if any(_HOOKS.search(ast.unparse(d)) for d in function.decorator_list):
+            return
+        own = ast.get_docstring(function) or ''
+        if not own and not (cls is not None and inherits(function.name, cls)):
+            yield label, 'has no docstring'
+        elif own:
+            above = ast.get_docstring(cls) or '' if cls is not None else ''
+            for name in undescribed(function, f'{own} {above}'):
+                yield label, f'does not describe `{name}`'
+
+    if not ast.get_docstring(tree) and tree.body:
+        yield str(path.relative_to(ROOT)), 'has no docstring'
+    for node in tree.body:
+        if getattr(node, 'name', '_').startswith('_'):
+            continue
+        label = f'{path.relative_to(ROOT)}: {node.name}'
+        if isinstance(node, FUNCTION):
+            yield from check(node, label)
+        elif isinstance(node, ast.ClassDef):
+            whole = ast.get_docstring(node) or ''
+            if not whole:
+                yield label, 'has no docstring'
+                continue
+            if is_dataclass(node):
+                for name in undescribed_fields(node, whole):
+                    yield label, f'does not describe `{name}`'
+            for method in (m for m in node.body if isinstance(m, FUNCTION)):
+                if method.name == '__init__':
+                    said = f'{whole} {ast.get_docstring(method) or ""}'
+                    for name in undescribed(method, said):
+                        yield label, f'does not describe `{name}`'
+                elif not method.name.startswith('_'):
+                    yield from check(method, f'{label}.{method.name}', node)
+
+
+@pytest.mark.parametrize('room', [room for room in ROOMS if room not in _TO_DO])
+def test_public_names_are_described(room):
+    found = [f'{where} {what}' for path, tree in public_modules(room)
+             for where, what in complaints(path, tree)]
+    assert found == []
+
+
+@pytest.mark.parametrize('room', _TO_DO)
+def test_rooms_still_to_do_are_not_done_yet(room):
+    """A room that passes is to be taken off the list."""
+    assert any(next(complaints(path, tree), None) for path, tree in public_modules(room))
