@@ -1,4 +1,4 @@
-"""One number of an effect: its name at the edge, its range, and the coordinate it is fitted in."""
+"""One number of an effect: its name with its unit, its range, the coordinate it is fitted in."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Parameter:
         return min(ends), max(ends)
 
     def display_units(self, value: float) -> float:
-        """An SI value in the unit of the name."""
+        """An SI `value` in the unit of the name."""
         return units.from_si(self.name, value)
 
 

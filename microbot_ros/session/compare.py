@@ -20,7 +20,7 @@ _Key = tuple[int, int]
 
 
 @dataclass(frozen=True)
-class Parting:
+class FirstDifference:
     """The first field of the first pair of messages that differ, `t_s` since the start of `a`.
 
     `a` and `b` are its values in either recording.
@@ -46,7 +46,7 @@ class TopicDifference:
     unequal: int
     only_a: int
     only_b: int
-    first: Parting | None
+    first: FirstDifference | None
     largest: dict[str, float]
     unjudged: dict[int, str] = dataclasses.field(default_factory=dict)
 
@@ -82,7 +82,7 @@ class _Frame:
     pairs: int = 0
     unequal: int = 0
     only: list[int] = dataclasses.field(default_factory=lambda: [0, 0])
-    first: Parting | None = None
+    first: FirstDifference | None = None
     largest: dict[str, float] = dataclasses.field(default_factory=dict)
 
     @property
@@ -119,7 +119,7 @@ def _pair(frame: _Frame, t_s: float, left: dict[str, Any], right: dict[str, Any]
     frame.unequal += bool(partings)
     for field, place, x, y, size in partings:
         frame.largest[field] = max(frame.largest.get(field, 0.0), size)
-        frame.first = frame.first or Parting(t_s, field + place, x, y)
+        frame.first = frame.first or FirstDifference(t_s, field + place, x, y)
 
 
 def _sum(topic: str, frames: list[_Frame], unjudged: dict[int, str]) -> TopicDifference:

@@ -15,11 +15,11 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 from microbot_ros.errors import InputError
 from microbot_ros.session.bag import typestore
 from microbot_ros.session.recording import is_topic
-from microbot_ros.session.store import MIB, Store, Topic, Worth
+from microbot_ros.session.store import MIB, Priority, RecordedTopic, Store
 
 # A class of messages is dropped while more than this waits in memory, or less is free on disk.
-MOST_QUEUED = {Worth.OVERLAY: 32 * MIB, Worth.FRAME: 256 * MIB, Worth.DATA: 512 * MIB}
-LEAST_FREE = {Worth.OVERLAY: 1024 * MIB, Worth.FRAME: 256 * MIB, Worth.DATA: 0}
+MOST_QUEUED = {Priority.OVERLAY: 32 * MIB, Priority.FRAME: 256 * MIB, Priority.DATA: 512 * MIB}
+LEAST_FREE = {Priority.OVERLAY: 1024 * MIB, Priority.FRAME: 256 * MIB, Priority.DATA: 0}
 _FRAMES = ('sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage')
 _PERIOD = 0.05
 _NICENESS = 5
@@ -62,10 +62,10 @@ class RecordingWriter:
             problem = f'expected a folder to record to ({error.strerror})'
             raise InputError(folder, problem) from None
         self._lock = threading.Lock()
-        self._queue: deque[tuple[Topic, int, bytes] | Attachment | Metadata] = deque()
+        self._queue: deque[tuple[RecordedTopic, int, bytes] | Attachment | Metadata] = deque()
         self._queued_bytes = 0
         self._dropped: Counter[str] = Counter()
-        self._topics: dict[str, Topic] = {}
+        self._topics: dict[str, RecordedTopic] = {}
         self._schemas: dict[str, Schema] = {}
         self._failure = ''
         self._closing = threading.Event()
@@ -81,7 +81,7 @@ class RecordingWriter:
             raise RuntimeError('the recording is closed')
         with self._lock:
             entry = self._topics.get(topic) or self._declare(topic, msgtype)
-            if self._failure or self._unaffordable(entry.worth):
+            if self._failure or self._unaffordable(entry.priority):
                 self._dropped[topic] += 1
                 return
             self._queue.append((entry, t_ns, data))
@@ -126,7 +126,7 @@ class RecordingWriter:
     ) -> None:
         self.close()
 
-    def _declare(self, topic: str, msgtype: str) -> Topic:
+    def _declare(self, topic: str, msgtype: str) -> RecordedTopic:
         if msgtype not in typestore().types:
             raise ValueError(f'{topic}: ROS 2 Jazzy defines no message type {msgtype}')
         if msgtype not in self._schemas:
@@ -139,17 +139,17 @@ class RecordingWriter:
         channel = Channel(
             len(self._topics) + 1, topic, 'cdr', {'offered_qos_profiles': ''}, schema.id,
         )
-        worth = Worth.DATA
+        priority = Priority.DATA
         if is_topic(topic, 'overlay/image_raw') or is_topic(topic, 'markers'):
-            worth = Worth.OVERLAY
+            priority = Priority.OVERLAY
         elif msgtype in _FRAMES:
-            worth = Worth.FRAME
-        self._topics[topic] = Topic(schema, channel, worth)
+            priority = Priority.FRAME
+        self._topics[topic] = RecordedTopic(schema, channel, priority)
         return self._topics[topic]
 
-    def _unaffordable(self, worth: Worth) -> bool:
+    def _unaffordable(self, priority: Priority) -> bool:
         waiting = self._queued_bytes + self._store.waiting_bytes
-        return waiting > MOST_QUEUED[worth] or self._store.free_bytes < LEAST_FREE[worth]
+        return waiting > MOST_QUEUED[priority] or self._store.free_bytes < LEAST_FREE[priority]
 
     def _problem(self, dropped: dict[str, int]) -> str:
         if self._failure:
@@ -159,7 +159,7 @@ class RecordingWriter:
             return (f'the disk refuses data ({self._store.refused}); '
                     f'{self._store.waiting_bytes / MIB:.0f} MiB wait in memory; '
                     f'dropped: {lost or "none"}')
-        if self._unaffordable(Worth.OVERLAY):
+        if self._unaffordable(Priority.OVERLAY):
             free = f'{self._store.free_bytes / MIB:.0f} MiB free'
             return f'disk slow or nearly full ({free}); dropped: {lost or "none"}'
         return f'dropped for want of disk: {lost}' if lost else ''

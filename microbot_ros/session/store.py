@@ -1,4 +1,4 @@
-"""The files of a recording while it grows: chunks by worth, segments, a disk that may refuse."""
+"""The files of a recording while it grows: chunks by priority, parts, a disk that may refuse."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SEGMENT_BYTES = 4096 * MIB
 SEGMENT_SECONDS = 600.0
 
 
-class Worth(IntEnum):
+class Priority(IntEnum):
     """What is given up first when the disk cannot keep up; data never are."""
 
     OVERLAY = 0
@@ -36,17 +36,17 @@ class Worth(IntEnum):
 
 
 @dataclass(frozen=True)
-class Topic:
-    """A topic as it is recorded: its `schema` and `channel` records, and what it is worth."""
+class RecordedTopic:
+    """A topic as it is recorded: its `schema` and `channel` records, and its priority."""
 
     schema: Schema
     channel: Channel
-    worth: Worth
+    priority: Priority
 
 
 class Store:
-    """Keeps messages of each worth in chunks of their own, so that reading tracks does not
-    decompress frames, and what the disk refuses can be given up by worth.
+    """Keeps messages of each priority in chunks of their own, so that reading tracks does not
+    decompress frames, and what the disk refuses can be given up by priority.
 
     Not thread-safe: one thread stores, others may read the public attributes.
     """
@@ -61,41 +61,41 @@ class Store:
         self._synced = 0.0
         self._writers: list[McapWriter] = []
         self._next_segment()
-        self._topics: dict[int, Topic] = {}
-        self._builders = {worth: ChunkBuilder() for worth in Worth}
-        self._opened = dict.fromkeys(Worth, 0.0)
-        self._waiting: deque[tuple[Worth, ClosedChunk | Attachment | Metadata]] = deque()
+        self._topics: dict[int, RecordedTopic] = {}
+        self._builders = {priority: ChunkBuilder() for priority in Priority}
+        self._opened = dict.fromkeys(Priority, 0.0)
+        self._waiting: deque[tuple[Priority, ClosedChunk | Attachment | Metadata]] = deque()
 
     @property
     def bytes_written(self) -> int:
         """Bytes in all files so far."""
         return sum(segment.size for segment in self._writers)
 
-    def add(self, topic: Topic, t_ns: int, data: bytes) -> None:
+    def add(self, topic: RecordedTopic, t_ns: int, data: bytes) -> None:
         """Take one message, received at `t_ns` [ns] with CDR `data`.
 
         It is on disk after the next `tick` that finds its chunk due.
         """
-        builder = self._builders[topic.worth]
+        builder = self._builders[topic.priority]
         if not builder.size:
-            self._opened[topic.worth] = time.monotonic()
+            self._opened[topic.priority] = time.monotonic()
         self._topics[topic.channel.id] = topic
         builder.add(topic.channel.id, t_ns, data)
         if builder.size >= CHUNK_BYTES:
-            self._flush(topic.worth)
+            self._flush(topic.priority)
 
     def add_record(self, record: Attachment | Metadata) -> None:
         """Take an attachment or metadata and write it at once."""
-        self._waiting.append((Worth.DATA, record))
+        self._waiting.append((Priority.DATA, record))
         self._write()
 
     def tick(self) -> None:
         """Write what is due, try again what was refused, begin a new file when it is time."""
         now = time.monotonic()
         self.free_bytes = shutil.disk_usage(self._folder).free
-        for worth, builder in self._builders.items():
-            if builder.size and now - self._opened[worth] >= FLUSH_SECONDS:
-                self._flush(worth)
+        for priority, builder in self._builders.items():
+            if builder.size and now - self._opened[priority] >= FLUSH_SECONDS:
+                self._flush(priority)
         self._write()
         self._sync()
         old = now - self._segment_began >= SEGMENT_SECONDS
@@ -105,8 +105,8 @@ class Store:
     def close(self, lost: Counter[str]) -> None:
         """Write all that is left, what was dropped here and before (`lost`), the indexes and
         `metadata.yaml`."""
-        for worth in Worth:
-            self._flush(worth)
+        for priority in Priority:
+            self._flush(priority)
         if dropped := self.dropped + lost:
             self.add_record(Metadata('dropped', {name: str(n) for name, n in dropped.items()}))
         try:
@@ -115,15 +115,15 @@ class Store:
             write_text(self._folder / METADATA_FILE, text)
         except OSError as error:
             self.refused = error.strerror or str(error)
-        self._drop(list(Worth))
+        self._drop(list(Priority))
 
     def abandon(self) -> None:
         """Leave the files as they are."""
         self._writer.abandon()
 
-    def _flush(self, worth: Worth) -> None:
-        if self._builders[worth].size:
-            self._waiting.append((worth, self._builders[worth].close()))
+    def _flush(self, priority: Priority) -> None:
+        if self._builders[priority].size:
+            self._waiting.append((priority, self._builders[priority].close()))
             self._write()
 
     def _write(self) -> None:
@@ -132,7 +132,7 @@ class Store:
                 self._write_one(self._waiting[0][1])
             except OSError as error:
                 self.refused = error.strerror or str(error)
-                self._drop([Worth.OVERLAY, Worth.FRAME])
+                self._drop([Priority.OVERLAY, Priority.FRAME])
                 break
             self._waiting.popleft()
             self.refused = ''
@@ -161,12 +161,12 @@ class Store:
             self._writer.add_chunk(item)
             self.counts.update(self._by_topic(item))
 
-    def _drop(self, worths: list[Worth]) -> None:
+    def _drop(self, priorities: list[Priority]) -> None:
         """Give up, and count, what of these waits."""
-        for worth, item in self._waiting:
-            if worth in worths and isinstance(item, ClosedChunk):
+        for priority, item in self._waiting:
+            if priority in priorities and isinstance(item, ClosedChunk):
                 self.dropped.update(self._by_topic(item))
-        self._waiting = deque(entry for entry in self._waiting if entry[0] not in worths)
+        self._waiting = deque(entry for entry in self._waiting if entry[0] not in priorities)
 
     def _by_topic(self, closed: ClosedChunk) -> dict[str, int]:
         return {

@@ -99,7 +99,7 @@ class Linker:
 
     @property
     def _phasor_variance(self) -> float:
-        """What is reckoned with before a particle's response is known."""
+        """What is reckoned with before a particle's velocity phasor is known."""
         if self._drive_rate == 0.0 or self._interval is None:
             return 0.0
         return (self.max_step_px / 4 / (self._drive_rate * self._interval)) ** 2

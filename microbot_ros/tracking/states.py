@@ -21,7 +21,7 @@ _SURPRISE = 9.0
 """Squared innovation, in its variance, from which a particle is taken to have changed course."""
 
 _PHASOR_LASTS = 1000.0
-"""Frames over which a particle's response to the drive is expected to change."""
+"""Frames over which a particle's velocity phasor is expected to change."""
 
 
 @dataclass

@@ -23,7 +23,7 @@ from microbot_ros.virtual_rig.record_session import Camera, Feedback
 
 Positive = Annotated[float, pydantic.Field(gt=0)]
 Fraction = Annotated[float, pydantic.Field(ge=0, lt=1)]
-Levels = Positive | Annotated[tuple[Positive, ...], pydantic.Field(min_length=1)]
+LevelSettings = Positive | Annotated[tuple[Positive, ...], pydantic.Field(min_length=1)]
 EffectSettings = dict[str, dict[str, float | tuple[float, ...]]]
 
 
@@ -69,11 +69,11 @@ class SwimmerSettings(Settings):
 class StepSettings(Settings):
     """Commands drawn at random; see `commands.steps`."""
 
-    field_mT: Levels
+    field_mT: LevelSettings
     dwell_s: tuple[Positive, Positive]
     centre_deg: float = 0.0
     spread_deg: Annotated[float, pydantic.Field(gt=0, le=180)] = 180.0
-    frequency_hz: Levels | None = None
+    frequency_hz: LevelSettings | None = None
 
     @pydantic.field_validator('dwell_s')
     @classmethod

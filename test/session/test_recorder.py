@@ -114,7 +114,7 @@ def test_a_nearly_full_disk_costs_overlays_then_frames_and_no_command(tmp_path, 
 
 def test_a_slow_disk_costs_overlays_first_and_no_command(tmp_path, monkeypatch):
     monkeypatch.setattr(recorder, 'MOST_QUEUED', {
-        store.Worth.OVERLAY: 20_000, store.Worth.FRAME: 100_000, store.Worth.DATA: 10**9})
+        store.Priority.OVERLAY: 20_000, store.Priority.FRAME: 100_000, store.Priority.DATA: 10**9})
     monkeypatch.setattr(store, 'FLUSH_SECONDS', 0.0)
     stuck, freed = threading.Event(), threading.Event()
     write = McapWriter.add_chunk
@@ -190,7 +190,7 @@ def test_a_disk_that_stays_full_costs_data_only_when_memory_is_full_too(tmp_path
         raise OSError(28, 'No space left on device')
 
     monkeypatch.setattr(recorder, 'MOST_QUEUED', {
-        store.Worth.OVERLAY: 2_000, store.Worth.FRAME: 4_000, store.Worth.DATA: 8_000})
+        store.Priority.OVERLAY: 2_000, store.Priority.FRAME: 4_000, store.Priority.DATA: 8_000})
     monkeypatch.setattr(store, 'FLUSH_SECONDS', 0.0)
     with RecordingWriter(tmp_path / 'run') as writer:
         write, lost_first = McapWriter._append, []
