@@ -22,6 +22,7 @@ from microbot_ros.model.particle import (
     Fluid,
     Particle,
     alignment_time,
+    force_from_speed,
     rotational_time,
     speed_from_force,
     stokes_drag,
@@ -158,7 +159,7 @@ def attempt(seed: int) -> Trial:
     session = record(seed)
     times, measured = session.tracks.grid()
     legs = one_leg(session)
-    force = np.array([leg.speed for leg in legs]) * stokes_drag(FLUID, RADIUS)
+    force = np.array([force_from_speed(FLUID, RADIUS, leg.speed) for leg in legs])
     phi = np.array([leg.phi for leg in legs])
     calibrations = {
         'own': swimmers(force, phi),
