@@ -80,7 +80,9 @@ def _silent(protocol: str, board: Emulator, tries: int) -> Iterator[float]:
         for _ in range(tries):
             host.say('drive')
             time.sleep(random.uniform(0.05, 0.15))
-            last = float(host.say('silence'))
+            if (answer := host.say('silence')).startswith('cut'):
+                raise RuntimeError(f'{protocol}: {answer}')
+            last = float(answer)
             yield board.zero_after(last, _DEADLINE_S) - last
 
 
@@ -99,11 +101,11 @@ def _host(protocol: str, url: str) -> None:
     from microbot_ros.drive.amplifier import amplifier_class
     from microbot_ros.drive.coil_driver import CoilDriver
     from microbot_ros.drive.real_time import SAFETY, set_realtime_priority_of_all
-    from microbot_ros.nodes.coil_driver import CoilDriverParameters, limits
+    from microbot_ros.loop.allocation import GateParameters, limits
 
     set_realtime_priority_of_all(SAFETY)
     driver = CoilDriver(amplifier_class(protocol)(url, FULL_SCALE_A),
-                        limits(CoilDriverParameters()), lambda _: None, accept_no_watchdog=True)
+                        limits(GateParameters()), lambda _: None, accept_no_watchdog=True)
     driver.start()
     commanding, last = False, 0.0
     while True:
@@ -115,7 +117,8 @@ def _host(protocol: str, url: str) -> None:
         commanding = sys.stdin.readline().strip() == 'drive'
         while commanding and not driver.gate.armed and driver.arm() is not None:
             time.sleep(0.01)
-        print('driving' if commanding else last, flush=True)
+        fault = driver.gate.fault
+        print('driving' if commanding else f'cut: {fault}' if fault else last, flush=True)
 
 
 if __name__ == '__main__':

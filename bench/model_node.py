@@ -12,6 +12,7 @@ import yaml
 from sensor_msgs.msg import MagneticField, PointCloud2
 
 from bench.figure import Figure
+from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.graph import Graph
 from microbot_ros.nodes.graph_client import GraphClient
@@ -38,7 +39,7 @@ def _share(client: GraphClient, process: psutil.Process) -> float:
     while not particles.get_subscription_count():
         client.spin(0.05)
     rng = np.random.default_rng(0)
-    points = np.zeros(PARTICLES, messages.PARTICLE)
+    points = np.zeros(PARTICLES, PARTICLE)
     points['id'], points['sigma'] = np.arange(PARTICLES), 5e-8
     place = rng.uniform(-1e-4, 1e-4, PARTICLES) + 1j * rng.uniform(-1e-4, 1e-4, PARTICLES)
     swim = 4e-6 / RATE_HZ * np.exp(1j * rng.uniform(-np.pi, np.pi, PARTICLES))

@@ -24,6 +24,7 @@ from bench.figure import Figure
 from bench.recording import _session
 from microbot_ros.drive.real_time import set_realtime_priority
 from microbot_ros.errors import InputError
+from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.graph import Graph
 from microbot_ros.nodes.graph_client import GraphClient
@@ -224,7 +225,7 @@ def _killed(path: Path, seconds: float) -> float:
         while (now := time.time_ns()) < began + seconds * 1e9:
             frames.publish(messages.image(noise, messages.to_stamp(now / 1e9)))
             particles.publish(messages.cloud(
-                np.zeros(4, messages.PARTICLE), messages.to_stamp(now / 1e9)))
+                np.zeros(4, PARTICLE), messages.to_stamp(now / 1e9)))
             client.spin(0.01)
         os.kill(graph.process_id('recorder'), signal.SIGKILL)
     with open_recording(path) as recording:

@@ -18,7 +18,7 @@ class About:
     """What is known of a setting beside its name and default.
 
     `description` for people; `lower` and `upper` bound it, None where nothing does; `choices`,
-    where only these are allowed; `read_only`: fixed at start-up.
+    where only these are allowed; `read_only`: fixed at start-up; `formerly`: a name from before.
     """
 
     description: str

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from microbot_ros import units
+from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes import messages
 from microbot_ros.session import open_recording
 
@@ -36,7 +37,7 @@ class DemoRun:
     @classmethod
     def read(cls, path: Path) -> DemoRun:
         """Everything but the pictures in the recording at `path`, read once."""
-        kinds = {'/virtual_rig/truth': messages.TRUTH, '/particles': messages.PARTICLE}
+        kinds = {'/virtual_rig/truth': messages.TRUTH, '/particles': PARTICLE}
         run = cls({}, {}, {}, [], np.empty(0), {}, math.nan)
         clouds = {'/virtual_rig/truth': run.truth, '/particles': run.particles}
         latency = []

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from microbot_ros.cli.demo_results import DemoRun
+from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes import messages
 from microbot_ros.session import open_recording
 from microbot_ros.tracking import ImageToWorkspace, Poses
@@ -66,7 +67,7 @@ def _fields(recording: Path) -> np.ndarray:
 
 
 def _poses(run: DemoRun, stamp: float, camera: ImageToWorkspace) -> Poses:
-    points = run.particles.get(stamp, np.empty(0, messages.PARTICLE))
+    points = run.particles.get(stamp, np.empty(0, PARTICLE))
     x, y = camera.pixels(np.column_stack([points['x'], points['y']])).T
     nothing = np.zeros(len(points))
     return Poses(

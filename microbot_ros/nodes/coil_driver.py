@@ -15,10 +15,9 @@ from std_srvs.srv import SetBool
 from microbot_ros.drive.amplifier import Command, Reading, amplifier_class
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.errors import AmplifierError
-from microbot_ros.drive.gate import Limits, Reason
+from microbot_ros.drive.gate import Reason
 from microbot_ros.errors import InputError
-from microbot_ros.files import read_yaml
-from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings
+from microbot_ros.loop.allocation import AllocationStage, GateParameters, limits
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import ERROR, NEWEST, OK, WARN, RigNode
 from microbot_ros.settings import setting
@@ -28,7 +27,7 @@ _COMMANDER_SECONDS = 2.0
 
 
 @dataclass(frozen=True)
-class CoilDriverParameters:
+class CoilDriverParameters(GateParameters):
     """Parameters of the node `coil_driver`. All are fixed at start-up: they are safety limits."""
 
     amplifier: str = setting(
@@ -36,36 +35,11 @@ class CoilDriverParameters:
     port: str = setting(
         '', 'Serial port or pyserial URL; for one port per coil four, separated by commas.',
         read_only=True)
-    coils_file: str = setting(
-        '', 'YAML file with the coils; empty takes the default rig.', read_only=True)
     full_scale_A: float = setting(
         2.0, 'Current of each channel at full output.', lower=0.01, upper=100.0, read_only=True)
-    current_limit_A: float = setting(
-        2.0, 'Largest current the gate lets through.', lower=0.001, upper=100.0, read_only=True)
-    step_limit_A: float = setting(
-        4.0, 'Largest jump of a current at once.', lower=0.001, upper=200.0, read_only=True)
-    slew_limit_A_per_s: float = setting(
-        200.0, 'Fastest lasting change of a current.', lower=0.01, upper=1e5, read_only=True)
-    command_timeout_ms: float = setting(
-        75.0, 'How long a command other than zero holds without the next.', lower=10.0,
-        upper=2000.0, read_only=True, formerly='stale_ms')
     max_command_age_ms: float = setting(
         75.0, 'A command whose stamp, the exposure that it answers, is older is not driven.',
         lower=10.0, upper=2000.0, read_only=True, formerly='stale_ms')
-    deviation_A: float = setting(
-        0.2, 'How far a measured current may lie from what was commanded.', lower=0.001,
-        upper=10.0, read_only=True)
-    settling_ms: float = setting(
-        100.0, 'How long a measured current may take to follow.', lower=1.0, upper=2000.0,
-        read_only=True)
-    feedback_timeout_ms: float = setting(
-        200.0, 'How long currents may flow without a measurement.', lower=10.0, upper=5000.0,
-        read_only=True, formerly='silence_ms')
-    rated_current_A: float = setting(
-        1.5, 'Current that a coil bears for ever.', lower=0.001, upper=100.0, read_only=True,
-        formerly='continuous_A')
-    thermal_s: float = setting(
-        60.0, 'Thermal time constant of a coil.', lower=1.0, upper=3600.0, read_only=True)
     self_check: bool = setting(
         True, 'Check sign and gain of each coil with a short pulse on arming, and the watchdog of '
         'a device whose firmware may have one; false for an amplifier that reads no currents '
@@ -73,12 +47,6 @@ class CoilDriverParameters:
     accept_no_watchdog: bool = setting(
         False, 'Drive an amplifier without a watchdog of its own: if this computer loses its '
         'power while coils are driven, the last currents flow on.', read_only=True)
-    full_field_mT: float = setting(
-        5.0, 'Strongest field that will be asked for: limits that do not allow it, or its '
-        'reversal at once, are refused at the start.', lower=0.001, upper=1000.0, read_only=True)
-    idle_disarm_s: float = setting(
-        10.0, 'How long the gate stays armed while nobody commands, be it zero.', lower=0.5,
-        upper=3600.0, read_only=True)
 
 
 class CoilDriverNode(RigNode):
@@ -96,10 +64,7 @@ class CoilDriverNode(RigNode):
         if not values.port:
             raise InputError(self.get_name(), 'expected a parameter port: the serial port of '
                                               'the amplifier')
-        file = values.coils_file
-        self._coils = CoilSet(read_yaml(file, CoilSettings) if file else None)
-        self._allocator = Allocator(self._coils)
-        _refuse_contradictions(values, self._allocator)
+        self.stage = AllocationStage(values)
         self._latency = math.nan
         self._refused = 0
         self._commander: bytes | None = None
@@ -170,24 +135,21 @@ class CoilDriverNode(RigNode):
             self._refused += 1
             self.complain(f'field/command is {age:.3f} s old; not driven')
             return
-        field = np.array([message.vector.x, message.vector.y])
-        # What is not finite goes to the gate as it is, which latches it as a fault.
-        wanted = (self._allocator.allocate(field).currents if np.isfinite(field).all()
-                  else np.full(4, np.nan))
+        wanted = self.stage.step(np.array([message.vector.x, message.vector.y]))
         stamp = message.header.stamp
         self._driver.command(wanted, stamp)
-        self._wanted.publish(messages.currents(self._coils.names, wanted, stamp))
+        self._wanted.publish(messages.currents(self.stage.coils.names, wanted, stamp))
 
     def _on_sent(self, command: Command) -> None:
         """In the driver's thread: a command has gone out, zeros where the gate tripped."""
         self._applied.publish(
-            messages.currents(self._coils.names, command.currents_A, command.tag))
+            messages.currents(self.stage.coils.names, command.currents_A, command.tag))
 
     def _on_reading(self, reading: Reading) -> None:
         """In the driver's thread: publish what was measured, and how long it took."""
         now = self.get_clock().now().to_msg()
-        self._measured.publish(messages.currents(self._coils.names, reading.currents_A, now))
-        field = self._allocator.matrix @ reading.currents_A + self._coils.background
+        self._measured.publish(messages.currents(self.stage.coils.names, reading.currents_A, now))
+        field = self.stage.field(reading.currents_A)
         self._field.publish(messages.magnetic_field(field, now))
         acknowledged = reading.acknowledges
         if acknowledged is not None and acknowledged.tag is not None:
@@ -239,28 +201,3 @@ class CoilDriverNode(RigNode):
             response.success = not refusal
             response.message = refusal or '; '.join(filter(None, ['armed', self._driver.warning]))
         return response
-
-
-def limits(values: CoilDriverParameters) -> Limits:
-    """What the gate affirms by these `values`, in its units."""
-    return Limits(
-        current_A=values.current_limit_A, step_A=values.step_limit_A,
-        slew_A_per_s=values.slew_limit_A_per_s,
-        command_timeout_s=values.command_timeout_ms * 1e-3,
-        deviation_A=values.deviation_A, settling_s=values.settling_ms * 1e-3,
-        feedback_timeout_s=values.feedback_timeout_ms * 1e-3,
-        rated_current_A=values.rated_current_A,
-        thermal_s=values.thermal_s, idle_s=values.idle_disarm_s)
-
-
-def _refuse_contradictions(values: CoilDriverParameters, allocator: Allocator) -> None:
-    """InputError for limits with which the first full field would be a fault."""
-    needed = allocator.largest_current(values.full_field_mT * 1e-3)
-    reversal = 2 * needed
-    for name, limit, least, what in (
-            ('current_limit_A', values.current_limit_A, needed, 'needs'),
-            ('step_limit_A', values.step_limit_A, reversal, 'needs to be reversed')):
-        if not limit >= least:
-            raise InputError(name, f'expected at least {math.ceil(least * 1e3) / 1e3:g} A, which '
-                             f'a field of {values.full_field_mT:g} mT {what} with these coils; '
-                             f'received {limit:g} A')

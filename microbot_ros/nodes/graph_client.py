@@ -26,6 +26,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
 from microbot_ros.errors import InputError, RigError
+from microbot_ros.loop.points import GOAL
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.transport import stay_local
 
@@ -125,7 +126,7 @@ class GraphClient:
         self.node.create_subscription(DiagnosticArray, '/diagnostics', heard, QoSProfile(depth=50))
 
     def watch_estimates(self, tell: Callable[[np.ndarray], None]) -> None:
-        """Call `tell(points)`, of type messages.ESTIMATE, for every `model/state`."""
+        """Call `tell(points)`, of type ESTIMATE, for every `model/state`."""
         self.node.create_subscription(
             PointCloud2, 'model/state',
             lambda message: tell(messages.estimates(message)), 10)
@@ -203,7 +204,7 @@ class GraphClient:
         xy, stamp = np.array(positions, float).reshape(-1, 2), self.node.get_clock().now().to_msg()
         if particles is None:
             return self._hand_over('goals', messages.poses(xy, np.zeros(len(xy)), stamp), 'goals')
-        goals = np.zeros(len(xy), messages.GOAL)
+        goals = np.zeros(len(xy), GOAL)
         goals['id'], goals['x'], goals['y'] = particles, *xy.T
         return self._hand_over('particle_goals', messages.cloud(goals, stamp), 'goals')
 

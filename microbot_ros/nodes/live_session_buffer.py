@@ -12,6 +12,7 @@ from geometry_msgs.msg import Vector3Stamped
 from sensor_msgs.msg import JointState, PointCloud2
 
 from microbot_ros import units
+from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.graph_client import GraphClient
 from microbot_ros.records import Conditions, Session, Tracks
@@ -58,7 +59,7 @@ class LiveSessionBuffer:
     def session(self) -> Session:
         """What was collected; times [s] count from the first frame of it."""
         origin = self._frames[0][0] if self._frames else 0.0
-        empty = np.empty(0, messages.PARTICLE)
+        empty = np.empty(0, PARTICLE)
         points = np.concatenate([empty, *(frame for _, frame in self._frames)])
         t = np.repeat([t - origin for t, _ in self._frames], [len(f) for _, f in self._frames])
         series = {topic: np.array(rows) for topic, rows in self._commands.items() if rows}
@@ -79,7 +80,7 @@ class LiveSessionBuffer:
             self._frames.clear()
             for rows in self._commands.values():
                 rows.clear()
-        self._frames.append((t, messages.points(message, messages.PARTICLE)))
+        self._frames.append((t, messages.points(message, PARTICLE)))
         while self._frames[-1][0] - self._frames[0][0] > self._seconds:
             self._frames.popleft()
         # The last command before the first frame still holds there.

@@ -18,7 +18,7 @@ _SIZE = 5e-6
 
 
 def markers(particles: np.ndarray, goals: np.ndarray, stamp: Time) -> MarkerArray:
-    """Spheres and labels of `particles` (messages.ESTIMATE), cubes at `goals` (G, 2) [m], with a
+    """Spheres and labels of `particles` (ESTIMATE), cubes at `goals` (G, 2) [m], with a
     `stamp`.
     """
     finite = goals[np.isfinite(goals).all(axis=1)]

@@ -9,30 +9,14 @@ from typing import Any
 import cv2
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Pose, PoseArray, Vector3Stamped
+from geometry_msgs.msg import Pose, PoseArray, Vector3, Vector3Stamped
 from sensor_msgs.msg import Image, JointState, MagneticField, PointCloud2, PointField
 from std_msgs.msg import Header
 
+from microbot_ros.loop.points import ESTIMATE
+
 WORKSPACE = 'workspace'
 """Frame of every position and every field: x right, y up."""
-
-PARTICLE = np.dtype([
-    ('id', '<u4'), ('x', '<f4'), ('y', '<f4'), ('theta', '<f4'), ('vx', '<f4'), ('vy', '<f4'),
-    ('sigma', '<f4'),
-])
-"""A point of `particles`: SI, `theta` and velocity NaN where they are not known."""
-
-ESTIMATE = np.dtype([
-    ('id', '<u4'), ('x', '<f4'), ('y', '<f4'), ('speed', '<f4'), ('phi', '<f4'),
-    ('force', '<f4'), ('x_std', '<f4'), ('y_std', '<f4'), ('speed_std', '<f4'),
-    ('phi_std', '<f4'), ('force_std', '<f4'), ('x_ahead', '<f4'), ('y_ahead', '<f4'),
-    ('ahead_std', '<f4'), ('theta', '<f4'),
-])
-"""A point of `model/state`: SI; NaN for what is not known yet. `*_ahead`: a horizon later.
-`theta` is the heading that the tracker saw in that frame."""
-
-GOAL = np.dtype([('id', '<u4'), ('x', '<f4'), ('y', '<f4')])
-"""A point of `particle_goals`: where one particle is to go [m]."""
 
 TRUTH = np.dtype([
     ('id', '<u4'), ('x', '<f4'), ('y', '<f4'), ('theta', '<f4'), ('speed', '<f4'),
@@ -183,6 +167,21 @@ def currents(names: Iterable[str], amperes: Any, stamp: Time) -> JointState:
     """
     return JointState(header=Header(stamp=stamp, frame_id='coils'), name=list(names),
                       effort=[float(value) for value in amperes])
+
+
+def field_at(message: MagneticField) -> tuple[float, np.ndarray]:
+    """When [s] which field (2,) [T] was there; MessageError where it is not of the workspace."""
+    return _vector_at(message.header, message.magnetic_field)
+
+
+def vector_at(message: Vector3Stamped) -> tuple[float, np.ndarray]:
+    """When [s] which vector (2,) in the plane; MessageError where it is not of the workspace."""
+    return _vector_at(message.header, message.vector)
+
+
+def _vector_at(header: Header, vector: Vector3) -> tuple[float, np.ndarray]:
+    in_workspace(header)
+    return to_seconds(header.stamp), np.array([vector.x, vector.y])
 
 
 def field_vector(field: np.ndarray, stamp: Time) -> Vector3Stamped:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from dataclasses import dataclass
 from typing import ClassVar
@@ -12,9 +11,7 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseArray, Vector3Stamped
 from sensor_msgs.msg import Image, MagneticField, PointCloud2
 
-from microbot_ros import units
-from microbot_ros.estimation.commands import NEGLIGIBLE
-from microbot_ros.files import read_yaml
+from microbot_ros.loop.tracker import TrackerParameters, TrackerStage
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import (
     IMAGES_IN,
@@ -25,38 +22,17 @@ from microbot_ros.nodes.lifecycle import (
     RigNode,
 )
 from microbot_ros.settings import setting
-from microbot_ros.tracking import (
-    Drive,
-    FrameError,
-    ImageToWorkspace,
-    Poses,
-    Tracker,
-    TrackerSettings,
-    warm_up,
-)
+from microbot_ros.tracking import FrameError
 
 
 @dataclass(frozen=True)
-class TrackerParameters:
+class TrackerNodeParameters(TrackerParameters):
     """Parameters of the node `tracker`."""
 
-    pixel_size_um: float = setting(
-        0.5, 'Width of a pixel in the sample.', lower=1e-3, upper=100.0, read_only=True)
-    rotation_deg: float = setting(
-        0.0, "Direction of the image's x axis in the workspace.", lower=-180.0, upper=180.0,
-        read_only=True)
-    mirrored: bool = setting(False, 'The optics mirror the picture.', read_only=True)
-    settings_file: str = setting(
-        '', 'YAML file with settings of the detection; empty chooses them from the first frames.',
-        read_only=True)
     field_source: str = setting(
         'applied', 'What turns the particles, so that a turn is expected: the field read back '
         'from the coils, the one commanded, the rotation of rollers, or nothing known.',
         choices=('applied', 'command', 'rotation', 'none'), read_only=True, formerly='drive')
-    full_search_ms: float = setting(
-        100.0, 'Longest time between searches of the whole picture, and so until a new particle '
-        'is seen; known ones are looked for around their predictions. 0: every frame.',
-        lower=0.0, upper=10_000.0, read_only=True)
     overlay_rate_hz: float = setting(
         10.0, 'Rate of `overlay/image_raw` while somebody looks; 0 turns it off.',
         lower=0.0, upper=60.0)
@@ -67,25 +43,16 @@ class TrackerParameters:
 class TrackerNode(RigNode):
     """`camera/image_raw` and the field → `particles`, `particles/poses`, `overlay/image_raw`."""
 
-    Parameters: ClassVar[type] = TrackerParameters
+    Parameters: ClassVar[type] = TrackerNodeParameters
     accounts_for = 'camera/image_raw'
 
     def setup(self) -> None:
-        warm_up()
-        file = self.settings.settings_file
-        self._tracker = Tracker(
-            read_yaml(file, TrackerSettings) if file else TrackerSettings(),
-            full_search_interval=units.to_si(
-                'full_search_ms', self.settings.full_search_ms))
-        self._camera: ImageToWorkspace | None = None
-        self._frames = self._refused = self._count = 0
-        self._previous = self._longest_gap = 0.0
-        self._came = -math.inf
+        self.stage = TrackerStage(self.settings)
+        self._came = -float('inf')
         self._due = {'poses': 0.0, 'overlay': 0.0}
         self._particles = self.publisher(PointCloud2, 'particles')
         self._poses = self.publisher(PoseArray, 'particles/poses')
         self._overlay = self.publisher(Image, 'overlay/image_raw', IMAGES_OUT)
-        self._drive = Drive()
         self._listen(self.settings.field_source)
         self.subscribe(Image, 'camera/image_raw', self._on_image, IMAGES_IN)
 
@@ -98,84 +65,54 @@ class TrackerNode(RigNode):
             self.subscribe(Vector3Stamped, 'field/rotation', self._on_rotation)
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
-        silence = time.monotonic() - self._came
+        stage, silence = self.stage, time.monotonic() - self._came
+        count = len(stage.poses) if stage.poses is not None else 0
         values: dict[str, object] = {
-            'frames': self._frames, 'frames_refused': self._refused,
-                  'particles': self._count, 'longest_gap_s': self._longest_gap,
-                  'silence_s': silence}
-        self._longest_gap = 0.0
+            'frames': stage.frames, 'frames_refused': stage.refused, 'particles': count,
+            'longest_gap_s': stage.longest_gap, 'silence_s': silence}
+        stage.longest_gap = 0.0
         if silence > SILENCE_SECONDS:
-            since = f' for {silence:.0f} s' if self._frames else ''
+            since = f' for {silence:.0f} s' if stage.frames else ''
             return WARN, f'no frames on camera/image_raw{since}', values
-        if not self._tracker.ready:
+        if not stage.ready:
             return OK, 'learning what particles look like', values
-        return OK, f'tracking {self._count} particles', values
+        return OK, f'tracking {count} particles', values
 
     def _on_image(self, message: Image) -> None:
         image = messages.gray(message)
-        t = messages.to_seconds(message.header.stamp)
-        if self._camera is None:
-            self._camera = self._calibration(image)
-        drive = self._drive.between(self._previous, t) if self._frames else np.zeros(2)
+        stamp = message.header.stamp
         try:
-            poses = self._tracker.update(image, t, self._camera.image_axes(drive))
+            particles = self.stage.step(image, messages.to_seconds(stamp))
         except FrameError as error:
-            self._refused += 1
             self.complain(str(error))
             return
-        if self._tracker.remarks:
-            self.complain('; '.join(self._tracker.remarks.values()))
-        if self._frames:
-            self._longest_gap = max(self._longest_gap, t - self._previous)
-        self._previous, self._came = t, time.monotonic()
-        self._frames += 1
-        self._count = len(poses)
-        self._publish(image, poses, self._camera, message.header.stamp)
+        if remarks := self.stage.remarks:
+            self.complain(remarks)
+        self._came = time.monotonic()
+        self._publish(image, particles, stamp)
 
     def _on_applied(self, message: MagneticField) -> None:
-        field = message.magnetic_field
-        self._swim(message, field.x, field.y)
+        self.stage.field(*messages.field_at(message))
 
     def _on_command(self, message: Vector3Stamped) -> None:
-        self._swim(message, message.vector.x, message.vector.y)
-
-    def _swim(self, message: MagneticField | Vector3Stamped, x: float, y: float) -> None:
-        messages.in_workspace(message.header)
-        size = math.hypot(x, y)
-        if size >= NEGLIGIBLE:  # without a field, particles go on as they were
-            self._drive.command(
-                messages.to_seconds(message.header.stamp), np.array([x, y]) / size)
+        self.stage.field(*messages.vector_at(message))
 
     def _on_rotation(self, message: Vector3Stamped) -> None:
-        """A field that turns with ω rolls particles along ω̂ × ẑ."""
-        messages.in_workspace(message.header)
-        turns = np.array([message.vector.y, -message.vector.x]) / math.tau
-        self._drive.command(messages.to_seconds(message.header.stamp), turns)
+        self.stage.rotation(*messages.vector_at(message))
 
-    def _calibration(self, image: np.ndarray) -> ImageToWorkspace:
-        return ImageToWorkspace(
-            pixel_size=units.to_si('pixel_size_um', self.settings.pixel_size_um),
-            width=image.shape[1], height=image.shape[0], mirrored=self.settings.mirrored,
-            rotation=units.to_si('rotation_deg', self.settings.rotation_deg))
-
-    def _publish(self, image: np.ndarray, poses: Poses, camera: ImageToWorkspace,
-                 stamp: Time) -> None:
-        points = np.empty(len(poses), messages.PARTICLE)
-        position, velocity = camera.position(poses.xy), camera.vector(poses.velocity)
-        points['id'] = poses.id
-        points['x'], points['y'] = position.T
-        points['vx'], points['vy'] = velocity.T
-        # A Janus particle swims with its cap behind.
-        points['theta'] = camera.angle(poses.theta_rad + math.pi)
-        points['sigma'] = poses.sigma_px * camera.pixel_size
-        self._particles.publish(messages.cloud(points, stamp))
-        if self._is_due('poses', self.settings.poses_rate_hz, poses.t):
-            self._poses.publish(messages.poses(position, points['theta'], stamp))
+    def _publish(self, image: np.ndarray, particles: np.ndarray, stamp: Time) -> None:
+        self._particles.publish(messages.cloud(particles, stamp))
+        t = messages.to_seconds(stamp)
+        if self._is_due('poses', self.settings.poses_rate_hz, t):
+            places = np.stack([particles['x'], particles['y']], axis=1)
+            self._poses.publish(messages.poses(places, particles['theta'], stamp))
         if self._overlay.get_subscription_count() and self._is_due(
-                'overlay', self.settings.overlay_rate_hz, poses.t):
+                'overlay', self.settings.overlay_rate_hz, t):
             from microbot_ros.tracking.overlay import draw_overlay
 
-            self._overlay.publish(messages.image(draw_overlay(image, poses), stamp))
+            assert self.stage.poses is not None
+            picture = draw_overlay(image, self.stage.poses)
+            self._overlay.publish(messages.image(picture, stamp))
 
     def _is_due(self, what: str, rate: float, t: float) -> bool:
         if rate <= 0 or (t < self._due[what] and self._due[what] - t < 10.0):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pydantic
@@ -159,12 +159,32 @@ class CommandSettings(Settings):
         return Commands(np.array([row.t_s for row in rows]), field, rolled if self.rolls else None)
 
 
+Place = tuple[float, float]
+
+
+class ControllerSettings(Settings):
+    """The section `controller`: the loop is closed, by one of the controllers that are installed.
+
+    `name` is told `goals_um` and `path_um`, rows of x and y, may ask for `max_field_mT`, and has
+    `parameters` of its own. With `pictures` the tracker finds the particles in pictures of a
+    microscope; otherwise the loop is told their positions as the camera reports them.
+    """
+
+    name: str
+    goals_um: tuple[Place, ...] = ()
+    path_um: tuple[Place, ...] = ()
+    max_field_mT: Positive = 5.0
+    parameters: dict[str, Any] = pydantic.Field(default_factory=dict)
+    pictures: bool = False
+
+
 class Scenario(Settings):
     """A whole scenario.
 
     `particles` are listed, or `model` names a `model.yaml` (its path from the scenario's folder)
     whose particles start at random within ± `spread_um` and whose effects are added to `effects`.
-    `alignment_ms` is how fast the field aligns them at the reference field.
+    `alignment_ms` is how fast the field aligns them at the reference field. Either `commands` say
+    what the field does, or a `controller` does.
     """
 
     physics: Literal['langevin', 'first_order', 'newton_stokes'] = 'langevin'
@@ -179,7 +199,8 @@ class Scenario(Settings):
     particles: tuple[SwimmerSettings, ...] = ()
     model: str | None = None
     spread_um: Positive = 100.0
-    commands: CommandSettings
+    commands: CommandSettings | None = None
+    controller: ControllerSettings | None = None
     effects: EffectSettings = pydantic.Field(default_factory=dict)
 
     @pydantic.model_validator(mode='after')
@@ -193,7 +214,12 @@ class Scenario(Settings):
 
     @pydantic.model_validator(mode='after')
     def commands_fit(self) -> Scenario:
-        if self.commands.rolls != (self.propulsion == 'rolling'):
+        if (self.commands is None) == (self.controller is None):
+            raise ValueError("expected either 'commands' or 'controller'")
+        rolls = self.commands is not None and self.commands.rolls
+        if self.controller and (self.propulsion, self.physics) != ('catalytic', 'langevin'):
+            raise ValueError('expected catalytic particles and langevin physics for a controller')
+        if rolls != (self.propulsion == 'rolling'):
             raise ValueError("expected 'frequency_hz' in the commands of rolling particles only")
         if self.duration_s * self.camera.frame_rate_hz < 2:
             raise ValueError("expected 'duration_s' to hold at least two frames")

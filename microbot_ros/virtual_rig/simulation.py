@@ -16,6 +16,7 @@ from microbot_ros.model.newton_stokes import newton_stokes
 from microbot_ros.model.particle import Particle, rotational_drag, sphere_mass, stokes_drag
 from microbot_ros.records import Commands, Session
 from microbot_ros.virtual_rig.body import bodies
+from microbot_ros.virtual_rig.closed_loop import LoopFeedback, film, make_feedback, tell_fault
 from microbot_ros.virtual_rig.injected_effects import inject_effect
 from microbot_ros.virtual_rig.record_session import (
     Feedback,
@@ -42,13 +43,19 @@ def run(scenario: Scenario, particles: ParticleParameters, source: str) -> Sessi
             start = scatter(rng, count, scenario.spread_um * 1e-6, 3 * scenario.radius)
         except ValueError as error:
             raise InputError(source, f"'spread_um': {error}") from None
-    control = scenario.commands.control(scenario.duration_s, particles.phi, rng)
+    control = (make_feedback(scenario, source) if scenario.commands is None else
+               scenario.commands.control(scenario.duration_s, particles.phi, rng))
     heading = rng.uniform(-math.pi, math.pi, count)
     if scenario.physics == 'langevin':
         world = World(_bodies(scenario, particles, start, heading), rng)
+        if scenario.controller and scenario.controller.pictures:
+            # Particles have the names that the tracker gives them.
+            return film(scenario, world, source)
         session, _ = record_session(
             world, control, scenario.camera.camera(), scenario.duration_s, rng,
             scenario.conditions)
+        if isinstance(control, LoopFeedback):
+            tell_fault(control.loop, source)
     else:
         session = _without_noise(scenario, particles, control, start, heading, rng, source)
     # The particles keep the names that the scenario or its model gave them.

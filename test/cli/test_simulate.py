@@ -148,6 +148,50 @@ def test_feedback_keeps_a_record_of_its_commands(tmp_path):
     assert np.hypot(*session.commands.field.T) == pytest.approx(np.full(81, 4e-3))
 
 
+def closed(duration_s=4, **controller):
+    """The loop closed in place of commands."""
+    rest = {key: value for key, value in PLAIN.items() if key != 'commands'}
+    goal = {'name': 'waypoint', 'goals_um': [[30, -20]]}
+    return rest | {'duration_s': duration_s, 'controller': goal | controller}
+
+
+def test_a_controller_brings_a_particle_to_its_goal(tmp_path):
+    run(tmp_path, closed(25))
+    session = read_session(tmp_path / 'out')
+    driven = session.tracks.of(1)  # the nearer one
+    assert np.hypot(*(driven.position[-1] - [30e-6, -20e-6])) < 4e-6
+    assert np.hypot(*session.commands.field.T).max() == pytest.approx(5e-3, rel=1e-3)
+
+
+def test_pictures_are_steered_by_what_the_tracker_finds(tmp_path):
+    run(tmp_path, closed(8, pictures=True, max_field_mT=3.0))
+    session = read_session(tmp_path / 'out')
+    assert len(session.tracks.particles) == 2
+    assert len(session.tracks.t) > 200
+    assert np.isfinite(session.tracks.theta).any()
+    assert np.hypot(*session.commands.field.T).max() == pytest.approx(3e-3, rel=1e-3)
+
+
+def test_a_controller_has_its_own_parameters(tmp_path):
+    run(tmp_path, closed(parameters={'field_mT': 2.0}, name='waypoint'))
+    session = read_session(tmp_path / 'out')
+    assert np.hypot(*session.commands.field.T).max() == pytest.approx(2e-3, rel=1e-3)
+
+
+@pytest.mark.parametrize(('scenario', 'complaint'), [
+    (closed() | {'commands': PLAIN['commands']}, "either 'commands' or 'controller'"),
+    (closed() | {'physics': 'first_order'}, 'langevin physics for a controller'),
+    (closed(name='steam'), "no controller 'steam'"),
+    (closed(parameters={'steam': 1}), "unknown parameter 'steam' of waypoint"),
+    (closed(parameters={'field_mT': float('nan')}), 'field_mT must be finite'),
+    (closed(max_field_mT=50.0), 'full_field_mT'),
+    (closed() | {'camera': {'frame_rate_hz': 10}}, 'expected more than 13.3'),
+    (closed(goals_um=[[1, 2, 3]]), 'controller.goals_um'),
+])
+def test_controllers_that_cannot_be_are_refused(tmp_path, scenario, complaint):
+    assert complaint in refused(tmp_path, scenario)
+
+
 @pytest.mark.parametrize(('scenario', 'culprit', 'complaint'), [
     (changed(fluid={'viscosity': 1.2}), 'fluid:', "expected a key 'fluid.viscosity_mPa_s'"),
     (changed(colour='red'), 'colour:', "unknown key 'colour'"),

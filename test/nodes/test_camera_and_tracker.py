@@ -12,6 +12,7 @@ import pytest
 from geometry_msgs.msg import Vector3Stamped
 from sensor_msgs.msg import Image, MagneticField, PointCloud2
 
+from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import IMAGES_IN
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
@@ -41,7 +42,7 @@ def test_frames_become_particles_where_they_are(ros: Any, folder: Path) -> None:
     def all_found() -> bool:
         return bool(particles) and particles[-1].width == len(PLACE)
     graph.until(all_found, 30)
-    points = messages.points(particles[-1], messages.PARTICLE)
+    points = messages.points(particles[-1], PARTICLE)
     found = np.stack([points['x'], points['y']], axis=1)
     assert np.abs(np.sort(found, axis=0) - np.sort(PLACE, axis=0)).max() < 0.5e-6
     assert (points['sigma'] > 0).all()
@@ -102,10 +103,10 @@ def test_a_wrong_frame_in_mid_stream_is_reported_and_passed_over(ros: Any, broke
         return messages.image(picture, messages.to_stamp(begin + k / 30))
 
     def seen() -> list[int]:
-        return sorted(messages.points(particles[-1], messages.PARTICLE)['id'].tolist())
+        return sorted(messages.points(particles[-1], PARTICLE)['id'].tolist())
 
     def answered(frames: int) -> bool:
-        return bool(len(particles) == tracker._frames == frames)
+        return bool(len(particles) == tracker.stage.frames == frames)
 
     k = 0
     while not (particles and len(seen()) == 3):
@@ -139,22 +140,22 @@ def test_who_goes_unseen_is_carried_on_the_way_the_field_now_points(ros: Any) ->
     place, angle = PLACE.copy(), 0.0
 
     def answered(frames: int) -> bool:
-        return bool(len(particles) == tracker._frames == frames)
+        return bool(len(particles) == tracker.stage.frames == frames)
 
     for k in range(90):
         if k == 85 or (k % 12 == 0 and k < 80):
             angle += np.pi if k == 85 else 2.0
             field = np.array([np.cos(angle), np.sin(angle)]) * 5e-3
             stamp = messages.to_stamp(begin + (k - 0.99) / 30)
-            known = len(tracker._drive._commands)
+            known = len(tracker.stage._drive._commands)
             fields.publish(messages.magnetic_field(field, stamp))
-            graph.until(lambda known=known: len(tracker._drive._commands) > known, 5)
+            graph.until(lambda known=known: len(tracker.stage._drive._commands) > known, 5)
         place = place + step * np.array([np.cos(angle), np.sin(angle)])
         shown = place if k < 85 else place[:0]
         picture = scope.render(shown, np.full(len(shown), angle), k / 30)
         images.publish(messages.image(picture, messages.to_stamp(begin + k / 30)))
         graph.until(partial(answered, k + 1), 30)
-    points = messages.points(particles[-1], messages.PARTICLE)
+    points = messages.points(particles[-1], PARTICLE)
     assert len(points) == len(PLACE)
     found = np.stack([points['x'], points['y']], axis=1)
     away = np.linalg.norm(found[:, None] - place, axis=2).min(axis=1)

@@ -112,7 +112,7 @@ def test_every_way_out_ends_in_zero(emulator: Any, ros: Any, leave: str) -> None
     if leave == 'exception':
         def broken(_: Any) -> None:
             raise RuntimeError('broken on purpose')
-        driver._allocator.allocate = broken
+        driver.stage.step = broken
         _command(graph, 3e-3, 0.0)
     else:
         getattr(driver, f'trigger_{leave}')()

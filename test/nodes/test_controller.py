@@ -22,6 +22,7 @@ from visualization_msgs.msg import MarkerArray
 
 from microbot_ros.control.contract import no_field
 from microbot_ros.control.open_loop import OpenLoop
+from microbot_ros.loop.points import ESTIMATE, GOAL
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import LATCHED
 
@@ -43,7 +44,7 @@ class Loop:
 
     def see(self, x: float = 0.0, y: float = 0.0, age: float = 0.0, phi: float = 0.5) -> None:
         """One particle, whose v and φ are known."""
-        point = np.zeros(1, messages.ESTIMATE)
+        point = np.zeros(1, ESTIMATE)
         point['x'], point['y'], point['speed'], point['phi'] = x, y, 4e-6, phi
         for name in ('x_std', 'y_std', 'speed_std', 'phi_std'):
             point[name] = 1e-8
@@ -97,7 +98,7 @@ def test_a_swap_takes_effect_and_an_unknown_one_says_what_there_is(ros: Any) -> 
 def test_waypoint_steers_by_what_the_model_knows(ros: Any) -> None:
     loop = Loop(ros, controller='waypoint', delay_ms=0.0)
     loop.go((50e-6, 0.0))
-    loop.graph.until(lambda: len(loop.node._goals) == 1)
+    loop.graph.until(lambda: len(loop.node.stage.goals) == 1)
     loop.graph.until(lambda: loop.see(phi=0.5) or (loop.fields and loop.strength() > 4.9e-3))
     last = loop.fields[-1].vector
     assert math.atan2(last.y, last.x) == pytest.approx(-0.5, abs=0.05)
@@ -112,7 +113,7 @@ def test_poses_that_stop_mean_one_zero_and_silence(ros: Any) -> None:
     assert level == b'\x01'
     assert 'poses are' in sentence
     loop.see(age=5.0)  # an old pose changes nothing
-    loop.graph.until(lambda: loop.node._last_t < loop.node.seconds() - 4)
+    loop.graph.until(lambda: loop.node.stage._last_t < loop.node.seconds() - 4)
     assert len(loop.fields) == count
 
 
@@ -121,7 +122,7 @@ def test_a_goal_that_cannot_be_is_refused_with_zero(
         ros: Any, place: tuple[float, float]) -> None:
     loop = Loop(ros, controller='waypoint')
     loop.go(place)
-    loop.graph.until(lambda: len(loop.node._goals) == 1)
+    loop.graph.until(lambda: len(loop.node.stage.goals) == 1)
     loop.graph.until(lambda: loop.see() or loop.fields)
     level, sentence, values = loop.node.health()
     assert loop.strength() == 0
@@ -133,7 +134,7 @@ def test_a_goal_that_cannot_be_is_refused_with_zero(
 def test_a_pose_that_is_no_number_is_not_acted_on(ros: Any) -> None:
     loop = Loop(ros, controller='waypoint')
     loop.go((50e-6, 0.0))
-    loop.graph.until(lambda: len(loop.node._goals) == 1)
+    loop.graph.until(lambda: len(loop.node.stage.goals) == 1)
     loop.graph.until(lambda: loop.see(x=math.nan, y=math.inf) or loop.fields)
     assert loop.strength() == 0
     assert loop.node.health()[2]['result'] == 'particle lost'
@@ -153,7 +154,7 @@ def test_goals_of_particles_and_what_becomes_of_them(ros: Any) -> None:
         return {pair.key: pair.value for pair in told[-1].values}
 
     def go(particle: int, x: float) -> None:
-        goal = np.array([(particle, x, 0.0)], messages.GOAL)
+        goal = np.array([(particle, x, 0.0)], GOAL)
         sent.publish(messages.cloud(goal, messages.to_stamp(7.5)))
 
     go(4, 50e-6)
@@ -168,7 +169,7 @@ def test_goals_of_particles_and_what_becomes_of_them(ros: Any) -> None:
     clicked.publish(elsewhere)
     loop.graph.until(lambda: "expected the frame 'workspace'; received 'map'"
                      in loop.node._complaint)
-    assert len(loop.node._goals) == 1
+    assert len(loop.node.stage.goals) == 1
     loop.go()
     assert answer(lambda said: 'waits for a goal' in said)['goals'] == '0'
 
@@ -203,10 +204,10 @@ def test_naming_a_controller_again_restarts_it_after_a_fault(ros: Any, monkeypat
     with monkeypatch.context() as broken:
         broken.setattr(OpenLoop, 'compute', breaks)
         loop = Loop(ros, controller='open_loop')
-        loop.graph.until(lambda: loop.keep_seeing() or loop.node._manager.fault)
+        loop.graph.until(lambda: loop.keep_seeing() or loop.node.stage.manager.fault)
     assert 'ZeroDivisionError' in loop.node.health()[1]
     assert loop.set(open_loop__field_mT=4.0).successful
-    assert loop.node._manager.fault
+    assert loop.node.stage.manager.fault
     assert loop.set(controller='open_loop').successful
     loop.graph.until(lambda: loop.keep_seeing() or (loop.fields and loop.strength() > 3.9e-3))
 
@@ -222,7 +223,7 @@ def test_viewers_get_particles_and_goals(ros: Any) -> None:
     loop = Loop(ros)
     drawn = loop.graph.hear(MarkerArray, 'markers')
     loop.go((50e-6, 20e-6), (math.nan, 0.0))
-    loop.graph.until(lambda: len(loop.node._goals) == 2)
+    loop.graph.until(lambda: len(loop.node.stage.goals) == 2)
     loop.graph.until(lambda: loop.see(x=1e-5) or drawn)
     by_name = {marker.ns: marker for marker in drawn[-1].markers}
     assert [point.x for point in by_name['goals'].points] == pytest.approx([50e-6])
@@ -239,7 +240,7 @@ def test_each_keeps_its_parameters(ros: Any) -> None:
     assert loop.set(controller='hold').successful
     answer = loop.set(waypoint__arrival_um=3.0)
     assert answer.successful
-    assert loop.node._manager._threads['waypoint']._parameters.arrival_um == 3.0
+    assert loop.node.stage.manager._threads['waypoint']._parameters.arrival_um == 3.0
 
 
 def test_what_became_of_goals_is_not_said_of_the_next(ros: Any) -> None:
@@ -319,7 +320,7 @@ def test_a_joystick_that_says_no_number_counts_as_centred(
     loop.graph.until(lambda: loop.keep_seeing() or messages.to_seconds(
         loop.fields[-1].header.stamp) > last + 0.04)
     assert loop.strength() == 0
-    assert loop.node._manager.fault == ''
+    assert loop.node.stage.manager.fault == ''
 
 
 def test_a_joystick_ahead_of_its_time_does_not_live_longer(ros: Any) -> None:
@@ -368,7 +369,7 @@ def be_cleaned_up(loop: Loop) -> None:
 
 def stumble(loop: Loop) -> None:
     """A cloud with a kind of number that there is not, which is an exception in a callback."""
-    cloud = messages.cloud(np.zeros(1, messages.ESTIMATE), messages.to_stamp(loop.node.seconds()))
+    cloud = messages.cloud(np.zeros(1, ESTIMATE), messages.to_stamp(loop.node.seconds()))
     cloud.fields[0].datatype = 99
     loop._state.publish(cloud)
     go_quiet(loop)
@@ -445,7 +446,7 @@ def test_what_the_node_says_and_what_runs_are_the_same(
     refused = [result for result in results if not result.successful]
     assert len(refused) == 1
     assert said in refused[0].reason
-    board, told = loop.node._manager, loop.node.get_parameter
+    board, told = loop.node.stage.manager, loop.node.get_parameter
     for name in ('open_loop', 'waypoint'):
         for field, runs in vars(board._threads[name]._controller.parameters).items():
             parameter = told(f'{name}.{field}').value
@@ -465,19 +466,19 @@ def test_a_set_that_is_refused_does_not_restart_after_a_fault(
 
     monkeypatch.setattr(OpenLoop, 'compute', breaks)
     loop = Loop(ros, controller='open_loop')
-    loop.graph.until(lambda: loop.keep_seeing() or loop.node._manager.fault)
+    loop.graph.until(lambda: loop.keep_seeing() or loop.node.stage.manager.fault)
     monkeypatch.undo()
     request = SetParametersAtomically.Request(parameters=[
         Parameter(name, value=value).to_parameter_msg()
         for name, value in {'controller': 'open_loop', 'waypoint.arrival_um': -1.0}.items()])
     assert not loop.graph.call(SetParametersAtomically, 'controller/set_parameters_atomically',
                                request).result.successful
-    assert loop.node._manager.fault
+    assert loop.node.stage.manager.fault
 
 
 def test_a_state_in_another_frame_is_not_acted_on(ros: Any) -> None:
     loop = Loop(ros, controller='open_loop')
-    cloud = messages.cloud(np.zeros(1, messages.ESTIMATE), messages.to_stamp(loop.node.seconds()))
+    cloud = messages.cloud(np.zeros(1, ESTIMATE), messages.to_stamp(loop.node.seconds()))
     cloud.header.frame_id = 'camera'
     loop._state.publish(cloud)
     loop.graph.until(lambda: "expected the frame 'workspace'; received 'camera'"
@@ -491,12 +492,12 @@ def test_the_heading_is_that_of_the_same_frame(ros: Any, monkeypatch: Any) -> No
     monkeypatch.setattr(OpenLoop, 'compute',
                         lambda _, inputs: seen.append(inputs.theta) or no_field(''))
     loop = Loop(ros, controller='open_loop')
-    point = np.zeros(2, messages.ESTIMATE)
+    point = np.zeros(2, ESTIMATE)
     point['id'], point['theta'] = [4, 7], [1.5, np.nan]
     loop._state.publish(messages.cloud(point, messages.to_stamp(loop.node.seconds())))
     loop.graph.until(lambda: seen)
     assert seen[-1] == pytest.approx([1.5, np.nan], nan_ok=True)
-    before = [name for name in messages.ESTIMATE.names or () if name != 'theta']
+    before = [name for name in ESTIMATE.names or () if name != 'theta']
     loop._state.publish(messages.cloud(repack_fields(point[before]), messages.to_stamp(
         loop.node.seconds())))
     loop.graph.until(lambda: len(seen) == 2)

@@ -146,7 +146,7 @@ def test_a_controller_that_does_not_answer_is_one_and_the_reason(ros: Any) -> No
     assert _command(graph, 'goal', '1,1', '--wait', '60') == (
         1, '', 'microbot: controller did not take the goals within 5 s: it says nothing; is it '
         'active?\n')
-    assert len(graph.nodes['controller']._goals) == 0
+    assert len(graph.nodes['controller'].stage.goals) == 0
 
 
 def test_a_recorder_whose_answer_was_lost_has_done_it(

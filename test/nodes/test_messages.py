@@ -14,6 +14,7 @@ from numpy.lib.recfunctions import repack_fields
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Image, PointCloud2, PointField
 
+from microbot_ros.loop.points import ESTIMATE, PARTICLE
 from microbot_ros.nodes import messages
 
 STAMP = Time(sec=1_700_000_000, nanosec=123_456_789)
@@ -25,10 +26,10 @@ def test_stamps_survive_to_a_quarter_of_a_microsecond(sec: int, nanosec: int) ->
     assert abs((back.sec - sec) * 10**9 + back.nanosec - nanosec) <= 250
 
 
-@given(hnp.arrays(messages.PARTICLE, st.integers(0, 20)))
+@given(hnp.arrays(PARTICLE, st.integers(0, 20)))
 def test_points_survive_a_cloud_on_the_wire(points: np.ndarray) -> None:
     wire = serialize_message(messages.cloud(points, STAMP))
-    back = messages.points(deserialize_message(wire, PointCloud2), messages.PARTICLE)
+    back = messages.points(deserialize_message(wire, PointCloud2), PARTICLE)
     assert back.tobytes() == points.tobytes()
 
 
@@ -47,13 +48,13 @@ def test_a_cloud_of_another_layout_is_read_by_name() -> None:
 
 
 def test_a_cloud_without_a_field_or_with_too_few_bytes_is_refused() -> None:
-    points = np.zeros(3, messages.PARTICLE)
+    points = np.zeros(3, PARTICLE)
     with pytest.raises(messages.MessageError, match="'speed'"):
-        messages.points(messages.cloud(points, STAMP), messages.ESTIMATE)
+        messages.points(messages.cloud(points, STAMP), ESTIMATE)
     message = messages.cloud(points, STAMP)
     message.width = 4
     with pytest.raises(messages.MessageError, match='4 points'):
-        messages.points(message, messages.PARTICLE)
+        messages.points(message, PARTICLE)
 
 
 def test_a_picture_survives_and_padding_is_cut() -> None:
@@ -111,23 +112,23 @@ def test_a_broken_picture_is_refused_in_one_line(broken: dict[str, object]) -> N
 
 
 def test_a_state_of_before_headings_were_carried_is_read_without() -> None:
-    before = [name for name in messages.ESTIMATE.names or () if name != 'theta']
-    points = np.ones(2, messages.ESTIMATE)
+    before = [name for name in ESTIMATE.names or () if name != 'theta']
+    points = np.ones(2, ESTIMATE)
     message = messages.cloud(repack_fields(points[before]), STAMP)
     with pytest.raises(messages.MessageError, match="'theta'"):
-        messages.points(message, messages.ESTIMATE)
+        messages.points(message, ESTIMATE)
     read = messages.estimates(message)
     assert np.isnan(read['theta']).all()
     assert all((read[name] == 1).all() for name in before)
     assert messages.estimates(messages.cloud(points, STAMP))['theta'].tolist() == [1.0, 1.0]
-    assert messages.ESTIMATE.names[-1] == 'theta'
+    assert ESTIMATE.names[-1] == 'theta'
 
 
 @pytest.mark.parametrize('frame', ['camera', 'map', 'Workspace', ' '])
 def test_points_in_another_frame_are_refused(frame: str) -> None:
-    message = messages.cloud(np.zeros(1, messages.PARTICLE), STAMP)
+    message = messages.cloud(np.zeros(1, PARTICLE), STAMP)
     message.header.frame_id = ''
-    assert len(messages.points(message, messages.PARTICLE)) == 1
+    assert len(messages.points(message, PARTICLE)) == 1
     message.header.frame_id = frame
     with pytest.raises(messages.MessageError, match=f"the frame 'workspace'; received '{frame}'"):
-        messages.points(message, messages.PARTICLE)
+        messages.points(message, PARTICLE)

@@ -17,6 +17,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import MagneticField, PointCloud2
 from std_srvs.srv import SetBool, Trigger
 
+from microbot_ros.loop.points import ESTIMATE, PARTICLE
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.playback_publishers import PlaybackPublishers
 from microbot_ros.records import Commands, Conditions, Session, Tracks
@@ -58,7 +59,7 @@ def test_what_is_played_is_what_the_model_learns(ros: Any, session: Path) -> Non
     graph.until(lambda: graph.nodes['player'].finished, 30)
     assert graph.nodes['player'].fault == ''
     graph.until(lambda: messages.to_seconds(states[-1].header.stamp) == ORIGIN + 12.0)
-    last = messages.points(states[-1], messages.ESTIMATE)
+    last = messages.points(states[-1], ESTIMATE)
     assert last['id'].tolist() == [0, 1]
     assert np.abs(last['speed'] - SPEED).max() < 4 * last['speed_std'].max()
     assert np.abs(np.angle(np.exp(1j * (last['phi'] - PHI)))).max() < 4 * last['phi_std'].max()
@@ -210,7 +211,7 @@ def test_what_cannot_be_played_is_one_clear_line(
 def test_a_bad_model_file_is_refused_and_the_model_kept(ros: Any, tmp_path: Path) -> None:
     graph = ros({'model': {}})
     node = graph.add('model')
-    before = node._estimator.model
+    before = node.stage.estimator.model
     bad = tmp_path / 'model.yaml'
     bad.write_text('effects:\n  warp_drive: {}\n')
 
@@ -223,7 +224,7 @@ def test_a_bad_model_file_is_refused_and_the_model_kept(ros: Any, tmp_path: Path
     assert str(bad) in refused.reason
     assert answer('/nowhere.yaml').successful is False
     assert node.settings.model_file == ''
-    assert node._estimator.model is before
+    assert node.stage.estimator.model is before
 
 
 def test_points_that_are_no_numbers_leave_the_rest_alone(ros: Any) -> None:
@@ -232,14 +233,14 @@ def test_points_that_are_no_numbers_leave_the_rest_alone(ros: Any) -> None:
     states = graph.hear(PointCloud2, 'model/state')
     particles = graph.probe.create_publisher(PointCloud2, 'particles', 10)
     graph.until(lambda: particles.get_subscription_count() == 1)
-    points = np.zeros(3, messages.PARTICLE)
+    points = np.zeros(3, PARTICLE)
     points['id'] = [1, 2, 3]
     points['x'] = [1e-6, np.nan, np.inf]
     points['sigma'] = [1e-7, 1e-7, np.nan]
     for frame in range(5):
         particles.publish(messages.cloud(points, messages.to_stamp(1.0 + frame / 30)))
     graph.until(lambda: len(states) == 5)
-    known = messages.points(states[-1], messages.ESTIMATE)
+    known = messages.points(states[-1], ESTIMATE)
     assert 1 in known['id']
     assert np.isfinite(known['x']).all()
     assert node.active
@@ -257,7 +258,7 @@ class Modelled:
 
     def see(self, t: float, theta: dict[int, float], frame: str = 'workspace') -> None:
         """Particles at rest, by their identities, with these headings."""
-        points = np.zeros(len(theta), messages.PARTICLE)
+        points = np.zeros(len(theta), PARTICLE)
         points['id'], points['theta'] = list(theta), list(theta.values())
         points['x'], points['sigma'] = 1e-5 * points['id'], 1e-7
         message = messages.cloud(points, messages.to_stamp(t))
@@ -310,5 +311,5 @@ def test_what_is_in_another_frame_is_not_taken(
         sent.publish(message)
     model.graph.until(lambda: "expected the frame 'workspace'; received 'camera'"
                       in model.node._complaint)
-    assert not model.node._early
+    assert not model.node.stage._early
     assert not model.states

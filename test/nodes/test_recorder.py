@@ -17,6 +17,7 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import Image, PointCloud2
 from std_srvs.srv import SetBool
 
+from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.replay_check import recorded_parameters
 from microbot_ros.session import open_recording, read_session
@@ -36,7 +37,7 @@ def test_tracks_commands_and_every_second_frame(ros: Any, tmp_path: Path) -> Non
         'field': probe.create_publisher(Vector3Stamped, 'field/command', 10),
         'frames': probe.create_publisher(Image, 'camera/image_raw', 10)}
     graph.until(lambda: all(o.get_subscription_count() == 1 for o in outlets.values()))
-    points = np.zeros(1, messages.PARTICLE)
+    points = np.zeros(1, PARTICLE)
     begin = recorder.seconds()
     for k in range(20):
         stamp = messages.to_stamp(begin + k / 100)
@@ -73,7 +74,7 @@ def test_the_conditions_that_the_model_knows_are_in_the_recording(
     graph.until(lambda: 'model' in recorder._collector.answered)
     graph.until(lambda: particles.get_subscription_count() == 2)
     particles.publish(messages.cloud(
-        np.zeros(1, messages.PARTICLE), messages.to_stamp(recorder.seconds())))
+        np.zeros(1, PARTICLE), messages.to_stamp(recorder.seconds())))
     graph.until(lambda: recorder._writer.status().counts.get('/particles'))
     recorder.trigger_deactivate()
     conditions = read_session(folder).conditions

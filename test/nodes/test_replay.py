@@ -31,6 +31,7 @@ from microbot_ros.control.deadline_worker import DeadlineWorker
 from microbot_ros.control.testkit import controller_input
 from microbot_ros.estimation.batch import fit
 from microbot_ros.estimation.online import Estimates, Estimator
+from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.account import NotingWorker
 from microbot_ros.nodes.offline import ScriptedWorker
@@ -323,7 +324,7 @@ def test_a_live_controller_gets_no_goals_of_the_past_one_that_follows_the_clock_
     graph.until(lambda: player.finished)
     assert player.fault.startswith('' if follows else '/controller is live')
     assert bool(player.fault) is not follows
-    assert len(controller._goals) == follows
+    assert len(controller.stage.goals) == follows
 
 
 @pytest.mark.graph
@@ -364,7 +365,7 @@ def steered_live(ros: Any, folder: Path) -> Path:
                 and applied.get_subscription_count() == goals.get_subscription_count() == 2
                 and all(graph.probe.count_publishers(topic) for topic in topics))
     graph.until(lambda: {'model', 'controller'} <= graph.nodes['recorder']._collector.answered)
-    points = np.zeros(2, messages.PARTICLE)
+    points = np.zeros(2, PARTICLE)
     points['id'], points['sigma'] = [1, 2], 1e-7
     rng = np.random.default_rng(5)
     answered = 0

@@ -11,7 +11,7 @@ DOCS = (Path(__file__).parents[2] / 'docs/simulation.md').read_text(encoding='ut
 SECTIONS = [
     scenario.Scenario, scenario.FluidSettings, scenario.CameraSettings, scenario.SwimmerSettings,
     scenario.CommandSettings, scenario.StepSettings, scenario.RotatingSettings,
-    scenario.HerdingSettings, scenario.RowSettings]
+    scenario.HerdingSettings, scenario.RowSettings, scenario.ControllerSettings]
 
 
 @pytest.mark.parametrize('section', SECTIONS)

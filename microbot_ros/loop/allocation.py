@@ -1,0 +1,107 @@
+"""Fourth stage: the field → the current of each coil, and back."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from microbot_ros.drive.gate import Limits
+from microbot_ros.errors import InputError
+from microbot_ros.files import read_yaml
+from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings
+from microbot_ros.settings import setting
+
+
+@dataclass(frozen=True)
+class GateParameters:
+    """Coils, and what the gate affirms for each of them. All are fixed at start-up."""
+
+    coils_file: str = setting(
+        '', 'YAML file with the coils; empty takes the default rig.', read_only=True)
+    full_field_mT: float = setting(
+        5.0, 'Strongest field that will be asked for: limits that do not allow it, or its '
+        'reversal at once, are refused at the start.', lower=0.001, upper=1000.0, read_only=True)
+    current_limit_A: float = setting(
+        2.0, 'Largest current the gate lets through.', lower=0.001, upper=100.0, read_only=True)
+    step_limit_A: float = setting(
+        4.0, 'Largest jump of a current at once.', lower=0.001, upper=200.0, read_only=True)
+    slew_limit_A_per_s: float = setting(
+        200.0, 'Fastest lasting change of a current.', lower=0.01, upper=1e5, read_only=True)
+    command_timeout_ms: float = setting(
+        75.0, 'How long a command other than zero holds without the next.', lower=10.0,
+        upper=2000.0, read_only=True, formerly='stale_ms')
+    deviation_A: float = setting(
+        0.2, 'How far a measured current may lie from what was commanded.', lower=0.001,
+        upper=10.0, read_only=True)
+    settling_ms: float = setting(
+        100.0, 'How long a measured current may take to follow.', lower=1.0, upper=2000.0,
+        read_only=True)
+    feedback_timeout_ms: float = setting(
+        200.0, 'How long currents may flow without a measurement.', lower=10.0, upper=5000.0,
+        read_only=True, formerly='silence_ms')
+    rated_current_A: float = setting(
+        1.5, 'Current that a coil bears for ever.', lower=0.001, upper=100.0, read_only=True,
+        formerly='continuous_A')
+    thermal_s: float = setting(
+        60.0, 'Thermal time constant of a coil.', lower=1.0, upper=3600.0, read_only=True)
+    idle_disarm_s: float = setting(
+        10.0, 'How long the gate stays armed while nobody commands, be it zero.', lower=0.5,
+        upper=3600.0, read_only=True)
+
+
+class AllocationStage:
+    """The currents that make a field with the coils of the rig.
+
+    Raises InputError where `parameters` name a file of coils that cannot be read, and for limits
+    with which the first full field would be a fault.
+    """
+
+    def __init__(self, parameters: GateParameters) -> None:
+        file = parameters.coils_file
+        self.coils = CoilSet(read_yaml(file, CoilSettings) if file else None)
+        self._allocator = Allocator(self.coils)
+        _refuse_contradictions(parameters, self._allocator)
+
+    def step(self, field: np.ndarray) -> np.ndarray:
+        """The currents (4,) [A] of a field (2,) [T]; NaN for one that is not finite, which the
+        gate latches as a fault.
+        """
+        if not np.isfinite(field).all():
+            return np.full(4, np.nan)
+        return self._allocator.allocate(field).currents
+
+    def field(self, currents: np.ndarray) -> np.ndarray:
+        """The field (2,) [T] at the centre of the workspace, of currents (4,) [A]."""
+        return np.asarray(self._allocator.matrix @ currents + self.coils.background)
+
+
+def limits(values: GateParameters) -> Limits:
+    """What the gate affirms, by its parameters (`values`), in SI."""
+    return Limits(
+        current_A=values.current_limit_A, step_A=values.step_limit_A,
+        slew_A_per_s=values.slew_limit_A_per_s,
+        command_timeout_s=values.command_timeout_ms * 1e-3,
+        deviation_A=values.deviation_A, settling_s=values.settling_ms * 1e-3,
+        feedback_timeout_s=values.feedback_timeout_ms * 1e-3,
+        rated_current_A=values.rated_current_A,
+        thermal_s=values.thermal_s, idle_s=values.idle_disarm_s)
+
+
+def _refuse_contradictions(values: GateParameters, allocator: Allocator) -> None:
+    """InputError for limits with which the first full field would be a fault, or weaker."""
+    angles = np.radians(np.arange(360.0))
+    largest = min(allocator.largest(np.array([np.cos(a), np.sin(a)])) for a in angles)
+    if not values.full_field_mT * 1e-3 <= largest:
+        raise InputError('full_field_mT', f'expected at most {largest * 1e3:.3g} mT, which these '
+                         f'coils make in every direction; received {values.full_field_mT:g} mT')
+    needed = allocator.largest_current(values.full_field_mT * 1e-3)
+    reversal = 2 * needed
+    for name, limit, least, what in (
+            ('current_limit_A', values.current_limit_A, needed, 'needs'),
+            ('step_limit_A', values.step_limit_A, reversal, 'needs to be reversed')):
+        if not limit >= least:
+            raise InputError(name, f'expected at least {math.ceil(least * 1e3) / 1e3:g} A, which '
+                             f'a field of {values.full_field_mT:g} mT {what} with these coils; '
+                             f'received {limit:g} A')

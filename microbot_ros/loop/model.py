@@ -1,0 +1,146 @@
+"""Second stage: particles and the field → speed, offset angle and force of each."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from microbot_ros.estimation.online import Estimates, Estimator, Settings
+from microbot_ros.loop.points import ESTIMATE
+from microbot_ros.records import Conditions
+from microbot_ros.settings import setting
+
+_EARLY = 256
+"""Commands kept until the first frame."""
+
+
+@dataclass(frozen=True)
+class ModelParameters:
+    """Parameters of the model."""
+
+    propulsion: str = setting(
+        'catalytic', 'What drives the particles.', choices=('catalytic', 'rolling'),
+        read_only=True)
+    radius_um: float = setting(2.3, 'Radius of the particles.', lower=0.05, upper=1000.0,
+                               read_only=True)
+    viscosity_mPa_s: float = setting(1.0, 'Viscosity of the fluid.', lower=0.05, upper=1e5,
+                                     read_only=True)
+    temperature_K: float = setting(298.0, 'Temperature of the fluid.', lower=250.0, upper=400.0,
+                                   read_only=True)
+    reference_field_mT: float = setting(5.0, 'Field at which alignment times are stated.',
+                                        lower=1e-3, upper=1000.0, read_only=True)
+    exposure_ms: float = setting(0.0, 'Exposure time of a frame.', lower=0.0, upper=1000.0,
+                                 read_only=True)
+    horizon_s: float = setting(0.5, 'How far ahead to predict.', lower=0.0, upper=60.0,
+                               read_only=True)
+    model_file: str = setting(
+        '', 'model.yaml with the effects to filter with; empty is the first-order model. A file '
+        'that cannot be used is refused and the present model kept.')
+
+
+class ModelStage:
+    """What is known of every particle after each frame.
+
+    It begins with the first-order model of `parameters`; `use` gives it their model file.
+    """
+
+    def __init__(self, parameters: ModelParameters) -> None:
+        _warm_up(_estimator(parameters))
+        self.estimator = _estimator(parameters)
+        self._first_order = self.estimator.model
+        self._model_file = ''
+        self._origin: float | None = None
+        self._early: deque[tuple[float, np.ndarray, float | None]] = deque(maxlen=_EARLY)
+        self.estimates: Estimates | None = None
+        """What was found in the last frame."""
+
+    def use(self, model_file: str) -> None:
+        """Filter with a `model_file` from the next frame on; '' is the first-order model.
+
+        Raises InputError for one that cannot be used, and the present model stays.
+        """
+        if model_file == self._model_file:
+            return
+        if model_file:
+            self.estimator.load(model_file)
+        else:
+            self.estimator.use(self._first_order)
+        self._model_file = model_file
+
+    def field(self, t: float, field: np.ndarray) -> None:
+        """A field (2,) [T] in force from `t` [s] on."""
+        self._command(t, field, None)
+
+    def rotation(self, t: float, angular_velocity: np.ndarray) -> None:
+        """From `t` [s] on rollers roll along ω̂ × ẑ, for an angular velocity (2,) [rad/s]."""
+        x, y = angular_velocity
+        rate = math.hypot(x, y)
+        self._command(t, np.array([y, -x]) / (rate or 1.0), rate / math.tau)
+
+    def step(self, particles: np.ndarray, t: float) -> np.ndarray:
+        """What is known (N,), of type ESTIMATE, after particles of type PARTICLE in a frame that
+        was exposed at `t` [s].
+        """
+        position = np.stack([particles['x'], particles['y']], axis=1).astype(float)
+        self.estimates = found = self.estimator.update(
+            self._exposed(t), particles['id'].astype(int), position,
+            particles['sigma'].astype(float))
+        points = _points(found)
+        points['theta'] = _headings(particles, found.id)
+        return points
+
+    def _command(self, t: float, field: np.ndarray, frequency: float | None) -> None:
+        self._early.append((t, field, frequency))
+        if self._origin is not None:
+            self._take_commands(self._origin)
+
+    def _exposed(self, t: float) -> float:
+        """Seconds since the first frame: effects such as fuel decay count from the start."""
+        if self._origin is None:
+            self._origin = t
+            self._take_commands(t)
+        return t - self._origin
+
+    def _take_commands(self, origin: float) -> None:
+        while self._early:
+            t, field, frequency = self._early.popleft()
+            self.estimator.command(t - origin, field, frequency)
+
+
+def _estimator(values: ModelParameters) -> Estimator:
+    return Estimator(
+        Conditions(
+            propulsion=values.propulsion, radius=values.radius_um * 1e-6,
+            viscosity=values.viscosity_mPa_s * 1e-3, temperature=values.temperature_K,
+            reference_field=values.reference_field_mT * 1e-3),
+        Settings(horizon=values.horizon_s, exposure=values.exposure_ms * 1e-3))
+
+
+def _warm_up(estimator: Estimator) -> None:
+    """Compile what the first frames would otherwise wait for."""
+    for frame in range(200):
+        t = frame / 50
+        if frame % 25 == 0:
+            estimator.command(t, 1e-3 * np.array([np.cos(frame), np.sin(frame)]), 1.0)
+        estimator.update(t, np.arange(2), np.full((2, 2), 1e-6 * t), np.full(2, 1e-7))
+
+
+def _headings(particles: np.ndarray, ids: np.ndarray) -> np.ndarray:
+    """The headings (N,) [rad] that particles of these ids have in a frame; NaN where not seen."""
+    seen = dict(zip(particles['id'].tolist(), particles['theta'].tolist(), strict=True))
+    return np.array([seen.get(name, math.nan) for name in ids.tolist()])
+
+
+def _points(estimates: Estimates) -> np.ndarray:
+    points = np.empty(len(estimates.id), ESTIMATE)
+    points['id'] = estimates.id
+    points['x'], points['y'] = estimates.position.T
+    points['x_std'] = points['y_std'] = estimates.position_std
+    points['x_ahead'], points['y_ahead'] = estimates.prediction.T
+    points['ahead_std'] = estimates.prediction_std
+    for name in ('speed', 'phi', 'force', 'speed_std', 'phi_std', 'force_std'):
+        points[name] = getattr(estimates, name)
+    return points
