@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from microbot_ros.estimation.commands import model_paths
+from microbot_ros.estimation.expected_displacement import ExpectedDisplacement
 from microbot_ros.model.model import Model
+from microbot_ros.model.timeline import Timeline
 from microbot_ros.records import Session
 
 
@@ -27,7 +28,7 @@ def recursive_least_squares(session: Session) -> LeastSquares:
     times, positions = session.tracks.grid()
     z = positions[..., 0] + 1j * positions[..., 1]
     model = Model.baseline(session.conditions, session.commands)
-    path = model_paths(model, session.commands, times).drive[:, 0]
+    path = ExpectedDisplacement.of(model, Timeline(session.commands, times)).along[:, 0]
     gains, stds = [], []
     for track in z.T:
         seen = np.isfinite(track)

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from microbot_ros.estimation.commands import model_paths
-from microbot_ros.estimation.noise import GainLikelihood, Profile
+from microbot_ros.estimation.expected_displacement import ExpectedDisplacement
+from microbot_ros.estimation.likelihood import SessionFit, Whitening
 from microbot_ros.estimation.online import Estimates, Estimator, Settings
+from microbot_ros.estimation.prepared_session import PreparedSession
 from microbot_ros.model.first_order import simulate
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.particle import Fluid, translational_diffusion
@@ -30,7 +31,7 @@ class Run:
     """One recording with its truth: c (N,) complex, σ [m] and exposure [s]."""
 
     session: Session
-    gain: np.ndarray
+    velocity_phasor: np.ndarray
     sigma: float
     exposure: float
 
@@ -92,17 +93,15 @@ def bound(run: Run) -> np.ndarray:
 
 def told_of_change(run: Run, begin: float, end: float) -> np.ndarray:
     """c (N,) from what was seen between two times [s] alone, with noise levels known."""
-    return _known_noise(run, begin, end).gain
+    return _known_noise(run, begin, end).velocity_phasor
 
 
-def _known_noise(run: Run, begin: float, end: float) -> Profile:
-    times, positions = run.session.tracks.grid()
-    z = positions[..., 0] + 1j * positions[..., 1]
+def _known_noise(run: Run, begin: float, end: float) -> SessionFit:
+    session = PreparedSession.of(run.session)
+    kept = session.seen_only_in((session.times >= begin) & (session.times <= end))
     model = Model.baseline(run.session.conditions, run.session.commands)
-    path = np.broadcast_to(model_paths(model, run.session.commands, times).drive, z.shape)
-    kept = (times >= begin) & (times <= end)
-    likelihood = GainLikelihood(times[kept], z[kept], path[kept], run.exposure)
-    return likelihood.at(run.sigma**2 / DIFFUSION)
+    whitening = Whitening(run.sigma**2 / DIFFUSION - run.exposure / 3)
+    return SessionFit.of(kept, whitening, ExpectedDisplacement.of(model, kept.timeline))
 
 
 def record_change(seed: int, factor: complex, changed: float = 20.0) -> tuple[Run, float]:

@@ -268,7 +268,7 @@ class Yardstick:
             columns += [clock, 1j * clock, x, 1j * x, y, 1j * y, aging, 1j * aging]
         camera, body = self.experiment.camera, self.experiment.swarm[0]
         noise = Noise(body['diffusion'], camera.noise, camera.exposure / camera.frame_rate)
-        white = whiten(np.stack(columns, axis=-1).astype(complex), times, noise).columns
+        white = whiten(np.stack(columns, axis=-1).astype(complex), times, noise)
         along = white[..., 1]
         share = (along.conj()[..., None] * white).sum(0) / (np.abs(along) ** 2).sum(0)[:, None]
         white = white - along[..., None] * share

@@ -25,8 +25,8 @@ from bench._estimation_runs import (
 )
 from bench.figure import Figure
 from microbot_ros.estimation.batch import fit
+from microbot_ros.estimation.one_leg_regression import one_leg
 from microbot_ros.estimation.online import Estimator
-from microbot_ros.estimation.recipe import one_leg
 from microbot_ros.records import Conditions
 
 ISSUE = 4
@@ -70,15 +70,15 @@ def _score(seed: int) -> Score:
     batch = fit(run.session, run.exposure)
     legs = one_leg(run.session)
     squares = recursive_least_squares(run.session)
-    off = (squares.gain - run.gain) / squares.std
+    off = (squares.gain - run.velocity_phasor) / squares.std
     return Score(
-        online=last.speed * np.exp(1j * last.phi) - run.gain,
-        batch=batch.swims.speed * np.exp(1j * batch.swims.phi) - run.gain,
-        leg=np.array([leg.speed * np.exp(1j * leg.phi) for leg in legs]) - run.gain,
-        squares=squares.gain - run.gain, bound=bound(run),
+        online=last.speed * np.exp(1j * last.phi) - run.velocity_phasor,
+        batch=batch.polar.speed * np.exp(1j * batch.polar.phi) - run.velocity_phasor,
+        leg=np.array([leg.speed * np.exp(1j * leg.phi) for leg in legs]) - run.velocity_phasor,
+        squares=squares.gain - run.velocity_phasor, bound=bound(run),
         deviations=_deviations(last.speed, last.speed_std, last.phi, last.phi_std, run),
-        batch_deviations=_deviations(batch.swims.speed, batch.swims.speed_std, batch.swims.phi,
-                                     batch.swims.phi_std, run),
+        batch_deviations=_deviations(batch.polar.speed, batch.polar.speed_std, batch.polar.phi,
+                                     batch.polar.phi_std, run),
         squares_deviations=np.concatenate([off.real, off.imag]),
         kind=(seed % 2 == 0, run.sigma),
     )
@@ -87,8 +87,8 @@ def _score(seed: int) -> Score:
 def _deviations(
     speed: np.ndarray, speed_std: np.ndarray, phi: np.ndarray, phi_std: np.ndarray, run: Run,
 ) -> np.ndarray:
-    turned = np.angle(np.exp(1j * phi) * np.conj(run.gain))
-    return np.concatenate([(speed - np.abs(run.gain)) / speed_std, turned / phi_std])
+    turned = np.angle(np.exp(1j * phi) * np.conj(run.velocity_phasor))
+    return np.concatenate([(speed - np.abs(run.velocity_phasor)) / speed_std, turned / phi_std])
 
 
 def _together(scores: list[Score], name: str) -> np.ndarray:
@@ -156,14 +156,15 @@ def _recover(seed: int) -> Recovery:
     halves = seed % 2 == 0
     run, changed = record_change(seed, 0.5 if halves else np.exp(1j))
     later = [e for e in replay(run) if e.t >= changed]
-    speed = np.array([np.abs(e.speed / np.abs(run.gain) - 1) for e in later])
-    phi = np.array([np.abs(np.angle(np.exp(1j * e.phi) * np.conj(run.gain))) for e in later])
+    speed = np.array([np.abs(e.speed / np.abs(run.velocity_phasor) - 1) for e in later])
+    turned = np.conj(run.velocity_phasor)
+    phi = np.array([np.abs(np.angle(np.exp(1j * e.phi) * turned)) for e in later])
     within = speed <= 0.05 if halves else phi <= 0.1
     times = np.array([e.t - changed for e in later])
     seconds = np.where(within.any(axis=0), times[within.argmax(axis=0)], np.inf)
     at = next(e for e in later if e.t >= changed + 3.0)
-    return Recovery(seconds, at.speed * np.exp(1j * at.phi) - run.gain,
-                    told_of_change(run, changed, changed + 3.0) - run.gain)
+    return Recovery(seconds, at.speed * np.exp(1j * at.phi) - run.velocity_phasor,
+                    told_of_change(run, changed, changed + 3.0) - run.velocity_phasor)
 
 
 def _recovery(changes: list[Recovery]) -> list[Figure]:

@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from microbot_ros.discovery.ladder import Ladder
-from microbot_ros.discovery.likelihood import Fit
-from microbot_ros.discovery.maps import residual_maps
+from microbot_ros.discovery.input_checks import check_sessions
 from microbot_ros.discovery.result import Estimate
-from microbot_ros.discovery.screen import screen
+from microbot_ros.discovery.score_tests import residual_maps
 from microbot_ros.errors import InputError
+from microbot_ros.estimation.model_fit import ModelFit, fit_sessions
 from microbot_ros.model.effects import EFFECTS
+from microbot_ros.model.model import Model
 from microbot_ros.records import Session
 from microbot_ros.units import from_si
 
@@ -40,7 +40,10 @@ _BINS = 24
 
 @dataclass(frozen=True)
 class Deviations:
-    """Which way particles went beside the command, in bins of its direction: (K,) [rad] each."""
+    """Which way particles went beside the command, in K bins of its direction; (K,) [rad] each.
+
+    `commanded`: middles of the bins, `deviation` from them, `std` of it.
+    """
 
     commanded: np.ndarray
     deviation: np.ndarray
@@ -49,11 +52,11 @@ class Deviations:
 
 @dataclass(frozen=True)
 class CoilMap:
-    """B = `matrix` (2, 2) B_cmd + `offset` (2,) [T], up to a common factor and a common turn.
+    """B = `matrix` (2, 2) B_cmd + `offset` ± `offset_std` (2,) [T], to a common factor and turn.
 
     `gain_ratio` is that of the y coils to the x coils, `skew` the lean of the y coils towards +x
     [rad]; `strength` [T] is the median of the commands; `unexplained` names what the residuals
-    still depend on.
+    still depend on; `deviations` are what was fitted, for a picture.
     """
 
     gain_ratio: Estimate
@@ -66,7 +69,7 @@ class CoilMap:
     deviations: Deviations
 
     def expected(self, direction: np.ndarray) -> np.ndarray:
-        """Deviation [rad] of the field from the commanded direction (...) [rad]."""
+        """Deviation [rad] of the field from the commanded `direction` (...) [rad]."""
         command = self.strength * np.stack([np.cos(direction), np.sin(direction)], axis=-1)
         field = command @ self.matrix.T + self.offset
         turned: np.ndarray = np.arctan2(field[..., 1], field[..., 0]) - direction
@@ -86,7 +89,7 @@ class CoilMap:
 
 
 def coil_map(session: Session) -> CoilMap:
-    """Fit the map to one session of catalytic particles; raises InputError where it can't tell."""
+    """Fit the map to a `session` of catalytic particles; InputError where that can't tell it."""
     name = session.name or 'session'
     if session.conditions.propulsion != 'catalytic':
         raise InputError(name, 'expected catalytic particles, which swim along the field; found '
@@ -109,16 +112,15 @@ def coil_map(session: Session) -> CoilMap:
         tuple(m.against for m in residual_maps(fit) if m.fires), _deviations(fit))
 
 
-def _fit(session: Session) -> Fit:
-    evidences, _ = screen([session])
-    ladder = Ladder(evidences)
-    model = ladder.fit.model
+def _fit(session: Session) -> ModelFit:
+    prepared, _ = check_sessions([session])
+    model = Model.baseline(session.conditions, session.commands)
     for effect in (*SOUGHT, *BESIDE):
-        model = model.with_effect(EFFECTS[effect].null())
-    return ladder.stand(model)
+        model = model.with_effect(EFFECTS[effect].neutral())
+    return fit_sessions(model, prepared)
 
 
-def _covariance(fit: Fit) -> np.ndarray:
+def _covariance(fit: ModelFit) -> np.ndarray:
     """Of the effects' parameters in fit coordinates; next to infinite in what can't be told apart.
 
     Not a pseudo-inverse, which takes what the data leave open for known.
@@ -132,7 +134,7 @@ def _covariance(fit: Fit) -> np.ndarray:
     return covariance
 
 
-def _estimate(fit: Fit, covariance: np.ndarray, effect: str) -> Estimate:
+def _estimate(fit: ModelFit, covariance: np.ndarray, effect: str) -> Estimate:
     std = np.sqrt(np.diag(covariance))
     return next(Estimate(parameter.from_fit(x), float(parameter.scale * s))
                 for (name, parameter), x, s in zip(
@@ -151,7 +153,7 @@ def _refuse_unknown(name: str, gain: Estimate, skew: Estimate) -> None:
                          f'found y over x {gain.value:.2g}: see the wiring of each coil')
 
 
-def _offset_std(fit: Fit, covariance: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+def _offset_std(fit: ModelFit, covariance: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     own = [k for k, (name, _) in enumerate(fit.model.parameters) if name == 'background_field']
     scale = np.array([fit.model.parameters[k][1].scale for k in own])
     before = covariance[np.ix_(own, own)] * np.outer(scale, scale)
@@ -160,17 +162,17 @@ def _offset_std(fit: Fit, covariance: np.ndarray, matrix: np.ndarray) -> np.ndar
     return std
 
 
-def _deviations(fit: Fit) -> Deviations:
+def _deviations(fit: ModelFit) -> Deviations:
     """Displacements less the drift, turned back by command and φ, summed over each bin."""
-    p, = fit.parts
-    e = p.evidence
+    p, = fit.session_fits
+    e = p.session
     field = e.commands.field_at(e.times)
     angle = np.arctan2(field[:-1, 1], field[:-1, 0])
     steady = np.all(field[1:] == field[:-1], axis=1) & np.any(field[1:] != 0, axis=1)
     used = e.seen[1:] & e.seen[:-1] & steady[:, None]
-    steps = np.where(used, np.diff(e.z - p.levels.offset, axis=0), 0.0)
-    along = (steps * np.conj(p.swim)).sum(axis=1) * np.exp(-1j * angle)
-    power = (used * np.abs(p.swim) ** 2 * np.diff(e.times)[:, None]).sum(axis=1)
+    steps = np.where(used, np.diff(e.z - p.expected.offset, axis=0), 0.0)
+    along = (steps * np.conj(p.velocity_phasor)).sum(axis=1) * np.exp(-1j * angle)
+    power = (used * np.abs(p.velocity_phasor) ** 2 * np.diff(e.times)[:, None]).sum(axis=1)
     bins = np.round(angle / (2 * np.pi) * _BINS).astype(int) % _BINS
     filled = [b for b in range(_BINS) if power[bins == b].sum() > 0]
     rows = [(np.angle(np.exp(1j * angle[bins == b]).sum()), np.angle(along[bins == b].sum()),

@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from microbot_ros.discovery.likelihood import Part
-from microbot_ros.model.effect_context import CLOSEST
+from microbot_ros.estimation.likelihood import SessionFit
+from microbot_ros.model.scene import CLOSEST
 
 HARMONICS = 4
 RELAXATION = (0.1, 0.3, 1.0, 3.0)
@@ -18,7 +18,7 @@ RELAXATION = (0.1, 0.3, 1.0, 3.0)
 
 @dataclass(frozen=True)
 class Group:
-    """Velocity fields of one covariate.
+    """Velocity fields of one covariate, named `against`.
 
     `fields` (T−1, N, M) complex: the mean velocity of each over every frame interval; `value`
     (T−1, N): the covariate in the unit of `label`; `frame` (T−1, N) complex: the direction in
@@ -32,31 +32,31 @@ class Group:
     frame: np.ndarray
 
 
-class Surroundings:
-    """Everything that groups are made of, for one session under a model."""
+class Covariates:
+    """Everything that the residual of one session may depend on: a `part` of a fit."""
 
-    def __init__(self, part: Part) -> None:
+    def __init__(self, part: SessionFit) -> None:
         self.part = part
-        self.evidence = part.evidence
-        times = self.evidence.times
+        self.session = part.session
+        times = self.session.times
         self.step = np.diff(times)[:, None]
         self.middle = ((times[1:] + times[:-1]) / 2)[:, None]
-        self.shape = part.evidence.z[1:].shape
+        self.shape = part.session.z[1:].shape
 
     @cached_property
     def body(self) -> np.ndarray:
         """Direction of travel (T−1, N), shorter than 1 where it turns within an interval."""
         p = self.part
-        own = np.diff(p.levels.along * p.swim.real + p.levels.across * p.swim.imag, axis=0)
-        own = own / self.step
-        typical = np.abs(p.swim) * max(np.abs(np.diff(p.levels.along, axis=0) / self.step).max(),
-                                       1e-30)
+        c = p.velocity_phasor
+        own = np.diff(p.expected.along * c.real + p.expected.across * c.imag, axis=0) / self.step
+        typical = np.abs(c) * max(
+            np.abs(np.diff(p.expected.along, axis=0) / self.step).max(), 1e-30)
         return own / np.where(typical > 0, typical, 1.0)
 
     @cached_property
     def place(self) -> np.ndarray:
         """Place at the start of every interval (T−1, N) complex [m]; 0 where out of view."""
-        x = self.evidence.places[:-1]
+        x = self.session.causal_positions[:-1]
         return np.nan_to_num(x[..., 0] + 1j * x[..., 1])
 
     def groups(self) -> Iterator[Group]:
@@ -66,7 +66,7 @@ class Surroundings:
         yield from self._angles()
         yield from self._position()
         yield from self._levels()
-        if self.evidence.owner[-1] > 0:
+        if self.session.owner[-1] > 0:
             yield self._neighbours()
             yield self._particles()
 
@@ -79,7 +79,7 @@ class Surroundings:
                      np.broadcast_to(frame, self.shape))
 
     def _time(self) -> Iterator[Group]:
-        times = self.evidence.times
+        times = self.session.times
         phase = np.pi * (self.middle - times[0]) / (times[-1] - times[0])
         waves = [np.cos(k * phase) for k in range(9)]
         one = np.ones((1, 1), complex)
@@ -89,7 +89,7 @@ class Surroundings:
 
     def _switch(self) -> Group:
         """Body frame, with how far the command turned."""
-        commands = self.evidence.commands
+        commands = self.session.commands
         row = commands.index_at(self.middle[:, 0])
         since = self.middle - commands.t[np.maximum(row, 0)][:, None]
         field = commands.field[:, 0] + 1j * commands.field[:, 1]
@@ -102,7 +102,7 @@ class Surroundings:
                            self.body, since)
 
     def _angles(self) -> Iterator[Group]:
-        command = self.evidence.commands.field_at(self.middle[:, 0])
+        command = self.session.commands.field_at(self.middle[:, 0])
         driven = np.hypot(*command.T) > 0
         angle = np.arctan2(command[:, 1], command[:, 0])[:, None]
         yield self._group('command angle', 'direction of the command [°]',
@@ -122,7 +122,7 @@ class Surroundings:
                           [x, y, x * y, x * x, y * y], self.body, z.real * 1e6)
 
     def _levels(self) -> Iterator[Group]:
-        commands = self.evidence.commands
+        commands = self.session.commands
         strength = np.hypot(*commands.field_at(self.middle[:, 0]).T)
         if np.ptp(strength[strength > 0]) > 1e-3 * strength.max():
             yield self._group(
@@ -135,7 +135,7 @@ class Surroundings:
 
     def _neighbours(self) -> Group:
         z = self.place
-        present = np.isfinite(self.evidence.places[:-1, :, 0])
+        present = np.isfinite(self.session.causal_positions[:-1, :, 0])
         apart = z[:, :, None] - z[:, None, :]
         near = present[:, :, None] & present[:, None, :] & ~np.eye(z.shape[1], dtype=bool)
         r = np.maximum(np.abs(apart), CLOSEST)
@@ -157,14 +157,14 @@ class Surroundings:
     def _particles(self) -> Group:
         """Each particle's own drift, and its own change of speed and angle."""
         T, N = self.shape
-        times = self.evidence.times
+        times = self.session.times
         t = (self.middle - times.mean()) / np.ptp(times)
-        owner = self.evidence.owner
+        owner = self.session.owner
         own = np.eye(owner[-1] + 1)[owner][None]
         drift = np.broadcast_to(own, (T, *own.shape[1:])).astype(complex)
         change = (t * self.body)[:, :, None] * own
         fields = np.concatenate([drift, 1j * drift, change, 1j * change], axis=-1)
-        number = np.broadcast_to(self.evidence.ids.astype(float), (T, N))
+        number = np.broadcast_to(self.session.ids.astype(float), (T, N))
         return Group('particle', 'particle', fields, number, np.ones((T, N), complex))
 
 

@@ -11,12 +11,9 @@ from functools import partial
 import numpy as np
 
 from microbot_ros.discovery.drive_levels import curve_p_value
-from microbot_ros.discovery.experiment import next_experiment
 from microbot_ros.discovery.held_out import held_out_gap, log_e_value
-from microbot_ros.discovery.ladder import BACKWARD, FORWARD, Ladder, clearly, search, without
-from microbot_ros.discovery.likelihood import Fit
-from microbot_ros.discovery.maps import residual_maps
-from microbot_ros.discovery.overlap import taken_back
+from microbot_ros.discovery.input_checks import check_sessions
+from microbot_ros.discovery.next_experiment import next_experiment
 from microbot_ros.discovery.result import (
     Discovery,
     Estimate,
@@ -27,13 +24,21 @@ from microbot_ros.discovery.result import (
     Status,
     Verdict,
 )
-from microbot_ros.discovery.screen import screen
-from microbot_ros.discovery.search import LATE, Found, found_in, hidden_in_phi
-from microbot_ros.estimation.phasor import polar
+from microbot_ros.discovery.score_tests import residual_maps
+from microbot_ros.discovery.search import LATE, CandidateFit, absorbed_by_phi, compare
+from microbot_ros.discovery.stepwise_selection import (
+    BACKWARD,
+    FORWARD,
+    StepwiseSelection,
+    clearly_better,
+    is_cancelled,
+    search,
+    without,
+)
+from microbot_ros.estimation.model_fit import ModelFit
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.parameter import Parameter
-from microbot_ros.model.particle import Fluid, stokes_drag
 from microbot_ros.records import Session
 
 SUGGESTED = 0.05
@@ -60,43 +65,47 @@ def discover(sessions: Sequence[Session],
     what is being done; `truth`, where it is known, is only judged by its gap; `jobs` processes
     share the candidates. Raises InputError where nothing can be learnt, and says what could.
     """
-    evidences, remarks = screen(sessions)
+    prepared, remarks = check_sessions(sessions)
     with ExitStack() as stack:
-        run: Callable[..., Iterable[Found | None]] = map
+        run: Callable[..., Iterable[CandidateFit | None]] = map
         if jobs > 1:
             run = stack.enter_context(ProcessPoolExecutor(jobs)).map
-        ladder = Ladder(evidences, partial(search, run=run))
-        return _discover(ladder, remarks, report, truth)
+        selection = StepwiseSelection(prepared, partial(search, run=run))
+        return _discover(selection, remarks, report, truth)
 
 
-def _discover(ladder: Ladder, remarks: tuple[str, ...], report: Callable[[str], None],
-              truth: Model | None) -> Discovery:
-    start = ladder.fit
+def _discover(selection: StepwiseSelection, remarks: tuple[str, ...],
+              report: Callable[[str], None], truth: Model | None) -> Discovery:
+    start = selection.current
     report('mapping what the first-order model leaves')
     before = residual_maps(start)
-    ladder.climb(report)
+    selection.run(report)
     report('mapping what is left')
-    after = residual_maps(ladder.fit) if ladder.fit.model.effects else before
+    after = residual_maps(selection.current) if selection.current.model.effects else before
     report('comparing with what could stand in')
-    cases = [_Case.of(ladder, effect.id) for effect in ladder.fit.model.effects]
-    unexplained = _worst([m for m in after if m.fires] + [m for c in cases for m in c.doubts])
-    effects = [case.entry(bool(unexplained)) for case in cases or _suggestions(ladder.open)]
-    rivals = [rival.fit.model for case in cases for rival in case.rivals]
+    assessments = [
+        _Assessment.of(selection, effect.id) for effect in selection.current.model.effects]
+    doubts = [m for one in assessments for m in one.doubts]
+    unexplained = _worst([m for m in after if m.fires] + doubts)
+    effects = [one.entry(bool(unexplained)) for one in assessments or _suggestions(selection.open)]
+    rivals = [rival.fit.model for one in assessments for rival in one.rivals]
     report('predicting what was held out')
-    fit = ladder.fit
+    fit = selection.current
+    # As for a strobe: an exposure would add a third of D times its length to σ².
+    noise = [p.noise() for p in fit.session_fits]
     return Discovery(
         verdict=_verdict(effects, unexplained),
         effects=tuple(sorted(effects, key=lambda e: (e.p_value, -e.delta_bic))),
         gap=held_out_gap(start, fit, truth),
-        maps_before=before, maps_after=after, unexplained=unexplained, ladder=tuple(ladder.rungs),
-        limits=tuple(limit for found in ladder.open for limit in _limits(found)),
+        maps_before=before, maps_after=after, unexplained=unexplained,
+        selection=tuple(selection.steps),
+        limits=tuple(limit for found in selection.open for limit in _limits(found)),
         baseline=_particles(fit),
-        diffusion=_mean([Estimate(p.diffusion, p.diffusion * np.sqrt(2 / p.freedom))
-                         for p in fit.parts]),
-        localisation=_localisation(fit),
+        diffusion=_mean([Estimate(n.diffusion, n.diffusion_std) for n in noise]),
+        localisation=_mean([Estimate(n.localisation, n.localisation_std) for n in noise]),
         next_experiment=next_experiment(fit, rivals),
         model=fit.model,
-        particles=_swimmers(fit),
+        particles=_particle_parameters(fit),
         remarks=(*remarks, *_confounded(start)),
     )
 
@@ -108,47 +117,48 @@ def _verdict(effects: Sequence[NamedEffect], unexplained: Sequence[ResidualMap])
 
 
 @dataclass(frozen=True)
-class _Case:
-    """What speaks for an effect, and what against it.
+class _Assessment:
+    """Whether an effect of the selected model is established.
 
-    `own` is what it brings beside the others, `gain` the logarithm of its e-value, `sure` whether
-    both vouch for it and nothing takes it back; `rivals` explain as much in its place; nothing
-    could where it is `alone` in depending on the levels of the drive, and follows them. `doubts`
-    are maps of the model without it: those that say more than it does, since something smooth
-    that is in no library explains it better; all that fire, where it is not sure.
+    `own`: its comparison with the model without it; `log_e_value`: its gain in log likelihood on
+    data that it was not fitted to. `sure`: both pass and no other effect cancels it. `rivals`
+    explain as much in its place; none can where it is `alone`: a drive response whose curve the
+    gains at the levels of the drive follow. `doubts`: of the maps of the residual without it,
+    those that are less likely by chance than it is, since something smooth that is in no library
+    explains it better; all that fire, where it is not sure.
     """
 
-    own: Found
-    gain: float
+    own: CandidateFit
+    log_e_value: float
     sure: bool
     alone: bool
-    rivals: list[Found]
+    rivals: list[CandidateFit]
     doubts: list[ResidualMap]
 
     @classmethod
-    def of(cls, ladder: Ladder, name: str) -> _Case:
-        """The case of one effect of the ladder's model."""
-        rest = without(ladder.fit, name)
-        own = found_in(ladder.fit, rest, name)
-        gain = log_e_value(ladder.fit, name)
+    def of(cls, selection: StepwiseSelection, name: str) -> _Assessment:
+        """Of the effect `name` of the model selected so far."""
+        rest = without(selection.current, name)
+        own = compare(selection.current, rest, name)
+        gain = log_e_value(selection.current, name)
         # Halves of a recording in which the frequency was stepped once predict nothing.
-        alone = name == 'drive_response' and curve_p_value(ladder.fit) < BACKWARD
-        sure = own.whole and own.delta_bic > CLOSE and not taken_back(ladder.fit, name) and (
-            gain > HELD_OUT or alone)
+        alone = name == 'drive_response' and curve_p_value(selection.current) < BACKWARD
+        sure = own.whole and own.delta_bic > CLOSE and not is_cancelled(
+            selection.current, name) and (gain > HELD_OUT or alone)
         most = own.log_p + np.log(len(EFFECTS)) - BETTER if sure else 0.0
         return cls(
             own, gain, sure, alone,
-            [rival for rival in ladder.rivals(name) if _close(rival, own) and not alone],
+            [rival for rival in selection.rivals(name) if _close(rival, own) and not alone],
             [m for m in residual_maps(rest) if m.fires and m.log_p < most])
 
     def entry(self, incomplete: bool) -> NamedEffect:
-        """As it is named; `incomplete`: whether what is established leaves something."""
+        """As it is named; `incomplete`: whether structure is left in the residual."""
         status: Status = 'established' if self.sure else 'suggested'
         if incomplete and not self.alone:
             status = 'proxy'
         return NamedEffect(
             self.own.id, status, _estimates(self.own.fit, self.own.id), self.own.delta_bic,
-            self.own.p_value, float(np.exp(min(self.gain, 700.0))),
+            self.own.p_value, float(np.exp(min(self.log_e_value, 700.0))),
             tuple(rival.id for rival in self.rivals))
 
 
@@ -160,37 +170,37 @@ def _worst(maps: Iterable[ResidualMap]) -> tuple[ResidualMap, ...]:
     return tuple(found.values())
 
 
-def _suggestions(found: Sequence[Found]) -> list[_Case]:
+def _suggestions(found: Sequence[CandidateFit]) -> list[_Assessment]:
     """The best of what is too weak for a model that has none yet, or seen from one side only."""
     likely = [c for c in found if c.p_value * len(found) < SUGGESTED]
     if not likely:
         return []
     # The flank of a spot could stand in for anything smooth.
-    best = next((c for c in likely if c.whole and not clearly(likely[0], c)), likely[0])
+    best = next((c for c in likely if c.whole and not clearly_better(likely[0], c)), likely[0])
     rivals = [c for c in found if c is not best and _close(c, best)]
-    return [_Case(best, log_e_value(best.fit, best.id), False, False, rivals, [])]
+    return [_Assessment(best, log_e_value(best.fit, best.id), False, False, rivals, [])]
 
 
-def _close(rival: Found, own: Found) -> bool:
+def _close(rival: CandidateFit, own: CandidateFit) -> bool:
     """Whether a rival that is worth a name explains about as much, as BIC or likelihood has it.
 
     The flank of a wide spot explains whatever a drift does: it has to explain it by less.
     """
-    return rival.p_value < FORWARD and (rival.whole or not clearly(own, rival)) and (
+    return rival.p_value < FORWARD and (rival.whole or not clearly_better(own, rival)) and (
         rival.delta_bic > own.delta_bic - CLOSE
         or rival.likelihood_ratio > own.likelihood_ratio - CLOSE)
 
 
-def _confounded(fit: Fit) -> list[str]:
+def _confounded(fit: ModelFit) -> list[str]:
     """What φ can't be told from under the commands."""
-    late = [name for name in LATE if hidden_in_phi(fit, EFFECTS[name])]
+    late = [name for name in LATE if absorbed_by_phi(fit, EFFECTS[name])]
     if not late:
         return []
     return [f'φ can’t be told from {" or ".join(late)} under this command, which turns one way '
             'only: turn both ways, or in steps.']
 
 
-def _deviations(fit: Fit, name: str) -> list[tuple[Parameter, float, float]]:
+def _deviations(fit: ModelFit, name: str) -> list[tuple[Parameter, float, float]]:
     """The parameters of an effect with value and standard deviation in fit coordinates."""
     std = np.sqrt(np.diag(fit.covariance))
     return [
@@ -201,7 +211,7 @@ def _deviations(fit: Fit, name: str) -> list[tuple[Parameter, float, float]]:
     ]
 
 
-def _estimates(fit: Fit, name: str) -> dict[str, Estimate]:
+def _estimates(fit: ModelFit, name: str) -> dict[str, Estimate]:
     """Parameters in SI; of a reciprocal coordinate by the delta method."""
     result = {}
     for parameter, x, std in _deviations(fit, name):
@@ -210,7 +220,7 @@ def _estimates(fit: Fit, name: str) -> dict[str, Estimate]:
     return result
 
 
-def _limits(found: Found) -> list[Limit]:
+def _limits(found: CandidateFit) -> list[Limit]:
     """How large the strengths of an effect that is not supported may still be."""
     limits = []
     for parameter, x, std in _deviations(found.fit, found.id):
@@ -222,43 +232,28 @@ def _limits(found: Found) -> list[Limit]:
     return limits
 
 
-def _particles(fit: Fit) -> tuple[Particle, ...]:
+def _particles(fit: ModelFit) -> tuple[Particle, ...]:
     """Speed, φ and force of every particle under the final model."""
     result = []
-    for p in fit.parts:
-        e = p.evidence
-        power = np.trace(p.gram[:, 1:, 1:], axis1=1, axis2=2) / 2
-        std = np.sqrt(p.diffusion / np.maximum(power, 1e-300))
-        swims = polar(p.swim[e.first_track], std)
-        drag = np.nan
-        known = e.conditions
-        if known.radius and known.viscosity and fit.model.propulsion == 'catalytic':
-            drag = stokes_drag(Fluid(known.viscosity), known.radius)
+    for p in fit.session_fits:
+        e, speeds = p.session, p.polar()
+        force, force_std = speeds.force(e.conditions)
         for n, name in enumerate(e.ids[e.first_track]):
-            label = str(name) if len(fit.parts) == 1 else f'{e.name}:{name}'
+            label = str(name) if len(fit.session_fits) == 1 else f'{e.name}:{name}'
             result.append(Particle(
-                label, Estimate(float(swims.speed[n]), float(swims.speed_std[n])),
-                Estimate(float(swims.phi[n]), float(swims.phi_std[n])),
-                Estimate(float(drag * swims.speed[n]), float(drag * swims.speed_std[n]))))
+                label, Estimate(float(speeds.speed[n]), float(speeds.speed_std[n])),
+                Estimate(float(speeds.phi[n]), float(speeds.phi_std[n])),
+                Estimate(float(force[n]), float(force_std[n]))))
     return tuple(result)
 
 
-def _swimmers(fit: Fit) -> ParticleParameters:
+def _particle_parameters(fit: ModelFit) -> ParticleParameters:
     """The particles of the last session."""
-    last = fit.parts[-1]
-    first = last.evidence.first_track
-    return ParticleParameters.from_velocity_phasor(last.evidence.ids[first], last.swim[first])
-
-
-def _localisation(fit: Fit) -> Estimate:
-    """As for a strobe: an exposure would add a third of D times its length to σ²."""
-    return _mean([
-        Estimate(float(np.sqrt(max(p.whitening.excess, 0.0) * p.diffusion)), float('nan'))
-        for p in fit.parts
-    ])
+    last = fit.session_fits[-1]
+    first = last.session.first_track
+    return ParticleParameters.from_velocity(last.session.ids[first], last.velocity_phasor[first])
 
 
 def _mean(values: list[Estimate]) -> Estimate:
     value, std = (np.array([getattr(e, part) for e in values]) for part in ('value', 'std'))
     return Estimate(float(value.mean()), float(np.sqrt((std**2).sum()) / len(values)))
-

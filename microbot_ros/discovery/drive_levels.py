@@ -9,23 +9,26 @@ from __future__ import annotations
 
 import numpy as np
 
-from microbot_ros.discovery.chance import tail
-from microbot_ros.discovery.ladder import without
-from microbot_ros.discovery.likelihood import Fit, Part
-from microbot_ros.model.effect_context import EffectContext
+from microbot_ros.discovery.stepwise_selection import without
+from microbot_ros.discovery.tail_probabilities import chi_square_tail
+from microbot_ros.estimation.likelihood import SessionFit
+from microbot_ros.estimation.model_fit import ModelFit
 from microbot_ros.model.effects.drive_response import DriveResponse
 
 FEWEST = 10
 """Levels from which both a curve and the scatter about it can be told."""
 
 
-def curve_p_value(fit: Fit) -> float:
-    """Chance that gains which scatter about a constant follow the fitted curve so much better."""
+def curve_p_value(fit: ModelFit) -> float:
+    """Chance that gains which scatter about a constant follow the curve of a `fit` so much better.
+
+    ValueError where it has no drive response.
+    """
     effect = fit.model.effect('drive_response')
     if not isinstance(effect, DriveResponse):
         raise ValueError('the fit has no drive_response')
     rest = without(fit, 'drive_response')
-    gains = np.concatenate([_gains(p) for p in rest.parts])
+    gains = np.concatenate([_gains(p) for p in rest.session_fits])
     if len(gains) < FEWEST:
         return 1.0
     frequency, gain, std = gains.T
@@ -34,14 +37,14 @@ def curve_p_value(fit: Fit) -> float:
                   fit.model.reference_field)
     ratio = 2 * (scattered(gain, std, effect.speed_factor(context))
                  - scattered(gain, std, np.ones(len(gains))))
-    return tail(ratio, min(len(effect.parameters()), len(gains) - 1))
+    return chi_square_tail(ratio, min(len(effect.parameters()), len(gains) - 1))
 
 
-def _gains(p: Part) -> np.ndarray:
+def _gains(p: SessionFit) -> np.ndarray:
     """Frequency, gain relative to proportional rolling, its std: a row for every level."""
-    e = p.evidence
+    e = p.session
     frequency = np.abs(e.commands.frequency_at(e.times[:-1]))
-    moves = np.diff(p.levels.moved(p.swim) - p.levels.offset, axis=0)
+    moves = np.diff(p.expected.at(p.velocity_phasor) - p.expected.offset, axis=0)
     rows = []
     for level in np.unique(frequency[frequency > 0]):
         steps = np.where((frequency == level)[:, None], moves, 0)
@@ -55,7 +58,10 @@ def _gains(p: Part) -> np.ndarray:
 
 
 def scattered(gain: np.ndarray, std: np.ndarray, curve: np.ndarray) -> float:
-    """Log likelihood of gains about a multiple of a curve, with the best scatter beside noise."""
+    """Log likelihood of gains about a multiple of a curve, with the best scatter beside noise.
+
+    `gain` ± `std` and `curve`, each (L,): one for every level of the drive.
+    """
     from scipy.optimize import minimize_scalar
 
     def cost(log_scatter: float) -> float:

@@ -23,6 +23,7 @@ from microbot_ros.discovery.report_prediction import predict
 from microbot_ros.discovery.report_residual import residual
 from microbot_ros.discovery.report_words import bare, chance, interval, listed, number
 from microbot_ros.discovery.result import FIRES, Discovery, NamedEffect
+from microbot_ros.estimation.prepared_session import from_first_frame
 from microbot_ros.files import write_text
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.records import Session
@@ -35,7 +36,7 @@ _SPEED = {'catalytic': 'v_um_s', 'rolling': 'gain_um_s_hz'}
 
 def write_report(folder: Path, found: Discovery, sessions: Sequence[Session],
                  sources: Sequence[Path]) -> None:
-    """Write `report.html` into a folder.
+    """Write `report.html` into a `folder`.
 
     `sessions` are those that `found` came from, in the same order, read from `sources`.
     """
@@ -43,7 +44,10 @@ def write_report(folder: Path, found: Discovery, sessions: Sequence[Session],
 
 
 def page(found: Discovery, sessions: Sequence[Session], sources: Sequence[Path]) -> str:
-    """The report as HTML that needs nothing else; the same data give the same page."""
+    """The report on what was `found` as HTML that needs nothing else.
+
+    `sessions` and `sources` as for `write_report`; the same data give the same page.
+    """
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters |= {
@@ -51,11 +55,12 @@ def page(found: Discovery, sessions: Sequence[Session], sources: Sequence[Path])
         for name in ('bare', 'chance', 'limit', 'number', 'odds', 'term', 'words')}
     environment.globals |= {'interval': interval}
     template = environment.from_string(_TEMPLATE.read_text(encoding='utf-8'))
-    left = residual(found, sessions[-1])
+    last = from_first_frame(sessions[-1])
+    left = residual(found, last)
     prediction = predict(found, left)
     maps = draw_maps(found.maps_before, found.maps_after)
     places = draw_places(left, found.diffusion.value)
-    driven = drive(left, sessions[-1].commands, found.particles.phi, found.diffusion.value)
+    driven = drive(left, last.commands, found.particles.phi, found.diffusion.value)
     return template.render(
         found=found, headline=headline(found), library=EFFECTS, sessions=sessions, fires=FIRES,
         speed=_SPEED[found.model.propulsion], prediction=prediction,
@@ -67,7 +72,7 @@ def page(found: Discovery, sessions: Sequence[Session], sources: Sequence[Path])
 
 
 def headline(found: Discovery) -> str:
-    """The verdict in one sentence or two, with the number, its interval and the evidence."""
+    """The verdict on what was `found`, in a sentence or two: number, interval and evidence."""
     sure = [e for e in found.effects if e.status == 'established']
     rest = [e.id for e in found.effects if e.status != 'established']
     told = '; '.join(map(_told, sure))
@@ -99,7 +104,7 @@ def _told(effect: NamedEffect) -> str:
 
 
 def digests(source: Path) -> list[tuple[str, str]]:
-    """(file, SHA-256) of the data files of a session, as `sha256sum` prints them."""
+    """(file, SHA-256) of the data files of a session's `source`, as `sha256sum` prints them."""
     files = sorted(source.iterdir()) if source.is_dir() else [source]
     result = []
     for file in files:

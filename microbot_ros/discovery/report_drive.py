@@ -15,7 +15,11 @@ BINS = 14
 
 @dataclass(frozen=True)
 class Drive:
-    """Gains [m/s/Hz], means over the particles, at B frequencies [Hz], ascending."""
+    """Gains [m/s/Hz], means over the particles, at B frequencies [Hz], ascending; each (B,).
+
+    `measured` ± `measured_std` at each `frequency`, as the model `found` and the `plain`
+    first-order one expect it.
+    """
 
     frequency: np.ndarray
     measured: np.ndarray
@@ -25,7 +29,9 @@ class Drive:
 
 
 def drive(left: Residual, commands: Commands, phi: np.ndarray, diffusion: float) -> Drive | None:
-    """The gains of particles with φ (N,) in a medium with D [m²/s]; None for fewer than 3 levels.
+    """The gains of particles under `commands`; None for fewer than 3 frequencies.
+
+    `left` is what models leave of their session; `phi` (N,) [rad]; `diffusion` D [m²/s].
 
     Displacements along where a particle heads, regressed on the unit path: those measured, and
     those that the models expect.
@@ -63,7 +69,7 @@ def _steps(positions: np.ndarray, use: np.ndarray) -> np.ndarray:
 
 
 def draw_drive(found: Drive, before: str, after: str) -> Figure:
-    """Gain by frequency, the models in the colours `before` and `after`."""
+    """Gain by frequency as `found`, the models in the colours `before` and `after`."""
     figure = Figure(figsize=(7.5, 3.2), layout='constrained')
     axis = figure.subplots()
     axis.errorbar(found.frequency, found.measured * 1e6, 1.96 * found.measured_std * 1e6,

@@ -36,7 +36,7 @@ def embedded(figure: Figure) -> str:
 
 
 def draw_gap(gap: Gap) -> Figure:
-    """What prediction misses beyond the noise, before and after, beside the noise itself."""
+    """The `gap` in prediction beyond the noise, before and after, beside the noise itself."""
     figure = Figure(figsize=(7.5, 1.9), layout='constrained')
     axis = figure.subplots()
     bars = {'before': gap.before, 'after': gap.after, 'noise floor': gap.floor}
@@ -54,7 +54,7 @@ def draw_gap(gap: Gap) -> Figure:
 
 
 def draw_maps(before: Sequence[ResidualMap], after: Sequence[ResidualMap]) -> Figure | None:
-    """What is left against each covariate, one panel each; None where there is none to draw."""
+    """What is left against each covariate `before` and `after`, one panel each; None for none."""
     later = {m.against: m for m in after}
     drawn = [m for m in before if any(len(mean) > 1 for mean, _ in m.curves.values())]
     if not drawn:
@@ -112,7 +112,7 @@ def _p(found: ResidualMap) -> str:
 
 
 def draw_bands(prediction: Prediction) -> Figure:
-    """Measured less predicted, both coordinates, of the first particles of a session.
+    """Measured less predicted, both coordinates, of the first particles of a `prediction`.
 
     Scaled to what is usual: single excursions leave the picture.
     """
@@ -150,9 +150,10 @@ def _band(axis: Axes, prediction: Prediction, n: int, k: int) -> None:
 
 
 def draw_places(left: Residual, diffusion: float) -> Figure | None:
-    """Mean residual velocity by place, before and after; None where no place was seen enough.
+    """Mean velocity that is `left` by place, before and after; None if no place was seen enough.
 
-    Arrows beyond three standard errors, √(2D/time spent there), are dark.
+    Arrows beyond three standard errors, √(2D/time spent there) with
+    `diffusion` D [m²/s], are dark.
     """
     figure = Figure(figsize=(11, 4.6), layout='constrained')
     axes = figure.subplots(1, 2, sharex=True, sharey=True)

@@ -42,10 +42,11 @@ class Prediction:
 
 
 def predict(found: Discovery, left: Residual) -> Prediction:
-    """The check of the session that `found.particles` belong to.
+    """The check of what was `found` on the session that its particles belong to.
 
-    The band is wide by diffusion, by two readings, and by how well v and φ are known: their
-    error carries a particle off in proportion to the way it has swum.
+    `left` is the residual of that session. The band is wide by diffusion, by two readings, and by
+    how well v and φ are known: their error carries a particle off in proportion to the way it has
+    swum.
     """
     starts = _starts(left)
     measured, without, swum = (_since(x, starts) for x in (left.found, left.plain, left.path))

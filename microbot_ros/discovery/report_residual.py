@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from microbot_ros.discovery.evidence import JUMP, first_field
 from microbot_ros.discovery.result import Discovery
-from microbot_ros.estimation.noise import GainLikelihood
-from microbot_ros.model.increments import respond
-from microbot_ros.model.model import Model, ParticleParameters
-from microbot_ros.model.timeline import Timeline
+from microbot_ros.estimation.expected_displacement import ExpectedDisplacement
+from microbot_ros.estimation.likelihood import SessionFit, Whitening
+from microbot_ros.estimation.prepared_session import JUMP, PreparedSession, prepare
+from microbot_ros.model.increments import as_vectors
+from microbot_ros.model.model import Model
 from microbot_ros.records import Session
 
 PLACES = 10
@@ -22,10 +22,11 @@ PLACES = 10
 class Residual:
     """Measured positions less what models expect of N particles in T frames.
 
-    `times` (T,) [s]; `places` (T, N, 2) [m]: where last seen; `found` and `plain` (T, N, 2) [m]:
-    positions less the displacement since the first frame by the model found and by the
-    first-order model, NaN for gaps; `path` (T, N, 2) [s], for rollers [s·Hz]: what a particle of
-    unit speed and φ = 0 would have moved; `jumps` (T, N) bool: steps beyond any motion.
+    `times` (T,) [s] from the first frame; `names` of the particles; `places` (T, N, 2) [m]: where
+    last seen; `found` and `plain` (T, N, 2) [m]: positions less the displacement since the first
+    frame by the model found and by the first-order model, NaN for gaps; `path` (T, N, 2) [s], for
+    rollers [s·Hz]: what a particle of unit speed and φ = 0 would have moved; `jumps` (T, N) bool:
+    steps beyond any motion.
     """
 
     times: np.ndarray
@@ -38,22 +39,22 @@ class Residual:
 
 
 def residual(found: Discovery, session: Session) -> Residual:
-    """Of the session that `found.particles` belong to: the last one."""
-    times, positions = session.tracks.grid()
-    rows = (times >= first_field(session.commands)).nonzero()[0]
-    columns = np.isin(session.tracks.particles, found.particles.ids)
-    times, positions = times[rows], positions[rows][:, columns]
+    """What `found` leaves of the `session` that `found.particles` belong to: the last one."""
+    whole, prepared = PreparedSession.of(session), prepare(session)
+    positions = whole.causal_positions
     places = _filled(positions)
-    timeline = Timeline(session.commands, times, places)
-    plain = Model.baseline(session.conditions, session.commands)
-    unit = ParticleParameters(found.particles.ids, np.ones(len(found.particles.ids)),
-                              np.zeros(len(found.particles.ids)))
-    path = _moved(plain, unit, timeline)
-    swum = _moved(plain, _refitted(found, times, positions, path), timeline)
+    model = Model.baseline(session.conditions, session.commands)
+    ratio = max(found.localisation.value**2 / found.diffusion.value, 1e-6)
+    plain = ExpectedDisplacement.of(model, whole.timeline)
+    refitted = SessionFit.of(prepared, Whitening(ratio), plain).velocity_phasor
+    moved = ExpectedDisplacement.of(found.model, replace(
+        whole, causal_positions=places).timeline).at(found.particles.velocity)
     steps = np.hypot(*np.moveaxis(np.diff(positions, axis=0, prepend=np.nan), -1, 0))
     return Residual(
-        times, tuple(str(i) for i in found.particles.ids), places,
-        positions - _moved(found.model, found.particles, timeline), positions - swum, path,
+        whole.times, tuple(str(i) for i in found.particles.ids), places,
+        positions - as_vectors(moved),
+        positions - as_vectors(plain.at(refitted[prepared.first_track])),
+        as_vectors(np.broadcast_to(plain.along, whole.z.shape)),
         np.nan_to_num(steps) > JUMP * np.nanquantile(steps, 0.99))
 
 
@@ -82,18 +83,3 @@ def _filled(positions: np.ndarray) -> np.ndarray:
     seen = np.isfinite(positions[..., 0])
     last = np.maximum.accumulate(np.where(seen, np.arange(len(seen))[:, None], 0), axis=0)
     return np.take_along_axis(positions, last[..., None], axis=0)
-
-
-def _moved(model: Model, particles: ParticleParameters, timeline: Timeline) -> np.ndarray:
-    """Displacements (T, N, 2) [m] that a model expects since the first frame."""
-    steps = np.nan_to_num(respond(model, timeline).increments(particles))
-    return np.concatenate([np.zeros((1, *steps.shape[1:])), np.cumsum(steps, axis=0)])
-
-
-def _refitted(found: Discovery, times: np.ndarray, positions: np.ndarray,
-              path: np.ndarray) -> ParticleParameters:
-    """The particles as the first-order model alone sees them, under the same noise."""
-    ratio = max(found.localisation.value**2 / found.diffusion.value, 1e-6)
-    z, swum = (x @ np.array([1, 1j]) for x in (positions, path))
-    return ParticleParameters.from_velocity_phasor(
-        found.particles.ids, GainLikelihood(times, z, swum).at(ratio).gain)

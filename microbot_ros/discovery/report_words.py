@@ -19,7 +19,7 @@ _RAISED = str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹')
 
 
 def number(x: float) -> str:
-    """Two digits: 0.03 as it is, 4.2·10⁻⁹ with its power, larger ones whole up to 99 999."""
+    """`x` in two digits: 0.03, 4.2·10⁻⁹ with its power, larger ones whole up to 99 999."""
     if not np.isfinite(x):
         return 'beyond computing' if x > 0 else '–'
     if x == 0 or 0.001 <= abs(x) < 1e5:
@@ -35,7 +35,7 @@ def _power(exponent: int) -> str:
 
 
 def interval(name: str, estimate: Estimate) -> str:
-    """A value with its 95 % interval in the unit of its name: `0.41 ± 0.06 µm/s`."""
+    """An `estimate` with its 95 % interval in the unit of its `name`: `0.41 ± 0.06 µm/s`."""
     value, half = (float(from_si(name, x)) for x in (estimate.value, 1.96 * estimate.std))
     if not np.isfinite(value):
         return '–'
@@ -55,38 +55,38 @@ def _within(value: float, half: float) -> str:
 
 
 def chance(p: float) -> str:
-    """A p-value as people write it: `p = 0.03`, `p < 10⁻³⁰⁰` where it can't be computed."""
+    """A p-value `p` as people write it: `p = 0.03`, `p < 10⁻³⁰⁰` where it can't be computed."""
     return f'p = {number(p)}' if p > LEAST else 'p < 10⁻³⁰⁰'
 
 
 def odds(e_value: float) -> str:
-    """How much likelier what was held out is with an effect than without."""
+    """How much likelier what was held out is with an effect than without: its `e_value`."""
     return f'{number(e_value)} times' if e_value < 1 / LEAST else 'more than 10³⁰⁰ times'
 
 
 def words(identifier: str) -> str:
-    """`uniform_drift` as people write it."""
+    """An `identifier` such as `uniform_drift` as people write it."""
     return identifier.replace('_', ' ')
 
 
 def listed(identifiers: list[str]) -> str:
-    """`a`, `a and b`, `a, b and c`, as people write them."""
+    """One or more `identifiers` as people list them: `a`, `a and b`, `a, b and c`."""
     *head, last = map(words, identifiers)
     return f'{", ".join(head)} and {last}' if head else last
 
 
 def bare(name: str) -> str:
-    """The name of a parameter without its unit: `tau_s` is `tau`."""
+    """The `name` of a parameter without its unit: `tau_s` is `tau`."""
     return words(name.removesuffix(suffix(name)))
 
 
 def term(effect_id: str) -> list[str]:
-    """What an effect adds to the equations, in paragraphs."""
+    """What the effect `effect_id` adds to the equations, in paragraphs."""
     return (inspect.getdoc(EFFECTS[effect_id]) or '').replace('`', '').split('\n\n')
 
 
 def limit(found: Limit) -> str:
-    """Where a parameter may still be: `up to 0.1 µm/s`, `1 ± 0.02`, `900 s or longer`."""
+    """Where a parameter may still be, as `found`: `up to 0.1 µm/s`, `900 s or longer`."""
     parameter, unit = found.parameter, symbol(found.parameter.name)
     if not np.isfinite(found.upper_limit):
         return 'not bounded by these data'

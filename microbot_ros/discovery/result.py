@@ -7,7 +7,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.parameter import Parameter
 from microbot_ros.units import from_si, suffix, symbol
@@ -21,7 +20,7 @@ Status = Literal['established', 'suggested', 'proxy']
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value with its standard deviation, SI; NaN where unknown."""
+    """A `value` with its standard deviation `std`, SI; NaN where unknown."""
 
     value: float
     std: float
@@ -33,7 +32,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class NamedEffect:
-    """An effect that the data ask for.
+    """An effect that the data ask for: its `id`, `status` and `parameters` by name.
 
     `delta_bic` and `p_value` compare the final model with and without it; `p_value` is local for
     effects with no shape to search over and corrected for the search where there is one.
@@ -114,7 +113,11 @@ class ResidualMap:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A candidate on one rung of the ladder: what adding it would bring."""
+    """A candidate at one step of the selection: what adding it would bring.
+
+    `id` of the effect; `likelihood_ratio` LR with `dof` degrees of freedom, `delta_bic` and
+    `p_value` of it.
+    """
 
     id: str
     likelihood_ratio: float
@@ -124,8 +127,8 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Rung:
-    """One step: `candidates` best first; `added` and `removed` say what was done."""
+class SelectionStep:
+    """One step from a `model` of effects: `candidates`, best first; `added` and `removed`."""
 
     model: tuple[str, ...]
     candidates: tuple[Candidate, ...]
@@ -135,7 +138,10 @@ class Rung:
 
 @dataclass(frozen=True)
 class Limit:
-    """An effect that is not supported, and how large it may still be (95 %), SI."""
+    """A `parameter` of an effect `id` that is not supported, and its `upper_limit` (95 %), SI.
+
+    NaN where the data do not bound it.
+    """
 
     id: str
     parameter: Parameter
@@ -144,7 +150,7 @@ class Limit:
 
 @dataclass(frozen=True)
 class Particle:
-    """Speed [m/s] or gain [m/s/Hz], φ [rad] and force [N] of one particle."""
+    """One particle of that `name`: `speed` [m/s] or gain [m/s/Hz], `phi` [rad], `force` [N]."""
 
     name: str
     speed: Estimate
@@ -154,7 +160,7 @@ class Particle:
 
 @dataclass(frozen=True)
 class NextExperiment:
-    """What to record to tell apart what this recording can't, and for how long."""
+    """What to record to tell apart what this recording can't: a `sentence`, and `minutes`."""
 
     sentence: str
     minutes: float
@@ -164,6 +170,10 @@ class NextExperiment:
 class Discovery:
     """The whole result. `model` and `particles` (those of the last session) make `model.yaml`.
 
+    `verdict`; `effects`, the surest first; `gap` in prediction; `maps_before`, `maps_after` of
+    the residual; `selection`: the steps that led to the model; `limits` of what is not supported;
+    `baseline`: every particle under the final model, with `diffusion` [m²/s] and `localisation`
+    [m], means over sessions; `next_experiment`, None where nothing is open; `remarks`: sentences.
     `unexplained` are maps that fire with the final model, and maps of it less one effect that
     explain more than this effect does: the worst first.
     """
@@ -174,7 +184,7 @@ class Discovery:
     maps_before: tuple[ResidualMap, ...]
     maps_after: tuple[ResidualMap, ...]
     unexplained: tuple[ResidualMap, ...]
-    ladder: tuple[Rung, ...]
+    selection: tuple[SelectionStep, ...]
     limits: tuple[Limit, ...]
     baseline: tuple[Particle, ...]
     diffusion: Estimate
@@ -234,11 +244,6 @@ class Discovery:
             'next_experiment': self.next_experiment.sentence if self.next_experiment else '',
             'remarks': list(self.remarks),
         }
-
-
-def parameters_of(effect_id: str) -> dict[str, Parameter]:
-    """The parameters of an effect of the library by their names at the edge."""
-    return {p.name: p for p in EFFECTS[effect_id].parameters()}
 
 
 def _edge(name: str, value: float) -> float | None:

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from microbot_ros.discovery.chance import log_of_any, log_tail
-from microbot_ros.discovery.evidence import Evidence, levels
-from microbot_ros.discovery.likelihood import Fit, evaluate, maximise, settle
-from microbot_ros.discovery.periodogram import turning_parts
-from microbot_ros.discovery.spots import likely_spots
+from microbot_ros.discovery.starting_points import likely_spots, rotating_components
+from microbot_ros.discovery.tail_probabilities import log_chi_square_tail, log_of_any
+from microbot_ros.estimation.expected_displacement import ExpectedDisplacement
+from microbot_ros.estimation.model_fit import ModelFit, fit_with_noise, maximise
+from microbot_ros.estimation.prepared_session import PreparedSession
 from microbot_ros.model.effect import Effect
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.effects.hot_spot import HotSpot
@@ -46,13 +46,15 @@ NEGLIGIBLE = 8.0
 
 
 @dataclass(frozen=True)
-class Found:
-    """A fit with one effect more. `trials`: independent places at which it was looked for.
+class CandidateFit:
+    """A `fit` with the effect `id` more, beside one without it.
 
-    `whole`: whether the recording shows the shape that was found, not only its flank.
+    `likelihood_ratio` LR with `dof` degrees of freedom; `trials`: independent places at which the
+    effect was looked for; `whole`: whether the recording shows the shape that was found, not only
+    its flank.
     """
 
-    fit: Fit
+    fit: ModelFit
     id: str
     likelihood_ratio: float
     dof: int
@@ -62,7 +64,7 @@ class Found:
     @property
     def log_p(self) -> float:
         """Logarithm of the chance of so much evidence where nothing is there, scan included."""
-        return log_of_any(log_tail(self.likelihood_ratio, self.dof), self.trials)
+        return log_of_any(log_chi_square_tail(self.likelihood_ratio, self.dof), self.trials)
 
     @property
     def p_value(self) -> float:
@@ -75,26 +77,30 @@ class Found:
         return float(self.likelihood_ratio - self.dof * np.log(self.fit.count))
 
 
-def found_in(fit: Fit, rest: Fit, effect_id: str) -> Found:
-    """An effect that a fit already has, beside the fit without it."""
-    return Found(fit, effect_id, rest.cost - fit.cost, _freedom(fit, EFFECTS[effect_id]),
-                 _trials(fit, effect_id), shown(fit, effect_id))
+def compare(fit: ModelFit, rest: ModelFit, effect_id: str) -> CandidateFit:
+    """What the effect `effect_id` of a `fit` brings beside the `rest`, the fit without it."""
+    return CandidateFit(
+        fit, effect_id, rest.cost - fit.cost, _degrees_of_freedom(fit, EFFECTS[effect_id]),
+        _trials(fit, effect_id), shown(fit, effect_id))
 
 
-def look(fit: Fit, effect_id: str) -> Found | None:
-    """The best fit of a model with this effect added; None where the data can't show it."""
+def fit_candidate(fit: ModelFit, effect_id: str) -> CandidateFit | None:
+    """The best fit of a model with `effect_id` added to that of a `fit`.
+
+    None where the data can't show it.
+    """
     effect = EFFECTS[effect_id]
     if not _applies(fit, effect):
         return None
     tried = [maximise(_at(fit, start)) for start in _starts(fit, effect)]
-    best = min((found_in(one, fit, effect_id) for one in tried), key=lambda one: one.log_p)
+    best = min((compare(one, fit, effect_id) for one in tried), key=lambda one: one.log_p)
     if best.likelihood_ratio <= NEGLIGIBLE:
         return best
-    return found_in(settle(best.fit), fit, effect_id)
+    return compare(fit_with_noise(best.fit), fit, effect_id)
 
 
-def shown(fit: Fit, effect_id: str) -> bool:
-    """Whether the recording shows the shape that was found, not only its flank.
+def shown(fit: ModelFit, effect_id: str) -> bool:
+    """Whether the recording of a `fit` shows the shape of `effect_id`, not only its flank.
 
     Half a swing or the far slope of a spot could stand in for anything smooth.
     """
@@ -110,57 +116,56 @@ def shown(fit: Fit, effect_id: str) -> bool:
     return True
 
 
-def _at(fit: Fit, effect: Effect) -> Fit:
-    evidences, whitenings = zip(*((p.evidence, p.whitening) for p in fit.parts), strict=True)
-    return evaluate(fit.model.with_effect(effect), evidences, whitenings)
+def _at(fit: ModelFit, effect: Effect) -> ModelFit:
+    return fit.under(fit.model.with_effect(effect))
 
 
-def _applies(fit: Fit, effect: type[Effect]) -> bool:
+def _applies(fit: ModelFit, effect: type[Effect]) -> bool:
     if effect.id == 'drive_response':
         return fit.model.propulsion == 'rolling' and _frequencies(fit) > 1
-    if effect.id in LATE and hidden_in_phi(fit, effect):
+    if effect.id in LATE and absorbed_by_phi(fit, effect):
         return False
-    if effect.id in OF_STRENGTH and all(_strength_unknown(p.evidence) for p in fit.parts):
+    if effect.id in OF_STRENGTH and all(_strength_unknown(p.session) for p in fit.session_fits):
         return False
     if effect.id in ('dipole_interaction', 'hydrodynamic_slowdown'):
-        return any(p.evidence.owner[-1] > 0 for p in fit.parts)
+        return any(p.session.owner[-1] > 0 for p in fit.session_fits)
     return True
 
 
-def hidden_in_phi(fit: Fit, late: type[Effect]) -> bool:
-    """Whether v and φ absorb a delay or a lag, as they do where the command turns one way only.
+def absorbed_by_phi(fit: ModelFit, late: type[Effect]) -> bool:
+    """Whether φ absorbs an effect `late`, as where the command of a `fit` turns one way only.
 
     What little is left of it then shows in the likelihood only through what else is wrong.
     """
     parameter, = late.parameters()
-    bare = Fit(replace(fit.model, effects=()), fit.parts)
+    bare = ModelFit(replace(fit.model, effects=()), fit.session_fits)
     tried = _at(bare, late(**{parameter.field: parameter.from_fit(1e-2)}))
     power = sum(float((np.abs(jacobian) ** 2).sum()) for jacobian in tried.jacobian)
     return bool(tried.normal[0][0, 0] < ABSORBED * power)
 
 
-def _strength_unknown(evidence: Evidence) -> bool:
+def _strength_unknown(session: PreparedSession) -> bool:
     """Whether only the direction of a rolling field was told, not its strength."""
-    if evidence.commands.frequency is None or evidence.conditions.reference_field:
+    if session.commands.frequency is None or session.conditions.reference_field:
         return False
-    strength = np.hypot(*evidence.commands.field.T)
+    strength = np.hypot(*session.commands.field.T)
     return bool(np.allclose(strength[strength > 0], NOMINAL_FIELD, rtol=1e-6))
 
 
-def _frequencies(fit: Fit) -> int:
+def _frequencies(fit: ModelFit) -> int:
     """How many rotation frequencies were used."""
-    used = [np.abs(p.evidence.commands.frequency_at(p.evidence.times)) for p in fit.parts]
+    used = [np.abs(p.session.commands.frequency_at(p.session.times)) for p in fit.session_fits]
     return len(np.unique(np.concatenate(used)))
 
 
-def _freedom(fit: Fit, effect: type[Effect]) -> int:
+def _degrees_of_freedom(fit: ModelFit, effect: type[Effect]) -> int:
     count = len(effect.parameters())
     if effect.id == 'drive_response':
         return min(count, _frequencies(fit) - 1)
     return count
 
 
-def _trials(fit: Fit, effect_id: str) -> float:
+def _trials(fit: ModelFit, effect_id: str) -> float:
     """Independent places of the shape of an effect at which a recording lets one look.
 
     Chance is shared out evenly over octaves of frequency or width, since either may be of any
@@ -171,23 +176,23 @@ def _trials(fit: Fit, effect_id: str) -> float:
         periods = effect.frequency * _duration(fit)
         return float(max(periods * np.log(_fastest(fit) * _duration(fit) / PERIODS), 1.0))
     if isinstance(effect, HotSpot):
-        grid = effect.starts(fit.parts[0].evidence.timeline)
+        grid = effect.starts(fit.session_fits[0].session.timeline)
         area = np.ptp([spot.x for spot in grid]) * np.ptp([spot.y for spot in grid])
         # A spot reaches over two widths each way.
         return float(max(len({spot.width for spot in grid}) * area / (4 * effect.width) ** 2, 1.0))
     return 1.0
 
 
-def _starts(fit: Fit, effect: type[Effect]) -> list[Effect]:
+def _starts(fit: ModelFit, effect: type[Effect]) -> list[Effect]:
     """Starting points worth a full fit."""
     if effect.id == 'periodic_drift':
-        return _swings(fit)
+        return _swing_starts(fit)
     if not any(p.shape for p in effect.parameters()):
-        return _plain(fit, effect)
-    timeline = fit.parts[0].evidence.timeline
+        return _near_nothing(fit, effect)
+    timeline = fit.session_fits[0].session.timeline
     if issubclass(effect, HotSpot):
         spots = likely_spots(fit, effect.starts(timeline), TRIED)
-        return _promising([_strengthened(fit, spot) for spot in spots])
+        return _promising([_with_best_strength(fit, spot) for spot in spots])
     return list(effect.starts(timeline))
 
 
@@ -199,7 +204,7 @@ def _promising(scored: Sequence[tuple[float, Effect]]) -> list[Effect]:
             if score == best or score > max(NEGLIGIBLE, best / 2)]
 
 
-def _plain(fit: Fit, effect: type[Effect]) -> list[Effect]:
+def _near_nothing(fit: ModelFit, effect: type[Effect]) -> list[Effect]:
     """Near nothing; and for effects of one parameter the best of a coarse row of values."""
     parameters = effect.parameters()
     small = {p.field: p.from_fit(min(1e-3, p.fit_bounds[1])) for p in parameters}
@@ -214,15 +219,16 @@ def _plain(fit: Fit, effect: type[Effect]) -> list[Effect]:
     return [*starts, coarse[best]] if costs[best] < fit.cost + 20 else starts
 
 
-def _strengthened(fit: Fit, start: Effect) -> tuple[float, Effect]:
+def _with_best_strength(fit: ModelFit, start: Effect) -> tuple[float, Effect]:
     """The evidence for a start whose one strength is linear, and the start with that strength."""
     strength = next(p for p in start.parameters() if not p.shape)
     unit = replace(start, **{strength.field: strength.from_fit(1.0)})
     model = fit.model.with_effect(unit)
     information, slope = 1e-30, 0.0
-    for p in fit.parts:
-        moved = levels(model, p.evidence).moved(p.swim) - p.levels.moved(p.swim)
-        column = p.whiten(np.broadcast_to(moved, p.evidence.z.shape)[..., None])[..., 0]
+    for p in fit.session_fits:
+        expected = ExpectedDisplacement.of(model, p.session.timeline)
+        moved = expected.at(p.velocity_phasor) - p.expected.at(p.velocity_phasor)
+        column = p.whiten(np.broadcast_to(moved, p.session.z.shape)[..., None])[..., 0]
         information += float((np.abs(column) ** 2).sum())
         slope += float((column.conj() * p.residual).real.sum())
     low, high = strength.fit_bounds
@@ -230,23 +236,23 @@ def _strengthened(fit: Fit, start: Effect) -> tuple[float, Effect]:
     return slope**2 / information, replace(start, **{strength.field: strength.from_fit(size)})
 
 
-def _duration(fit: Fit) -> float:
-    return max(float(np.ptp(p.evidence.times)) for p in fit.parts)
+def _duration(fit: ModelFit) -> float:
+    return max(float(np.ptp(p.session.times)) for p in fit.session_fits)
 
 
-def _fastest(fit: Fit) -> float:
+def _fastest(fit: ModelFit) -> float:
     """The highest frequency that is looked at [Hz]."""
-    return min(3.0, 0.4 / max(p.evidence.interval for p in fit.parts))
+    return min(3.0, 0.4 / max(p.session.interval for p in fit.session_fits))
 
 
-def _swings(fit: Fit) -> list[Effect]:
+def _swing_starts(fit: ModelFit) -> list[Effect]:
     """Frequencies at which what is left of the longest session swings most.
 
     White residuals summed over particles; turning both ways, so that any ellipse counts.
     """
-    longest = max(fit.parts, key=lambda p: float(np.ptp(p.evidence.times)))
-    frequency, forward, back = turning_parts(
-        longest.evidence.times, longest.residual.sum(axis=1), _fastest(fit))
+    longest = max(fit.session_fits, key=lambda p: float(np.ptp(p.session.times)))
+    frequency, forward, back = rotating_components(
+        longest.session.times, longest.residual.sum(axis=1), _fastest(fit))
     duration = _duration(fit)
     power = np.abs(forward) ** 2 + np.abs(back) ** 2
     known = next(p for p in PeriodicDrift.parameters() if p.field == 'frequency')
@@ -261,7 +267,7 @@ def _swings(fit: Fit) -> list[Effect]:
         turns = np.floor(direction / np.pi)
         direction -= turns * np.pi
         phase = (phase - turns * np.pi + np.pi) % (2 * np.pi) - np.pi
-        score, start = _strengthened(fit, PeriodicDrift(
+        score, start = _with_best_strength(fit, PeriodicDrift(
             0.0, float(frequency[k]), float(direction), float(phase)))
         scored.append((score - 2 * np.log(frequency[k] * duration), start))  # as `_trials` counts
     return _promising(scored)

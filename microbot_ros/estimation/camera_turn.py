@@ -14,9 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from microbot_ros.errors import InputError
-from microbot_ros.estimation.batch import Fit, fit
-from microbot_ros.estimation.delay import DelayedLikelihood
-from microbot_ros.model.model import Model
+from microbot_ros.estimation.batch import fit
 from microbot_ros.records import Session
 
 CLEARLY = 10.0
@@ -36,7 +34,7 @@ class CameraTurn:
     `mirrored`: the picture turns the other way than the command, by `log_odds` in log
     likelihood. `angle` (K,) [rad]: how far each usable particle, of identity `ids` (K,), goes
     beside the command, once unmirrored, φ allowed for; `angle_std` (K,). `turn` [rad] is what
-    they have in common, `interval` half of its 95 % interval.
+    they have in common, `interval` half of its 95 % interval; `phi_known`: whether φ was stated.
     """
 
     mirrored: bool
@@ -68,16 +66,17 @@ class CameraTurn:
 def camera_turn(session: Session, phi: float | None = None) -> CameraTurn:
     """Handedness and turn of the camera, from particles under commands in several directions.
 
-    `phi` [rad] is the angle from the field to the motion of every particle where it is known,
-    such as 0 for rollers; else it is taken to be zero on average. Raises InputError where the
-    particles do not answer the commands, or the commands don't show the handedness.
+    From the tracks and commands of a `session`. `phi` [rad] is the angle from the field to the
+    motion of every particle where it is known, such as 0 for rollers; else it is taken to be zero
+    on average. Raises InputError where the particles do not answer the commands, or the commands
+    don't show the handedness.
     """
     mirror = replace(
         session, commands=replace(session.commands, field=session.commands.field * (1.0, -1.0)))
     straight, turned = fit(session), fit(mirror)
-    odds = _log_likelihood(mirror, turned) - _log_likelihood(session, straight)
+    odds = turned.log_likelihood - straight.log_likelihood
     best, mirrored = (turned, True) if odds > 0 else (straight, False)
-    usable = best.swims.phi_std < USABLE
+    usable = best.polar.phi_std < USABLE
     if not usable.any():
         raise InputError(session.name or 'session', 'expected particles that answer the '
                          'commands; no direction of motion follows them')
@@ -86,20 +85,11 @@ def camera_turn(session: Session, phi: float | None = None) -> CameraTurn:
             session.name or 'session', 'expected commands that show whether the picture is '
             f'mirrored (log odds {odds:.1f}, needed ±{CLEARLY:g}): command at least three '
             'directions all round, each for some seconds')
-    angle = best.swims.phi[usable] * (-1 if mirrored else 1) - (phi or 0.0)
-    std = best.swims.phi_std[usable]
+    angle = best.polar.phi[usable] * (-1 if mirrored else 1) - (phi or 0.0)
+    std = best.polar.phi_std[usable]
     turn, interval = _common(angle, std) if phi is not None else _mean(angle)
     return CameraTurn(mirrored, abs(odds), best.ids[usable], np.angle(np.exp(1j * angle)), std,
                       turn, interval, phi is not None)
-
-
-def _log_likelihood(session: Session, found: Fit) -> float:
-    """Of the tracks as they are: steps left out by one fit and not the other would not compare."""
-    times, positions = session.tracks.grid()
-    z = positions[..., 0] + 1j * positions[..., 1]
-    model = Model.baseline(session.conditions, session.commands)
-    record = DelayedLikelihood(model, session.commands, times, z, 0.0)
-    return float(record.at(found.delay.value).maximum().log_likelihood)
 
 
 def _mean(angle: np.ndarray) -> tuple[float, float]:
@@ -127,6 +117,6 @@ def _common(angle: np.ndarray, std: np.ndarray) -> tuple[float, float]:
     """
     weight = 1 / std**2
     turn = float(np.angle(np.sum(weight * np.exp(1j * angle))))
-    excess = float(np.sum(weight * np.angle(np.exp(1j * (angle - turn))) ** 2))
-    widened = max(1.0, excess / max(len(angle) - 1, 1))
+    chi_square = float(np.sum(weight * np.angle(np.exp(1j * (angle - turn))) ** 2))
+    widened = max(1.0, chi_square / max(len(angle) - 1, 1))
     return turn, 1.96 * math.sqrt(widened / float(np.sum(weight)))

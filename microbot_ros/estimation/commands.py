@@ -1,14 +1,9 @@
-"""The commands so far, and what a model makes of them between frames."""
+"""The commands so far, as the online filter remembers them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from microbot_ros.model.increments import Response, respond
-from microbot_ros.model.model import Model
-from microbot_ros.model.timeline import Timeline
 from microbot_ros.records import Commands
 
 NEGLIGIBLE = 1e-5
@@ -25,7 +20,11 @@ class CommandLog:
         self._count = 0
 
     def append(self, t: float, field: np.ndarray, frequency: float | None = None) -> str:
-        """Add a command; the reason it was refused, or ''."""
+        """Add a command in force from `t` [s]; the reason it was refused, or ''.
+
+        `field` (2,) [T], taken for zero below NEGLIGIBLE; `frequency` [Hz] of rollers. Refused
+        are numbers that are not finite and commands earlier than the last one.
+        """
         row = np.array([t, field[0], field[1], 0.0 if frequency is None else frequency], float)
         if not np.isfinite(row).all():
             return 'a command holds numbers that are not finite: ignored'
@@ -45,48 +44,24 @@ class CommandLog:
         return float(self._rows[self._count - 1, 0]) if self._count else -np.inf
 
     def since(self, t: float, delay: float = 0.0) -> Commands:
-        """Commands delayed by `delay` [s]: the one in force at `t`, those after it and, where that
-        one is no field, before them the last field, which rules the heading."""
-        rows = self._ruling(t - delay)
+        """What an integration from time `t` [s] on needs, all `delay` [s] later than commanded.
+
+        The command in force at `t` and all after it. Where the one in force is zero field, the
+        last field that was not zero comes first: headings stay where it left them.
+        """
+        rows = self._in_force(t - delay)
         return Commands(rows[:, 0] + delay, rows[:, 1:3], rows[:, 3])
 
     def forget_before(self, t: float) -> None:
-        """Drop what no longer matters to frames from `t` on, when it has become much."""
-        kept = self._ruling(t)
+        """Drop what `since(t)` [s] would not give, once that is many commands."""
+        kept = self._in_force(t)
         if self._count - len(kept) > self._ROOM:
             self._rows, self._count = kept.copy(), len(kept)
 
-    def _ruling(self, t: float) -> np.ndarray:
+    def _in_force(self, t: float) -> np.ndarray:
         rows = self._rows[:self._count]
         first = max(int(np.searchsorted(rows[:, 0], t, side='right')) - 1, 0)
         if rows[first:first + 1, 1:3].any():
             return rows[first:]
         steering = np.flatnonzero(rows[:first, 1:3].any(axis=1))
         return np.concatenate([rows[steering[-1:]], rows[first:]])
-
-
-@dataclass(frozen=True)
-class Paths:
-    """What moves particles with c = v e^{iφ}: p(t) = p₀ + c·`drive` + `drift`, both complex.
-
-    `drive` (T, 1 or N) [s, or cycles] and `drift` (T, 1 or N) [m], zero at the first time.
-    """
-
-    drive: np.ndarray
-    drift: np.ndarray
-
-
-def paths(response: Response) -> Paths:
-    """The accumulated response, over the frames of its timeline."""
-    moved = response.drift[..., 0] + 1j * response.drift[..., 1]
-    return Paths(*(
-        np.concatenate([np.zeros((1, steps.shape[1]), complex), np.cumsum(steps, axis=0)])
-        for steps in (response.propulsion, moved)
-    ))
-
-
-def model_paths(
-    model: Model, commands: Commands, times: np.ndarray, positions: np.ndarray | None = None,
-) -> Paths:
-    """The paths of a model at `times` (T,); `positions` (T, N, 2) only where it needs them."""
-    return paths(respond(model, Timeline(commands, times, positions)))

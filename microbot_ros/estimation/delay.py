@@ -8,11 +8,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from microbot_ros.estimation.commands import model_paths
 from microbot_ros.estimation.excitation import Excitation, judge
-from microbot_ros.estimation.noise import GainLikelihood, Noise
+from microbot_ros.estimation.expected_displacement import ExpectedDisplacement
+from microbot_ros.estimation.likelihood import SessionFit, Whitening
+from microbot_ros.estimation.noise import Noise
+from microbot_ros.estimation.prepared_session import PreparedSession
 from microbot_ros.model.model import Model
-from microbot_ros.records import Commands
 
 LONGEST_DELAY = 1.0
 """Delays are looked for between 0 and this [s]."""
@@ -23,7 +24,7 @@ UNDETERMINED = 0.15
 
 @dataclass(frozen=True)
 class Delay:
-    """Delay [s] with its standard deviation; `std` NaN while the data do not determine it."""
+    """Delay `value` [s] with standard deviation `std`, NaN while the data do not determine it."""
 
     value: float = 0.0
     std: float = np.nan
@@ -35,7 +36,7 @@ class Delay:
 
 
 def delay_posterior(log_likelihood: Callable[[float], float]) -> Iterator[Delay | None]:
-    """Evaluate the profile likelihood of a delay a little at a time; last, yield the Delay.
+    """Evaluate the profile `log_likelihood` of a delay [s] a little at a time; last, the Delay.
 
     Under a flat prior on [0, LONGEST_DELAY]. A turn of the command leaves a cusp in the
     likelihood, not a parabola, so mean and spread are integrated over a grid that is refined
@@ -73,62 +74,57 @@ def _moments(at: np.ndarray, value: np.ndarray) -> tuple[float, float, float]:
     return float(mean), float(np.sqrt(variance)), mode
 
 
-class DelayedLikelihood:
-    """The likelihood of a stretch of record as a function of the delay, under one model.
+class DelayedFits:
+    """Fits of one `model` to one `session` as functions of how late commands act.
 
-    `times` (T,) [s]; `z` (T, N) complex positions [m], NaN for gaps. Effects that depend on
-    place are taken at the positions given.
+    Effects that depend on place are taken at the session's positions.
     """
 
-    def __init__(
-        self, model: Model, commands: Commands, times: np.ndarray, z: np.ndarray,
-        exposure: float,
-    ) -> None:
+    def __init__(self, model: Model, session: PreparedSession) -> None:
         self._model = model
-        self._commands = commands
-        self._times = times
-        self._z = z
-        self._exposure = exposure
+        self._session = session
         # Half a frame: the resolution at which the likelihood is smooth.
-        self._step = 0.5 * float(np.median(np.diff(times)))
+        self._step = 0.5 * session.interval
 
-    def at(self, delay: float) -> GainLikelihood:
-        """The likelihood of gains and noise for one delay [s]."""
-        positions = np.stack([self._z.real, self._z.imag], axis=-1)
-        moved = model_paths(self._model, self._late(delay), self._times, positions)
-        drive = np.broadcast_to(moved.drive, self._z.shape)
-        return GainLikelihood(self._times, self._z - moved.drift, drive, self._exposure)
+    def session(self, delay: float) -> PreparedSession:
+        """The session with its commands that `delay` [s] later."""
+        commands = self._session.commands
+        return replace(self._session, commands=replace(commands, t=commands.t + delay))
 
-    def drive(self, delay: float) -> np.ndarray:
-        """The accumulated drive (T, 1 or N) at one delay [s]."""
-        positions = np.stack([self._z.real, self._z.imag], axis=-1)
-        return model_paths(self._model, self._late(delay), self._times, positions).drive
+    def at(self, delay: float, noise_ratio: float) -> SessionFit:
+        """The fit for one `delay` [s] and `noise_ratio` [s]."""
+        session = self.session(delay)
+        expected = ExpectedDisplacement.of(self._model, session.timeline)
+        return SessionFit.of(session, Whitening(noise_ratio), expected)
 
-    def delay(self, noise: Noise) -> Iterator[Delay | None]:
-        """The posterior of the delay, an evaluation at a time (see `delay_posterior`)."""
-        ratio = noise.localisation**2 / noise.diffusion
-        return delay_posterior(lambda delay: self.at(delay).at(ratio).log_likelihood)
+    def posterior(self, noise_ratio: float) -> Iterator[Delay | None]:
+        """That of the delay under a `noise_ratio` [s], an evaluation at a time.
 
-    def turn(self, delay: float, noise: Noise) -> complex:
-        """d log c / d delay [1/s], averaged over particles by what each knows."""
-        ratio = noise.localisation**2 / noise.diffusion
-        early, late = (self.at(delay + s).at(ratio) for s in (-self._step, self._step))
-        usable = (early.power > 0) & (np.abs(early.gain) > 0)
+        See `delay_posterior`.
+        """
+        return delay_posterior(lambda delay: self.at(delay, noise_ratio).log_likelihood)
+
+    def log_phasor_slope(self, delay: float, noise_ratio: float) -> complex:
+        """d log(v e^{iφ}) / d delay [1/s] at a `delay` [s] under a `noise_ratio` [s].
+
+        Averaged over particles by what each knows; 0 where none is driven.
+        """
+        early, late = (self.at(delay + s, noise_ratio) for s in (-self._step, self._step))
+        first = self._session.first_track
+        before, after = early.velocity_phasor[first], late.velocity_phasor[first]
+        weight = early.power * np.abs(before) ** 2
+        usable = weight > 0
         if not usable.any():
             return 0j
-        weight = (early.power * np.abs(early.gain) ** 2)[usable]
-        slope = (late.gain[usable] / early.gain[usable] - 1) / (2 * self._step)
-        return complex((weight * slope).sum() / weight.sum())
+        slope = (after[usable] / before[usable] - 1) / (2 * self._step)
+        return complex(np.average(slope, weights=weight[usable]))
 
     def excitation(self, delay: float, noise: Noise) -> Excitation:
-        """What the command could tell apart."""
+        """What the commands could tell apart, `delay` [s] late and under `noise`."""
         bare = Model(self._model.reference_field, self._model.propulsion)
         early, middle, late = (
-            model_paths(bare, self._late(delay + s), self._times).drive[:, 0]
+            ExpectedDisplacement.of(bare, self.session(delay + s).timeline).along[:, 0]
             for s in (-self._step, 0.0, self._step)
         )
         slope = (late - early) / (2 * self._step)
-        return judge(self._times, middle, slope, noise)
-
-    def _late(self, delay: float) -> Commands:
-        return replace(self._commands, t=self._commands.t + delay)
+        return judge(self._session.times, middle, slope, noise)

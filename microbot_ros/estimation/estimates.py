@@ -12,6 +12,9 @@ from microbot_ros.estimation.propagation import Step
 from microbot_ros.estimation.shared import SharedKnowledge
 from microbot_ros.records import Conditions
 
+FASTEST = 20e-6
+"""Largest plausible speed [m/s], or gain [m/s/Hz]: two standard deviations of the prior."""
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -23,21 +26,14 @@ class Settings:
     """Seconds without a sighting after which a particle is dropped."""
     exposure: float = 0.0
     """Exposure time of a frame [s]."""
-    fastest: float = 20e-6
-    """Largest plausible speed [m/s], or gain [m/s/Hz]: two standard deviations of the prior."""
-    change_interval: float = 3600.0
-    """Mean seconds between abrupt changes of one particle's speed or direction."""
-    wander: float = 1e-3
-    """Relative random walk of speed and direction in one second."""
-    viscosity_relative_std: float = 0.05
-    radius_relative_std: float = 0.05
 
 
 @dataclass(frozen=True)
 class Estimates:
-    """What is known after a frame; one row per living particle, ordered by identity.
+    """What is known after a frame at `t` [s]; one row per living particle, ordered by `id`.
 
-    SI; `*_std` are standard deviations, of positions per axis. `seen`: in this frame. `speed`
+    SI; `position_std`, `prediction_std` per axis, `speed_std`, `phi_std`, `force_std` are
+    standard deviations. `noise` is what was learned of D and σ. `seen`: in this frame. `speed`
     [m/s] (rollers: gain [m/s/Hz]), `phi` [rad] and `force` [N] are those of now where the model
     has fuel run out or φ slip; they are NaN, and `known` False, until the command has excited
     them enough. `force` is NaN where radius or viscosity are not known,
@@ -65,17 +61,13 @@ class Estimates:
     noise: Noise
     diagnosis: tuple[str, ...] = ()
 
-    @property
-    def ok(self) -> bool:
-        """Whether nothing speaks against the numbers."""
-        return not self.diagnosis
-
 
 @dataclass(frozen=True)
 class State:
-    """The filter's state of the living particles at one moment; arrays (N,), SI, complex.
+    """The filter's state of the living particles at a time `t` [s]; arrays (N,), SI.
 
-    Variances are per axis; `cross` is half the mean of p̃ c̃*.
+    `ids`; `seen` in this frame; `p` complex position, `velocity_phasor` v e^{iφ} = c, and their
+    variances per axis `p_var`, `phasor_var`; `cross` is half the mean of p̃ c̃*.
     """
 
     t: float
@@ -83,28 +75,29 @@ class State:
     seen: np.ndarray
     p: np.ndarray
     p_var: np.ndarray
-    c: np.ndarray
-    c_var: np.ndarray
+    velocity_phasor: np.ndarray
+    phasor_var: np.ndarray
     cross: np.ndarray
 
 
 def answer(
     state: State, ahead: Step, shared: SharedKnowledge, conditions: Conditions,
-    settings: Settings, diagnosis: tuple[str, ...], aging: complex = 1.0,
+    diagnosis: tuple[str, ...], aging: complex,
 ) -> Estimates:
-    """The state in terms of speed, φ and force, and as it will be after the step `ahead`.
+    """A filter's `state` in terms of speed, φ and force, and as after the step `ahead`.
 
-    `aging` is what time has made of every c.
+    With what is `shared` by all, the `conditions` of the rig and the sentences of a
+    `diagnosis`; `aging` is the factor by which the model has changed every v e^{iφ}
+    since its start.
     """
-    std = np.sqrt(state.c_var)
-    known = std < settings.fastest / 20
-    swims = polar(state.c * aging, std * abs(aging)).widened(shared.turn, shared.delay.std)
-    force, force_std = swims.force(
-        conditions, np.hypot(settings.viscosity_relative_std, settings.radius_relative_std)
-    )
+    std = np.sqrt(state.phasor_var)
+    known = std < FASTEST / 20
+    speeds = polar(state.velocity_phasor * aging, std * abs(aging)).widened(
+        shared.log_phasor_slope, shared.delay.std)
+    force, force_std = speeds.force(conditions)
     spread = (
-        state.p_var + 2 * np.real(ahead.drive * np.conj(state.cross))
-        + np.abs(ahead.drive) ** 2 * state.c_var + 2 * shared.noise.diffusion * ahead.span
+        state.p_var + 2 * np.real(ahead.path * np.conj(state.cross))
+        + np.abs(ahead.path) ** 2 * state.phasor_var + 2 * shared.noise.diffusion * ahead.span
     )
 
     def shown(value: np.ndarray) -> np.ndarray:
@@ -113,10 +106,10 @@ def answer(
     return Estimates(
         t=state.t, id=state.ids, seen=state.seen, known=known,
         position=_vectors(state.p), position_std=np.sqrt(state.p_var),
-        speed=shown(swims.speed), speed_std=shown(swims.speed_std),
-        phi=shown(swims.phi), phi_std=shown(swims.phi_std),
+        speed=shown(speeds.speed), speed_std=shown(speeds.speed_std),
+        phi=shown(speeds.phi), phi_std=shown(speeds.phi_std),
         force=shown(force), force_std=shown(force_std),
-        prediction=_vectors(state.p + state.c * ahead.drive + ahead.drift),
+        prediction=_vectors(state.p + state.velocity_phasor * ahead.path + ahead.drift),
         prediction_std=np.sqrt(spread),
         delay=shared.delay.value, delay_std=shared.delay.std, noise=shared.noise,
         diagnosis=diagnosis,

@@ -57,8 +57,16 @@ class Excitation:
 
 
 def judge(times: np.ndarray, path: np.ndarray, late: np.ndarray, noise: Noise) -> Excitation:
-    """What the drive's `path` (T,) and its derivative by the delay `late` (T,) tell apart."""
-    info = information(times, path, late, noise)
+    """What a command tells apart within `times` (T,) [s], by its Fisher information.
+
+    About PARAMETERS, from one particle with v = 1 and φ = 0: `path` (T,) complex is ∫u dt [s],
+    `late` (T,) its derivative by the delay. Both axes are whitened under `noise` as positions
+    are; a slow drift is a column that grows with time.
+    """
+    time = (times - times[0]).astype(complex)
+    columns = np.stack([path, 1j * path, late, time, 1j * time], axis=-1)[:, None, :]
+    white = whiten(columns, times, noise)[:, 0]
+    info = np.real(np.conj(white).T @ white)
     size = np.sqrt(np.diag(info))
     return Excitation(
         seconds=float(times[-1] - times[0]),
@@ -66,19 +74,6 @@ def judge(times: np.ndarray, path: np.ndarray, late: np.ndarray, noise: Noise) -
         turned=bool(size[2] > 1e-4 * size[0]),
         pairs=_confounded(info),
     )
-
-
-def information(times: np.ndarray, path: np.ndarray, late: np.ndarray, noise: Noise) -> np.ndarray:
-    """Fisher information (5, 5) about PARAMETERS, from one particle.
-
-    For v = 1 and φ = 0: `path` (T,) complex ∫u dt, `late` (T,) its derivative by the delay. Both
-    axes are whitened as positions are; a slow drift is a column that grows with time.
-    """
-    time = (times - times[0]).astype(complex)
-    levels = np.stack([path, 1j * path, late, time, 1j * time], axis=-1)[:, None, :]
-    seen = np.ones((len(times), 1), bool)
-    columns = whiten(levels, times, noise, seen).columns[:, 0]
-    return np.real(np.conj(columns).T @ columns)
 
 
 def _confounded(info: np.ndarray) -> tuple[tuple[str, str], ...]:

@@ -1,4 +1,4 @@
-"""The filter bank for particles whose heading lags and is kicked about by the water."""
+"""The filter bank for particles with a lagging heading and rotational diffusion."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from microbot_ros.estimation.bank import PhasorBank
 
 
 class HeadingBank(PhasorBank):
-    """A PhasorBank with the stray of every heading from its course as a third state.
+    """A PhasorBank with the deviation of every heading from the model's as a third state.
 
-    Where headings align at a finite rate, rotational diffusion makes them stray by η about the
-    course that the model gives, and what strays decays slowly, or grows while a turn is sharper
-    than 90°. In the frame of c the stray is s = i c η: displacements gain −i · `bend` · s, with
-    `bend` the derivative of ∫e^{i(θ−φ)} dt by the heading. That is linear again. The kicks act
-    across the direction of travel; here their variance is shared between the axes, which keeps
-    the covariance isotropic.
+    Of `hypotheses` as there. Where headings align at a finite rate, rotational diffusion makes
+    them deviate by η from the course that the model gives; a deviation decays slowly, or grows
+    while a turn is sharper than 90°. In the frame of c it is s = i c η: displacements gain
+    −i · b · s, with b the derivative of ∫e^{i(θ−φ)} dt by the heading. That is linear again. The
+    noise acts across the direction of travel; here its variance is shared between the axes, which
+    keeps the covariance isotropic.
 
     Given c, s has variance `s_var`, regression `gs` on c, and covariance `ps` = ½ E p̃ s̃*.
     """
@@ -26,53 +26,60 @@ class HeadingBank(PhasorBank):
 
     def __init__(self, hypotheses: int) -> None:
         super().__init__(hypotheses)
-        self._rest()
+        self._on_course()
 
     @classmethod
     def of(cls, bank: PhasorBank) -> Self:
-        """The same particles, known as they are, with headings on course."""
+        """The particles of a `bank`, known as they are, their headings without deviation."""
         grown = cls(bank.p.shape[0])
         for name in PhasorBank._ARRAYS:
             setattr(grown, name, getattr(bank, name))
-        grown._rest()
+        grown._on_course()
         return grown
 
-    def _rest(self) -> None:
+    def _on_course(self) -> None:
         self.s, self.gs, self.ps = (np.zeros(self.p.shape, complex) for _ in range(3))
         self.s_var = np.zeros(self.p.shape)
 
-    def add(self, position: np.ndarray, p_var: np.ndarray, c_var: float) -> None:
-        """Append particles, their headings on course."""
-        super().add(position, p_var, c_var)
+    def add(self, position: np.ndarray, p_var: np.ndarray, phasor_var: float) -> None:
+        """Append particles as the plain bank does, their headings without deviation.
+
+        `position` (n,), `p_var` (n,) and `phasor_var` as there.
+        """
+        super().add(position, p_var, phasor_var)
         born = self.p.shape[1] - self.s.shape[1]
         for name in ('s', 'gs', 'ps', 's_var'):
             setattr(self, name, np.pad(getattr(self, name), ((0, 0), (0, born))))
 
-    def sway(self, bend: np.ndarray, kept: np.ndarray, spun: float) -> None:
-        """What the strays do until the next frame; call before `predict`.
+    def predict_deviation(
+        self, sensitivity: np.ndarray, retention: np.ndarray, heading_noise: float,
+    ) -> None:
+        """Move deviations of headings on to the next frame, and p by them; before `predict`.
 
-        `bend` (N,) complex [s] and `kept` (N,), the part of a stray that is left at the end, are
-        those of `model.increments.heading_response`; `spun` = 2 D_r h is the variance [rad²] that
+        `sensitivity` (N,) complex [s]: the derivative of the path by the heading at the last
+        frame, and `retention` (N,): the part of a deviation that is left at the next, both of
+        `model.increments.heading_response`. `heading_noise` = 2 D_r h is the variance [rad²] that
         rotational diffusion adds.
         """
-        b = -1j * bend
+        b = -1j * sensitivity
         floor = 1e-9 * (self.p_var + np.abs(b) ** 2 * self.s_var)
         self.p += b * self.s
         self.g += b * self.gs
         self.p_var = np.maximum(
             self.p_var + 2 * np.real(np.conj(b) * self.ps) + np.abs(b) ** 2 * self.s_var, floor
         )
-        self.ps = kept * (self.ps + b * self.s_var)
-        self.s *= kept
-        self.gs *= kept
-        self.s_var = kept**2 * self.s_var + np.abs(self.c) ** 2 * spun / 2
+        self.ps = retention * (self.ps + b * self.s_var)
+        self.s *= retention
+        self.gs *= retention
+        added = np.abs(self.velocity_phasor) ** 2 * heading_noise / 2
+        self.s_var = retention**2 * self.s_var + added
         self._bound()
 
     def update(self, z: np.ndarray, noise: np.ndarray, seen: np.ndarray) -> None:
-        """Take measurements as the plain bank does; strays learn from them too."""
+        """Take positions `z`, `noise` and `seen` as the plain bank does; deviations learn too."""
         residual, total = self.innovation(z, noise)
         given_c = self.p_var + noise
-        gain = (np.conj(self.ps) + self.gs * np.conj(self.g) * self.c_var) / total
+        gain = (np.conj(self.ps) + self.gs * np.conj(self.g) * self.phasor_var) / total
         self.s += np.where(seen, gain * residual, 0)
         self.gs -= np.where(seen, np.conj(self.ps) / given_c * self.g, 0)
         kept = np.where(seen, noise / given_c, 1)
@@ -84,7 +91,7 @@ class HeadingBank(PhasorBank):
         self._bound()
 
     def restart_position(self, z: np.ndarray, noise: np.ndarray, where: np.ndarray) -> None:
-        """Put particles back where they are seen; their strays stay."""
+        """Put particles `where` they are to `z` ± √`noise`; their deviations stay."""
         super().restart_position(z, noise, where)
         self.ps = np.where(where, 0, self.ps)
 
@@ -97,10 +104,10 @@ class HeadingBank(PhasorBank):
         return share
 
     def _open(
-        self, slot: int, probability: float, change_var: np.ndarray, c_var_max: float,
+        self, slot: int, probability: float, change_var: np.ndarray, phasor_var_max: float,
     ) -> None:
-        super()._open(slot, probability, change_var, c_var_max)
-        self.gs[slot] = self.gs[0] * self.c_var[0] / self.c_var[slot]
+        super()._open(slot, probability, change_var, phasor_var_max)
+        self.gs[slot] = self.gs[0] * self.phasor_var[0] / self.phasor_var[slot]
         self.s[slot], self.ps[slot], self.s_var[slot] = self.s[0], self.ps[0], self.s_var[0]
 
     def _bound(self) -> None:

@@ -1,43 +1,167 @@
-"""The one inner loop: whitening of tracks, compiled. Imported only when it is needed."""
+"""The inner loops over frames, compiled: whitening and filtering. Imported when they are needed.
+
+All take D = 1: `noise_ratio` [s] is σ²/D less a third of the exposure (see `noise`).
+"""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numba import njit
 
 
 @njit(cache=True)
-def whiten_levels(
-    times: np.ndarray, seen: np.ndarray, levels: np.ndarray, excess: float,
-) -> tuple[np.ndarray, float, int]:
-    """Whitened increments of `levels` (T, N, M) for D = 1 and σ²/D − exposure/3 = `excess` [s].
+def whiten_columns(times, seen, columns, noise_ratio):  # type: ignore[no-untyped-def]
+    """White increments of `columns` (T, N, M), of unit variance per axis, by the local-level gain.
 
-    Local-level Kalman gain per particle (see `noise`). Rows that are unseen, or the first of
-    their particle, come out as zeros. Also the sum of log variances and the number of rows used.
+    `times` (T,) [s], `seen` (T, N) bool, `noise_ratio` [s]. Rows that are unseen, or the first of
+    their track, come out as zeros. Also Σ log variance of one axis, which for complex columns is
+    ½ log det over both, and the number of rows used.
     """
-    frames, particles, columns = levels.shape
-    out = np.zeros_like(levels)
-    filtered = np.zeros(columns, levels.dtype)
+    frames, tracks, count = columns.shape
+    out = np.zeros_like(columns)
+    filtered = np.zeros(count, columns.dtype)
     log_det, used = 0.0, 0
-    for n in range(particles):
+    for n in range(tracks):
         last = -1
-        variance = excess
+        variance = noise_ratio
         for k in range(frames):
             if not seen[k, n]:
                 continue
             if last < 0:
-                filtered[:] = levels[k, n]
+                filtered[:] = columns[k, n]
             else:
                 ahead = variance + 2.0 * (times[k] - times[last])
-                total = ahead + excess
+                total = ahead + noise_ratio
                 gain = ahead / total
                 scale = 1.0 / np.sqrt(total)
-                for m in range(columns):
-                    innovation = levels[k, n, m] - filtered[m]
+                for m in range(count):
+                    innovation = columns[k, n, m] - filtered[m]
                     filtered[m] += gain * innovation
                     out[k, n, m] = innovation * scale
-                variance = excess * gain
+                variance = noise_ratio * gain
                 log_det += np.log(total)
                 used += 1
             last = k
     return out, log_det, used
+
+
+@njit(cache=True)
+def filter_positions(times, seen, positions, noise_ratio):  # type: ignore[no-untyped-def]
+    """Means (T, N) of the local-level filter of `positions` (T, N) complex after every frame.
+
+    `times` (T,) [s], `seen` (T, N) bool, `noise_ratio` [s]. Rows before a track is first seen are
+    NaN; unseen ones keep the last mean.
+    """
+    out = np.full(positions.shape, np.nan + 0j)
+    for n in range(positions.shape[1]):
+        variance, last = noise_ratio, -1
+        mean = 0j
+        for k in range(len(times)):
+            if seen[k, n]:
+                if last < 0:
+                    mean = positions[k, n]
+                else:
+                    ahead = variance + 2.0 * (times[k] - times[last])
+                    gain = ahead / (ahead + noise_ratio)
+                    mean += gain * (positions[k, n] - mean)
+                    variance = noise_ratio * gain
+                last = k
+            if last >= 0:
+                out[k, n] = mean
+    return out
+
+
+@njit(cache=True)
+def whiten_with_heading(  # type: ignore[no-untyped-def]
+        times, seen, columns, noise_ratio, diffusion_ratio, sensitivity, retention):
+    """White increments of complex `columns` (T, N, M) where headings are noisy as well.
+
+    `times`, `seen` and `noise_ratio` as in `whiten_columns`; `diffusion_ratio` = D_r/D [rad²/m²];
+    `sensitivity` (T−1, N) complex: displacement over a frame interval per radian at its start;
+    `retention` (T−1, N): the part of a deviation left at its end. A Kalman filter over place
+    (x, y) and heading (a), whose covariance is kept as six scalars; real and imaginary parts of
+    the result are independent. Also ½ log det of the innovations over both axes, and rows used.
+    """
+    T, N, M = columns.shape
+    out = np.zeros((T, N, M), np.complex128)
+    log_det, used = 0.0, 0
+    place, turn = np.zeros(M, np.complex128), np.zeros(M)
+    for n in range(N):
+        started = False
+        xx = xy = yy = xa = ya = aa = 0.0
+        for k in range(T):
+            if started:
+                b, q = sensitivity[k - 1, n], retention[k - 1, n]
+                h = times[k] - times[k - 1]
+                side, spread, mixed, turned = _heading_noise(h, diffusion_ratio, b, q)
+                u, v = b.real, b.imag
+                xx += 2 * u * xa + u * u * aa + spread * side.real**2 + 2 * h
+                yy += 2 * v * ya + v * v * aa + spread * side.imag**2 + 2 * h
+                xy += u * ya + v * xa + u * v * aa + spread * side.real * side.imag
+                xa = q * (xa + u * aa) + mixed * side.real
+                ya = q * (ya + v * aa) + mixed * side.imag
+                aa = q * q * aa + turned
+                for m in range(M):
+                    place[m] += b * turn[m]
+                    turn[m] *= q
+            if not seen[k, n]:
+                continue
+            if not started:
+                started = True
+                xx = yy = noise_ratio
+                xy = xa = ya = 0.0
+                aa = _stationary_variance(diffusion_ratio, times, retention, k, n)
+                place[:] = columns[k, n]
+                turn[:] = 0.0
+                continue
+            sx, sy = xx + noise_ratio, yy + noise_ratio
+            det = sx * sy - xy * xy
+            scale_x, lean = 1 / math.sqrt(sx), xy / sx
+            scale_y = math.sqrt(sx / det)
+            log_det += 0.5 * math.log(det)
+            used += 1
+            gxx, gxy = (xx * sy - xy * xy) / det, (xy * sx - xx * xy) / det
+            gyx, gyy = (xy * sy - yy * xy) / det, (yy * sx - xy * xy) / det
+            gax, gay = (xa * sy - ya * xy) / det, (ya * sx - xa * xy) / det
+            for m in range(M):
+                step = columns[k, n, m] - place[m]
+                i, j = step.real, step.imag
+                out[k, n, m] = complex(i * scale_x, (j - lean * i) * scale_y)
+                place[m] += complex(gxx * i + gxy * j, gyx * i + gyy * j)
+                turn[m] += gax * i + gay * j
+            aa -= gax * xa + gay * ya
+            xa, ya = xa - gxx * xa - gxy * ya, ya - gyx * xa - gyy * ya
+            xx, xy, yy = noise_ratio * gxx, noise_ratio * gxy, noise_ratio * gyy
+    return out, log_det, used
+
+
+@njit(cache=True)
+def _stationary_variance(diffusion_ratio, times, retention, k, n):  # type: ignore[no-untyped-def]
+    """Variance of a heading that the field has long held."""
+    k = min(k, len(retention) - 1)
+    q = min(retention[k, n], 0.999)
+    if q <= 0:
+        return 0.0
+    return -diffusion_ratio * (times[k + 1] - times[k]) / math.log(q)
+
+
+@njit(cache=True)
+def _heading_noise(h, diffusion_ratio, sensitivity, retention):  # type: ignore[no-untyped-def]
+    """What noise in the heading adds over an interval h: an Ornstein–Uhlenbeck process.
+
+    The velocity per radian, and the variance of its integral, their covariance, the variance of
+    the heading.
+    """
+    if retention < 1e-9:
+        return 0j, 0.0, 0.0, 0.0
+    decay = -math.log(retention)
+    if abs(decay) < 1e-3:
+        variance = diffusion_ratio * 2 * h
+        return sensitivity / h, variance * h**2 / 3, variance * h / 2, variance
+    rate = decay / h
+    spread = 2 / rate**2 * (h - 2 * (1 - retention) / rate + (1 - retention**2) / (2 * rate))
+    return (sensitivity * rate / (1 - retention), diffusion_ratio * spread,
+            diffusion_ratio * ((1 - retention) / rate) ** 2,
+            diffusion_ratio * (1 - retention**2) / rate)

@@ -39,10 +39,11 @@ AFTER_TURN = 0.3
 
 
 @dataclass(frozen=True)
-class Suspicion:
-    """A quantity that innovations may depend on: the tolerated lean, and words for people.
+class Detector:
+    """A bet against one dependence of the innovations, of that `name`.
 
-    `stake`: how much is bet on it; little on what is but a symptom of the others.
+    `tolerance`: the lean that is no alarm; `sentence` for people; `stake`: how much is bet on it;
+    little on what is but a symptom of the others.
     """
 
     name: str
@@ -52,19 +53,19 @@ class Suspicion:
 
 
 _RUN = 'record a minute and run: microbot discover SESSION'
-SUSPICIONS = {s.name: s for s in (
-    Suspicion('drift', 0.01, f'everything is carried along in one direction (a flow?): {_RUN}'),
-    Suspicion('place', 0.01, 'residuals depend on place (a flow, a gradient, a hot spot?): '
+DETECTORS = {s.name: s for s in (
+    Detector('drift', 0.01, f'everything is carried along in one direction (a flow?): {_RUN}'),
+    Detector('place', 0.01, 'residuals depend on place (a flow, a gradient, a hot spot?): '
               f'let the particles visit the whole field of view and {_RUN}'),
-    Suspicion('command', 0.01, 'residuals depend on the direction of the field (a background '
+    Detector('command', 0.01, 'residuals depend on the direction of the field (a background '
               f'field, unequal coils?): turn it through all directions, {_RUN}'),
-    Suspicion('turn', 0.12, 'particles are late or early after turns (alignment lag, delay?): '
+    Detector('turn', 0.12, 'particles are late or early after turns (alignment lag, delay?): '
               f'make turns of 30° and of 180°, {_RUN}'),
-    Suspicion('swimming', 0.02, 'speed or direction changes faster than can be followed (fuel, '
+    Detector('swimming', 0.02, 'speed or direction changes faster than can be followed (fuel, '
               f'slip?): {_RUN}', 1e-2),
-    Suspicion('memory', 0.06, 'residuals remember the one before (noise levels, heading noise, '
+    Detector('memory', 0.06, 'residuals remember the one before (noise levels, heading noise, '
               f'vibration?): {_RUN}', 0.03),
-    Suspicion('size', 0.0, 'residuals are larger or smaller than the noise explains (focus, '
+    Detector('size', 0.0, 'residuals are larger or smaller than the noise explains (focus, '
               'tracking, something new?): look at the picture, then run: microbot fit SESSION',
               1e-2),
 )}
@@ -74,19 +75,19 @@ FEATURES = (
     'command', 'command', 'command', 'command', 'command', 'command', 'command', 'command',
     'turn', 'turn', 'memory',
 )
-"""The suspicion that each row of `features` belongs to."""
+"""The detector that each row of `_features` belongs to."""
 
 
 class Monitor:
-    """Watches the innovations of all particles together; `sentences` says what is wrong."""
+    """Tests the innovations of all particles together; `sentences` says what is wrong."""
 
     def __init__(self) -> None:
-        tolerance = np.array([SUSPICIONS[name].tolerance for name in FEATURES])[:, None]
+        tolerance = np.array([DETECTORS[name].tolerance for name in FEATURES])[:, None]
         self._lean = np.concatenate([LEANS, -LEANS])
-        stake = np.array([SUSPICIONS[name].stake for name in FEATURES])
-        total = stake.sum() * len(self._lean) + SUSPICIONS['size'].stake * len(SPREADS)
+        stake = np.array([DETECTORS[name].stake for name in FEATURES])
+        total = stake.sum() * len(self._lean) + DETECTORS['size'].stake * len(SPREADS)
         self._stake = stake[:, None] / total
-        self._stake_size = SUSPICIONS['size'].stake / total
+        self._stake_size = DETECTORS['size'].stake / total
         self._cost = np.abs(self._lean) * tolerance + self._lean**2 / 2
         self._leans = np.zeros((len(FEATURES), len(self._lean)))
         self._spreads = np.zeros(len(SPREADS))
@@ -106,10 +107,11 @@ class Monitor:
         self, t: float, ids: np.ndarray, innovation: np.ndarray, place: np.ndarray,
         heading: np.ndarray, swimming: np.ndarray,
     ) -> None:
-        """A frame: whitened innovations (N,), NaN where none; all else was known before it.
+        """A frame at `t` [s]: whitened `innovation` (N,), NaN where none, of particles `ids` (N,).
 
-        `place` (N,) complex [m]; `heading` (1 or N,) e^{i(θ−φ)}; `swimming` (N,) unit phasors of
-        the direction in which each particle moves, 0 where it is not known.
+    All else was known before it.         `place` (N,) complex [m]; `heading` (1 or N,)
+    e^{i(θ−φ)}; `swimming` (N,) unit phasors of the direction in which each particle moves, 0
+    where it is not known.
         """
         used = np.isfinite(innovation)
         x = self._features(t, ids, place, heading, swimming)[:, used]
@@ -121,7 +123,7 @@ class Monitor:
         self._before = ids[used], z
         if t >= self._next:
             self._next = t + TICK
-            self._look(t)
+            self._raise_stakes(t)
 
     def _features(
         self, t: float, ids: np.ndarray, place: np.ndarray, heading: np.ndarray,
@@ -152,7 +154,7 @@ class Monitor:
             return np.zeros(len(ids), complex)
         return np.where(known[row] == ids, value[row], 0)
 
-    def _look(self, t: float) -> None:
+    def _raise_stakes(self, t: float) -> None:
         growth = self._lean * self._score[:, None] - self._cost * self._power[:, None]
         self._leans = (self._leans + self._stake) * np.exp(np.clip(growth, -700, 40))
         tolerated = np.where(SPREADS > 1, TOLERATED_SPREAD, 1 / TOLERATED_SPREAD)
@@ -172,6 +174,6 @@ class Monitor:
     def sentences(self) -> tuple[str, ...]:
         """What is wrong at present, with the command to run next."""
         return tuple(
-            f'the model does not explain the data: {SUSPICIONS[name].sentence}'
+            f'the model does not explain the data: {DETECTORS[name].sentence}'
             for name in self._alarms
         )

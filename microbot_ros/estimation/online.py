@@ -9,18 +9,17 @@ import numpy as np
 
 from microbot_ros.errors import InputError
 from microbot_ros.estimation.commands import CommandLog
-from microbot_ros.estimation.estimates import Estimates, Settings, State, answer
+from microbot_ros.estimation.estimates import FASTEST, Estimates, Settings, State, answer
 from microbot_ros.estimation.heading_bank import HeadingBank
 from microbot_ros.estimation.monitor import Monitor
-from microbot_ros.estimation.noise import Noise
-from microbot_ros.estimation.population import Population, Taken
+from microbot_ros.estimation.noise import Noise, stokes_einstein
+from microbot_ros.estimation.population import Population, Readings
 from microbot_ros.estimation.propagation import HEADING_MEMORY, Propagator
 from microbot_ros.estimation.shared import SharedKnowledge
-from microbot_ros.estimation.suspects import Suspects
+from microbot_ros.estimation.track_faults import TrackFaults
 from microbot_ros.estimation.window import SECONDS
 from microbot_ros.model.model import Model
 from microbot_ros.model.model_file import read_model
-from microbot_ros.model.particle import Fluid, rotational_diffusion, translational_diffusion
 from microbot_ros.records import Conditions
 
 __all__ = ['Estimates', 'Estimator', 'Settings']
@@ -30,6 +29,12 @@ LONGEST_OPENING = 200
 
 NOTED = 5.0
 """Seconds for which a sentence stays in the diagnosis."""
+
+CHANGE_INTERVAL = 3600.0
+"""Mean seconds between abrupt changes of one particle's speed or direction."""
+
+WANDER = 1e-3
+"""Relative random walk of speed and direction in one second."""
 
 SET_BACK = 1.0
 """A clock that goes back by more than this [s] has been started anew."""
@@ -48,6 +53,8 @@ class _Frame:
 class Estimator:
     """Exact filter for every particle, with what they share learned from the recent past.
 
+    Under the `conditions` of a rig, a user's `settings` and a `model`, by default the first-order
+    one.
     Feed it commands and frames in the order of their time. One call of `update` costs about the
     same for one particle as for a hundred: everything is an array over particles.
     """
@@ -58,42 +65,34 @@ class Estimator:
     ) -> None:
         self.conditions = conditions or Conditions()
         self.settings = settings or Settings()
-        rolling = self.conditions.propulsion == 'rolling'
-        bare = Model(
-            self.conditions.reference_field or 1e-3, 'rolling' if rolling else 'catalytic'
-        )
         self._log = CommandLog()
         self._notes: dict[str, float] = {}
-        self._start(model or bare)
+        self._start(model or Model.baseline(self.conditions, self._log.since(0.0)))
 
     def _start(self, model: Model) -> None:
         self._begin(model)
         self._shared: SharedKnowledge | None = None
         self._opening: list[_Frame] | None = []
         self._monitor = Monitor()
-        self._suspects = Suspects()
-        self._suspicions: list[str] = []
+        self._track_faults = TrackFaults()
+        self._faults: list[str] = []
         self._next_question = -np.inf
         self._t = -np.inf
 
     def _begin(self, model: Model) -> None:
         self._propagator = Propagator(model)
-        self._population = Population(self.settings.fastest / 2)
+        self._population = Population(FASTEST / 2)
         self._follow_headings()
 
     def _follow_headings(self) -> None:
-        """Where headings lag, their strays are a state; where they don't, noise like any other."""
-        if self.model.effect('alignment_lag') and self._spin > 0:
-            self._population.let_headings_stray()
+        """Make deviations of headings a state where headings lag; else they are noise."""
+        if self.model.effect('alignment_lag') and self._rotational_diffusion > 0:
+            self._population.track_heading_deviations()
 
     @property
-    def _spin(self) -> float:
+    def _rotational_diffusion(self) -> float:
         """Rotational diffusion [rad²/s]; 0 where radius or viscosity are not known."""
-        radius, viscosity = self.conditions.radius, self.conditions.viscosity
-        if not (radius and viscosity):
-            return 0.0
-        return rotational_diffusion(
-            Fluid(viscosity, self.conditions.temperature or 298.15), radius)
+        return (stokes_einstein(self.conditions) or (0.0, 0.0))[1]
 
     @property
     def model(self) -> Model:
@@ -101,7 +100,7 @@ class Estimator:
         return self._propagator.model
 
     def load(self, path: str | Path) -> None:
-        """Filter with a `model.yaml`; InputError for a bad file, and the old model stays."""
+        """Filter with the `model.yaml` at `path`; InputError for a bad one: the old one stays."""
         model, _ = read_model(path)
         if model.propulsion != self.model.propulsion:
             raise InputError(path, f'expected propulsion: {self.model.propulsion}, as this '
@@ -109,7 +108,7 @@ class Estimator:
         self.use(model)
 
     def use(self, model: Model) -> None:
-        """Filter with another model from the next frame on; what is known of v and φ stays."""
+        """Filter with another `model` from the next frame on; what is known of v and φ stays."""
         self._propagator = Propagator(model)
         self._follow_headings()
         self._monitor = Monitor()
@@ -117,7 +116,7 @@ class Estimator:
             self._shared.forget_model()
 
     def command(self, t: float, field: np.ndarray, frequency: float | None = None) -> None:
-        """A command in force from `t` [s] on: field (2,) [T]; for rollers frequency [Hz].
+        """A command in force from `t` [s] on: `field` (2,) [T]; for rollers `frequency` [Hz].
 
         What is not finite or out of order is ignored and noted; a clock set back starts anew.
         """
@@ -128,7 +127,7 @@ class Estimator:
     def update(
         self, t: float, ids: np.ndarray, position: np.ndarray, sigma: np.ndarray | None = None,
     ) -> Estimates:
-        """A frame exposed at `t` [s]: identities (N,), positions (N, 2) and their σ (N,) [m].
+        """A frame exposed at `t` [s]: `ids` (N,), `position` (N, 2) and its `sigma` (N,) [m].
 
         Readings that are not finite are left out and their particles coast. A frame that is not
         newer than the one before changes nothing; a clock set back starts everything anew. The
@@ -142,15 +141,15 @@ class Estimator:
             return self._answer(np.zeros(len(self._population.ids), bool))
         frame = self._usable(t, ids, position, sigma)
         shared = self._knowledge(frame.sigma)
-        taken, changed = self._filter(frame, shared)
-        for row in np.flatnonzero(taken.jump):
+        readings, changed = self._filter(frame, shared)
+        for row in np.flatnonzero(readings.jump):
             self._note(f'particle {self._population.ids[row]} jumped by '
-                       f'{abs(taken.jump[row]) * 1e6:.1f} µm: is it still the same one?')
-        self._watch(taken)
-        shared.add(t, self._population.ids, taken, changed)
+                       f'{abs(readings.jump[row]) * 1e6:.1f} µm: is it still the same one?')
+        self._watch(readings)
+        shared.add(t, self._population.ids, readings, changed)
         if shared.work(t, self.model, self._log, self._population.bank):
-            self._suspects.forget()
-        self._settle(frame, shared)
+            self._track_faults.forget()
+        self._refilter_opening(frame, shared)
         self._population.forget(t - self.settings.forget_after)
         self._log.forget_before(t - SECONDS - HEADING_MEMORY)
         return self._answer(np.isin(self._population.ids, frame.ids))
@@ -175,10 +174,7 @@ class Estimator:
         """What is shared; assumed from the conditions and the tracker at the first reading."""
         if self._shared is not None:
             return self._shared
-        radius, viscosity, diffusion = self.conditions.radius, self.conditions.viscosity, 1e-13
-        if radius and viscosity:
-            fluid = Fluid(viscosity, self.conditions.temperature or 298.15)
-            diffusion = translational_diffusion(fluid, radius)
+        diffusion, _ = stokes_einstein(self.conditions) or (1e-13, 0.0)
         stated = sigma[(sigma > 0) & np.isfinite(sigma)]
         typical = float(np.median(stated)) if len(stated) else 1e-7
         shared = SharedKnowledge(Noise(diffusion, typical, self.settings.exposure))
@@ -186,34 +182,34 @@ class Estimator:
             self._shared = shared
         return shared
 
-    def _filter(self, frame: _Frame, shared: SharedKnowledge) -> tuple[Taken, np.ndarray]:
+    def _filter(self, frame: _Frame, shared: SharedKnowledge) -> tuple[Readings, np.ndarray]:
         """Predict and take one frame; its readings, and seconds since each c changed."""
         bank, noise = self._population.bank, shared.noise
         start = self._t if np.isfinite(self._t) else frame.t - 1e-3
         step = self._propagator.advance(
             self._log, shared.delay.value, start, frame.t, bank.p[0]
         )
-        wander = (self.settings.wander * np.abs(bank.c[0])) ** 2 * step.span
+        wander = (WANDER * np.abs(bank.velocity_phasor[0])) ** 2 * step.span
         if isinstance(bank, HeadingBank):
-            bent = self._propagator.heading_sway(
+            bent = self._propagator.heading_deviation(
                 self._log, shared.delay.value, start, frame.t
             )
-            bank.sway(*bent, 2 * self._spin * step.span)
-        bank.predict(step.drive, step.drift, 2 * noise.diffusion * step.span, wander)
+            bank.predict_deviation(*bent, 2 * self._rotational_diffusion * step.span)
+        bank.predict(step.path, step.drift, 2 * noise.diffusion * step.span, wander)
         self._t = frame.t
-        taken = self._population.take(
-            frame.t, frame.ids, frame.z, _reading(noise, frame.sigma)
+        readings = self._population.take(
+            frame.t, frame.ids, frame.z, _reading_variance(noise, frame.sigma)
         )
-        return taken, self._population.consider_changes(frame.t, self.settings.change_interval)
+        return readings, self._population.consider_changes(frame.t, CHANGE_INTERVAL)
 
-    def _watch(self, taken: Taken) -> None:
+    def _watch(self, readings: Readings) -> None:
         """Show the monitor what is left, once the noise is learned."""
         if self._opening is None:
             heading = self._propagator.heading
-            self._monitor.add(self._t, self._population.ids, taken.innovation, taken.predicted,
-                              heading, taken.gain * heading)
+            self._monitor.add(self._t, self._population.ids, readings.innovation,
+                              readings.predicted, heading, readings.direction * heading)
 
-    def _settle(self, frame: _Frame, shared: SharedKnowledge) -> None:
+    def _refilter_opening(self, frame: _Frame, shared: SharedKnowledge) -> None:
         """Filter the first frames again as soon as the noise has been learned from them.
 
         Until then noise levels are assumed; frames weighed by wrong ones are never forgotten.
@@ -233,7 +229,7 @@ class Estimator:
         if self._t >= self._next_question:
             self._next_question = self._t + 1.0
             moving = bool(self._propagator.heading.any())
-            self._suspicions = self._suspects.ask(state, self._log.last, moving)
+            self._faults = self._track_faults.find(state, self._log.last, moving)
         # What was noted before the first frame counts from that frame on.
         self._notes = {
             text: max(at, self._t) if np.isinf(at) else at
@@ -241,14 +237,14 @@ class Estimator:
         }
         shared = self._shared or self._knowledge(np.empty(0))
         told = (
-            *self._notes, *self._suspicions, *shared.sentences, *self._monitor.sentences
+            *self._notes, *self._faults, *shared.sentences, *self._monitor.sentences
         )
         now = self._t if np.isfinite(self._t) else 0.0
         ahead = self._propagator.look_ahead(
             self._log, shared.delay.value, now, now + max(self.settings.horizon, 1e-6), state.p
         )
-        return answer(state, ahead, shared, self.conditions, self.settings, told,
-                      self.model.gain_change_since_start(now))
+        return answer(state, ahead, shared, self.conditions, told,
+                      self.model.aging(now))
 
     def _note(self, text: str) -> None:
         """Keep a sentence for the diagnosis of the next seconds."""
@@ -256,7 +252,7 @@ class Estimator:
             self._notes[text] = self._t
 
 
-def _reading(noise: Noise, sigma: np.ndarray) -> np.ndarray:
+def _reading_variance(noise: Noise, sigma: np.ndarray) -> np.ndarray:
     """Variance of each reading: the learned level, shared out as the tracker says."""
     stated = (sigma > 0) & np.isfinite(sigma)
     relative = np.ones(len(sigma))

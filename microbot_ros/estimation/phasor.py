@@ -1,4 +1,4 @@
-"""From the complex gain c = v exp(iφ) to speed, direction and force, with honest spreads."""
+"""From the velocity phasor v e^{iφ} to speed, direction and force, with honest spreads."""
 
 from __future__ import annotations
 
@@ -10,31 +10,32 @@ from scipy.special import i0e, i1e
 from microbot_ros.model.particle import Fluid, stokes_drag
 from microbot_ros.records import Conditions
 
+DRAG_RELATIVE_STD = float(np.hypot(0.05, 0.05))
+"""What is not known of 6πηr: 5 % of viscosity and 5 % of radius."""
+
 
 @dataclass(frozen=True)
 class Polar:
-    """Speed [m/s, or m/s/Hz] and direction offset [rad] with their standard deviations."""
+    """`speed` ± `speed_std` [m/s, or m/s/Hz] and `phi` ± `phi_std` [rad]; arrays of one shape."""
 
     speed: np.ndarray
     speed_std: np.ndarray
     phi: np.ndarray
     phi_std: np.ndarray
 
-    def widened(self, turn: complex, delay_std: float) -> Polar:
-        """With what a spread of the delay [s] does, where `turn` is d log c / d delay [1/s].
+    def widened(self, log_phasor_slope: complex, delay_std: float) -> Polar:
+        """With what a spread `delay_std` [s] of the delay does.
 
-        Nothing where the delay is not determined (NaN): then it is said that φ hangs on it.
+        `log_phasor_slope` is d log(v e^{iφ}) / d delay [1/s]. Nothing where the delay is not
+        determined (NaN): then it is said that φ hangs on it.
         """
         late = delay_std if np.isfinite(delay_std) else 0.0
-        return replace(
-            self, speed_std=np.hypot(self.speed_std, self.speed * abs(turn.real) * late),
-            phi_std=np.hypot(self.phi_std, abs(turn.imag) * late),
-        )
+        speed, phi = late * abs(log_phasor_slope.real), late * abs(log_phasor_slope.imag)
+        return replace(self, speed_std=np.hypot(self.speed_std, self.speed * speed),
+                       phi_std=np.hypot(self.phi_std, phi))
 
-    def force(
-        self, conditions: Conditions, drag_relative_std: float,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """F = 6πηr v [N] and its standard deviation, that of the drag 6πηr included.
+    def force(self, conditions: Conditions) -> tuple[np.ndarray, np.ndarray]:
+        """F = 6πηr v [N] under some `conditions`, and its standard deviation, that of 6πηr in it.
 
         NaN where radius or viscosity are not known, and for rollers.
         """
@@ -42,11 +43,13 @@ class Polar:
         if radius and viscosity and conditions.propulsion != 'rolling':
             drag = stokes_drag(Fluid(viscosity), radius)
         force = drag * self.speed
-        return force, np.hypot(drag * self.speed_std, drag_relative_std * force)
+        return force, np.hypot(drag * self.speed_std, DRAG_RELATIVE_STD * force)
 
 
-def polar(c: np.ndarray, std: np.ndarray) -> Polar:
-    """Speed |c| and phase arg c of c known to `std` on each axis; arrays of one shape.
+def polar(velocity_phasor: np.ndarray, std: np.ndarray) -> Polar:
+    """Speed |c| and phase arg c of a `velocity_phasor` c known to `std` on each axis.
+
+    Arrays of one shape [m/s, for rollers m/s/Hz]; where one is NaN, so is the result.
 
     Moments of the Rice likelihood under a flat prior on speed ≥ 0: |c| alone is biased upwards
     by std²/2v. Where c drowns in its own spread the speed is that of a half-normal, and the
@@ -56,7 +59,7 @@ def polar(c: np.ndarray, std: np.ndarray) -> Polar:
     √(πy)/2 · e^{−y/2} (I₀(y/2) + I₁(y/2)).
     """
     std = np.maximum(std, 1e-30)
-    y = np.minimum((np.abs(c) / std) ** 2 / 2, 1e12)
+    y = np.minimum((np.abs(velocity_phasor) / std) ** 2 / 2, 1e12)
     i0, i1 = i0e(y / 2), i1e(y / 2)
     mean = std * np.sqrt(2 / np.pi) / i0
     # For large y the difference of squares cancels: the spread is `std` to 1 part in 4y.
@@ -66,4 +69,4 @@ def polar(c: np.ndarray, std: np.ndarray) -> Polar:
     phase = np.where(
         y > 1e4, 1 / np.sqrt(2 * np.maximum(y, 1)), np.sqrt(-2 * np.log(resultant))
     )
-    return Polar(mean, spread, np.angle(c), np.minimum(phase, np.pi / np.sqrt(3)))
+    return Polar(mean, spread, np.angle(velocity_phasor), np.minimum(phase, np.pi / np.sqrt(3)))

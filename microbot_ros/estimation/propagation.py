@@ -17,9 +17,9 @@ HEADING_MEMORY = 10.0
 
 @dataclass(frozen=True)
 class Step:
-    """In `span` [s] a particle moves by c·`drive` + `drift` (1 or N,), complex, c = v e^{iφ}."""
+    """In `span` [s] a particle moves by c·`path` + `drift` (1 or N,), complex, c = v e^{iφ}."""
 
-    drive: np.ndarray
+    path: np.ndarray
     drift: np.ndarray
     span: float
 
@@ -35,20 +35,22 @@ class Propagator:
     def advance(
         self, log: CommandLog, delay: float, start: float, end: float, positions: np.ndarray,
     ) -> Step:
-        """What happens from `start` to `end` [s], the next frame.
+        """What happens from `start` to `end` [s], the next frame; the heading goes on with it.
 
-        `positions` (N,) complex [m] at `start`, where effects that depend on place look.
+        Under the commands of `log`, `delay` [s] late; `positions` (N,) complex [m] at `start`,
+        where effects that depend on place look.
         """
         step, self.heading = self._respond(log, delay, start, end, positions)
         return step
 
-    def heading_sway(
+    def heading_deviation(
         self, log: CommandLog, delay: float, start: float, end: float,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """What a stray of the heading at `start` does until `end`, for c = 1.
+        """What a deviation of the heading at `start` [s] does until `end` [s], for c = 1.
 
-        The derivative (1,) of the path [s] by the heading, complex, and the part of the stray
-        (1,) that is left (see `model.increments.heading_response`).
+        The derivative (1,) of the path [s] by the heading, complex, and the part of the deviation
+        (1,) that is left (see `model.increments.heading_response`). With the commands of `log`,
+        `delay` [s] late.
         """
         commands = log.since(start - self.model.delay - HEADING_MEMORY, delay)
         timeline = Timeline(commands, np.array([start, end]))
@@ -59,7 +61,10 @@ class Propagator:
     def look_ahead(
         self, log: CommandLog, delay: float, start: float, end: float, positions: np.ndarray,
     ) -> Step:
-        """The same from the last frame at `start` on, under the commands so far."""
+        """As `advance` from the last frame at `start` [s] to `end` [s]; the heading stays.
+
+        Under the commands of `log` so far, `delay` [s] late, from `positions` (N,) complex [m].
+        """
         return self._respond(log, delay, start, end, positions)[0]
 
     def _respond(

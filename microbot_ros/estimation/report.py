@@ -7,30 +7,30 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from microbot_ros.estimation.batch import Fit
-from microbot_ros.estimation.recipe import Leg
+from microbot_ros.estimation.batch import FitResult
+from microbot_ros.estimation.one_leg_regression import Leg
 from microbot_ros.units import from_si, symbol
 
 if TYPE_CHECKING:
     from rich.table import Table
 
 
-def speed_key(fit: Fit) -> str:
-    """The name of a particle's speed at the edge: v, or for rollers the gain per hertz."""
+def speed_key(fit: FitResult) -> str:
+    """The name of a particle's speed in the files of a `fit`: v, or for rollers the gain."""
     return 'gain_um_s_hz' if fit.rolling else 'v_um_s'
 
 
-def as_json(fit: Fit) -> dict[str, Any]:
-    """`fit.json`: laid out like `baseline` in `result.json`, with what a fit knows besides.
+def as_json(fit: FitResult) -> dict[str, Any]:
+    """A `fit` as `fit.json`: laid out like `baseline` in `result.json`, and what else it knows.
 
     What is not known is null.
     """
-    swims, key = fit.swims, speed_key(fit)
+    speeds, key = fit.polar, speed_key(fit)
     particles = {}
     for n, name in enumerate(fit.ids):
         particles[str(name)] = {
-            key: _number(key, swims.speed[n], swims.speed_std[n]),
-            'phi_rad': _number('phi_rad', swims.phi[n], swims.phi_std[n]),
+            key: _number(key, speeds.speed[n], speeds.speed_std[n]),
+            'phi_rad': _number('phi_rad', speeds.phi[n], speeds.phi_std[n]),
             'force_pN': _number('force_pN', fit.force[n], fit.force_std[n]),
             'one_leg': _leg(fit.legs[n], key),
         }
@@ -69,8 +69,8 @@ def _leg(leg: Leg, key: str) -> dict[str, Any]:
     }
 
 
-def table(fit: Fit) -> Table:
-    """Every particle with 95 % intervals, and the paper's one-leg recipe beside it."""
+def table(fit: FitResult) -> Table:
+    """Every particle of a `fit` with 95 % intervals, the paper's one-leg recipe beside it."""
     from rich.table import Table
 
     unit = symbol(speed_key(fit))
@@ -79,12 +79,12 @@ def table(fit: Fit) -> Table:
         'particle', f'{name} [{unit}]', 'φ [°]', *([] if fit.rolling else ['F [pN]']),
         f'one leg: {name}', 'φ [°]', title='± is the 95 % interval',
     )
-    swims = fit.swims
+    speeds = fit.polar
     for n, particle in enumerate(fit.ids):
         leg = fit.legs[n]
         cells = [
-            _interval(swims.speed[n] * 1e6, swims.speed_std[n] * 1e6),
-            _interval(np.degrees(swims.phi[n]), np.degrees(swims.phi_std[n])),
+            _interval(speeds.speed[n] * 1e6, speeds.speed_std[n] * 1e6),
+            _interval(np.degrees(speeds.phi[n]), np.degrees(speeds.phi_std[n])),
             _interval(fit.force[n] * 1e12, fit.force_std[n] * 1e12),
             _interval(leg.speed * 1e6, leg.speed_std * 1e6),
             _interval(np.degrees(leg.phi), np.degrees(leg.phi_std)),
@@ -101,23 +101,25 @@ def _interval(value: float, std: float) -> str:
     return f'{value:.3g}' if not np.isfinite(std) else f'{value:.3f} ± {1.96 * std:.2g}'
 
 
-def figure(fit: Fit, path: Path) -> None:
-    """Estimates with 95 % intervals beside the one-leg recipe, and tracks beside the model's."""
+def figure(fit: FitResult, path: Path) -> None:
+    """A `fit` as a picture at `path`: intervals beside the one-leg recipe, tracks, the model's."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     canvas = FigureCanvasAgg(Figure(figsize=(11, 4.2), layout='constrained'))
     left, middle, right = canvas.figure.subplots(1, 3, width_ratios=[1, 1, 1.6])
-    swims, legs = fit.swims, fit.legs
+    speeds, legs = fit.polar, fit.legs
     label = 'gain [µm/s/Hz]' if fit.rolling else 'v [µm/s]'
-    _compare(left, fit, label, swims.speed * 1e6, swims.speed_std * 1e6,
+    _compare(left, fit, label, speeds.speed * 1e6, speeds.speed_std * 1e6,
              [leg.speed * 1e6 for leg in legs], [leg.speed_std * 1e6 for leg in legs])
-    _compare(middle, fit, 'φ [°]', np.degrees(swims.phi), np.degrees(swims.phi_std),
+    _compare(middle, fit, 'φ [°]', np.degrees(speeds.phi), np.degrees(speeds.phi_std),
              [np.degrees(leg.phi) for leg in legs], [np.degrees(leg.phi_std) for leg in legs])
     left.legend(frameon=False, fontsize='small', title='95 % intervals')
-    for n, name in enumerate(fit.ids):
-        measured, predicted = fit.z[:, n] * 1e6, fit.prediction[:, n] * 1e6
-        right.plot(measured.real, measured.imag, lw=1.2, label=f'{name}')
+    first = np.unique(fit.owner, return_index=True)[1]
+    for n, own in enumerate(fit.owner):
+        measured, predicted = fit.measured[:, n] * 1e6, fit.predicted[:, n] * 1e6
+        right.plot(measured.real, measured.imag, lw=1.2, color=f'C{own % 10}',
+                   label=f'{fit.ids[own]}' if n in first else None)
         right.plot(predicted.real, predicted.imag, '--', color='0.25', lw=0.8)
     right.set(xlabel='x [µm]', ylabel='y [µm]', aspect='equal',
               title='tracks; dashed: the fitted model from the start')
@@ -127,7 +129,7 @@ def figure(fit: Fit, path: Path) -> None:
     canvas.figure.savefig(path, dpi=130)
 
 
-def _compare(axes: Any, fit: Fit, label: str, value: np.ndarray, std: np.ndarray,
+def _compare(axes: Any, fit: FitResult, label: str, value: np.ndarray, std: np.ndarray,
              leg: list[float], leg_std: list[float]) -> None:
     at = np.arange(len(fit.ids))
     axes.errorbar(at - 0.12, value, 1.96 * std, fmt='o', capsize=3, label='likelihood')

@@ -11,7 +11,7 @@ from microbot_ros.estimation.bank import PhasorBank
 from microbot_ros.estimation.commands import CommandLog
 from microbot_ros.estimation.delay import Delay
 from microbot_ros.estimation.noise import Noise
-from microbot_ros.estimation.population import Taken
+from microbot_ros.estimation.population import Readings
 from microbot_ros.estimation.window import Review, Window
 from microbot_ros.model.model import Model
 
@@ -27,13 +27,16 @@ PRIOR_LOG_STD = 1.0
 
 
 class SharedKnowledge:
-    """Noise and delay in use, renewed by reviews that are worked off a slice per frame."""
+    """Noise and delay in use, renewed by reviews that are worked off a slice per frame.
+
+    They begin with an assumed `noise`.
+    """
 
     def __init__(self, noise: Noise) -> None:
         self._prior = noise
         self.noise = noise
         self.delay = Delay()
-        self.turn = 0j
+        self.log_phasor_slope = 0j
         self.sentences: tuple[str, ...] = ()
         self.reviewed = False
         self._window = Window()
@@ -44,19 +47,26 @@ class SharedKnowledge:
 
     def forget_model(self) -> None:
         """Drop what was learned under another model, but the noise levels."""
-        self.delay, self.turn, self.sentences = Delay(), 0j, ()
+        self.delay, self.log_phasor_slope, self.sentences = Delay(), 0j, ()
         self._review = None
 
-    def add(self, t: float, ids: np.ndarray, taken: Taken, changed_for: np.ndarray) -> None:
-        """A frame: identities (N,), its readings, and seconds since c changed (N,), 0 if not."""
-        for row in np.flatnonzero(taken.jump):
-            self._window.jumped(int(ids[row]), complex(taken.jump[row]))
+    def add(self, t: float, ids: np.ndarray, readings: Readings, changed_for: np.ndarray) -> None:
+        """A frame at `t` [s] of particles `ids` (N,) with its `readings`.
+
+        `changed_for` (N,): seconds since the velocity phasor changed, 0 where it did not.
+        """
+        for row in np.flatnonzero(readings.jump):
+            self._window.jumped(int(ids[row]), complex(readings.jump[row]))
         for row in np.flatnonzero(changed_for):
             self._window.changed(int(ids[row]), t - changed_for[row])
-        self._window.add(t, ids, taken.z, taken.used)
+        self._window.add(t, ids, readings.z, readings.used)
 
     def work(self, t: float, model: Model, log: CommandLog, bank: PhasorBank) -> bool:
-        """Go on with a review, if one is due or under way; True where c was corrected by it."""
+        """Go on with a review at `t` [s], if one is due or under way.
+
+        Under a `model` and the commands of a `log`. True where a new delay corrected the
+        velocity phasors of the `bank`.
+        """
         span, self._t = t - self._t, t
         if self._next is None:
             self._next = t + self._pause
@@ -76,23 +86,23 @@ class SharedKnowledge:
         return False
 
     def _adopt(self, review: Review, bank: PhasorBank) -> bool:
-        self.noise = _weighed(self._prior, review.noise)
-        self.turn, self.sentences = review.turn, review.confounded
+        self.noise = _shrunk(self._prior, review.noise)
+        self.log_phasor_slope, self.sentences = review.log_phasor_slope, review.confounded
         self.reviewed = True
         if not review.delay.determined:
             self.delay = replace(self.delay, std=np.nan)
             return False
         # What the filter learned under the old delay, it would have learned turned by this.
-        factor = np.exp(review.turn * (review.delay.value - self.delay.value))
-        bank.scale_gain(factor)
+        factor = np.exp(review.log_phasor_slope * (review.delay.value - self.delay.value))
+        bank.scale_velocity_phasor(factor)
         self.delay = review.delay
         return bool(abs(factor - 1) > 0.01)
 
 
-def _weighed(prior: Noise, fitted: Noise) -> Noise:
+def _shrunk(prior: Noise, fitted: Noise) -> Noise:
     """The fitted levels, drawn towards the assumed ones as far as the data are poor."""
     def draw(assumed: float, value: float, std: float) -> float:
-        trust = PRIOR_LOG_STD**2 / (PRIOR_LOG_STD**2 + (std / value) ** 2)
+        trust = (PRIOR_LOG_STD * value) ** 2 / ((PRIOR_LOG_STD * value) ** 2 + std**2)
         return float(assumed * (value / assumed) ** trust)
 
     return replace(

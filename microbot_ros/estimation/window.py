@@ -8,10 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from microbot_ros.estimation.commands import CommandLog
-from microbot_ros.estimation.delay import Delay, DelayedLikelihood
+from microbot_ros.estimation.delay import Delay, DelayedFits
+from microbot_ros.estimation.likelihood import search_noise_ratio
 from microbot_ros.estimation.noise import Noise
+from microbot_ros.estimation.prepared_session import PreparedSession
 from microbot_ros.estimation.propagation import HEADING_MEMORY
+from microbot_ros.model.increments import as_vectors
 from microbot_ros.model.model import Model
+from microbot_ros.records import Conditions
 
 PROBES = 8
 FRAMES = 3000
@@ -27,12 +31,14 @@ JUDGED_AFTER = 3.0
 class Review:
     """What a window of data says of the things that all particles share.
 
-    `turn` is d log c / d delay: by how much speed (real part) and φ (imaginary) move with it.
+    `noise` and `delay` as fitted; `log_phasor_slope` [1/s] is d log(v e^{iφ}) / d delay: by how
+    much speed (real part) and φ (imaginary) move with it; `confounded`: sentences on what the
+    command cannot tell apart.
     """
 
     noise: Noise
     delay: Delay
-    turn: complex
+    log_phasor_slope: complex
     confounded: tuple[str, ...]
 
 
@@ -47,7 +53,7 @@ class Window:
         self._shift = np.zeros(PROBES, complex)
 
     def add(self, t: float, ids: np.ndarray, z: np.ndarray, used: np.ndarray) -> None:
-        """Append a frame: identities (N,), complex positions (N,), which readings count (N,)."""
+        """Append a frame at `t` [s]: `ids` (N,), complex places `z` (N,), `used` (N,) bool."""
         if self._count == len(self._t):
             self._t[:FRAMES], self._z[:FRAMES] = self._t[FRAMES:], self._z[FRAMES:]
             self._count = FRAMES
@@ -73,11 +79,11 @@ class Window:
                 self._z[:self._count, probe] = np.nan
 
     def jumped(self, name: int, by: complex) -> None:
-        """A particle was moved by `by` [m]: take that out of what follows."""
+        """Particle `name` was moved by `by` [m], complex: take that out of what follows."""
         self._shift[self.ids == name] += by
 
     def changed(self, name: int, at: float) -> None:
-        """A particle swims differently since `at` [s]: forget what it did before."""
+        """Particle `name` swims differently since `at` [s]: forget what it did before."""
         before = self._t[:self._count] < at
         self._z[:self._count][np.ix_(before, self.ids == name)] = np.nan
 
@@ -92,24 +98,27 @@ class Window:
     def review(
         self, model: Model, log: CommandLog, delay: Delay, noise: Noise,
     ) -> Iterator[Review | None]:
-        """Noise, delay and excitation, a little at a time; the Review last, or nothing.
+        """Noise, delay and excitation under a `model`, a little at a time; the Review last.
 
-        Yields None whenever a caller with frames to serve may want to go on later.
+        With the commands of `log`; `delay` and `noise` are those in use. Yields None whenever a
+        caller with frames to serve may want to go on later; ends at once with too few frames.
         """
         times, z = self.recent()
         if np.isfinite(z).sum() - PROBES < LEAST:
             return
-        record = DelayedLikelihood(
-            model, log.since(times[0] - HEADING_MEMORY), times, z, noise.exposure
-        )
-        search = record.at(delay.value).maximum_in_slices()
+        commands = log.since(times[0] - HEADING_MEMORY)
+        session = PreparedSession('', np.arange(PROBES), times, np.nan_to_num(z), np.isfinite(z),
+                                  as_vectors(z), commands, Conditions())
+        fits = DelayedFits(model, session)
+        search = search_noise_ratio(fits.at(delay.value, noise.ratio))
         while (fit := next(search)) is None:
             yield None
-        excited = record.excitation(delay.value, fit.noise)
+        learned, ratio = fit.noise(noise.exposure), fit.whitening.noise_ratio
+        excited = fits.excitation(delay.value, learned)
         found = Delay()
-        for result in record.delay(fit.noise) if excited.shows_delay else ():
+        for result in fits.posterior(ratio) if excited.shows_delay else ():
             yield None
             found = result or found
-        turn = record.turn(found.value if found.determined else delay.value, fit.noise)
+        slope = fits.log_phasor_slope(found.value if found.determined else delay.value, ratio)
         told = excited.sentences if excited.seconds >= JUDGED_AFTER else []
-        yield Review(fit.noise, found, turn, tuple(told))
+        yield Review(learned, found, slope, tuple(told))

@@ -3,52 +3,53 @@
 import numpy as np
 import pytest
 
-from microbot_ros.discovery.experiment import next_experiment
 from microbot_ros.discovery.held_out import held_out_gap, log_e_value
-from microbot_ros.discovery.ladder import Ladder, contribution
-from microbot_ros.discovery.screen import screen
+from microbot_ros.discovery.input_checks import check_sessions
+from microbot_ros.discovery.next_experiment import next_experiment
+from microbot_ros.discovery.stepwise_selection import StepwiseSelection, contribution
 from microbot_ros.model.effects import EFFECTS
 
 
 @pytest.fixture(scope='module')
 def drifting(film):
     session, _ = film(30, {'uniform_drift': {'wx_um_s': 0.8, 'wy_um_s': 0.0}})
-    return Ladder(screen([session])[0])
+    return StepwiseSelection(check_sessions([session])[0])
 
 
 def test_gap_is_the_distance_that_the_drift_carries(drifting):
     """In one second 0.8 µm along one axis of two, less what v and φ absorb."""
-    truth = drifting.fit.model.with_effect(EFFECTS['uniform_drift'](0.8e-6, 0.0))
-    gap = held_out_gap(drifting.fit, drifting.stand(truth), truth)
+    truth = drifting.current.model.with_effect(EFFECTS['uniform_drift'](0.8e-6, 0.0))
+    gap = held_out_gap(drifting.current, drifting.fit(truth), truth)
     assert gap.horizon == 1.0
     assert gap.before == pytest.approx(0.8e-6 / np.sqrt(2), rel=0.25)
     assert gap.after < 0.2e-6
     assert gap.truth < 0.2e-6
-    diffusion = drifting.stand(truth).parts[0].diffusion
+    diffusion = drifting.fit(truth).session_fits[0].diffusion
     assert gap.floor == pytest.approx(np.sqrt(2 * diffusion + 2 * 0.1e-6**2), rel=0.1)
 
 
 def test_e_value_grows_for_what_is_there_and_not_for_what_is_not(drifting):
-    model = drifting.fit.model
-    there = drifting.stand(model.with_effect(EFFECTS['uniform_drift'](0.5e-6, 0.0)))
+    model = drifting.current.model
+    there = drifting.fit(model.with_effect(EFFECTS['uniform_drift'](0.5e-6, 0.0)))
     assert log_e_value(there, 'uniform_drift') > 20
-    absent = drifting.stand(there.model.with_effect(EFFECTS['coil_misalignment'](0.01)))
+    absent = drifting.fit(there.model.with_effect(EFFECTS['coil_misalignment'](0.01)))
     assert log_e_value(absent, 'coil_misalignment') < 3
 
 
 def test_contribution_is_the_likelihood_ratio_beside_the_rest(drifting):
-    fit = drifting.stand(drifting.fit.model.with_effect(EFFECTS['uniform_drift'](0.5e-6, 0.0)))
+    fit = drifting.fit(drifting.current.model.with_effect(EFFECTS['uniform_drift'](0.5e-6, 0.0)))
     own = contribution(fit, 'uniform_drift')
-    assert own.likelihood_ratio == pytest.approx(drifting.fit.cost - fit.cost, abs=0.5)
+    assert own.likelihood_ratio == pytest.approx(drifting.current.cost - fit.cost, abs=0.5)
     assert own.dof == 2
     assert own.p_value < 1e-10
 
 
 def test_next_experiment_changes_the_field_to_tell_a_gradient_from_a_flow(film):
     session, _ = film(31, {'gradient_force': {'rate_per_s_mT': 0.003}})
-    ladder = Ladder(screen([session])[0])
-    fit = ladder.stand(ladder.fit.model.with_effect(EFFECTS['gradient_force'](1.0)))
-    flow = ladder.stand(ladder.fit.model.with_effect(EFFECTS['linear_flow'](0, 0, 0, 0))).model
+    selection = StepwiseSelection(check_sessions([session])[0])
+    fit = selection.fit(selection.current.model.with_effect(EFFECTS['gradient_force'](1.0)))
+    still = EFFECTS['linear_flow'](0, 0, 0, 0)
+    flow = selection.fit(selection.current.model.with_effect(still)).model
     found = next_experiment(fit, [flow])
     assert 'a third of the field' in found.sentence
     assert 0 < found.minutes < 10

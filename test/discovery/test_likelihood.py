@@ -5,18 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from microbot_ros.discovery.evidence import Evidence, levels
-from microbot_ros.discovery.kernels import filter_levels, whiten_turning
-from microbot_ros.discovery.likelihood import Whitening, evaluate, maximise, settle, with_noise
-from microbot_ros.discovery.screen import screen
-from microbot_ros.estimation.kernels import whiten_levels
+from microbot_ros.estimation.kernels import (
+    filter_positions,
+    whiten_columns,
+    whiten_with_heading,
+)
+from microbot_ros.estimation.likelihood import Whitening
+from microbot_ros.estimation.model_fit import evaluate, fit_noise, fit_with_noise, maximise
+from microbot_ros.estimation.prepared_session import PreparedSession, prepare
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model
 
 
-def brownian(times, excess):
-    """Covariance (T, T) of positions for D = 1 with a reading error of variance `excess`."""
-    return 2 * np.minimum(times[:, None], times) + excess * np.eye(len(times))
+def brownian(times, noise_ratio):
+    """Covariance (T, T) of positions for D = 1 with a reading error of variance `noise_ratio`."""
+    return 2 * np.minimum(times[:, None], times) + noise_ratio * np.eye(len(times))
 
 
 def increments_of(count):
@@ -31,78 +34,79 @@ def matrix_of(whiten, count):
 def test_likelihood_is_that_of_the_dense_gaussian(film):
     """Against generalised least squares with the whole covariance matrix; gaps included."""
     session, _ = film(0, count=2, duration=4.0)
-    e = Evidence.of(session)
+    e = PreparedSession.of(session)
     seen = e.seen.copy()
     seen[10:14, 0] = seen[30, 1] = False
     e = replace(e, seen=seen)
     model = Model.baseline(session.conditions, session.commands)
-    path = levels(model, e).along[:, 0]
+    path = evaluate(model, [e], [Whitening(0.1)]).session_fits[0].expected.along[:, 0]
     values = []
-    for excess in (0.02, 0.2):
-        p = evaluate(model, [e], [Whitening(excess)]).parts[0]
+    for noise_ratio in (0.02, 0.2):
+        p = evaluate(model, [e], [Whitening(noise_ratio)]).session_fits[0]
         squares = log_det = free = 0.0
         for n in range(2):
             rows = seen[:, n]
             difference = increments_of(rows.sum())
-            covariance = difference @ brownian(e.times[rows], excess) @ difference.T
+            covariance = difference @ brownian(e.times[rows], noise_ratio) @ difference.T
             y, x = difference @ e.z[rows, n], difference @ path[rows]
             weight = np.linalg.inv(covariance)
             gain = (x.conj() @ weight @ y) / (x.conj() @ weight @ x)
-            assert p.swim[n] == pytest.approx(gain, rel=1e-6)
+            assert p.velocity_phasor[n] == pytest.approx(gain, rel=1e-6)
             left = y - gain * x
             squares += (left.conj() @ weight @ left).real
             log_det += np.linalg.slogdet(covariance)[1]
             free += 2 * (len(y) - 1)
-        assert p.squares == pytest.approx(squares, rel=1e-6)
+        assert p.residual_sum_of_squares == pytest.approx(squares, rel=1e-6)
         assert p.log_det == pytest.approx(log_det, rel=1e-9)
-        assert p.freedom == free
+        assert p.degrees_of_freedom == free
         values.append((p.log_likelihood, -free / 2 * np.log(squares / free) - log_det))
     assert np.diff(values, axis=0)[0, 0] == pytest.approx(np.diff(values, axis=0)[0, 1], rel=1e-6)
 
 
-def test_exposure_may_make_the_excess_negative():
+def test_exposure_may_make_the_noise_ratio_negative():
     """A full-frame exposure without reading error: increments are positively correlated."""
     times = np.arange(12) / 30.0
-    excess = -1 / 30 / 3
+    noise_ratio = -1 / 30 / 3
 
     def whiten(columns):
-        return whiten_levels(times, np.ones((12, 1), bool), columns, excess)[0]
+        return whiten_columns(times, np.ones((12, 1), bool), columns, noise_ratio)[0]
 
     white = matrix_of(whiten, 12)
-    covariance = white @ brownian(times, excess) @ white.T
+    covariance = white @ brownian(times, noise_ratio) @ white.T
     assert covariance[1:, 1:] == pytest.approx(np.eye(11), abs=1e-9)
 
 
-def test_turning_filter_without_turning_is_the_plain_one():
+def test_the_filter_without_heading_noise_is_the_plain_one():
     rng = np.random.default_rng(0)
     times = np.cumsum(rng.uniform(0.02, 0.05, 40))
     columns = rng.normal(size=(40, 2, 3)) + 1j * rng.normal(size=(40, 2, 3))
     seen = rng.random((40, 2)) < 0.8
-    bend, kept = np.zeros((39, 2), complex), np.zeros((39, 2))
-    plain = whiten_levels(times, seen, columns, 0.05)
-    turning = whiten_turning(times, seen, columns, 0.05, 0.3, bend, kept)
-    assert turning[0] == pytest.approx(plain[0])
-    assert turning[1:] == pytest.approx(plain[1:])
+    sensitivity, retention = np.zeros((39, 2), complex), np.zeros((39, 2))
+    plain = whiten_columns(times, seen, columns, 0.05)
+    noisy = whiten_with_heading(times, seen, columns, 0.05, 0.3, sensitivity, retention)
+    assert noisy[0] == pytest.approx(plain[0])
+    assert noisy[1:] == pytest.approx(plain[1:])
 
 
-def test_turning_filter_whitens_a_jittering_heading():
+def test_the_filter_whitens_heading_noise():
     """Against the covariance of an Ornstein–Uhlenbeck heading, integrated in closed form."""
-    count, h, rate, turning, excess, speed = 30, 0.05, 4.0, 3.0, 0.02, 0.7 - 0.4j
+    count, h, rate, ratio, noise_ratio, speed = 30, 0.05, 4.0, 3.0, 0.02, 0.7 - 0.4j
     times = h * np.arange(count)
-    kept = np.full((count - 1, 1), np.exp(-rate * h))
-    bend = np.full((count - 1, 1), speed * (1 - np.exp(-rate * h)) / rate)
+    retention = np.full((count - 1, 1), np.exp(-rate * h))
+    sensitivity = np.full((count - 1, 1), speed * (1 - np.exp(-rate * h)) / rate)
 
     def whiten(columns):
         seen = np.ones((count, 1), bool)
-        return whiten_turning(times, seen, columns, excess, turning, bend, kept)[0]
+        return whiten_with_heading(
+            times, seen, columns, noise_ratio, ratio, sensitivity, retention)[0]
 
     # ∫∫ (D_r/κ) e^{−κ|s−u|} from 0 to t and t': the covariance of the integrated heading.
     t, u = np.minimum(times[:, None], times), np.maximum(times[:, None], times)
-    path = turning / rate * (
+    path = ratio / rate * (
         2 * t / rate + (np.exp(-rate * t) + np.exp(-rate * u) - 1
                         - np.exp(-rate * (u - t))) / rate**2)
     v = np.array([speed.real, speed.imag])
-    covariance = np.kron(np.outer(v, v), path) + np.kron(np.eye(2), brownian(times, excess))
+    covariance = np.kron(np.outer(v, v), path) + np.kron(np.eye(2), brownian(times, noise_ratio))
     units = np.concatenate([np.eye(count), 1j * np.eye(count)], axis=1)[:, None, :]
     white = whiten(units)[1:, 0]
     white = np.concatenate([white.real, white.imag])
@@ -112,10 +116,10 @@ def test_turning_filter_whitens_a_jittering_heading():
 def test_belief_is_the_kalman_filter_of_a_random_walk():
     times, z = np.arange(3) * 0.5, np.array([[1.0], [2.0], [9.0]], complex)
     seen = np.array([[True], [True], [False]])
-    belief = filter_levels(times, seen, z, 1.0)
+    belief = filter_positions(times, seen, z, 1.0)
     # Variance 1 before, 1 + 2·½ ahead, gain 2/3.
     assert belief[:, 0] == pytest.approx([1.0, 1 + 2 / 3, 1 + 2 / 3])
-    assert np.isnan(filter_levels(times, seen[::-1], z, 1.0)[0, 0])
+    assert np.isnan(filter_positions(times, seen[::-1], z, 1.0)[0, 0])
 
 
 @pytest.mark.parametrize(('name', 'parameters'), [
@@ -126,28 +130,29 @@ def test_belief_is_the_kalman_filter_of_a_random_walk():
 ])
 def test_parameters_come_back_within_their_spread(film, name, parameters):
     session, truth = film(2, {name: parameters})
-    evidences, _ = screen([session])
+    prepared = prepare(session)
     start = EFFECTS[name](**{
         p.field: p.from_fit(0.5) for p in EFFECTS[name].parameters()})
     model = Model.baseline(session.conditions, session.commands).with_effect(start)
-    fit = settle(evaluate(model, [evidences[0].since(1.5)], [Whitening(0.05)]))
+    fit = fit_with_noise(evaluate(model, [prepared.after_first_field(1.5)], [Whitening(0.05)]))
     spread = np.sqrt(np.diag(fit.covariance))
     for k, (_, parameter) in enumerate(fit.model.parameters):
         off = fit.model.vector()[k] - parameter.to_fit(
             parameters[parameter.name] / parameter.display_units(1.0))
         assert abs(off) < 4 * spread[k]
         assert spread[k] < 0.5
-    if len(fit.parts[0].evidence.ids) == len(truth):
-        assert np.abs(fit.parts[0].swim) == pytest.approx(truth['speed'], rel=0.05)
+    speed = np.abs(fit.session_fits[0].velocity_phasor)
+    if len(speed) == len(truth):
+        assert speed == pytest.approx(truth['speed'], rel=0.05)
 
 
 def test_fit_stays_within_bounds_and_never_gets_worse(film):
     session, _ = film(3)
-    e = Evidence.of(session)
+    e = PreparedSession.of(session)
     model = Model.baseline(session.conditions, session.commands)
-    base = with_noise(evaluate(model, [e], [Whitening(0.05)]))
+    base = fit_noise(evaluate(model, [e], [Whitening(0.05)]))
     start = evaluate(model.with_effect(EFFECTS['command_delay'](0.3)), [e],
-                     [base.parts[0].whitening])
+                     [base.session_fits[0].whitening])
     best = maximise(start)
     assert best.cost <= start.cost
     assert 0 <= best.model.effect('command_delay').delay < 0.05
@@ -156,7 +161,7 @@ def test_fit_stays_within_bounds_and_never_gets_worse(film):
 def test_parameter_that_v_absorbs_is_not_visible(film):
     """Incomplete alignment at one field strength only scales the speeds."""
     session, _ = film(4)
-    e = Evidence.of(session)
+    e = PreparedSession.of(session)
     model = Model.baseline(session.conditions, session.commands)
     fit = evaluate(model.with_effect(EFFECTS['incomplete_alignment'](1e-3)), [e],
                    [Whitening(0.05)])

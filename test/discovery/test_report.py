@@ -17,7 +17,8 @@ from microbot_ros.discovery.report_drive import drive
 from microbot_ros.discovery.report_prediction import predict
 from microbot_ros.discovery.report_residual import by_place, residual
 from microbot_ros.discovery.report_words import chance, interval, limit, listed, number, odds
-from microbot_ros.discovery.result import Estimate, Limit, parameters_of
+from microbot_ros.discovery.result import Estimate, Limit
+from microbot_ros.model.effects import EFFECTS
 
 DRIFT = {'uniform_drift': {'wx_um_s': 0.8, 'wy_um_s': -0.5}}
 
@@ -226,7 +227,8 @@ def test_intervals(name, value, std, said):
     ('uniform_drift', 'wx_um_s', np.nan, 'not bounded by these data'),
 ])
 def test_limits(effect, name, value, said):
-    assert limit(Limit(effect, parameters_of(effect)[name], value)) == said
+    parameter = next(p for p in EFFECTS[effect].parameters() if p.name == name)
+    assert limit(Limit(effect, parameter, value)) == said
 
 
 def test_files_are_hashed_as_sha256sum_does(tmp_path):

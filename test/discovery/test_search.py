@@ -6,15 +6,17 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from microbot_ros.discovery.chance import log_of_any, log_tail, tail
 from microbot_ros.discovery.discover import _suggestions
 from microbot_ros.discovery.drive_levels import curve_p_value, scattered
-from microbot_ros.discovery.ladder import Ladder
-from microbot_ros.discovery.likelihood import evaluate
-from microbot_ros.discovery.overlap import taken_back
-from microbot_ros.discovery.periodogram import turning_parts
-from microbot_ros.discovery.screen import screen
-from microbot_ros.discovery.search import found_in, hidden_in_phi, look
+from microbot_ros.discovery.input_checks import check_sessions
+from microbot_ros.discovery.search import absorbed_by_phi, compare, fit_candidate
+from microbot_ros.discovery.starting_points import rotating_components
+from microbot_ros.discovery.stepwise_selection import StepwiseSelection, is_cancelled
+from microbot_ros.discovery.tail_probabilities import (
+    chi_square_tail,
+    log_chi_square_tail,
+    log_of_any,
+)
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.records import Session
 from microbot_ros.virtual_rig.commands import rotating
@@ -23,11 +25,12 @@ from microbot_ros.virtual_rig.commands import rotating
 @pytest.mark.parametrize('dof', [1, 2, 4, 17])
 def test_tail_is_that_of_chi_square(dof):
     for value in (0.0, 0.5, 3.0, 40.0, 600.0):
-        assert tail(value, dof) == pytest.approx(stats.chi2.sf(value, dof))
-    assert log_tail(5000.0, dof) == pytest.approx(stats.chi2.logsf(5000.0, dof), rel=1e-6) or (
-        not np.isfinite(stats.chi2.logsf(5000.0, dof)))
+        assert chi_square_tail(value, dof) == pytest.approx(stats.chi2.sf(value, dof))
+    expected = stats.chi2.logsf(5000.0, dof)
+    assert log_chi_square_tail(5000.0, dof) == pytest.approx(expected, rel=1e-6) or (
+        not np.isfinite(expected))
     # Continuous where the series takes over, near P = 1e-280.
-    values = [log_tail(x, dof) for x in np.linspace(1270, 1400, 60)]
+    values = [log_chi_square_tail(x, dof) for x in np.linspace(1270, 1400, 60)]
     assert np.ptp(np.diff(values)) < 0.02
 
 
@@ -41,7 +44,7 @@ def test_one_of_many_trials():
 def test_parts_that_turn_either_way():
     times = np.sort(np.random.default_rng(0).choice(np.arange(400), 350, replace=False)) * 0.05
     signal = 3 * np.exp(2j * np.pi * 0.5 * times + 0.3j) + 1j * np.exp(-2j * np.pi * 0.5 * times)
-    frequency, forward, back = turning_parts(times, signal, 2.0)
+    frequency, forward, back = rotating_components(times, signal, 2.0)
     k = np.argmax(np.abs(forward))
     assert frequency[k] == pytest.approx(0.5, abs=0.02)
     assert np.angle(forward[k]) == pytest.approx(0.3, abs=0.15)
@@ -54,10 +57,10 @@ def test_scanned_effects_pay_for_the_scan(film):
     """On nothing at all p-values are not smaller than chance makes them."""
     found = {'hot_spot': [], 'periodic_drift': [], 'uniform_drift': []}
     for seed in range(12):
-        evidences, _ = screen([film(seed, count=2, duration=12.0)[0]])
-        fit = Ladder(evidences).fit
+        sessions, _ = check_sessions([film(seed, count=2, duration=12.0)[0]])
+        fit = StepwiseSelection(sessions).current
         for name, values in found.items():
-            one = look(fit, name)
+            one = fit_candidate(fit, name)
             values.append(1.0 if one is None else one.p_value)
     for values in found.values():
         assert stats.kstest(values, 'uniform', alternative='greater').pvalue > 1e-3
@@ -66,43 +69,42 @@ def test_scanned_effects_pay_for_the_scan(film):
 
 def test_slow_swings_and_wide_spots_have_fewer_places(film):
     """Every octave is given the same part of all chances."""
-    fit = Ladder(screen([film(1, duration=20.0)[0]])[0]).fit
+    fit = StepwiseSelection(check_sessions([film(1, duration=20.0)[0]])[0]).current
     slow, fast = (
-        found_in(beside(fit, EFFECTS['periodic_drift'](1e-6, f)), fit, 'periodic_drift').trials
+        compare(beside(fit, EFFECTS['periodic_drift'](1e-6, f)), fit, 'periodic_drift').trials
         for f in (0.2, 0.8))
     assert fast == pytest.approx(4 * slow)
     wide, narrow = (
-        found_in(beside(fit, EFFECTS['hot_spot'](0, 0, 1e-6, w)), fit, 'hot_spot').trials
+        compare(beside(fit, EFFECTS['hot_spot'](0, 0, 1e-6, w)), fit, 'hot_spot').trials
         for w in (1e-5, 5e-6))
     assert narrow == pytest.approx(4 * wide)
 
 
 def beside(fit, *effects):
     """A fit with these effects, as they are."""
-    model = replace(fit.model, effects=effects)
-    return evaluate(model, [p.evidence for p in fit.parts], [p.whitening for p in fit.parts])
+    return fit.under(replace(fit.model, effects=effects))
 
 
 def test_fields_that_cancel_take_each_other_back(film):
-    fit = Ladder(screen([film(2, duration=20.0)[0]])[0]).fit
+    fit = StepwiseSelection(check_sessions([film(2, duration=20.0)[0]])[0]).current
     flow, against, along = (EFFECTS['linear_flow'](0.1, 0.0, 0.0, 0.1),
                             EFFECTS['gradient_force'](-18.0), EFFECTS['gradient_force'](18.0))
     for name in ('linear_flow', 'gradient_force'):
-        assert taken_back(beside(fit, flow, against), name)
-        assert not taken_back(beside(fit, flow, along), name)
-    assert not taken_back(beside(fit, flow), 'linear_flow')
+        assert is_cancelled(beside(fit, flow, against), name)
+        assert not is_cancelled(beside(fit, flow, along), name)
+    assert not is_cancelled(beside(fit, flow), 'linear_flow')
     drifting = beside(fit, flow, EFFECTS['uniform_drift'](1e-6, 0.0))
-    assert not taken_back(drifting, 'linear_flow')
-    assert not taken_back(drifting, 'uniform_drift')
+    assert not is_cancelled(drifting, 'linear_flow')
+    assert not is_cancelled(drifting, 'uniform_drift')
 
 
 def test_what_is_too_weak_for_the_model_is_suggested_whole_shapes_first(film):
-    fit = Ladder(screen([film(1, duration=20.0)[0]])[0]).fit
-    weak = replace(look(fit, 'uniform_drift'), likelihood_ratio=12.0)
+    fit = StepwiseSelection(check_sessions([film(1, duration=20.0)[0]])[0]).current
+    weak = replace(fit_candidate(fit, 'uniform_drift'), likelihood_ratio=12.0)
     assert [case.own for case in _suggestions([weak])] == [weak]
     assert not _suggestions([replace(weak, likelihood_ratio=5.0)])
     assert not _suggestions([])
-    flank = replace(look(fit, 'linear_flow'), likelihood_ratio=20.0, whole=False)
+    flank = replace(fit_candidate(fit, 'linear_flow'), likelihood_ratio=20.0, whole=False)
     case, = _suggestions([flank, weak])
     assert case.own is weak
     assert case.rivals == [flank]
@@ -112,20 +114,20 @@ def test_what_is_too_weak_for_the_model_is_suggested_whole_shapes_first(film):
 
 
 def test_a_hint_of_a_drive_response_stands_in_where_something_is_left(film):
-    fit = Ladder(screen([film(15, rolling=True)[0]])[0]).fit
-    case, = _suggestions([replace(look(fit, 'drive_response'), likelihood_ratio=30.0)])
+    fit = StepwiseSelection(check_sessions([film(15, rolling=True)[0]])[0]).current
+    case, = _suggestions([replace(fit_candidate(fit, 'drive_response'), likelihood_ratio=30.0)])
     assert case.entry(incomplete=True).status == 'proxy'
     assert case.entry(incomplete=False).status == 'suggested'
 
 
 def test_a_field_that_turns_one_way_hides_a_lag_in_phi(film):
     session, _ = film(3, duration=20.0)
-    fit = Ladder(screen([session])[0]).fit
-    assert not hidden_in_phi(fit, EFFECTS['alignment_lag'])
+    fit = StepwiseSelection(check_sessions([session])[0]).current
+    assert not absorbed_by_phi(fit, EFFECTS['alignment_lag'])
     turning = Session(session.tracks, rotating(20.0, 5e-3, 5.0), session.conditions, 'turning')
-    fit = Ladder(screen([turning])[0]).fit
-    assert hidden_in_phi(fit, EFFECTS['alignment_lag'])
-    assert look(fit, 'alignment_lag') is None
+    fit = StepwiseSelection(check_sessions([turning])[0]).current
+    assert absorbed_by_phi(fit, EFFECTS['alignment_lag'])
+    assert fit_candidate(fit, 'alignment_lag') is None
 
 
 def test_levels_of_the_drive_judge_its_curve(film):
@@ -139,4 +141,4 @@ def test_levels_of_the_drive_judge_its_curve(film):
     lucky = np.where(np.arange(40) == 3, 1.3, 1.0)
     assert scattered(lucky * flat, noise, lucky) - scattered(lucky * flat, noise, np.ones(40)) < 8
     with pytest.raises(ValueError, match='no drive_response'):
-        curve_p_value(Ladder(screen([film(15, rolling=True)[0]])[0]).fit)
+        curve_p_value(StepwiseSelection(check_sessions([film(15, rolling=True)[0]])[0]).current)

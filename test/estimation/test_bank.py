@@ -10,13 +10,13 @@ from microbot_ros.estimation.heading_bank import HeadingBank
 class Textbook:
     """Kalman filter on the real state (x, y, a, b), as in any book."""
 
-    def __init__(self, z, p_var, c_var):
+    def __init__(self, z, p_var, phasor_var):
         self.state = np.array([z.real, z.imag, 0, 0])
-        self.cov = np.diag([p_var, p_var, c_var, c_var])
+        self.cov = np.diag([p_var, p_var, phasor_var, phasor_var])
 
-    def predict(self, drive, drift, diffused, wander):
+    def predict(self, path, drift, diffused, wander):
         transition = np.eye(4)
-        transition[:2, 2:] = [[drive.real, -drive.imag], [drive.imag, drive.real]]
+        transition[:2, 2:] = [[path.real, -path.imag], [path.imag, path.real]]
         self.state = transition @ self.state + [drift.real, drift.imag, 0, 0]
         noise = np.diag([diffused, diffused, wander, wander])
         self.cov = transition @ self.cov @ transition.T + noise
@@ -34,20 +34,20 @@ def test_one_hypothesis_is_the_textbook_filter():
     bank, book = PhasorBank(1), Textbook(1 + 2j, 0.3, 4.0)
     bank.add(np.array([1 + 2j]), np.array([0.3]), 4.0)
     for _ in range(200):
-        drive, drift, z = (complex(*rng.normal(size=2)) for _ in range(3))
+        path, drift, z = (complex(*rng.normal(size=2)) for _ in range(3))
         diffused, wander, noise = rng.exponential(size=3) * [0.1, 0.001, 0.2]
-        bank.predict(np.array([drive]), np.array([drift]), diffused, np.array([wander]))
-        book.predict(drive, drift, diffused, wander)
+        bank.predict(np.array([path]), np.array([drift]), diffused, np.array([wander]))
+        book.predict(path, drift, diffused, wander)
         if rng.random() < 0.7:
             bank.update(np.array([z]), np.array([noise]), np.array([True]))
             book.update(z, noise)
         found = bank.combined()
         np.testing.assert_allclose(
-            [found['p'][0].real, found['p'][0].imag, found['c'][0].real, found['c'][0].imag],
-            book.state, rtol=1e-8, atol=1e-10,
+            np.concatenate([[z[0].real, z[0].imag] for z in (
+                found['p'], found['velocity_phasor'])]), book.state, rtol=1e-8, atol=1e-10,
         )
         assert found['p_var'][0] == pytest.approx(book.cov[0, 0], rel=1e-8)
-        assert found['c_var'][0] == pytest.approx(book.cov[2, 2], rel=1e-8)
+        assert found['phasor_var'][0] == pytest.approx(book.cov[2, 2], rel=1e-8)
         # E p̃ c̃* of a circular pair: twice (cov(x, a) + i cov(y, a)).
         assert found['cross'][0] == pytest.approx(
             complex(book.cov[0, 2], book.cov[1, 2]), rel=1e-7, abs=1e-12)
@@ -60,12 +60,12 @@ def test_headings_that_stray_are_a_third_state_of_the_textbook_filter():
     # The textbook: complex state (p, s, c), Hermitian covariance per axis.
     state, cov = np.zeros(3, complex), np.diag([0.3, 0.0, 4.0]).astype(complex)
     for _ in range(100):
-        drive, bend, z = (complex(*rng.normal(size=2)) for _ in range(3))
-        kept, spun, diffused, noise = rng.uniform(0.05, 1, 4)
-        kicked = abs(state[2]) ** 2 * spun / 2
-        bank.sway(np.array([bend]), np.array([kept]), spun)
-        bank.predict(np.array([drive]), np.zeros(1), diffused, np.zeros(1))
-        transition = np.array([[1, -1j * bend, drive], [0, kept, 0], [0, 0, 1]])
+        path, bend, z = (complex(*rng.normal(size=2)) for _ in range(3))
+        kept, heading_noise, diffused, noise = rng.uniform(0.05, 1, 4)
+        kicked = abs(state[2]) ** 2 * heading_noise / 2
+        bank.predict_deviation(np.array([bend]), np.array([kept]), heading_noise)
+        bank.predict(np.array([path]), np.zeros(1), diffused, np.zeros(1))
+        transition = np.array([[1, -1j * bend, path], [0, kept, 0], [0, 0, 1]])
         state = transition @ state
         cov = transition @ cov @ transition.conj().T + np.diag([diffused, kicked, 0])
         bank.update(np.array([z]), np.array([noise]), np.array([True]))
@@ -74,28 +74,28 @@ def test_headings_that_stray_are_a_third_state_of_the_textbook_filter():
         cov = cov - np.outer(gain, cov[0])
         found = bank.combined()
         assert found['p'][0] == pytest.approx(state[0], rel=1e-7)
-        assert found['c'][0] == pytest.approx(state[2], rel=1e-7)
+        assert found['velocity_phasor'][0] == pytest.approx(state[2], rel=1e-7)
         assert bank.s[0, 0] == pytest.approx(state[1], rel=1e-6, abs=1e-9)
         assert found['p_var'][0] == pytest.approx(cov[0, 0].real, rel=1e-7)
-        assert found['c_var'][0] == pytest.approx(cov[2, 2].real, rel=1e-7)
+        assert found['phasor_var'][0] == pytest.approx(cov[2, 2].real, rel=1e-7)
 
 
 def simulate(rng, bank, change_at=None, factor=1.0, seconds=20.0, step=0.05):
     """One particle at c = 4 under a field that turns every second; c seen after every frame."""
     c, place, seen = 4.0 + 0j, 0j, []
     bank.add(np.array([0j]), np.array([0.01]), 100.0)
-    drive = 1.0
+    path = 1.0
     for k in range(int(seconds / step)):
         if k % 20 == 0:
-            drive = np.exp(1j * rng.uniform(-np.pi, np.pi))
+            path = np.exp(1j * rng.uniform(-np.pi, np.pi))
         if change_at is not None and k == int(change_at / step):
             c = c * factor
-        place += c * drive * step + np.sqrt(2 * 0.04 * step) * complex(*rng.normal(size=2))
-        bank.predict(np.array([drive * step]), np.zeros(1), 2 * 0.04 * step, np.array([1e-6]))
+        place += c * path * step + np.sqrt(2 * 0.04 * step) * complex(*rng.normal(size=2))
+        bank.predict(np.array([path * step]), np.zeros(1), 2 * 0.04 * step, np.array([1e-6]))
         z = place + 0.05 * complex(*rng.normal(size=2))
         bank.update(np.array([z]), np.array([0.0025]), np.array([True]))
         if k % 5 == 4:
-            bank.tick(1e-4, np.abs(bank.c[0]) ** 2 / 2, 100.0)
+            bank.tick(1e-4, np.abs(bank.velocity_phasor[0]) ** 2 / 2, 100.0)
         seen.append(bank.combined())
     return c, seen
 
@@ -107,8 +107,8 @@ def test_a_change_is_followed_within_seconds(factor):
     for _ in range(10):
         c, seen = simulate(rng, PhasorBank(7), 15.0, factor)
         late = seen[int(18.0 / 0.05)]
-        errors.append(abs(late['c'][0] - c))
-        assert abs(seen[int(14.9 / 0.05)]['c'][0] - 4) < 0.5
+        errors.append(abs(late['velocity_phasor'][0] - c))
+        assert abs(seen[int(14.9 / 0.05)]['velocity_phasor'][0] - 4) < 0.5
     # Three seconds of diffusion alone leave √(2·2D/T) = 0.23.
     assert np.sqrt(np.mean(np.square(errors))) < 0.35
 
@@ -118,9 +118,9 @@ def test_without_a_change_nothing_is_lost():
     several, single = [], []
     for _ in range(12):
         state = rng.bit_generator.state
-        several.append(abs(simulate(rng, PhasorBank(7))[1][-1]['c'][0] - 4))
+        several.append(abs(simulate(rng, PhasorBank(7))[1][-1]['velocity_phasor'][0] - 4))
         rng.bit_generator.state = state
-        single.append(abs(simulate(rng, Single())[1][-1]['c'][0] - 4))
+        single.append(abs(simulate(rng, Single())[1][-1]['velocity_phasor'][0] - 4))
     assert np.sqrt(np.mean(np.square(several))) < 1.05 * np.sqrt(np.mean(np.square(single)))
 
 
@@ -131,7 +131,7 @@ class Single(PhasorBank):
         super().__init__(1)
 
     def tick(self, *_):
-        return np.zeros(self.count)
+        return np.zeros(self.p.shape[1])
 
 
 @pytest.mark.parametrize('kind', [PhasorBank, HeadingBank])
@@ -142,25 +142,26 @@ def test_state_stays_finite_and_covariance_positive_over_millions_of_hostile_ste
     scale = 10.0 ** rng.uniform(-9, 2, count)
     bank.add(scale * rng.normal(size=count), scale**2, 1.0)
     for k in range(steps):
-        drive = 10.0 ** rng.uniform(-9, 3) * np.exp(1j * rng.uniform(-3, 3, count))
+        path = 10.0 ** rng.uniform(-9, 3) * np.exp(1j * rng.uniform(-3, 3, count))
         if kind is HeadingBank:
-            bank.sway(drive, 10.0 ** rng.uniform(-6, 0.3, count), 10.0 ** rng.uniform(-12, 0))
+            bank.predict_deviation(
+                path, 10.0 ** rng.uniform(-6, 0.3, count), 10.0 ** rng.uniform(-12, 0))
             assert (bank.s_var >= 0).all()
             assert (np.abs(bank.ps) ** 2 <= bank.p_var * bank.s_var * (1 + 1e-9)).all()
-        bank.predict(drive * (rng.random() < 0.8), rng.normal(size=count) * 1e-3,
+        bank.predict(path * (rng.random() < 0.8), rng.normal(size=count) * 1e-3,
                      10.0 ** rng.uniform(-18, 2), 10.0 ** rng.uniform(-18, 0, count))
         noise = 10.0 ** rng.uniform(-20, 4, count)
         z = rng.normal(size=count) * 10.0 ** rng.uniform(-9, 6, count)
         bank.update(z, noise, rng.random(count) < 0.7)
         if k % 3 == 0:
-            bank.tick(1e-5, np.abs(bank.c[0]) ** 2 / 2 + 1e-12, 1e3)
+            bank.tick(1e-5, np.abs(bank.velocity_phasor[0]) ** 2 / 2 + 1e-12, 1e3)
         if k % 40 == 0:
             bank.restart_position(z, noise, rng.random(count) < 0.01)
         assert np.isfinite(bank.p).all()
-        assert np.isfinite(bank.c).all()
+        assert np.isfinite(bank.velocity_phasor).all()
         # The factors of the covariance: positive means positive definite.
         assert (bank.p_var > 0).all()
-        assert (bank.c_var > 0).all()
+        assert (bank.phasor_var > 0).all()
         assert np.isfinite(bank.g).all()
     weights = bank.weights()
     np.testing.assert_allclose(weights.sum(axis=0), 1)

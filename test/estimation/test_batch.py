@@ -9,7 +9,7 @@ import pytest
 from microbot_ros.errors import InputError
 from microbot_ros.estimation import report
 from microbot_ros.estimation.batch import fit
-from microbot_ros.estimation.recipe import one_leg
+from microbot_ros.estimation.one_leg_regression import one_leg
 from microbot_ros.model.particle import Fluid, translational_diffusion
 from microbot_ros.records import Commands, Conditions, Session, Tracks
 from microbot_ros.session import read_session
@@ -40,8 +40,8 @@ def test_everything_comes_out_within_its_spread():
     for seed in range(6):
         session, gain = experiment(seed)
         result = fit(session)
-        off += list((result.swims.speed - np.abs(gain)) / result.swims.speed_std)
-        off += list(np.angle(np.exp(1j * result.swims.phi) / gain) / result.swims.phi_std)
+        off += list((result.polar.speed - np.abs(gain)) / result.polar.speed_std)
+        off += list(np.angle(np.exp(1j * result.polar.phi) / gain) / result.polar.phi_std)
         assert result.noise.diffusion == pytest.approx(
             translational_diffusion(FLUID, 4.6e-6), abs=4 * result.noise.diffusion_std)
         assert result.noise.localisation == pytest.approx(0.1e-6, rel=0.1)
@@ -54,7 +54,7 @@ def test_a_delay_is_used_only_where_the_data_demand_it():
     session, gain = experiment(1, ('command_delay', {'delay_s': 0.2}))
     late = fit(session)
     assert late.delay.value == pytest.approx(0.2, abs=4 * late.delay.std)
-    np.testing.assert_allclose(late.swims.speed, np.abs(gain), rtol=0.06)
+    np.testing.assert_allclose(late.polar.speed, np.abs(gain), rtol=0.06)
     assert fit(experiment(1)[0]).delay.value == 0.0
 
 
@@ -78,14 +78,14 @@ def test_a_jump_is_left_out_and_said():
     tracks = Tracks(session.tracks.t, session.tracks.particle, moved, session.tracks.theta,
                     session.tracks.sigma)
     result = fit(Session(tracks, session.commands, session.conditions))
-    np.testing.assert_allclose(result.swims.speed, np.abs(gain), rtol=0.08)
+    np.testing.assert_allclose(result.polar.speed, np.abs(gain), rtol=0.08)
     assert sum('too large for diffusion' in text for text in result.warnings) == 3
 
 
 def test_without_commands_there_is_noise_but_no_speed():
     session, _ = experiment(4, seconds=8.0)
     result = fit(Session(session.tracks, Commands(np.empty(0), np.empty((0, 2))), CONDITIONS))
-    assert np.isnan(result.swims.speed).all()
+    assert np.isnan(result.polar.speed).all()
     assert any('nothing was driven' in text for text in result.warnings)
     content = report.as_json(result)
     assert content['particles']['0']['v_um_s'] == {'value': None, 'std': None}
@@ -104,7 +104,7 @@ def test_the_rolling_robot():
     fast = [band for band in result.bands if band.low >= 10]
     for band in fast:
         assert abs(band.gain) * 1e6 == pytest.approx(3.0, abs=0.1)
-    assert np.degrees(result.swims.phi[0]) == pytest.approx(-14, abs=1)
+    assert np.degrees(result.polar.phi[0]) == pytest.approx(-14, abs=1)
     assert any('φ and delay cannot be told apart' in text for text in result.warnings)
     assert any('gain is not constant in frequency' in text for text in result.warnings)
     assert np.isnan(result.force).all()

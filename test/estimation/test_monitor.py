@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from microbot_ros.estimation.monitor import BOUND, SUSPICIONS, TICK, Monitor
+from microbot_ros.estimation.monitor import BOUND, DETECTORS, TICK, Monitor
 
 RATE = 20.0
 IDS = np.arange(3)
@@ -74,11 +74,11 @@ def test_every_lean_is_met_within_seconds_by_name(name):
     assert alarms
     at, said = alarms[0]
     assert at < 15
-    assert SUSPICIONS[name].sentence in said[0]
+    assert DETECTORS[name].sentence in said[0]
 
 
 def test_every_sentence_names_the_command_to_run_next():
-    for suspicion in SUSPICIONS.values():
+    for suspicion in DETECTORS.values():
         assert 'microbot ' in suspicion.sentence
 
 

@@ -249,8 +249,8 @@ def test_a_rolling_robot_is_the_same_by_topics_as_by_rows(
     # Positions cross in single precision, nothing else is lost.
     assert by_topics.tracks.position == pytest.approx(rows.tracks.position, rel=1e-7)
     ours, theirs = fit(by_topics), fit(rows)
-    assert ours.swims.speed == pytest.approx(theirs.swims.speed, rel=1e-5)
-    assert ours.swims.phi == pytest.approx(theirs.swims.phi, abs=1e-5)
+    assert ours.polar.speed == pytest.approx(theirs.polar.speed, rel=1e-5)
+    assert ours.polar.phi == pytest.approx(theirs.polar.phi, abs=1e-5)
     with open_recording(tmp_path / 'run') as recording:
         states = list(recording.messages(['/model/state']))
         last = cloud_table(recording.decode(states[-1]))

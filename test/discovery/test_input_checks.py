@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from microbot_ros.discovery.screen import screen
+from microbot_ros.discovery.input_checks import check_sessions
 from microbot_ros.errors import InputError
 
 
@@ -17,32 +17,32 @@ def moved(session, change):
 def test_too_short(film):
     session, _ = film(0, duration=2.0)
     with pytest.raises(InputError, match=r'at least 50 frames.*found 4\d.*a minute'):
-        screen([session])
+        check_sessions([session])
 
 
 def test_no_commands(film):
     session, _ = film(0, duration=5.0)
     commands = replace(session.commands, field=np.zeros_like(session.commands.field))
     with pytest.raises(InputError, match='commands with a field that is not zero'):
-        screen([replace(session, commands=commands)])
+        check_sessions([replace(session, commands=commands)])
 
 
 def test_no_motion(film):
     session, _ = film(0, duration=5.0)
     with pytest.raises(InputError, match='particles that move'):
-        screen([moved(session, lambda p: np.ones_like(p))])
+        check_sessions([moved(session, lambda p: np.ones_like(p))])
 
 
 def test_units_a_thousand_times_too_large(film):
     session, _ = film(0, duration=5.0)
     with pytest.raises(InputError, match='positions in µm'):
-        screen([moved(session, lambda p: 1e3 * p)])
+        check_sessions([moved(session, lambda p: 1e3 * p)])
 
 
 def test_units_a_million_times_too_small(film):
     session, _ = film(0, duration=5.0)
     with pytest.raises(InputError, match='which no microscope resolves: metres'):
-        screen([moved(session, lambda p: 1e-6 * p)])
+        check_sessions([moved(session, lambda p: 1e-6 * p)])
 
 
 @pytest.mark.parametrize('factor', [1000.0, 1 / 3600])
@@ -52,7 +52,7 @@ def test_times_in_another_unit(film, factor):
         session, tracks=replace(session.tracks, t=session.tracks.t * factor),
         commands=replace(session.commands, t=session.commands.t * factor))
     with pytest.raises(InputError, match='expected times in s'):
-        screen([late])
+        check_sessions([late])
 
 
 def shaken(session, particles, seed=1):
@@ -71,8 +71,8 @@ def shaken(session, particles, seed=1):
 def test_particles_that_are_stuck(film):
     session, _ = film(0, duration=10.0)
     with pytest.raises(InputError, match=r'within 0\.3 µm of where they were'):
-        screen([shaken(session, (0, 1, 2))])
-    _, remarks = screen([shaken(session, (1,))])
+        check_sessions([shaken(session, (0, 1, 2))])
+    _, remarks = check_sessions([shaken(session, (1,))])
     assert [r for r in remarks if 'stuck' in r] == [
         'film-0: stuck, since it goes nowhere: particle 1. It denies what carries the others; '
         'better left out.']
@@ -87,7 +87,7 @@ def test_particles_that_follow_no_command(film):
             rows = session.tracks.particle == n
             position[rows] = rng.normal(0, 1e-7, (rows.sum(), 2)).cumsum(axis=0) + 5e-5 * n
         return position
-    _, remarks = screen([moved(session, wander)])
+    _, remarks = check_sessions([moved(session, wander)])
     assert any('no particle follows the commands' in remark for remark in remarks)
 
 
@@ -95,9 +95,10 @@ def test_fields_in_tesla_and_commands_on_another_clock_are_remarked(film):
     session, _ = film(0, duration=10.0)
     commands = session.commands
     weak = replace(commands, field=1e-3 * commands.field)
-    _, remarks = screen([replace(session, commands=weak)])
+    _, remarks = check_sessions([replace(session, commands=weak)])
     assert any('are the commands in mT?' in remark for remark in remarks)
-    _, remarks = screen([replace(session, commands=replace(commands, t=commands.t - 1000))])
+    early = replace(commands, t=commands.t - 1000)
+    _, remarks = check_sessions([replace(session, commands=early)])
     assert any('are both on one clock?' in remark for remark in remarks)
 
 
@@ -113,18 +114,18 @@ def test_the_same_session_twice(film, change):
     session, _ = film(0, duration=6.0)
     again = replace(session, tracks=change(session.tracks))
     with pytest.raises(InputError, match='counted twice'):
-        screen([session, again])
+        check_sessions([session, again])
 
 
 def test_sessions_whose_steps_are_alike_by_chance_are_different(film):
     """A tracker that rounds to 0.1 µm."""
     rounded = [moved(film(seed, duration=6.0)[0], lambda p: np.round(p, 7)) for seed in (0, 1)]
-    assert len(screen(rounded)[0]) == 2
+    assert len(check_sessions(rounded)[0]) == 2
 
 
 def test_two_kinds_of_propulsion(film):
     with pytest.raises(InputError, match='rolling beside catalytic in film-0: look at each'):
-        screen([film(0, duration=5.0)[0], film(1, duration=5.0, rolling=True)[0]])
+        check_sessions([film(0, duration=5.0)[0], film(1, duration=5.0, rolling=True)[0]])
 
 
 @pytest.mark.parametrize('rolling', [False, True])
@@ -133,24 +134,24 @@ def test_commands_for_another_kind_of_propulsion(film, rolling):
     other = replace(
         session.conditions, propulsion='catalytic' if rolling else 'rolling')
     with pytest.raises(InputError, match='expected commands of'):
-        screen([replace(session, conditions=other)])
+        check_sessions([replace(session, conditions=other)])
 
 
 def test_different_reference_fields_are_remarked(film):
     sessions = [film(seed, duration=5.0)[0] for seed in (0, 1)]
-    assert screen(sessions)[1] == ()
+    assert check_sessions(sessions)[1] == ()
     sessions[1] = replace(
         sessions[1], conditions=replace(sessions[1].conditions, reference_field=2.5e-3))
-    remark, = screen(sessions)[1]
+    remark, = check_sessions(sessions)[1]
     assert remark.endswith('(5 mT, 2.5 mT); alignment times are those at 5 mT.')
 
 
 def test_one_particle_and_a_constant_command_are_remarked(film):
     session, _ = film(0, count=1, duration=5.0, dwell=(6.0, 7.0))
-    _, remarks = screen([session])
+    _, remarks = check_sessions([session])
     assert any('one particle' in remark for remark in remarks)
     assert any('never turned' in remark for remark in remarks)
-    _, none = screen([film(0, duration=10.0)[0]])
+    _, none = check_sessions([film(0, duration=10.0)[0]])
     assert none == ()
 
 
@@ -161,10 +162,10 @@ def test_confused_tracks_are_cut_and_told(film):
     particle = np.where(tracks.t > 5.0, 1 - tracks.particle, tracks.particle)
     order = np.lexsort((particle, tracks.t))
     swapped = replace(tracks, particle=particle[order], position=tracks.position[order])
-    (evidence,), remarks = screen([replace(session, tracks=swapped)])
-    assert evidence.jumps == 2
-    assert evidence.z.shape[1] == 4
-    assert list(evidence.owner) == [0, 0, 1, 1]
+    (prepared,), remarks = check_sessions([replace(session, tracks=swapped)])
+    assert prepared.jumps.sum() == 2
+    assert prepared.z.shape[1] == 4
+    assert list(prepared.owner) == [0, 0, 1, 1]
     assert any('2 steps are longer than any motion' in remark for remark in remarks)
     told, = (remark for remark in remarks if 'swapped' in remark)
     assert 'particles 0 and 1 exchange places at 5.05 s' in told
@@ -173,8 +174,8 @@ def test_confused_tracks_are_cut_and_told(film):
 def test_frames_before_the_first_field_are_left_out(film):
     session, _ = film(4, duration=10.0)
     late = replace(session.commands, t=session.commands.t + 3.0)
-    (evidence,), _ = screen([replace(session, commands=late)])
-    assert evidence.times[0] >= 3.0
+    (prepared,), _ = check_sessions([replace(session, commands=late)])
+    assert prepared.times[0] >= 3.0
 
 
 def test_times_of_day_are_counted_from_the_first_frame(film):
@@ -182,15 +183,15 @@ def test_times_of_day_are_counted_from_the_first_frame(film):
     today = 1.7e9
     tracks = replace(session.tracks, t=session.tracks.t + today)
     commands = replace(session.commands, t=session.commands.t + today)
-    (evidence,), _ = screen([replace(session, tracks=tracks, commands=commands)])
-    assert 0 <= evidence.times[0] < 0.1
+    (prepared,), _ = check_sessions([replace(session, tracks=tracks, commands=commands)])
+    assert 0 <= prepared.times[0] < 0.1
 
 
 def test_spheres_in_contact_are_cut(film):
     """They push each other; what is left never comes nearer than contact."""
     session, _ = film(5, count=6, duration=60.0, half_extent=40e-6)
-    (evidence,), _ = screen([session])
-    z = np.where(evidence.seen, evidence.z, np.nan)
+    (prepared,), _ = check_sessions([session])
+    z = np.where(prepared.seen, prepared.z, np.nan)
     apart = np.abs(z[:, :, None] - z[:, None, :])
     assert np.nanmin(np.where(apart > 0, apart, np.nan)) > 2 * 4.6e-6
-    assert len(evidence.ids) > 6
+    assert len(prepared.ids) > 6

@@ -11,10 +11,11 @@ from microbot_ros.records import Commands, Session
 
 @dataclass(frozen=True)
 class Leg:
-    """One particle over one leg: speed [m/s, or m/s/Hz] and φ [rad] with the regression's std.
+    """One particle over one leg, from `start` to `end` [s]: the regression's result.
 
-    NaN where no leg of constant command holds three sightings. The standard deviations are the
-    ordinary ones of least squares, which take positions for independent: they are too small.
+    `speed` ± `speed_std` [m/s, or m/s/Hz] and `phi` ± `phi_std` [rad]. NaN where no leg of
+    constant command holds three sightings. The standard deviations are the ordinary ones of least
+    squares, which take positions for independent: they are too small.
     """
 
     speed: float
@@ -29,7 +30,7 @@ _NONE = Leg(*[np.nan] * 6)
 
 
 def one_leg(session: Session) -> list[Leg]:
-    """The recipe for every particle, over the longest stretch in which the command stays."""
+    """The recipe for every particle of a `session`, over the longest stretch of one command."""
     times, positions = session.tracks.grid()
     z = positions[..., 0] + 1j * positions[..., 1]
     rolling = session.conditions.propulsion == 'rolling'

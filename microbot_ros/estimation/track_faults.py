@@ -22,8 +22,8 @@ AHEAD, ANOTHER_CLOCK = 5.0, 86400.0
 
 
 @dataclass
-class Suspects:
-    """Asked about once a second; answers sentences that name the culprit."""
+class TrackFaults:
+    """Finds, asked about once a second, which track or clock cannot be right."""
 
     _past: list[State] = field(default_factory=list)
     _close: set[tuple[int, int]] = field(default_factory=set)
@@ -32,15 +32,20 @@ class Suspects:
         """Forget the past, as when something shared has been corrected."""
         self._past.clear()
 
-    def ask(self, now: State, last_command: float, moving: bool) -> list[str]:
-        """What is wrong at this moment; `moving`: the command has driven particles for a while."""
+    def find(self, now: State, last_command: float, moving: bool) -> list[str]:
+        """Sentences on what is wrong with the filter's state `now`.
+
+        `last_command` [s]: the time of the newest one, −inf for none; `moving`: whether the
+        command drives particles.
+        """
         told = _clock(now.t, last_command)
         told += self._changes(now)
         told += self._duplicates(now)
         if moving:
             told += [
                 f'particle {name} does not follow the field: stuck, or not a swimmer?'
-                for name, c, std in zip(now.ids, now.c, np.sqrt(now.c_var), strict=True)
+                for name, c, std in zip(
+                    now.ids, now.velocity_phasor, np.sqrt(now.phasor_var), strict=True)
                 if std < IMMOBILE and abs(c) < max(3 * std, IMMOBILE / 3)
             ]
         return told
@@ -49,14 +54,14 @@ class Suspects:
         self._past = [past for past in self._past if now.t - past.t <= COMPARED + 0.5] + [now]
         then = self._past[0]
         common, here, there = np.intersect1d(now.ids, then.ids, return_indices=True)
-        spread = now.c_var[here] + then.c_var[there]
-        moved = np.abs(now.c[here] - then.c[there]) ** 2 / spread > SURE
+        spread = now.phasor_var[here] + then.phasor_var[there]
+        after, before = now.velocity_phasor[here], then.velocity_phasor[there]
+        moved = np.abs(after - before) ** 2 / spread > SURE
         return [
             f'particle {name} swims differently than {now.t - then.t:.0f} s ago: '
             f'{abs(old) * 1e6:.2f} → {abs(new) * 1e6:.2f} µm/s, '
             f'turned by {np.degrees(np.angle(new / old)):+.0f}°'
-            for name, old, new in zip(
-                common[moved], then.c[there][moved], now.c[here][moved], strict=True)
+            for name, old, new in zip(common[moved], before[moved], after[moved], strict=True)
         ]
 
     def _duplicates(self, now: State) -> list[str]:

@@ -1,8 +1,8 @@
-"""Where something pushes: a coarse look at hundreds of places, before a few are fitted.
+"""Where a search may begin: coarse looks at white residuals, before a few places are fitted.
 
-White residuals are summed over blocks of time in which a particle hardly moves. A slow field
-passes the whitening filter as a constant times itself, so that the score against it needs no
-filter: (Σ R·v)² / Σ n|v|².
+What swings shows in a periodogram. For what pushes at a place, residuals are summed over blocks
+of time in which a particle hardly moves: a slow field passes the whitening filter as a constant
+times itself, so that the score against it needs no filter: (Σ R·v)² / Σ n|v|².
 """
 
 from __future__ import annotations
@@ -12,14 +12,38 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from microbot_ros.discovery.likelihood import Fit, Part
+from microbot_ros.estimation.likelihood import SessionFit
+from microbot_ros.estimation.model_fit import ModelFit
 from microbot_ros.model.effects.hot_spot import HotSpot
+
+PADDING = 4
+"""Frequencies looked at for every independent one."""
 
 BLOCK = 1.0
 """Seconds over which residuals are summed."""
 
 APART = 1.0
 """Widths by which two places differ."""
+
+
+def rotating_components(
+    times: np.ndarray, signal: np.ndarray, fastest: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Frequencies (F,) [Hz] and the components (F,) of a `signal` that rotate either way.
+
+    Σ s e^{∓iωt} of a complex `signal` (T,) at `times` (T,) [s], forwards and backwards, from one
+    period a recording to `fastest` [Hz]. Frames are put on an even grid of the usual interval,
+    half of which no period comes near.
+    """
+    h = float(np.median(np.diff(times)))
+    slot = np.rint((times - times[0]) / h).astype(int)
+    even = np.zeros(PADDING * (slot[-1] + 1), complex)
+    np.add.at(even, slot, signal)
+    forward = np.fft.fft(even)
+    frequency = np.fft.fftfreq(len(even), h)
+    use = np.flatnonzero((frequency >= 1 / (slot[-1] * h)) & (frequency <= fastest))
+    turned = np.exp(2j * np.pi * frequency[use] * times[0])
+    return frequency[use], forward[use] * turned.conj(), forward[-use] * turned
 
 
 @dataclass(frozen=True)
@@ -31,19 +55,19 @@ class _Blocks:
     place: np.ndarray
 
     @classmethod
-    def of(cls, p: Part) -> _Blocks:
-        times = p.evidence.times
+    def of(cls, p: SessionFit) -> _Blocks:
+        times = p.session.times
         first = np.unique(((times - times[0]) / BLOCK).astype(int), return_index=True)[1]
         middle = (first + np.append(first[1:], len(times))) // 2
-        x = p.evidence.places[middle]
+        x = p.session.causal_positions[middle]
         return cls(np.add.reduceat(p.residual, first, axis=0),
                    np.add.reduceat(p.residual != 0, first, axis=0), x[..., 0] + 1j * x[..., 1])
 
 
-def likely_spots(fit: Fit, grid: Iterable[HotSpot], count: int) -> list[HotSpot]:
-    """The best of a grid of spots, no two at one place, best first."""
+def likely_spots(fit: ModelFit, grid: Iterable[HotSpot], count: int) -> list[HotSpot]:
+    """The best `count` of a `grid` of spots beside a `fit`, no two at one place, best first."""
     spots = list(grid)
-    blocks = [_Blocks.of(p) for p in fit.parts]
+    blocks = [_Blocks.of(p) for p in fit.session_fits]
     slope, information = np.array([_score(blocks, spot) for spot in spots]).T
     # Where hardly anybody came by, nothing can be seen.
     power = slope**2 / (information + 1e-3 * information.max())

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from microbot_ros.discovery.chance import peak_tail, tail
-from microbot_ros.discovery.covariates import Group, Surroundings
-from microbot_ros.discovery.likelihood import Fit, Part, eliminate, inner
-from microbot_ros.discovery.periodogram import turning_parts
+from microbot_ros.discovery.covariates import Covariates, Group
 from microbot_ros.discovery.result import ResidualMap
+from microbot_ros.discovery.starting_points import rotating_components
+from microbot_ros.discovery.tail_probabilities import chi_square_tail, peak_tail_probability
+from microbot_ros.estimation.likelihood import SessionFit, eliminate, inner
+from microbot_ros.estimation.model_fit import ModelFit
 
 RANK = 1e-6
 """Eigenvalue, relative to 1 for a column of its own, below which a direction is fitted already."""
@@ -23,15 +24,15 @@ DIRECTED = 0.02
 """Part of its largest speed below which a particle has no direction to draw along."""
 
 
-def residual_maps(fit: Fit) -> tuple[ResidualMap, ...]:
+def residual_maps(fit: ModelFit) -> tuple[ResidualMap, ...]:
     """All maps of a fit, Holm-adjusted together."""
-    surroundings = [Surroundings(p) for p in fit.parts]
+    covariates = [Covariates(p) for p in fit.session_fits]
     by_name: dict[str, list[tuple[int, Group]]] = {}
-    for k, around in enumerate(surroundings):
-        for group in around.groups():
+    for k, context in enumerate(covariates):
+        for group in context.groups():
             by_name.setdefault(group.against, []).append((k, group))
     raw = [_tested(fit, groups) for groups in by_name.values()]
-    raw += [_rhythm(fit), _rhythm(fit, surroundings), _single_steps(fit)]
+    raw += [_rhythm(fit), _rhythm(fit, covariates), _single_steps(fit)]
     adjusted = _holm([m.p_value for m in raw])
     return tuple(
         ResidualMap(m.against, m.label, m.statistic, m.dof, p, m.middles, m.curves)
@@ -48,25 +49,25 @@ def _holm(p_values: list[float]) -> list[float]:
     return [float(p) for p in result]
 
 
-def _tested(fit: Fit, groups: list[tuple[int, Group]]) -> ResidualMap:
+def _tested(fit: ModelFit, groups: list[tuple[int, Group]]) -> ResidualMap:
     """The test of one covariate over the sessions that have it, each with its own coefficients."""
     statistic, dof = 0.0, 0
     for k, group in groups:
-        value, rank = _score(fit.parts[k], fit.jacobian[k], group.fields)
+        value, rank = _score(fit.session_fits[k], fit.jacobian[k], group.fields)
         statistic, dof = statistic + value, dof + rank
     group = groups[0][1]
-    middles, curves = _curves(fit.parts[groups[0][0]], group)
-    p_value = tail(statistic, dof) if dof else 1.0
+    middles, curves = _curves(fit.session_fits[groups[0][0]], group)
+    p_value = chi_square_tail(statistic, dof) if dof else 1.0
     return ResidualMap(group.against, group.label, statistic, dof, p_value, middles, curves)
 
 
-def _score(p: Part, jacobian: np.ndarray, fields: np.ndarray) -> tuple[float, int]:
+def _score(p: SessionFit, jacobian: np.ndarray, fields: np.ndarray) -> tuple[float, int]:
     """T and its degrees of freedom for velocity fields (T−1, N, M)."""
-    moved = np.nan_to_num(fields) * np.diff(p.evidence.times)[:, None, None]
-    levels = np.concatenate([np.zeros((1, *moved.shape[1:]), complex), moved.cumsum(axis=0)])
-    white = p.whiten(levels)
-    columns = np.concatenate([p.white / np.sqrt(p.diffusion), jacobian, white], axis=-1)
-    gram = inner(columns, p.evidence)
+    moved = np.nan_to_num(fields) * np.diff(p.session.times)[:, None, None]
+    columns = np.concatenate([np.zeros((1, *moved.shape[1:]), complex), moved.cumsum(axis=0)])
+    white = p.whiten(columns)
+    together = np.concatenate([p.white / np.sqrt(p.diffusion), jacobian, white], axis=-1)
+    gram = inner(together, p.session)
     total = eliminate(gram).sum(axis=0)
     raw = np.diagonal(gram, axis1=1, axis2=2)[:, 3:].sum(axis=0)
     count = jacobian.shape[-1]
@@ -83,49 +84,50 @@ def _score(p: Part, jacobian: np.ndarray, fields: np.ndarray) -> tuple[float, in
     return float((found**2 / values[kept]).sum()), int(kept.sum())
 
 
-def _rhythm(fit: Fit, surroundings: list[Surroundings] | None = None) -> ResidualMap:
+def _rhythm(fit: ModelFit, covariates: list[Covariates] | None = None) -> ResidualMap:
     """The largest peak of a periodogram: of all particles in the laboratory, or in their frame.
 
     Of the longest session. In the laboratory both axes count together (χ² of 4); along the
     heading and across it count apart, since speed and angle may swing (χ² of 2 each).
     """
-    k = int(np.argmax([np.ptp(p.evidence.times) for p in fit.parts]))
-    p = fit.parts[k]
-    fastest = 0.4 / p.evidence.interval
-    if surroundings is None:
-        frequency, *turned = turning_parts(p.evidence.times, p.residual.sum(axis=1), fastest)
+    k = int(np.argmax([np.ptp(p.session.times) for p in fit.session_fits]))
+    p = fit.session_fits[k]
+    fastest = 0.4 / p.session.interval
+    if covariates is None:
+        frequency, *turned = rotating_components(p.session.times, p.residual.sum(axis=1), fastest)
         power = (np.abs(np.array(turned)) ** 2).sum(axis=0) / p.count
         name, dof, signals = 'rhythm', 4, 1
     else:
         direction = np.zeros_like(p.residual)
-        direction[1:] = surroundings[k].body * np.abs(p.swim)
-        weight = max(float((np.abs(direction) ** 2 * p.evidence.seen).sum()), 1e-300)
+        direction[1:] = covariates[k].body * np.abs(p.velocity_phasor)
+        weight = max(float((np.abs(direction) ** 2 * p.session.seen).sum()), 1e-300)
         own = (p.residual * direction.conj()).sum(axis=1)
-        parts = [turning_parts(p.evidence.times, axis, fastest) for axis in (own.real, own.imag)]
-        frequency = parts[0][0]
-        power = np.max([2 * np.abs(ahead) ** 2 / weight for _, ahead, _ in parts], axis=0)
+        axes = [rotating_components(p.session.times, axis, fastest)
+                for axis in (own.real, own.imag)]
+        frequency = axes[0][0]
+        power = np.max([2 * np.abs(ahead) ** 2 / weight for _, ahead, _ in axes], axis=0)
         name, dof, signals = 'rhythm, along the heading', 2, 2
     best = float(power.max())
-    p_value = peak_tail(best, dof, signals * fastest * float(np.ptp(p.evidence.times)))
+    p_value = peak_tail_probability(best, dof, signals * fastest * float(np.ptp(p.session.times)))
     return ResidualMap(name, 'frequency [Hz]', best, dof, p_value, frequency, {
         'power': (power, np.zeros(len(frequency)))})
 
 
-def _single_steps(fit: Fit) -> ResidualMap:
+def _single_steps(fit: ModelFit) -> ResidualMap:
     """The largest step of one particle, and of all of them at once; jumps that were cut out."""
     worst, trials = 0.0, 0
-    for p in fit.parts:
+    for p in fit.session_fits:
         number = np.maximum((p.residual != 0).sum(axis=1, keepdims=True), 1)
         for white in (p.residual, p.residual.sum(axis=1, keepdims=True) / np.sqrt(number)):
             for residual in (white, _lasting(p, white)):
                 worst = max(worst, float((np.abs(residual) ** 2).max()))
             trials += 2 * int((white != 0).sum())
-    jumps = sum(p.evidence.jumps for p in fit.parts)
+    jumps = sum(int(p.session.jumps.sum()) for p in fit.session_fits)
     p_value = 0.0 if jumps else float(min(1.0, trials * np.exp(-worst / 2)))
     return ResidualMap('single steps', 'time [s]', worst, 2, p_value, np.empty(0), {})
 
 
-def _lasting(p: Part, white: np.ndarray) -> np.ndarray:
+def _lasting(p: SessionFit, white: np.ndarray) -> np.ndarray:
     """White residuals (T, N) matched to a step that lasts, where places are known badly.
 
     The local-level filter comes after a step by a part K, its steady gain, at every frame: what
@@ -133,18 +135,20 @@ def _lasting(p: Part, white: np.ndarray) -> np.ndarray:
     """
     from scipy.signal import lfilter
 
-    if p.whitening.excess <= 0:
+    if p.whitening.noise_ratio <= 0:
         return white
-    ratio = 2 * p.evidence.interval / p.whitening.excess
+    ratio = 2 * p.session.interval / p.whitening.noise_ratio
     kept = 1 - (np.sqrt(ratio**2 + 4 * ratio) - ratio) / 2
     matched: np.ndarray = lfilter([np.sqrt(1 - kept**2)], [1, -kept], white[::-1], axis=0)
     return matched[::-1]
 
 
-def _curves(p: Part, group: Group) -> tuple[np.ndarray, dict[str, tuple[np.ndarray, np.ndarray]]]:
+def _curves(
+    p: SessionFit, group: Group,
+) -> tuple[np.ndarray, dict[str, tuple[np.ndarray, np.ndarray]]]:
     """Mean residual velocity along and across the frame, in bins of the covariate."""
-    e = p.evidence
-    left = np.diff(e.z - p.levels.moved(p.swim), axis=0)
+    e = p.session
+    left = np.diff(e.z - p.expected.at(p.velocity_phasor), axis=0)
     length = np.abs(group.frame)
     use = e.seen[1:] & e.seen[:-1] & np.isfinite(group.value) & (length > DIRECTED)
     turned = left * np.conj(group.frame) / np.maximum(length, DIRECTED) / np.diff(e.times)[:, None]

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from microbot_ros.discovery.ladder import Ladder
-from microbot_ros.discovery.maps import _holm, residual_maps
-from microbot_ros.discovery.screen import screen
-from microbot_ros.virtual_rig.record_session import Camera
+from microbot_ros.discovery.input_checks import check_sessions
+from microbot_ros.discovery.score_tests import _holm, residual_maps
+from microbot_ros.discovery.stepwise_selection import StepwiseSelection
+from microbot_ros.virtual_rig.experiment import Camera
 
 
 def maps_of(session):
-    evidences, _ = screen([session])
-    return {m.against: m for m in residual_maps(Ladder(evidences).fit)}
+    sessions, _ = check_sessions([session])
+    return {m.against: m for m in residual_maps(StepwiseSelection(sessions).current)}
 
 
 def test_holm_is_that_of_the_textbook():

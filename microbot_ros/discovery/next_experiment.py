@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from microbot_ros.discovery.evidence import Evidence
-from microbot_ros.discovery.likelihood import Fit, Whitening, evaluate, maximise
 from microbot_ros.discovery.result import NextExperiment
+from microbot_ros.estimation.likelihood import Whitening
+from microbot_ros.estimation.model_fit import ModelFit, evaluate, maximise
+from microbot_ros.estimation.prepared_session import PreparedSession
 from microbot_ros.model.first_order import simulate
 from microbot_ros.model.increments import as_vectors
 from microbot_ros.model.model import Model, ParticleParameters
@@ -50,7 +51,7 @@ _MENU = (
 )
 
 
-def next_experiment(fit: Fit, rivals: Sequence[Model]) -> NextExperiment | None:
+def next_experiment(fit: ModelFit, rivals: Sequence[Model]) -> NextExperiment | None:
     """The command of the menu that best tells a fit from all its rivals, and for how long.
 
     Each plan is tried out on the particles of the last session under the fitted model; its worth
@@ -75,21 +76,21 @@ def _rounded(minutes: float) -> str:
     return f'{max(round(minutes), 1)} min' if minutes > 1 else 'a minute'
 
 
-def _trial(fit: Fit, plan: _Plan) -> Evidence:
+def _trial(fit: ModelFit, plan: _Plan) -> PreparedSession:
     """What the fitted model expects of the last session's particles under a plan."""
-    last = fit.parts[-1]
-    e = last.evidence
+    last = fit.session_fits[-1]
+    e = last.session
     commands = _commands(plan, e.commands)
     tracks = e.first_track
-    particles = ParticleParameters.from_velocity_phasor(e.ids[tracks], last.swim[tracks])
-    first = np.isfinite(e.places[:, tracks, 0]).argmax(axis=0)
-    start = fit.model.true_position(e.places[first, tracks])
+    particles = ParticleParameters.from_velocity(e.ids[tracks], last.velocity_phasor[tracks])
+    first = np.isfinite(e.causal_positions[:, tracks, 0]).argmax(axis=0)
+    start = fit.model.true_position(e.causal_positions[first, tracks])
     times = np.arange(0.0, TRIAL, max(e.interval, 1 / 30))
     places = fit.model.observe(simulate(fit.model, particles, commands, times, start))
     z = places[..., 0] + 1j * places[..., 1]
     return replace(
         e, ids=e.ids[tracks], times=times, z=z, seen=np.ones(z.shape, bool),
-        places=as_vectors(z), commands=commands)
+        causal_positions=as_vectors(z), commands=commands)
 
 
 def _commands(plan: _Plan, used: Commands) -> Commands:
@@ -109,9 +110,9 @@ def _commands(plan: _Plan, used: Commands) -> Commands:
     return Commands(t, as_vectors(field), frequency)
 
 
-def _separation(fit: Fit, trial: Evidence, rival: Model) -> float:
+def _separation(fit: ModelFit, trial: PreparedSession, rival: Model) -> float:
     """½‖W(μ − μ')‖² of the fitted model and a rival fitted to what it expects."""
-    noise = fit.parts[-1]
-    start = evaluate(rival, [trial], [Whitening(noise.whitening.excess)])
+    noise = fit.session_fits[-1]
+    start = evaluate(rival, [trial], [Whitening(noise.whitening.noise_ratio)])
     best = maximise(start, 8)
-    return best.parts[0].squares / noise.diffusion / 2
+    return best.session_fits[0].residual_sum_of_squares / noise.diffusion / 2

@@ -1,0 +1,220 @@
+"""What is wrong with sessions before anything is fitted, and what would be enough."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from microbot_ros.errors import InputError
+from microbot_ros.estimation.prepared_session import JUMP, PreparedSession, first_field, prepare
+from microbot_ros.model.increments import respond
+from microbot_ros.model.model import Model
+from microbot_ros.records import Session
+
+FEWEST_FRAMES = 50
+FASTEST = 1e-3
+"""Speed [m/s] beyond which positions can't be in micrometres: 200 radii of these spheres."""
+
+FINEST = 5e-10
+"""Steps [m] that no microscope resolves."""
+
+SLOWEST_FRAMES, FASTEST_FRAMES = 10.0, 1e-4
+"""Intervals between frames [s] beyond which times can't be in seconds."""
+
+ALIKE = 20
+"""Steps in a row that two recordings can't share by chance."""
+
+STUCK = 1.5
+"""Steps over a quarter of the time are this much longer than single ones if anything moves."""
+
+FAINT = 2e-5
+"""Fields [T] below the Earth's."""
+
+SURE = 4.0
+"""Standard deviations from which a particle is said to follow the commands."""
+
+
+def check_sessions(sessions: Sequence[Session],
+                   ) -> tuple[list[PreparedSession], tuple[str, ...]]:
+    """The `sessions` prepared as every fit takes them, with remarks on what they can't tell.
+
+    Raises InputError, with what would be enough, where nothing can be learnt.
+    """
+    if not sessions:
+        raise InputError('', 'expected at least one session')
+    _one_kind(sessions)
+    whole = [_usable(session) for session in sessions]
+    _all_different(whole)
+    prepared = [prepare(session) for session in sessions]
+    remarks = [remark for e, split in zip(whole, prepared, strict=True)
+               for remark in _remarks_on(e, int(split.jumps.sum()))]
+    remarks += _references(sessions)
+    return prepared, tuple(dict.fromkeys(remarks))
+
+
+def _one_kind(sessions: Sequence[Session]) -> None:
+    """Each commanded as its particles need, and all particles driven alike."""
+    for session in sessions:
+        kind = session.conditions.propulsion
+        if kind == 'rolling' and session.commands.frequency is None and session.commands.t.size:
+            raise InputError(session.name, 'propulsion is rolling: expected commands of '
+                             'direction_rad,frequency_hz, found bx_mT,by_mT')
+        if kind == 'catalytic' and session.commands.frequency is not None:
+            raise InputError(session.name, 'propulsion is catalytic: expected commands of '
+                             'bx_mT,by_mT, found direction_rad,frequency_hz of rolling particles')
+        if kind != sessions[0].conditions.propulsion:
+            raise InputError(session.name, 'expected sessions of one kind of propulsion, found '
+                             f'{kind} beside {sessions[0].conditions.propulsion} in '
+                             f'{sessions[0].name}: look at each kind by itself')
+
+
+def _usable(session: Session) -> PreparedSession:
+    name = session.name or 'session'
+    if not np.isfinite(first_field(session.commands)):
+        raise InputError(name, 'expected commands with a field that is not zero; found none, and '
+                         'without them only drift and diffusion could be learnt')
+    whole = PreparedSession.of(session)
+    frames = int((whole.seen.sum(axis=1) > 0).sum())
+    if frames < FEWEST_FRAMES:
+        raise InputError(name, f'expected at least {FEWEST_FRAMES} frames while a field is '
+                         f'commanded, found {frames}; a minute at 30 frames/s is enough')
+    _plausible(name, whole)
+    return whole
+
+
+def _plausible(name: str, e: PreparedSession) -> None:
+    """Units and motion."""
+    if not FASTEST_FRAMES <= e.interval <= SLOWEST_FRAMES:
+        raise InputError(name, f'expected times in s, found frames every {e.interval:.3g} s: '
+                         'milliseconds, frame numbers or hours?')
+    steps = np.abs(np.diff(e.z, axis=0))[e.seen[1:] & e.seen[:-1]]
+    if not steps.size:
+        raise InputError(name, 'expected particles seen in consecutive frames, found none')
+    speed = float(np.median(steps)) / e.interval
+    if speed > FASTEST:
+        raise InputError(name, f'expected positions in µm, found steps of {speed * 1e3:.3g} mm/s: '
+                         'pixels or nanometres?')
+    if not steps.any():
+        raise InputError(name, 'expected particles that move, found the same positions in all '
+                         'frames')
+    usual = float(np.quantile(steps, 0.9))
+    if usual < FINEST:
+        raise InputError(name, f'expected positions in µm, found steps of {usual * 1e9:.2g} nm, '
+                         'which no microscope resolves: metres or millimetres?')
+    if _stays(e).all():
+        raise InputError(name, 'expected particles that move, found all within '
+                         f'{usual * 1e6:.2g} µm of where they were: nothing but the error of '
+                         'reading. Are they stuck? One that moves is enough')
+
+
+def _all_different(sessions: list[PreparedSession]) -> None:
+    known = [_runs(e) for e in sessions] if len(sessions) > 1 else []
+    for k, runs in enumerate(known):
+        for other in range(k):
+            if len(runs & known[other]) > 0.2 * min(len(runs), len(known[other])) > 0:
+                raise InputError(
+                    sessions[k].name or 'session', 'expected different sessions, found the '
+                    f'tracks of {sessions[other].name or "another"} again: the evidence would be '
+                    'counted twice')
+
+
+def _runs(e: PreparedSession) -> set[int]:
+    """Hashes of stretches of steps, wherever they lie and whenever they were made."""
+    steps = np.rint(np.diff(e.z, axis=0) * 1e13)
+    steps[~(e.seen[1:] & e.seen[:-1])] = np.nan
+    return {
+        hash(run.tobytes()) for track in np.ascontiguousarray(steps.T)
+        for run in np.lib.stride_tricks.sliding_window_view(track, min(ALIKE, len(track)))
+        if np.isfinite(run).all()}
+
+
+def _references(sessions: Sequence[Session]) -> list[str]:
+    """Alignment times are stated at one field."""
+    stated = [s.conditions.reference_field for s in sessions if s.conditions.reference_field]
+    if len(set(stated)) < 2:
+        return []
+    return ['The sessions state different reference fields ('
+            + ', '.join(f'{b * 1e3:g} mT' for b in dict.fromkeys(stated))
+            + f'); alignment times are those at {stated[0] * 1e3:g} mT.']
+
+
+def _remarks_on(e: PreparedSession, jumps: int) -> Iterator[str]:
+    """Remarks on a session `e` of whole tracks, `jumps` of whose steps are beyond any motion."""
+    commands = e.commands
+    field = commands.field[commands.index_at(e.times)]
+    if np.abs(np.exp(1j * np.arctan2(field[:, 1], field[:, 0])).mean()) > 1 - 1e-6:
+        clock = ('' if (commands.t > e.times[0]).any() else
+                 ' (No command changes between the first and the last frame: are both on one '
+                 'clock?)')
+        yield (f'{e.name}: the command never turned. v and φ absorb drift, background field, '
+               f'coils and camera; record steps in all directions.{clock}')
+    strongest = float(np.hypot(*field.T).max())
+    if commands.frequency is None and strongest < FAINT:
+        yield (f'{e.name}: no field exceeds {strongest * 1e3:.2g} mT, less than the Earth’s: are '
+               'the commands in mT?')
+    if jumps:
+        yield (f'{e.name}: {jumps} step{" is" if jumps == 1 else "s are"} longer than any '
+               'motion; tracks were cut there. Did the stage move, were particles confused?')
+    yield from _swaps(e)
+    if len(np.unique(e.ids)) == 1:
+        yield (f'{e.name}: one particle. What acts between particles can’t be seen, and what acts '
+               'on all can’t be told from what acts on one; record three or more.')
+    yield from _idle(e)
+
+
+def _swaps(e: PreparedSession) -> Iterator[str]:
+    """Pairs of which each jumps to where the other was."""
+    z = np.where(e.seen, e.z, np.nan)
+    steps = np.abs(np.diff(z, axis=0))
+    usual = float(np.nanquantile(steps, 0.99))
+    for k, i in zip(*np.nonzero(np.nan_to_num(steps) > JUMP * usual), strict=True):
+        crossed = (np.abs(z[k + 1, i] - z[k]) <= usual) & (np.abs(z[k + 1] - z[k, i]) <= usual)
+        for j in crossed.nonzero()[0]:
+            if i < j:
+                yield (f'{e.name}: particles {e.ids[i]} and {e.ids[j]} exchange places at '
+                       f'{e.times[k + 1]:.2f} s: their tracks are swapped. Exchange their names '
+                       'from there on, or leave out what follows.')
+
+
+def _idle(e: PreparedSession) -> Iterator[str]:
+    """Particles that stay where they are, or that no command moves."""
+    stuck = e.ids[_stays(e)]
+    if stuck.size:
+        names = ', '.join(map(str, stuck))
+        yield (f'{e.name}: stuck, since it goes nowhere: particle {names}. It denies what carries '
+               'the others; better left out.')
+    if not _follows(e).any():
+        yield (f'{e.name}: no particle follows the commands. What acts on their swimming can’t be '
+               'seen. Were the coils on, is there fuel, are commands and tracks on one clock?')
+
+
+def _stays(e: PreparedSession) -> np.ndarray:
+    """Tracks (N,) bool of `e` that go no further in a quarter of the time than between frames.
+
+    A particle that feedback holds in place does the same, but follows the commands.
+    """
+    z = np.where(e.seen, e.z, np.nan)
+    quarter = len(z) // 4
+    with np.errstate(invalid='ignore'):
+        far, near = (
+            np.array([np.median(x[np.isfinite(x)]) if np.isfinite(x).any() else np.nan
+                      for x in np.abs(z[lag:] - z[:-lag]).T])
+            for lag in (quarter, 1))
+        still = far <= STUCK * near
+    result: np.ndarray = still & ~_follows(e)
+    return result
+
+
+def _follows(e: PreparedSession) -> np.ndarray:
+    """Tracks (N,) bool with a speed, by regression on the first-order model, beyond doubt."""
+    model = Model.baseline(e.conditions, e.commands)
+    swum = respond(model, e.timeline).propulsion
+    use = e.seen[1:] & e.seen[:-1]
+    moved, swum = np.where(use, np.diff(e.z, axis=0), 0), np.where(use, swum, 0)
+    power = np.maximum((np.abs(swum) ** 2).sum(axis=0), 1e-300)
+    speed = (np.conj(swum) * moved).sum(axis=0) / power
+    left = np.abs(np.where(use, moved - speed * swum, 0)) ** 2
+    variance = left.sum(axis=0) / np.maximum(2 * use.sum(axis=0) - 2, 1) / power
+    result: np.ndarray = np.abs(speed) ** 2 > SURE**2 * variance
+    return result

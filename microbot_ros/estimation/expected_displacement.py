@@ -1,0 +1,55 @@
+"""What a model expects of every frame, as displacements accumulated since the first."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from microbot_ros.model.increments import respond
+from microbot_ros.model.model import Model
+from microbot_ros.model.timeline import Timeline
+
+
+@dataclass(frozen=True)
+class ExpectedDisplacement:
+    """Complex displacements [m] since the first frame, before v e^{iφ} is known.
+
+    A particle with v e^{iφ} = a + ib is at `offset` [m] + a·`along` + b·`across`, each
+    (T, 1 or N); `along` and `across` [s], for rollers [s·Hz]. `isotropic`: across is i·along, as
+    it is where pixels are square.
+    """
+
+    offset: np.ndarray
+    along: np.ndarray
+    across: np.ndarray
+    isotropic: bool
+
+    @classmethod
+    def of(cls, model: Model, timeline: Timeline) -> ExpectedDisplacement:
+        """Of a `model` at the frames of a `timeline`; a particle not in view does not move."""
+        response = respond(model, timeline)
+        if not any(effect.stage == 'observation' for effect in model.effects):
+            along = _accumulate(response.propulsion)
+            return cls(_accumulate(_complex(response.drift)), along, 1j * along, True)
+        columns = response.columns()
+        along, across = (_accumulate(_complex(columns[..., k])) for k in (0, 1))
+        return cls(_accumulate(_complex(response.offset())), along, across, False)
+
+    def at(self, velocity_phasor: np.ndarray) -> np.ndarray:
+        """Displacements (T, N) [m] of particles with `velocity_phasor` v e^{iφ} (N,)."""
+        moved: np.ndarray = (
+            self.offset + self.along * velocity_phasor.real + self.across * velocity_phasor.imag)
+        return moved
+
+
+def _complex(vectors: np.ndarray) -> np.ndarray:
+    return vectors[..., 0] + 1j * vectors[..., 1]
+
+
+def _accumulate(steps: np.ndarray) -> np.ndarray:
+    """Sums (T, N) of steps (T−1, N); a particle that is not in view makes none."""
+    sums = np.zeros((len(steps) + 1, steps.shape[1]), complex)
+    known = steps if np.isfinite(steps).all() else np.nan_to_num(steps)
+    np.cumsum(known, axis=0, out=sums[1:])
+    return sums

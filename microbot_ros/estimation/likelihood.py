@@ -1,0 +1,262 @@
+"""The likelihood of a model on sessions, and its maximum: the one that all fits rest on.
+
+Positions are a random walk (D) read with an error (σ): the n coordinates of all increments are
+Gaussian with covariance D·V, where V depends on σ²/D alone (see `noise`). A model is linear in
+v e^{iφ} of every particle, columns X, so these and D follow in closed form and only σ²/D and the
+parameters of effects are searched (variable projection: Golub and Pereyra 1973; the Jacobian is
+Kaufman's, 1975).
+
+Effects are compared by the profile likelihood with D corrected for degrees of freedom: with p
+numbers v cos φ, v sin φ and f = n − p,
+
+    ℓ = −(f/2) (log 2πD + 1) − ½ log|V|,    D = RSS/f.
+
+σ²/D, for which X stays, is where the restricted likelihood is largest (REML: Patterson and
+Thompson 1971; Harville 1974),
+
+    ℓ_R = ℓ − ½ log|XᵀV⁻¹X|.
+
+On many short tracks ℓ alone makes D 1.1 to 2.2 times as large as it is. Effects can't be compared
+by ℓ_R, since that term depends on the scale of X: an effect that shrinks X would gain by it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from microbot_ros.estimation.expected_displacement import ExpectedDisplacement
+from microbot_ros.estimation.noise import Noise
+from microbot_ros.estimation.phasor import Polar, polar
+from microbot_ros.estimation.prepared_session import PreparedSession
+
+SMALLEST, LARGEST = 0.05, 1e5
+"""Bounds of (σ²/D + h/3)/h in the search; beyond them one of the two can't be seen at all."""
+
+_GOLDEN, _BRACKET = (math.sqrt(5) - 1) / 2, 0.1
+"""Of the search: the golden section, and the width from which a parabola does the rest."""
+
+
+@dataclass(frozen=True)
+class Whitening:
+    """The covariance V of a session's positions up to a factor D, as the filter that undoes it.
+
+    `noise_ratio` [s] is σ²/D less a third of the exposure, so that it may be negative. Where
+    headings keep what noise did to them from frame to frame, `diffusion_ratio` is D_r/D
+    [rad²/m²], with `sensitivity` and `retention` (T−1, N) of `kernels.whiten_with_heading`.
+    """
+
+    noise_ratio: float
+    diffusion_ratio: float = 0.0
+    sensitivity: np.ndarray | None = None
+    retention: np.ndarray | None = None
+
+    def apply(self, session: PreparedSession,
+              columns: np.ndarray) -> tuple[np.ndarray, float, int]:
+        """White `columns` (T, N, M) of a `session`, ½ log|V| over both axes, rows used."""
+        from microbot_ros.estimation.kernels import whiten_columns, whiten_with_heading
+
+        if self.sensitivity is None:
+            return whiten_columns(session.times, session.seen, columns, self.noise_ratio)
+        return whiten_with_heading(
+            session.times, session.seen, columns, self.noise_ratio, self.diffusion_ratio,
+            self.sensitivity, self.retention)
+
+
+@dataclass(frozen=True)
+class SessionFit:
+    """One session under a model of given effects and noise ratio: all that follows in closed form.
+
+    `session` and `whitening` as given, `expected` by the model. `white` (T, N, 3): the data less
+    the offset, and the columns along and across, of unit variance but for D; `gram` (P, 3, 3):
+    their real inner products for each particle, since pieces of one track share v and φ;
+    `log_det` = ½ log|V|; `count` of the increments used, two numbers each.
+    """
+
+    session: PreparedSession
+    whitening: Whitening
+    expected: ExpectedDisplacement
+    white: np.ndarray
+    gram: np.ndarray
+    log_det: float
+    count: int
+
+    @classmethod
+    def of(cls, session: PreparedSession, whitening: Whitening,
+           expected: ExpectedDisplacement) -> SessionFit:
+        """A `session` whose displacements are `expected`, under the noise of `whitening`."""
+        isotropic = expected.isotropic and whitening.sensitivity is None
+        wanted = [session.z - expected.offset, expected.along]
+        if not isotropic:
+            wanted.append(expected.across)
+        columns = np.empty((*session.z.shape, len(wanted)), complex)
+        for k, column in enumerate(wanted):
+            columns[..., k] = column
+        white, log_det, count = whitening.apply(session, columns)
+        if isotropic:
+            white = np.concatenate([white, 1j * white[..., 1:2]], axis=-1)
+        return cls(session, whitening, expected, white, inner(white, session), log_det, count)
+
+    @cached_property
+    def velocity_phasor(self) -> np.ndarray:
+        """v e^{iφ} (N,) of every track [m/s, for rollers m/s/Hz]; 0 where nothing drove it."""
+        solved = _solve(self.gram[:, 1:, 1:], self.gram[:, 1:, :1])[..., 0]
+        own: np.ndarray = (solved[:, 0] + 1j * solved[:, 1])[self.session.owner]
+        return own
+
+    @cached_property
+    def power(self) -> np.ndarray:
+        """Information (P,) about each axis of v e^{iφ}, times D; 0 where nothing drove it."""
+        power: np.ndarray = np.trace(self.gram[:, 1:, 1:], axis1=1, axis2=2) / 2
+        return power
+
+    @property
+    def phasor_std(self) -> np.ndarray:
+        """Standard deviation (P,) of v e^{iφ} per axis; infinite where nothing drove it."""
+        driven = self.power > 0
+        return np.sqrt(np.where(
+            driven, self.diffusion / np.where(driven, self.power, 1), np.inf))
+
+    def polar(self) -> Polar:
+        """Speed and φ of every particle (P,), with their spreads; NaN where nothing drove it."""
+        std = self.phasor_std
+        return polar(self.velocity_phasor[self.session.first_track],
+                     np.where(np.isfinite(std), std, np.nan))
+
+    @cached_property
+    def residual_sum_of_squares(self) -> float:
+        """RSS [m²/s]: D times χ²."""
+        return float(eliminate(self.gram).sum())
+
+    @cached_property
+    def degrees_of_freedom(self) -> int:
+        """f = n − p, at least 1."""
+        return max(2 * (self.count - int((self.power > 0).sum())), 1)
+
+    @property
+    def diffusion(self) -> float:
+        """D [m²/s] at its maximum."""
+        return max(self.residual_sum_of_squares / self.degrees_of_freedom, 1e-30)
+
+    @cached_property
+    def log_likelihood(self) -> float:
+        """ℓ, with v, φ and D at their maximum: what effects are compared by."""
+        return (-0.5 * self.degrees_of_freedom * (np.log(2 * np.pi * self.diffusion) + 1)
+                - self.log_det)
+
+    @cached_property
+    def restricted_log_likelihood(self) -> float:
+        """ℓ_R: what noise levels under the same columns are compared by."""
+        information = self.gram[self.power > 0][:, 1:, 1:]
+        return self.log_likelihood - 0.5 * float(np.linalg.slogdet(information)[1].sum())
+
+    @cached_property
+    def residual(self) -> np.ndarray:
+        """White residual (T, N) complex, of unit variance per axis; 0 in rows not used."""
+        c = self.velocity_phasor
+        fitted = self.white[..., 1] * c.real + self.white[..., 2] * c.imag
+        residual: np.ndarray = (self.white[..., 0] - fitted) / np.sqrt(self.diffusion)
+        return residual
+
+    def whiten(self, columns: np.ndarray) -> np.ndarray:
+        """Other displacement `columns` (T, N, M) [m], whitened, in units of the noise."""
+        white = self.whitening.apply(self.session, np.ascontiguousarray(columns, complex))[0]
+        white /= np.sqrt(self.diffusion)
+        return white
+
+    def with_noise_ratio(self, ratio: float) -> SessionFit:
+        """The same under another noise `ratio` [s]."""
+        return SessionFit.of(
+            self.session, replace(self.whitening, noise_ratio=ratio), self.expected)
+
+    def noise(self, exposure: float = 0.0) -> Noise:
+        """D and σ of a fit with its noise ratio at the maximum, for an `exposure` [s] per frame.
+
+        Standard deviations by the curvature of ℓ_R in log(σ²/D + h/3), by differences.
+        """
+        step, total = 0.05, self.whitening.noise_ratio + self.session.interval / 3
+        lower, upper = (
+            self.with_noise_ratio(total * math.exp(k * step) - self.session.interval / 3)
+            for k in (-1, 1))
+        curvature = 2 * self.restricted_log_likelihood - (
+            lower.restricted_log_likelihood + upper.restricted_log_likelihood)
+        variance = step**2 / max(curvature, 1e-9 * step**2)
+        slope = math.log(upper.diffusion / lower.diffusion) / (2 * step)
+        known, left = 2 / self.degrees_of_freedom, self.whitening.noise_ratio + exposure / 3
+        reading = max(left, 0.0) * self.diffusion
+        # d σ²/d log D = σ², and d σ²/d log(σ²/D + h/3) = D (σ²/D + h/3) besides.
+        reading_std = math.sqrt(
+            reading**2 * known + variance * (reading * slope + total * self.diffusion) ** 2)
+        localisation = math.sqrt(reading)
+        return Noise(
+            self.diffusion, localisation, exposure,
+            self.diffusion * math.sqrt(known + slope**2 * variance),
+            # σ/2 times the relative spread of σ² where that is small, its root where σ² drowns.
+            math.sqrt(reading + reading_std) - localisation)
+
+
+def search_noise_ratio(fit: SessionFit) -> Iterator[SessionFit | None]:
+    """The maximum of ℓ_R over the noise ratio, from a `fit` with any, an evaluation at a time.
+
+    By golden section in log(σ²/D + h/3), then a parabola. Yields None after each evaluation, so
+    that a caller with frames to serve can spread the work; last the SessionFit.
+    """
+    h = fit.session.interval
+
+    def at(log_total: float) -> SessionFit:
+        return fit.with_noise_ratio(math.exp(log_total) - h / 3)
+
+    # No blur lasts longer than the shortest interval.
+    shortest = (1 / 3 - SMALLEST) * float(np.diff(fit.session.times).min())
+    low, high = math.log(h / 3 - shortest), math.log(LARGEST * h)
+    left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
+    known = {u: at(u).restricted_log_likelihood for u in (left, right)}
+    while high - low > _BRACKET:
+        yield None
+        if known[left] > known[right]:
+            high, right = right, left
+            left = new = high - _GOLDEN * (high - low)
+        else:
+            low, left = left, right
+            right = new = low + _GOLDEN * (high - low)
+        known[new] = at(new).restricted_log_likelihood
+    yield None
+    best = max(known, key=known.__getitem__)
+    near = np.array(sorted(known, key=known.__getitem__)[-3:])
+    bend, slope, _ = np.polyfit(near - best, [known[u] - known[best] for u in near], 2)
+    vertex = best - slope / (2 * bend) if bend < 0 else best
+    yield at(float(np.clip(vertex, low, high)))
+
+
+def inner(columns: np.ndarray, session: PreparedSession) -> np.ndarray:
+    """Real inner products (P, M, M) of complex `columns` (T, N, M) of a `session`, by particle."""
+    real = np.ascontiguousarray(columns.transpose(1, 2, 0)).view(float)
+    of_tracks: np.ndarray = real @ real.transpose(0, 2, 1)
+    if len(of_tracks) == session.owner[-1] + 1:
+        return of_tracks
+    product: np.ndarray = np.add.reduceat(of_tracks, session.first_track)
+    return product
+
+
+def eliminate(gram: np.ndarray) -> np.ndarray:
+    """What of a `gram` (P, M, M) is left of columns 0, 3, 4, … once 1 and 2 are projected off.
+
+    Inner products (P, M−2, M−2).
+    """
+    rest = [0, *range(3, gram.shape[-1])]
+    mixed = gram[:, 1:3, rest]
+    left: np.ndarray = gram[:, rest][:, :, rest] - np.swapaxes(mixed, 1, 2) @ _solve(
+        gram[:, 1:3, 1:3], mixed)
+    return left
+
+
+def _solve(square: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solutions for (N, 2, 2) matrices; zero where there is nothing to solve for."""
+    power = np.trace(square, axis1=1, axis2=2)[:, None, None]
+    safe = square + np.where(power > 0, 1e-12 * power, 1.0) * np.eye(2)
+    solved: np.ndarray = np.linalg.solve(safe, right)
+    return solved

@@ -1,0 +1,254 @@
+"""A model on sessions: its effects and every session's noise at the maximum of the likelihood."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from microbot_ros.estimation.expected_displacement import ExpectedDisplacement
+from microbot_ros.estimation.likelihood import (
+    SessionFit,
+    Whitening,
+    eliminate,
+    inner,
+    search_noise_ratio,
+)
+from microbot_ros.estimation.prepared_session import (
+    ROTATIONAL_DIFFUSION,
+    PreparedSession,
+    predictable_part,
+)
+from microbot_ros.model.increments import heading_response
+from microbot_ros.model.model import Model, ParticleParameters
+
+ROUNDS = 8
+"""Turns in which effects and noise are fitted, at most."""
+
+COLLINEAR = 1e-7
+"""Part of a column's power below which v and φ absorb it."""
+
+
+@dataclass(frozen=True)
+class ModelFit:
+    """A `model` on all sessions together: `session_fits`, each with its own noise."""
+
+    model: Model
+    session_fits: tuple[SessionFit, ...]
+
+    @cached_property
+    def log_likelihood(self) -> float:
+        """Of all sessions."""
+        return sum(p.log_likelihood for p in self.session_fits)
+
+    @property
+    def cost(self) -> float:
+        """−2 log likelihood."""
+        return -2 * self.log_likelihood
+
+    @property
+    def count(self) -> int:
+        """Numbers that were measured: two for every row used."""
+        return 2 * sum(p.count for p in self.session_fits)
+
+    def under(self, model: Model) -> ModelFit:
+        """Another `model` with the same noise on the same sessions; nothing is searched."""
+        return evaluate(model, [s.session for s in self.session_fits],
+                        [s.whitening for s in self.session_fits])
+
+    @cached_property
+    def jacobian(self) -> tuple[np.ndarray, ...]:
+        """For each session, white derivatives (T, N, P) of what is expected, in fit coordinates.
+
+        At fixed v and φ, in units of the noise.
+        """
+        steps = _steps(self.model)
+        x = self.model.vector()
+        changed = [self.model.with_vector(x + step * unit)
+                   for step, unit in zip(steps, np.eye(len(x)), strict=True)]
+        white = []
+        for p in self.session_fits:
+            here = p.expected.at(p.velocity_phasor)
+            columns = np.empty((*p.session.z.shape, len(x)), complex)
+            for k, model in enumerate(changed):
+                moved = ExpectedDisplacement.of(model, p.session.timeline)
+                columns[..., k] = (moved.at(p.velocity_phasor) - here) / steps[k]
+            white.append(p.whiten(columns))
+        return tuple(white)
+
+    @cached_property
+    def normal(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """JᵀJ (P, P), Jᵀr (P,) with v and φ taken out, and which parameters they leave visible."""
+        total = np.zeros((1 + len(self.model.vector()),) * 2)
+        raw = np.zeros(len(total))
+        for p, jacobian in zip(self.session_fits, self.jacobian, strict=True):
+            all_columns = np.concatenate([p.white / np.sqrt(p.diffusion), jacobian], axis=-1)
+            gram = inner(all_columns, p.session)
+            total += eliminate(gram).sum(axis=0)
+            raw[1:] += np.diagonal(gram, axis1=1, axis2=2)[:, 3:].sum(axis=0)
+        visible = np.diag(total)[1:] > COLLINEAR * raw[1:]
+        return total[1:, 1:], total[1:, 0], visible
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Of the effects' parameters in fit coordinates (P, P); infinite where not visible."""
+        information, _, visible = self.normal
+        result = np.diag(np.where(visible, 0.0, np.inf))
+        if visible.any():
+            chosen = np.ix_(visible, visible)
+            result[chosen] = np.linalg.pinv(information[chosen], hermitian=True)
+        # Rounding may give what can hardly be told apart a variance below zero.
+        variance = np.diagonal(result)
+        np.fill_diagonal(result, np.where(variance > 0, variance, np.inf))
+        return result
+
+
+def _steps(model: Model) -> np.ndarray:
+    """Steps of the difference quotients, away from the upper bounds."""
+    x = model.vector()
+    high = np.array([p.fit_bounds[1] for _, p in model.parameters])
+    step = 1e-5 * (1 + np.abs(x))
+    return np.where(x + step <= high, step, -step)
+
+
+def evaluate(model: Model, sessions: Sequence[PreparedSession],
+             whitenings: Sequence[Whitening]) -> ModelFit:
+    """A `model` with its parameters as they are on `sessions` with known `whitenings`."""
+    return ModelFit(model, tuple(
+        SessionFit.of(session, whitening, ExpectedDisplacement.of(model, session.timeline))
+        for session, whitening in zip(sessions, whitenings, strict=True)))
+
+
+def maximise(fit: ModelFit, iterations: int = 20) -> ModelFit:
+    """Improve a `fit` in its effects' parameters, by Levenberg and Marquardt's method.
+
+    Within their bounds, in at most that many `iterations`. The noise filters stay as they are.
+    """
+    if not fit.model.effects:
+        return fit
+    low, high = np.array([p.fit_bounds for _, p in fit.model.parameters]).T
+    angle = np.array([p.shape and p.name.endswith('_rad') for _, p in fit.model.parameters])
+    low, high = np.where(angle, -np.inf, low), np.where(angle, np.inf, high)
+    damping = 1e-3
+    for _ in range(iterations):
+        better, damping = _improve(fit, low, high, angle, damping)
+        if better is None:
+            return fit
+        gain, fit = fit.cost - better.cost, better
+        if gain < 1e-3:
+            return fit
+    return fit
+
+
+def _improve(fit: ModelFit, low: np.ndarray, high: np.ndarray, angle: np.ndarray,
+             damping: float) -> tuple[ModelFit | None, float]:
+    """One step downhill, or None where there is none; and the damping to go on with."""
+    information, slope, visible = fit.normal
+    x = fit.model.vector()
+    free = visible & ~((x <= low) & (slope < 0)) & ~((x >= high) & (slope > 0))
+    if not free.any():
+        return None, damping
+    chosen = np.ix_(free, free)
+    for _ in range(8):
+        damped = information[chosen] + damping * np.diag(np.diag(information)[free])
+        trial = x.copy()
+        trial[free] += np.linalg.lstsq(damped, slope[free], rcond=1e-14)[0]
+        trial = np.clip(trial, low, high)
+        trial[angle] = (trial[angle] + np.pi) % (2 * np.pi) - np.pi
+        tried = fit.under(fit.model.with_vector(trial))
+        if tried.cost < fit.cost:
+            return tried, damping / 5
+        damping *= 8
+    return None, damping
+
+
+def fit_noise(fit: ModelFit) -> ModelFit:
+    """The model of a `fit` with every session's noise at its maximum."""
+    return ModelFit(fit.model, tuple(_fit_noise(fit.model, one) for one in fit.session_fits))
+
+
+def _fit_noise(model: Model, fit: SessionFit) -> SessionFit:
+    from scipy.optimize import minimize_scalar
+
+    session, ratio = fit.session, fit.whitening.noise_ratio
+    heading = _heading_noise(model, fit) if remembers(model, session) else None
+
+    def at(turning: float) -> SessionFit:
+        whitening = Whitening(ratio, turning / fit.diffusion, *heading) if heading else (
+            Whitening(ratio))
+        return SessionFit.of(session, whitening, fit.expected)
+
+    turning = session.rotational_diffusion if heading else 0.0
+    if turning is None:
+        turning = math.exp(minimize_scalar(
+            lambda log_turning: -at(math.exp(log_turning)).restricted_log_likelihood,
+            method='bounded', bounds=(math.log(1e-5), math.log(10.0)), options={'xatol': 0.1}).x)
+    *_, best = search_noise_ratio(at(turning))
+    assert best is not None
+    return best
+
+
+def remembers(model: Model, session: PreparedSession) -> bool:
+    """Whether under a `model` what noise does to a heading is still there at the next frame.
+
+    As under a lag, and while a `session` has no field.
+    """
+    if model.effect('alignment_lag'):
+        return True
+    on = np.hypot(*session.commands.field.T) > 0
+    later = session.commands.t > session.times[0]
+    return not on[later].all()
+
+
+def _heading_noise(model: Model, fit: SessionFit) -> tuple[np.ndarray, np.ndarray]:
+    """Sensitivity and retention of headings over every frame interval: (T−1, N) each."""
+    session = fit.session
+    particles = ParticleParameters.from_velocity(session.ids, fit.velocity_phasor)
+    response = heading_response(model, particles, session.timeline)
+    sensitivity = np.nan_to_num(response.sensitivity[..., 0] + 1j * response.sensitivity[..., 1])
+    shape = session.z[1:].shape
+    return (
+        np.ascontiguousarray(np.broadcast_to(sensitivity, shape)),
+        np.ascontiguousarray(np.broadcast_to(response.kept, shape)),
+    )
+
+
+def fit_with_noise(fit: ModelFit) -> ModelFit:
+    """Effects and noise together at their maximum, from a `fit`: in turns, until neither gains."""
+    fit = fit_noise(maximise(fit))
+    for _ in range(ROUNDS):
+        better = fit_noise(maximise(fit))
+        gain = fit.cost - better.cost
+        if gain > 0:
+            fit = better
+        if gain < 0.1:
+            return fit
+    return fit
+
+
+def fit_sessions(model: Model, sessions: Sequence[PreparedSession]) -> ModelFit:
+    """A `model` fitted to what of prepared `sessions` it can explain.
+
+    Effects start from where the model has them. Positions that terms depend on are those that a
+    filter under the model believes.
+    """
+    fit = _fit_predictable(model, sessions, [ROTATIONAL_DIFFUSION] * len(sessions))
+    if not fit.model.effect('alignment_lag'):
+        return fit
+    # What a lag can explain depends on how long it is, and on how noisy headings are.
+    return _fit_predictable(
+        fit.model, sessions, [s.whitening.diffusion_ratio * s.diffusion for s in fit.session_fits])
+
+
+def _fit_predictable(model: Model, sessions: Sequence[PreparedSession],
+                     turning: Sequence[float]) -> ModelFit:
+    parts = [predictable_part(session, model, one)
+             for session, one in zip(sessions, turning, strict=True)]
+    fit = fit_with_noise(evaluate(model, parts, [Whitening(part.interval) for part in parts]))
+    located = [
+        s.session.with_filtered_positions(
+            s.expected.at(s.velocity_phasor), s.whitening.noise_ratio) for s in fit.session_fits]
+    return fit_with_noise(evaluate(fit.model, located, [s.whitening for s in fit.session_fits]))

@@ -1,0 +1,262 @@
+"""A session prepared for fits: what was seen, what was commanded, where particles were.
+
+The one preparation that every fit starts from: times count from the first frame, frames before
+the first field are left out, and tracks are split at steps too large for any motion and where
+particles touch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from microbot_ros.estimation.noise import stokes_einstein
+from microbot_ros.model.effects.alignment_lag import AlignmentLag
+from microbot_ros.model.increments import as_vectors, heading_response
+from microbot_ros.model.model import Model, ParticleParameters
+from microbot_ros.model.timeline import Timeline
+from microbot_ros.records import Commands, Conditions, Session
+
+FORGOTTEN = 5.0
+"""Alignment times after which the heading has forgotten where it began."""
+
+SPREAD, GATHERED = 0.25, 0.12
+"""Standard deviation of headings [rad] at which they are lost, and found again."""
+
+USUAL = 1.5
+"""Times the usual variance of headings, up to which they count as gathered."""
+
+ROTATIONAL_DIFFUSION = 0.01
+"""[rad²/s], to begin with where radius and viscosity are not known: of a sphere of 2.4 µm in
+water."""
+
+CONTACT, BLUR = 1.05, 3.0
+"""How near spheres may touch between frames: in distances of contact, and in usual steps more."""
+
+JUMP = 6.0
+"""Steps longer than this many times the 99th percentile are no motion."""
+
+LARGEST_CONTACT = 15e-6
+"""Particles that never came closer than this [m] did not touch."""
+
+FEWEST = 20
+"""Rows that make a piece of a split track worth keeping."""
+
+
+def from_first_frame(session: Session) -> Session:
+    """The same `session` with tracks and commands timed from its first frame."""
+    tracks, commands = session.tracks, session.commands
+    first = tracks.t[0] if len(tracks.t) else 0.0
+    return replace(session, tracks=replace(tracks, t=tracks.t - first),
+                   commands=replace(commands, t=commands.t - first))
+
+
+def first_field(commands: Commands) -> float:
+    """When the first field of `commands` that is not zero begins [s]; infinity if none does."""
+    driven = commands.t[np.hypot(*commands.field.T) > 0]
+    return float(driven[0]) if driven.size else np.inf
+
+
+@dataclass(frozen=True)
+class PreparedSession:
+    """One session as arrays of T frames and N tracks of P ≤ N particles.
+
+    `name` of the session; `ids` (N,): the particle of each track, ascending; `times` (T,) [s]
+    from the first frame of the session; `z` (T, N) complex positions [m], 0 where `seen` (T, N)
+    is False; `causal_positions` (T, N, 2) [m]: positions as known from earlier and present frames
+    only, for terms that depend on position (raw ones would bias them), NaN while a particle is
+    not in view; `commands` on the same clock; `conditions` of the rig; `jumps` (P,): how often
+    each particle's track was split at a step too large for any motion.
+    """
+
+    name: str
+    ids: np.ndarray
+    times: np.ndarray
+    z: np.ndarray
+    seen: np.ndarray
+    causal_positions: np.ndarray
+    commands: Commands
+    conditions: Conditions
+    jumps: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+
+    @classmethod
+    def of(cls, session: Session) -> PreparedSession:
+        """The frames of `session` from the first field on: before it, headings are unknown.
+
+        All frames where there is no field at all. Tracks are whole.
+        """
+        session = from_first_frame(session)
+        times, positions = session.tracks.grid()
+        start = first_field(session.commands)
+        keep = times >= (start if np.isfinite(start) else -np.inf)
+        times, positions = times[keep], positions[keep]
+        z = positions[..., 0] + 1j * positions[..., 1]
+        return cls(
+            session.name, session.tracks.particles, times, np.nan_to_num(z), np.isfinite(z),
+            positions, session.commands, session.conditions)
+
+    @cached_property
+    def owner(self) -> np.ndarray:
+        """The particle (N,) that each track belongs to, counted from 0, ascending."""
+        owner: np.ndarray = np.unique(self.ids, return_inverse=True)[1]
+        return owner
+
+    @cached_property
+    def first_track(self) -> np.ndarray:
+        """The first track (P,) of every particle."""
+        return np.unique(self.ids, return_index=True)[1]
+
+    @cached_property
+    def timeline(self) -> Timeline:
+        """Commands and frames, ready to evaluate models on; ValueError with fewer than two."""
+        return Timeline(self.commands, self.times, self.causal_positions)
+
+    @cached_property
+    def interval(self) -> float:
+        """The usual time between frames [s]."""
+        return float(np.median(np.diff(self.times)))
+
+    @cached_property
+    def rotational_diffusion(self) -> float | None:
+        """Rotational diffusion [rad²/s] by Stokes–Einstein–Debye; None where not known."""
+        known = stokes_einstein(self.conditions)
+        return known and known[1]
+
+    def after_first_field(self, seconds: float) -> PreparedSession:
+        """Without the frames in the first `seconds` [s] after the field came on."""
+        keep = self.times >= first_field(self.commands) + seconds
+        return replace(
+            self, times=self.times[keep], z=self.z[keep], seen=self.seen[keep],
+            causal_positions=self.causal_positions[keep])
+
+    def seen_only_in(self, frames: np.ndarray) -> PreparedSession:
+        """With positions only in some `frames` (T,) bool; in the others time passes unseen.
+
+        Displacements across unseen frames are still measured, from their two ends.
+        """
+        return replace(self, seen=self.seen & frames[:, None])
+
+    def split_at_jumps(self) -> PreparedSession:
+        """Tracks split at steps beyond any motion: the stage moved, or two were confused."""
+        both = self.seen[1:] & self.seen[:-1]
+        steps = np.where(both, np.abs(np.diff(self.z, axis=0)), 0.0)
+        usual = np.quantile(steps[both], 0.99) if both.any() else 0.0
+        jumped = np.concatenate([np.zeros((1, self.z.shape[1]), bool), steps > JUMP * usual])
+        counts = np.bincount(self.owner, jumped.sum(axis=0)).astype(int)
+        return replace(self.split_tracks(jumped), jumps=counts)
+
+    def split_at_contacts(self) -> PreparedSession:
+        """Tracks split where spheres may touch: there they push each other.
+
+        Without a known radius, contact is as near as two ever came.
+        """
+        z = np.where(self.seen, self.z, np.nan)
+        apart = np.abs(z[:, :, None] - z[:, None, :])
+        apart[~np.isfinite(apart)] = np.inf
+        apart[:, range(z.shape[1]), range(z.shape[1])] = np.inf
+        radius = self.conditions.radius
+        steps = np.abs(np.diff(z, axis=0))
+        blur = BLUR * float(np.nanmedian(steps)) if np.isfinite(steps).any() else 0.0
+        contact = 2 * radius if radius else float(apart.min(initial=np.inf)) + blur
+        if contact > LARGEST_CONTACT:
+            return self
+        touching = (apart < contact * CONTACT + blur).any(axis=2)
+        touching[1:] |= touching[:-1].copy()
+        touching[:-1] |= touching[1:].copy()
+        return self.split_tracks(touching)
+
+    def split_tracks(self, out: np.ndarray) -> PreparedSession:
+        """Each track as its pieces between the rows `out` (T, N) bool, which are left out.
+
+        A piece is a track of its own, of the same particle: nothing is learned from the
+        displacement between two pieces. Of a track that is split, pieces of fewer than FEWEST
+        rows are dropped, but for its longest. A piece's `causal_positions` go on until the next
+        piece begins, since others feel where the particle is meanwhile.
+        """
+        if not out.any():
+            return self
+        number = np.cumsum(np.diff(out, axis=0, prepend=False) & out, axis=0)
+        used = self.seen & ~out
+        row = np.arange(len(used))
+        columns, seen, own = [], [], []
+        for n in range(used.shape[1]):
+            pieces = [used[:, n] & (number[:, n] == k) for k in range(number[-1, n] + 1)]
+            longest = max(pieces, key=np.sum)
+            pieces = [p for p in pieces if p.sum() >= FEWEST] or [longest]
+            begins = [0, *(int(piece.argmax()) for piece in pieces[1:]), len(used)]
+            for piece, begin, end in zip(pieces, begins, begins[1:], strict=False):
+                columns.append(n)
+                seen.append(piece)
+                own.append((row >= begin) & (row < end))
+        kept, place = np.stack(seen, axis=1), np.stack(own, axis=1)
+        return replace(
+            self, ids=self.ids[columns], z=np.where(kept, self.z[:, columns], 0), seen=kept,
+            causal_positions=np.where(
+                place[..., None], self.causal_positions[:, columns], np.nan))
+
+    def with_filtered_positions(
+        self, displacement: np.ndarray, noise_ratio: float,
+    ) -> PreparedSession:
+        """With `causal_positions` filtered about the `displacement` (T, N) complex [m] of a model.
+
+        `noise_ratio` [s] is that of the likelihood's `Whitening`.
+        """
+        from microbot_ros.estimation.kernels import filter_positions
+
+        left = filter_positions(self.times, self.seen, self.z - displacement, noise_ratio)
+        mean = left + displacement
+        last = len(self.times) - 1 - self.seen[::-1].argmax(axis=0)
+        mean[np.arange(len(self.times))[:, None] > last] = np.nan
+        known = np.isfinite(mean)[..., None]
+        return replace(
+            self, causal_positions=np.where(known, as_vectors(mean), self.causal_positions))
+
+
+def prepare(session: Session) -> PreparedSession:
+    """A `session` as every fit takes it: from the first field on, split at jumps and contacts."""
+    return PreparedSession.of(session).split_at_jumps().split_at_contacts()
+
+
+def predictable_part(
+    session: PreparedSession, model: Model, assumed: float = ROTATIONAL_DIFFUSION,
+) -> PreparedSession:
+    """The part of a `session` that a `model` without chance in its headings can explain.
+
+    `assumed` is the rotational diffusion [rad²/s] where radius and viscosity don't tell it.
+    Headings are unknown until the first field has come and aligned them, and again after a turn
+    so near 180° that Brownian motion chooses the way round. Never less than half the time.
+    """
+    lag = model.effect('alignment_lag')
+    tau = lag.tau if isinstance(lag, AlignmentLag) else 0.0
+    start = model.delay + FORGOTTEN * tau
+    half = float(np.ptp(session.times)) / 2
+    kept = session.after_first_field(min(start, half)) if start > 0 else session
+    if tau == 0:
+        return kept
+    lost = _lost(kept, model, assumed)
+    if lost.mean() > 0.5:
+        return kept
+    return kept.split_tracks(lost[:, None] & np.ones_like(kept.seen))
+
+
+def _lost(session: PreparedSession, model: Model, assumed: float) -> np.ndarray:
+    """Frames (T,) in which headings may be far from where the model has them.
+
+    From when Brownian turning, amplified by every turn of nearly 180°, spreads them wider than a
+    linear filter can follow, until the field has gathered them again.
+    """
+    nobody = ParticleParameters.from_velocity(np.zeros(1, int), np.ones(1, complex))
+    retention = heading_response(model, nobody, session.timeline).kept[:, 0]
+    kick = 2 * (session.rotational_diffusion or assumed) * np.diff(session.times)
+    variance = np.zeros(len(session.times))
+    for k in range(len(retention)):
+        variance[k + 1] = min(retention[k] ** 2 * variance[k] + kick[k], np.pi**2)
+    # Where it is large at all times, the filter does what it can with it.
+    usual = USUAL * float(np.median(variance))
+    spread, gathered = max(SPREAD**2, 2 * usual), max(GATHERED**2, usual)
+    lost = np.zeros(len(variance), bool)
+    for k in range(1, len(variance)):
+        lost[k] = variance[k] > (gathered if lost[k - 1] else spread)
+    return lost
