@@ -1,4 +1,4 @@
-"""What was measured and what was commanded, as arrays in SI: the currency between the rooms."""
+"""The data types that all rooms exchange: what was measured and commanded, as arrays in SI."""
 
 from __future__ import annotations
 

@@ -65,7 +65,7 @@ class Covariates:
         yield self._switch()
         yield from self._angles()
         yield from self._position()
-        yield from self._levels()
+        yield from self._strength_and_frequency()
         if self.session.owner[-1] > 0:
             yield self._neighbours()
             yield self._particles()
@@ -121,16 +121,16 @@ class Covariates:
         yield self._group('position, along the heading', 'x [µm]',
                           [x, y, x * y, x * x, y * y], self.body, z.real * 1e6)
 
-    def _levels(self) -> Iterator[Group]:
+    def _strength_and_frequency(self) -> Iterator[Group]:
         commands = self.session.commands
         strength = np.hypot(*commands.field_at(self.middle[:, 0]).T)
         if np.ptp(strength[strength > 0]) > 1e-3 * strength.max():
             yield self._group(
-                'field strength', 'field [mT]', _levels(strength),
+                'field strength', 'field [mT]', _bins(strength),
                 self.body, strength[:, None] * 1e3)
         frequency = commands.frequency_at(self.middle[:, 0])
         if commands.frequency is not None and np.ptp(frequency) > 0:
-            yield self._group('frequency', 'rotation [Hz]', _levels(frequency), self.body,
+            yield self._group('frequency', 'rotation [Hz]', _bins(frequency), self.body,
                               frequency[:, None])
 
     def _neighbours(self) -> Group:
@@ -172,7 +172,7 @@ def _harmonics(angle: np.ndarray) -> list[np.ndarray]:
     return [f(m * angle) for m in range(1, HARMONICS + 1) for f in (np.cos, np.sin)]
 
 
-def _levels(value: np.ndarray) -> list[np.ndarray]:
+def _bins(value: np.ndarray) -> list[np.ndarray]:
     """Up to eight bins of equal size, or the levels themselves, each a factor (T−1, 1)."""
     edges = np.unique(np.quantile(value[value > 0], np.linspace(0, 1, 9)[1:]))
     which = np.searchsorted(edges, value)

@@ -143,7 +143,7 @@ class _Assessment:
         gain = log_e_value(selection.current, name)
         # Halves of a recording in which the frequency was stepped once predict nothing.
         alone = name == 'drive_response' and curve_p_value(selection.current) < BACKWARD
-        sure = own.whole and own.delta_bic > CLOSE and not is_cancelled(
+        sure = own.shape_seen and own.delta_bic > CLOSE and not is_cancelled(
             selection.current, name) and (gain > HELD_OUT or alone)
         most = own.log_p + np.log(len(EFFECTS)) - BETTER if sure else 0.0
         return cls(
@@ -176,7 +176,8 @@ def _suggestions(found: Sequence[CandidateFit]) -> list[_Assessment]:
     if not likely:
         return []
     # The flank of a spot could stand in for anything smooth.
-    best = next((c for c in likely if c.whole and not clearly_better(likely[0], c)), likely[0])
+    first = likely[0]
+    best = next((c for c in likely if c.shape_seen and not clearly_better(first, c)), first)
     rivals = [c for c in found if c is not best and _close(c, best)]
     return [_Assessment(best, log_e_value(best.fit, best.id), False, False, rivals, [])]
 
@@ -186,7 +187,7 @@ def _close(rival: CandidateFit, own: CandidateFit) -> bool:
 
     The flank of a wide spot explains whatever a drift does: it has to explain it by less.
     """
-    return rival.p_value < FORWARD and (rival.whole or not clearly_better(own, rival)) and (
+    return rival.p_value < FORWARD and (rival.shape_seen or not clearly_better(own, rival)) and (
         rival.delta_bic > own.delta_bic - CLOSE
         or rival.likelihood_ratio > own.likelihood_ratio - CLOSE)
 

@@ -74,10 +74,7 @@ def held_out_gap(before: ModelFit, after: ModelFit, truth: Model | None = None) 
                     learned.session_fits, after.session_fits, inside, strict=True)
             ]
     floor = _floor(after, horizon)
-    excess = [
-        _excess(np.concatenate(found), floor)
-        for found in errors
-    ]
+    excess = [_excess(np.concatenate(found), floor) for found in errors]
     return Gap(horizon, excess[0], excess[1], floor, excess[2] if truth else float('nan'))
 
 
@@ -88,7 +85,7 @@ def _learned(fit: ModelFit) -> ModelFit:
         if any(p.shape for p in effect.parameters()):
             rest = maximise(learned.under(learned.model.without(effect.id)))
             found = compare(learned, rest, effect.id)
-            learned = learned if found.delta_bic > 0 and found.whole else rest
+            learned = learned if found.delta_bic > 0 and found.shape_seen else rest
     return learned
 
 

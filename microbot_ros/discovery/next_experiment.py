@@ -68,12 +68,8 @@ def next_experiment(fit: ModelFit, rivals: Sequence[Model]) -> NextExperiment | 
         return NextExperiment(
             'no command tells these apart: measure one of them by itself, with a calibration '
             'grid for the camera, a field probe for the coils, passive beads for the flow', np.inf)
-    return NextExperiment(
-        f'record {_MENU[best].words}, for {_rounded(minutes)}', float(minutes))
-
-
-def _rounded(minutes: float) -> str:
-    return f'{max(round(minutes), 1)} min' if minutes > 1 else 'a minute'
+    span = f'{round(minutes)} min' if minutes > 1 else 'a minute'
+    return NextExperiment(f'record {_MENU[best].words}, for {span}', float(minutes))
 
 
 def _trial(fit: ModelFit, plan: _Plan) -> PreparedSession:

@@ -23,7 +23,7 @@ from microbot_ros.discovery.report_prediction import predict
 from microbot_ros.discovery.report_residual import residual
 from microbot_ros.discovery.report_words import bare, chance, interval, listed, number
 from microbot_ros.discovery.result import FIRES, Discovery, NamedEffect
-from microbot_ros.estimation.prepared_session import from_first_frame
+from microbot_ros.estimation.prepared_session import PreparedSession
 from microbot_ros.files import write_text
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.records import Session
@@ -55,12 +55,12 @@ def page(found: Discovery, sessions: Sequence[Session], sources: Sequence[Path])
         for name in ('bare', 'chance', 'limit', 'number', 'odds', 'term', 'words')}
     environment.globals |= {'interval': interval}
     template = environment.from_string(_TEMPLATE.read_text(encoding='utf-8'))
-    last = from_first_frame(sessions[-1])
-    left = residual(found, last)
+    left = residual(found, sessions[-1])
     prediction = predict(found, left)
     maps = draw_maps(found.maps_before, found.maps_after)
     places = draw_places(left, found.diffusion.value)
-    driven = drive(left, last.commands, found.particles.phi, found.diffusion.value)
+    commands = PreparedSession.of(sessions[-1]).commands
+    driven = drive(left, commands, found.particles.phi, found.diffusion.value)
     return template.render(
         found=found, headline=headline(found), library=EFFECTS, sessions=sessions, fires=FIRES,
         speed=_SPEED[found.model.propulsion], prediction=prediction,

@@ -50,8 +50,8 @@ class CandidateFit:
     """A `fit` with the effect `id` more, beside one without it.
 
     `likelihood_ratio` LR with `dof` degrees of freedom; `trials`: independent places at which the
-    effect was looked for; `whole`: whether the recording shows the shape that was found, not only
-    its flank.
+    effect was looked for; `shape_seen`: whether the recording shows the shape that was found, not
+    only its flank.
     """
 
     fit: ModelFit
@@ -59,7 +59,7 @@ class CandidateFit:
     likelihood_ratio: float
     dof: int
     trials: float
-    whole: bool
+    shape_seen: bool
 
     @property
     def log_p(self) -> float:
@@ -81,7 +81,7 @@ def compare(fit: ModelFit, rest: ModelFit, effect_id: str) -> CandidateFit:
     """What the effect `effect_id` of a `fit` brings beside the `rest`, the fit without it."""
     return CandidateFit(
         fit, effect_id, rest.cost - fit.cost, _degrees_of_freedom(fit, EFFECTS[effect_id]),
-        _trials(fit, effect_id), shown(fit, effect_id))
+        _trials(fit, effect_id), shape_is_seen(fit, effect_id))
 
 
 def fit_candidate(fit: ModelFit, effect_id: str) -> CandidateFit | None:
@@ -92,14 +92,14 @@ def fit_candidate(fit: ModelFit, effect_id: str) -> CandidateFit | None:
     effect = EFFECTS[effect_id]
     if not _applies(fit, effect):
         return None
-    tried = [maximise(_at(fit, start)) for start in _starts(fit, effect)]
+    tried = [maximise(fit.under(fit.model.with_effect(start))) for start in _starts(fit, effect)]
     best = min((compare(one, fit, effect_id) for one in tried), key=lambda one: one.log_p)
     if best.likelihood_ratio <= NEGLIGIBLE:
         return best
     return compare(fit_with_noise(best.fit), fit, effect_id)
 
 
-def shown(fit: ModelFit, effect_id: str) -> bool:
+def shape_is_seen(fit: ModelFit, effect_id: str) -> bool:
     """Whether the recording of a `fit` shows the shape of `effect_id`, not only its flank.
 
     Half a swing or the far slope of a spot could stand in for anything smooth.
@@ -114,10 +114,6 @@ def shown(fit: ModelFit, effect_id: str) -> bool:
         placed = 3 * std['width'] < effect.width > max(std['x'], std['y'])
         return within and placed and std['speed'] < abs(effect.speed)
     return True
-
-
-def _at(fit: ModelFit, effect: Effect) -> ModelFit:
-    return fit.under(fit.model.with_effect(effect))
 
 
 def _applies(fit: ModelFit, effect: type[Effect]) -> bool:
@@ -139,7 +135,8 @@ def absorbed_by_phi(fit: ModelFit, late: type[Effect]) -> bool:
     """
     parameter, = late.parameters()
     bare = ModelFit(replace(fit.model, effects=()), fit.session_fits)
-    tried = _at(bare, late(**{parameter.field: parameter.from_fit(1e-2)}))
+    little = late(**{parameter.field: parameter.from_fit(1e-2)})
+    tried = bare.under(bare.model.with_effect(little))
     power = sum(float((np.abs(jacobian) ** 2).sum()) for jacobian in tried.jacobian)
     return bool(tried.normal[0][0, 0] < ABSORBED * power)
 
@@ -214,7 +211,7 @@ def _near_nothing(fit: ModelFit, effect: type[Effect]) -> list[Effect]:
     low, high = parameters[0].fit_bounds
     coarse = [effect(**{parameters[0].field: parameters[0].from_fit(x)})
               for size in COARSE for x in (size, -size) if low <= x <= high]
-    costs = [_at(fit, start).cost for start in coarse]
+    costs = [fit.under(fit.model.with_effect(start)).cost for start in coarse]
     best = int(np.argmin(costs))
     return [*starts, coarse[best]] if costs[best] < fit.cost + 20 else starts
 

@@ -81,7 +81,7 @@ class StepwiseSelection:
         table = tuple(
             Candidate(c.id, c.likelihood_ratio, c.dof, c.delta_bic, c.p_value) for c in self.open
         )
-        best = next((c for c in self.open if c.whole), None)
+        best = next((c for c in self.open if c.shape_seen), None)
         if best is None or best.p_value * len(self.open) >= FORWARD:
             self.steps.append(SelectionStep(here, table, None))
             return False
@@ -107,7 +107,7 @@ class StepwiseSelection:
         """Exchange one effect for one that explains clearly more in its place."""
         for effect in self.current.model.effects:
             own = contribution(self.current, effect.id)
-            best = next((rival for rival in self.rivals(effect.id) if rival.whole), None)
+            best = next((rival for rival in self.rivals(effect.id) if rival.shape_seen), None)
             if best is not None and clearly_better(best, own):
                 report(f'{best.id} instead of {effect.id}')
                 self.current = self.fit(best.fit.model)

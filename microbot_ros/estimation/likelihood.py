@@ -71,17 +71,15 @@ class Whitening:
 class SessionFit:
     """One session under a model of given effects and noise ratio: all that follows in closed form.
 
-    `session` and `whitening` as given, `expected` by the model. `white` (T, N, 3): the data less
-    the offset, and the columns along and across, of unit variance but for D; `gram` (P, 3, 3):
-    their real inner products for each particle, since pieces of one track share v and φ;
-    `log_det` = ½ log|V|; `count` of the increments used, two numbers each.
+    `session` and `whitening` as given, `expected` by the model. `whitened` (T, N, 2 or 3): the
+    data less the offset, the column along and, unless it is i times that, the column across, of
+    unit variance but for D; `log_det` = ½ log|V|; `count` of the increments used, of two numbers.
     """
 
     session: PreparedSession
     whitening: Whitening
     expected: ExpectedDisplacement
-    white: np.ndarray
-    gram: np.ndarray
+    whitened: np.ndarray
     log_det: float
     count: int
 
@@ -90,16 +88,32 @@ class SessionFit:
            expected: ExpectedDisplacement) -> SessionFit:
         """A `session` whose displacements are `expected`, under the noise of `whitening`."""
         isotropic = expected.isotropic and whitening.sensitivity is None
-        wanted = [session.z - expected.offset, expected.along]
-        if not isotropic:
-            wanted.append(expected.across)
-        columns = np.empty((*session.z.shape, len(wanted)), complex)
-        for k, column in enumerate(wanted):
-            columns[..., k] = column
-        white, log_det, count = whitening.apply(session, columns)
-        if isotropic:
-            white = np.concatenate([white, 1j * white[..., 1:2]], axis=-1)
-        return cls(session, whitening, expected, white, inner(white, session), log_det, count)
+        model = (expected.along,) if isotropic else (expected.along, expected.across)
+        columns = np.stack([session.z - expected.offset, *(
+            np.broadcast_to(column, session.z.shape) for column in model)], axis=-1)
+        return cls(session, whitening, expected, *whitening.apply(session, columns))
+
+    @cached_property
+    def white(self) -> np.ndarray:
+        """White data and columns along and across (T, N, 3), of unit variance but for D."""
+        if self.whitened.shape[-1] == 3:
+            return self.whitened
+        return np.concatenate([self.whitened, 1j * self.whitened[..., 1:]], axis=-1)
+
+    @cached_property
+    def gram(self) -> np.ndarray:
+        """Real inner products (P, 3, 3) of `white` by particle: pieces of one share v and φ."""
+        if self.whitened.shape[-1] == 3:
+            return inner(self.white, self.session)
+        columns = np.ascontiguousarray(self.whitened.transpose(1, 2, 0))
+        power = np.square(columns.view(float)).sum(axis=2)
+        mixed = np.matmul(columns[:, :1], columns[:, 1:].conj().transpose(0, 2, 1))[:, 0, 0]
+        gram = np.zeros((len(power), 3, 3))
+        gram[:, 0, 0], gram[:, 1, 1], gram[:, 2, 2] = power[:, 0], power[:, 1], power[:, 1]
+        gram[:, 0, 1] = gram[:, 1, 0] = mixed.real
+        gram[:, 0, 2] = gram[:, 2, 0] = mixed.imag
+        product: np.ndarray = np.add.reduceat(gram, self.session.first_track)
+        return product
 
     @cached_property
     def velocity_phasor(self) -> np.ndarray:
@@ -236,8 +250,6 @@ def inner(columns: np.ndarray, session: PreparedSession) -> np.ndarray:
     """Real inner products (P, M, M) of complex `columns` (T, N, M) of a `session`, by particle."""
     real = np.ascontiguousarray(columns.transpose(1, 2, 0)).view(float)
     of_tracks: np.ndarray = real @ real.transpose(0, 2, 1)
-    if len(of_tracks) == session.owner[-1] + 1:
-        return of_tracks
     product: np.ndarray = np.add.reduceat(of_tracks, session.first_track)
     return product
 

@@ -45,14 +45,6 @@ FEWEST = 20
 """Rows that make a piece of a split track worth keeping."""
 
 
-def from_first_frame(session: Session) -> Session:
-    """The same `session` with tracks and commands timed from its first frame."""
-    tracks, commands = session.tracks, session.commands
-    first = tracks.t[0] if len(tracks.t) else 0.0
-    return replace(session, tracks=replace(tracks, t=tracks.t - first),
-                   commands=replace(commands, t=commands.t - first))
-
-
 def first_field(commands: Commands) -> float:
     """When the first field of `commands` that is not zero begins [s]; infinity if none does."""
     driven = commands.t[np.hypot(*commands.field.T) > 0]
@@ -87,15 +79,16 @@ class PreparedSession:
 
         All frames where there is no field at all. Tracks are whole.
         """
-        session = from_first_frame(session)
         times, positions = session.tracks.grid()
-        start = first_field(session.commands)
+        first = times[0] if len(times) else 0.0
+        times, commands = times - first, replace(session.commands, t=session.commands.t - first)
+        start = first_field(commands)
         keep = times >= (start if np.isfinite(start) else -np.inf)
         times, positions = times[keep], positions[keep]
         z = positions[..., 0] + 1j * positions[..., 1]
         return cls(
             session.name, session.tracks.particles, times, np.nan_to_num(z), np.isfinite(z),
-            positions, session.commands, session.conditions)
+            positions, commands, session.conditions)
 
     @cached_property
     def owner(self) -> np.ndarray:

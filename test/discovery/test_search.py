@@ -104,7 +104,7 @@ def test_what_is_too_weak_for_the_model_is_suggested_whole_shapes_first(film):
     assert [case.own for case in _suggestions([weak])] == [weak]
     assert not _suggestions([replace(weak, likelihood_ratio=5.0)])
     assert not _suggestions([])
-    flank = replace(fit_candidate(fit, 'linear_flow'), likelihood_ratio=20.0, whole=False)
+    flank = replace(fit_candidate(fit, 'linear_flow'), likelihood_ratio=20.0, shape_seen=False)
     case, = _suggestions([flank, weak])
     assert case.own is weak
     assert case.rivals == [flank]
