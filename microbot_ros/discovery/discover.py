@@ -238,13 +238,12 @@ def _particles(fit: ModelFit) -> tuple[Particle, ...]:
     result = []
     for p in fit.session_fits:
         e, speeds = p.session, p.polar()
-        force, force_std = speeds.force(e.conditions)
+        known = ((speeds.speed, speeds.speed_std), (speeds.phi, speeds.phi_std),
+                 speeds.force(e.conditions))
         for n, name in enumerate(e.ids[e.first_track]):
             label = str(name) if len(fit.session_fits) == 1 else f'{e.name}:{name}'
             result.append(Particle(
-                label, Estimate(float(speeds.speed[n]), float(speeds.speed_std[n])),
-                Estimate(float(speeds.phi[n]), float(speeds.phi_std[n])),
-                Estimate(float(force[n]), float(force_std[n]))))
+                label, *(Estimate(float(value[n]), float(std[n])) for value, std in known)))
     return tuple(result)
 
 

@@ -87,11 +87,11 @@ class StepwiseSelection:
             return False
         report(f'adding {best.id} (p = {best.p_value:.2g})')
         self.current = self.fit(best.fit.model)
-        removed = self._drop(best.id)
+        removed = self._drop()
         self.steps.append(SelectionStep(here, table, best.id, removed))
         return best.id not in removed
 
-    def _drop(self, new: str) -> tuple[str, ...]:
+    def _drop(self) -> tuple[str, ...]:
         """Take out, worst first, what is no longer needed."""
         removed: list[str] = []
         while len(self.current.model.effects) > 1:
