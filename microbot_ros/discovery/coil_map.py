@@ -116,7 +116,7 @@ def _fit(session: Session) -> ModelFit:
     prepared, _ = check_sessions([session])
     model = Model.baseline(session.conditions, session.commands)
     for effect in (*SOUGHT, *BESIDE):
-        model = model.with_effect(EFFECTS[effect].neutral())
+        model = model.with_effect(EFFECTS[effect].null())
     return fit_sessions(model, prepared)
 
 

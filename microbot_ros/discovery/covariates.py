@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from microbot_ros.estimation.likelihood import SessionFit
-from microbot_ros.model.scene import CLOSEST
+from microbot_ros.model.effect_context import CLOSEST
 
 HARMONICS = 4
 RELAXATION = (0.1, 0.3, 1.0, 3.0)

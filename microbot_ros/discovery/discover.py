@@ -251,7 +251,8 @@ def _particle_parameters(fit: ModelFit) -> ParticleParameters:
     """The particles of the last session."""
     last = fit.session_fits[-1]
     first = last.session.first_track
-    return ParticleParameters.from_velocity(last.session.ids[first], last.velocity_phasor[first])
+    return ParticleParameters.from_velocity_phasor(
+        last.session.ids[first], last.velocity_phasor[first])
 
 
 def _mean(values: list[Estimate]) -> Estimate:

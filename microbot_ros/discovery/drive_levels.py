@@ -13,6 +13,7 @@ from microbot_ros.discovery.stepwise_selection import without
 from microbot_ros.discovery.tail_probabilities import chi_square_tail
 from microbot_ros.estimation.likelihood import SessionFit
 from microbot_ros.estimation.model_fit import ModelFit
+from microbot_ros.model.effect_context import EffectContext
 from microbot_ros.model.effects.drive_response import DriveResponse
 
 FEWEST = 10

@@ -78,7 +78,8 @@ def _trial(fit: ModelFit, plan: _Plan) -> PreparedSession:
     e = last.session
     commands = _commands(plan, e.commands)
     tracks = e.first_track
-    particles = ParticleParameters.from_velocity(e.ids[tracks], last.velocity_phasor[tracks])
+    particles = ParticleParameters.from_velocity_phasor(
+        e.ids[tracks], last.velocity_phasor[tracks])
     first = np.isfinite(e.causal_positions[:, tracks, 0]).argmax(axis=0)
     start = fit.model.true_position(e.causal_positions[first, tracks])
     times = np.arange(0.0, TRIAL, max(e.interval, 1 / 30))

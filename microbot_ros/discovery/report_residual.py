@@ -48,7 +48,7 @@ def residual(found: Discovery, session: Session) -> Residual:
     plain = ExpectedDisplacement.of(model, whole.timeline)
     refitted = SessionFit.of(prepared, Whitening(ratio), plain).velocity_phasor
     moved = ExpectedDisplacement.of(found.model, replace(
-        whole, causal_positions=places).timeline).at(found.particles.velocity)
+        whole, causal_positions=places).timeline).at(found.particles.velocity_phasor)
     steps = np.hypot(*np.moveaxis(np.diff(positions, axis=0, prepend=np.nan), -1, 0))
     return Residual(
         whole.times, tuple(str(i) for i in found.particles.ids), places,

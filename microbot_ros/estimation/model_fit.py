@@ -206,13 +206,14 @@ def remembers(model: Model, session: PreparedSession) -> bool:
 def _heading_noise(model: Model, fit: SessionFit) -> tuple[np.ndarray, np.ndarray]:
     """Sensitivity and retention of headings over every frame interval: (T−1, N) each."""
     session = fit.session
-    particles = ParticleParameters.from_velocity(session.ids, fit.velocity_phasor)
+    particles = ParticleParameters.from_velocity_phasor(session.ids, fit.velocity_phasor)
     response = heading_response(model, particles, session.timeline)
-    sensitivity = np.nan_to_num(response.sensitivity[..., 0] + 1j * response.sensitivity[..., 1])
+    x, y = np.moveaxis(response.heading_sensitivity, -1, 0)
+    sensitivity = np.nan_to_num(x + 1j * y)
     shape = session.z[1:].shape
     return (
         np.ascontiguousarray(np.broadcast_to(sensitivity, shape)),
-        np.ascontiguousarray(np.broadcast_to(response.kept, shape)),
+        np.ascontiguousarray(np.broadcast_to(response.heading_retention, shape)),
     )
 
 

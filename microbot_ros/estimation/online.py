@@ -244,7 +244,7 @@ class Estimator:
             self._log, shared.delay.value, now, now + max(self.settings.horizon, 1e-6), state.p
         )
         return answer(state, ahead, shared, self.conditions, told,
-                      self.model.aging(now))
+                      self.model.gain_change_since_start(now))
 
     def _note(self, text: str) -> None:
         """Keep a sentence for the diagnosis of the next seconds."""

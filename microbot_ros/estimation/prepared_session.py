@@ -240,8 +240,9 @@ def _lost(session: PreparedSession, model: Model, assumed: float) -> np.ndarray:
     From when Brownian turning, amplified by every turn of nearly 180°, spreads them wider than a
     linear filter can follow, until the field has gathered them again.
     """
-    nobody = ParticleParameters.from_velocity(np.zeros(1, int), np.ones(1, complex))
-    retention = heading_response(model, nobody, session.timeline).kept[:, 0]
+    nobody = ParticleParameters.from_velocity_phasor(np.zeros(1, int), np.ones(1, complex))
+    response = heading_response(model, nobody, session.timeline)
+    retention = response.heading_retention[:, 0]
     kick = 2 * (session.rotational_diffusion or assumed) * np.diff(session.times)
     variance = np.zeros(len(session.times))
     for k in range(len(retention)):

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from microbot_ros.estimation.one_leg_regression import one_leg
-from microbot_ros.magnetics.force import Particle as MagneticParticle
+from microbot_ros.magnetics.force import MagneticParticle
 from microbot_ros.model.first_order import simulate
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.newton_stokes import newton_stokes, stokes_translation

@@ -9,7 +9,7 @@ from microbot_ros.discovery.discover import discover
 from microbot_ros.discovery.input_checks import check_sessions
 from microbot_ros.discovery.stepwise_selection import StepwiseSelection
 from microbot_ros.estimation.batch import fit
-from microbot_ros.virtual_rig.experiment import Camera
+from microbot_ros.virtual_rig.record_session import Camera
 
 
 def rows(session, kept):

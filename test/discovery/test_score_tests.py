@@ -7,7 +7,7 @@ from scipy import stats
 from microbot_ros.discovery.input_checks import check_sessions
 from microbot_ros.discovery.score_tests import _holm, residual_maps
 from microbot_ros.discovery.stepwise_selection import StepwiseSelection
-from microbot_ros.virtual_rig.experiment import Camera
+from microbot_ros.virtual_rig.record_session import Camera
 
 
 def maps_of(session):
