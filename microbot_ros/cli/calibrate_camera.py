@@ -21,9 +21,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CameraPart:
-    """The tracker's part of a rig's file, SI; and lines on where each number is from.
+    """The tracker's part of a rig's file, and `lines` on where each number is from.
 
-    None is what was neither measured nor in the rig's file.
+    `pixel_size` [m], `rotation` [rad] and whether the picture is `mirrored`; None is what was
+    neither measured nor in the rig's file.
     """
 
     pixel_size: float | None = None

@@ -24,7 +24,12 @@ _REACHED_UM = 3.0
 
 @dataclass
 class DemoRun:
-    """The demo's recording as arrays. Times [s] since the first frame; everything else in SI."""
+    """The demo's recording as arrays. Times [s] since the first frame; everything else in SI.
+
+    By the time of the frame: `truth`, `particles` and `estimates`, a row each particle. `goals` as
+    they were given, with when; `latency` (K,) from exposure to acknowledgement; `health`, the last
+    values that each node told; `origin`, the stamp of the first frame.
+    """
 
     truth: dict[float, np.ndarray]
     particles: dict[float, np.ndarray]

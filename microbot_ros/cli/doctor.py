@@ -21,7 +21,8 @@ _BUSY = [sys.executable, '-c', 'while True: pass']
 
 
 class Finding(NamedTuple):
-    """One thing that was looked at: 'ok', 'warn' or 'fail', and what to do about it."""
+    """One thing that was looked at: its `level`, 'ok', 'warn' or 'fail', and in `detail` what was
+    found and what to do about it."""
 
     what: str
     level: str

@@ -146,8 +146,9 @@ class ControllerInput:
     `t` [s] is now, `dt` since the tick before, `age` since the exposure of the poses. Particles:
     `ids` (N,), measured `position` (N, 2), its standard deviation `sigma` (N,), heading `theta`
     (N,) (NaN where unknown). Estimates: `speed` (N,) [m/s, or m/s/Hz of rollers] and `phi` (N,)
-    with standard deviations (inf: nothing is known). `expected` (N, 2) is where the particles
-    will be when a command given now takes effect, `delay` [s] later, as far as that is known.
+    with `speed_std` and `phi_std` (inf: nothing is known). `expected` (N, 2) is where the
+    particles will be when a command given now takes effect, `delay` [s] later, as far as that is
+    known.
     `field` (2,) and `frequency` are the command before, `record` those of the last seconds.
     `joystick` (2,), within the unit circle, is a person's hand. `path` (P, 2).
     """
@@ -192,7 +193,7 @@ class Progress:
     """How far a controller has come, for people and for whoever waits for it.
 
     `distance` [m] is what is left to its goal, NaN where that means nothing; `done` says that
-    what was asked has been reached.
+    what was asked has been reached; `message` says in words what it does.
     """
 
     message: str = ''

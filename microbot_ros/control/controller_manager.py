@@ -34,7 +34,7 @@ LONGEST_STEP = 0.1
 
 @dataclass(frozen=True)
 class SwitchResult:
-    """Whether a request was granted, and why not."""
+    """Whether a request was granted (`ok`), and a `message`: why not, or what has changed."""
 
     ok: bool
     message: str = ''
@@ -42,7 +42,8 @@ class SwitchResult:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one tick gives: the command to send, or None for no command at all."""
+    """What one tick gives: the command to send, or None for no command at all; how it came to
+    that, and a `message` on it."""
 
     command: FieldCommand | None
     result: Result = Result.OK

@@ -41,7 +41,7 @@ class Watchdog(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Command:
-    """Currents [A], shape (4,), and when they were handed to the line [s, monotonic].
+    """`currents_A` (4,) [A], handed to the line at `t_monotonic_s`.
 
     `tag` is the caller's, to know the command again.
     """
@@ -53,7 +53,7 @@ class Command:
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """Measured currents [A], shape (4,), and when they arrived [s, monotonic].
+    """Measured `currents_A` (4,) [A], which arrived at `t_monotonic_s`.
 
     `since_s` is when the last command went out that the device had for sure when they were taken:
     every later one may, or may not yet, show in them. `acknowledges` is the oldest command that
@@ -69,7 +69,8 @@ class Reading:
 
 @dataclass
 class Counters:
-    """Traffic since the driver was made."""
+    """Traffic since the driver was made: `frames_sent` and `frames_received`, answers whose check
+    failed (`crc_errors`) and `discarded_bytes` that belonged to no answer."""
 
     frames_sent: int = 0
     frames_received: int = 0

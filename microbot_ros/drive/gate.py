@@ -72,7 +72,7 @@ class Reason(StrEnum):
 
 @dataclass(frozen=True)
 class Fault:
-    """A latched reason, with one sentence for a person."""
+    """A latched reason, and its `detail`, one sentence for a person."""
 
     reason: Reason
     detail: str

@@ -68,7 +68,8 @@ class ControllerNode(RigNode):
         return ''
 
     def take(self, changed: Mapping[str, Any], named: Collection[str]) -> str:
-        """Configure, then switch. Naming the controller that drives restarts it after a fault."""
+        """Configure with what has `changed`, then switch. Where the controller that drives is
+        among those `named`, it is restarted after a fault."""
         answer = self.stage.configure(
             changed.get('', self.settings),
             {prefix.removesuffix('.'): values for prefix, values in changed.items() if prefix},

@@ -217,6 +217,7 @@ class RigNode(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Fill in what the node needs (`setup`), from whatever `state` it was in."""
         self.fault = ''
         if self.accounts_for:
             self.account.begin()
@@ -226,21 +227,26 @@ class RigNode(LifecycleNode):
         return done
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Let it act (`start`), from whatever `state` it was in."""
         done = self._transition('activate', self.start)
         self.active = done == TransitionCallbackReturn.SUCCESS
         return done
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Let it rest, safe (`stop`), from whatever `state` it was in."""
         self.active = False
         return self._transition('deactivate', self.stop)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Give back what `setup` made, from whatever `state` it was in."""
         return self._transition('cleanup', self._discard)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop and give back, from whatever `state` it was in."""
         return self._transition('shutdown', self._end)
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop and give back, from whatever `state` it was in."""
         return self._transition('error', self._end)
 
     def _end(self) -> None:

@@ -170,12 +170,14 @@ def currents(names: Iterable[str], amperes: Any, stamp: Time) -> JointState:
 
 
 def field_at(message: MagneticField) -> tuple[float, np.ndarray]:
-    """When [s] which field (2,) [T] was there; MessageError where it is not of the workspace."""
+    """When [s] which field (2,) [T] was there, by a `message`; MessageError where that is not of
+    the workspace."""
     return _vector_at(message.header, message.magnetic_field)
 
 
 def vector_at(message: Vector3Stamped) -> tuple[float, np.ndarray]:
-    """When [s] which vector (2,) in the plane; MessageError where it is not of the workspace."""
+    """When [s] which vector (2,) in the plane, by a `message`; MessageError where that is not of
+    the workspace."""
     return _vector_at(message.header, message.vector)
 
 

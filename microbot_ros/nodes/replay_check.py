@@ -41,7 +41,7 @@ _READY_SECONDS = 30.0
 
 @dataclass(frozen=True)
 class ReplayPlan:
-    """Which nodes are in play, and which recorded topics they are played."""
+    """Which nodes are in play, in which `namespace`, and which recorded topics are played."""
 
     stages: tuple[Stage, ...]
     played: tuple[str, ...]

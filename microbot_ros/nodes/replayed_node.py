@@ -38,7 +38,7 @@ _REMEMBERED = 5000
 
 @dataclass(frozen=True)
 class Stage:
-    """What a node takes, the topic on which it answers each frame, what else it then says."""
+    """What a node takes, the topic on which it answers each frame, what it `also` says then."""
 
     node: str
     takes: tuple[str, ...]

@@ -34,7 +34,8 @@ _SYNTAX = re.compile(r'([a-z_]+)(?:=([\d.]+))?(?:@([\d.]+))?(?:\+([\d.]+))?')
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault and when it holds [s, monotonic]."""
+    """A fault of a `kind`, with the `value` that the kind takes, from `start_s` to `end_s` on the
+    monotonic clock."""
 
     kind: str
     value: float
