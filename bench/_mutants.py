@@ -34,7 +34,7 @@ TESTS = {
     'gate': (['test_gate'], ''),
     'self_check': (['test_self_check'], ''),
     'coil_driver': (['test_served_driver'], ''),
-    'amplifier': (['test_served_amplifiers'], 'serial_transfer or roboclaw'),
+    'amplifier': (['test_served_amplifiers'], 'serial_transfer or modbus'),
     'polled': (['test_served_amplifiers'], 'roboclaw or modbus'),
     'last_resort': (['test_sentinel'], ''),
     'sentinel': (['test_sentinel'], ''),

@@ -277,6 +277,18 @@ def test_a_zero_goes_ahead_of_an_answer_that_stays_away(amplifier, device):
     device.eventually(DRIVING)
 
 
+@pytest.mark.parametrize('protocol', ['modbus'])
+def test_a_zero_comes_after_the_silence_that_ends_what_was_said(amplifier, device, monkeypatch):
+    drive_bare(amplifier, device)
+    done = []
+    port = amplifier._lines[0]
+    monkeypatch.setattr(polled.time, 'sleep', lambda seconds: done.append(seconds))
+    monkeypatch.setattr(port, 'send', done.append)
+    amplifier.zero()
+    assert done[:2] == [amplifier.gap_s, *amplifier._zeros()]
+    assert amplifier.gap_s >= 0.00175  # above 19,200 Bd (Modbus over serial line, 2.5.1.1)
+
+
 @polled_protocols
 def test_a_zero_is_said_again_and_made_sure_of(amplifier, device):
     drive_bare(amplifier, device)
