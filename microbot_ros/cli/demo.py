@@ -255,11 +255,12 @@ def _print(summary: dict[str, Any], out: Path) -> None:
     console = Console()
     console.print(table)
     latency = summary['latency_ms']
+    passed = ('no command acknowledged' if latency['p50'] is None else
+              f'exposure to amplifier p50 {latency["p50"]:.1f} ms, p99 {latency["p99"]:.1f} ms')
     console.print(
         f'reached {summary["goals_reached"]} of {summary["goals"]} places; distance to the last, '
         f'mean of the last 5 s: {summary["goal_error_um"]:.1f} µm\n'
-        f'frames {summary["frames"]}, dropped {summary["frames_dropped"]}; exposure to amplifier '
-        f'p50 {latency["p50"]:.1f} ms, p99 {latency["p99"]:.1f} ms; CRC errors '
+        f'frames {summary["frames"]}, dropped {summary["frames_dropped"]}; {passed}; CRC errors '
         f'{summary["amplifier"]["crc_errors"]}\n'
         f'look at {out}/demo.mp4 and {out}/demo.png', highlight=False)
 

@@ -79,11 +79,12 @@ def _error(axes: Axes, run: DemoRun, goal: np.ndarray) -> None:
 
 def _latency(axes: Axes, run: DemoRun) -> None:
     milliseconds = run.latency * 1e3
-    axes.hist(milliseconds, bins=60, range=(0, max(30.0, np.percentile(milliseconds, 99.5))),
-              color=COLOURS[0])
-    for q, style in ((50, '-'), (99, '--')):
-        value = float(np.percentile(milliseconds, q))
-        axes.axvline(value, color=COLOURS[1], linestyle=style, label=f'p{q} {value:.1f} ms')
+    if len(milliseconds):
+        axes.hist(milliseconds, bins=60, range=(0, max(30.0, np.percentile(milliseconds, 99.5))),
+                  color=COLOURS[0])
+        for q, style in ((50, '-'), (99, '--')):
+            value = float(np.percentile(milliseconds, q))
+            axes.axvline(value, color=COLOURS[1], linestyle=style, label=f'p{q} {value:.1f} ms')
+        axes.legend()
     axes.set(title='From exposure to the amplifier’s acknowledgement', xlabel='latency [ms]',
              ylabel='frames')
-    axes.legend()

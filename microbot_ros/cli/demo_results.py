@@ -110,12 +110,16 @@ def summarise(run: DemoRun, goals: np.ndarray, armed_at: float) -> dict[str, Any
         'goals_reached': goals_reached(truth[truth[:, 0] >= given, 1:], goals),
         'frames': len(expected),
         'frames_dropped': sum(t not in run.particles for t in expected),
-        'latency_ms': {
-            f'p{q}': round(float(np.percentile(run.latency, q) * 1e3), 2) for q in (50, 99)},
+        'latency_ms': {f'p{q}': _percentile_ms(run.latency, q) for q in (50, 99)},
         'amplifier': {'frames': int(driver['frames_sent']),
                       'crc_errors': int(driver['crc_errors'])},
         'estimate': dict(_estimates(run)),
     }
+
+
+def _percentile_ms(latency: np.ndarray, q: int) -> float | None:
+    """None where no command was ever acknowledged."""
+    return round(float(np.percentile(latency, q) * 1e3), 2) if len(latency) else None
 
 
 def goals_reached(path: np.ndarray, goals: np.ndarray) -> int:

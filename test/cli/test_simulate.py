@@ -184,7 +184,6 @@ def test_a_controller_has_its_own_parameters(tmp_path):
     (closed(name='steam'), "no controller 'steam'"),
     (closed(parameters={'steam': 1}), "unknown parameter 'steam' of waypoint"),
     (closed(parameters={'field_mT': float('nan')}), 'field_mT must be finite'),
-    (closed(max_field_mT=50.0), 'full_field_mT'),
     (closed() | {'camera': {'frame_rate_hz': 10}}, 'expected more than 13.3'),
     (closed(goals_um=[[1, 2, 3]]), 'controller.goals_um'),
 ])

@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -22,6 +23,7 @@ import yaml
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 
+from microbot_ros.drive.real_time import set_realtime_priority
 from microbot_ros.nodes.lifecycle import RigNode
 from microbot_ros.nodes.process import make
 from microbot_ros.nodes.transport import stay_local
@@ -140,6 +142,45 @@ class Ros:
         self.nodes.clear()
         del self.probe, self._executor
         gc.collect()
+
+
+class Machine:
+    """How long this machine keeps even a real-time thread waiting: a neighbour may have its
+    processors.
+
+    A bound in milliseconds holds on top of that.
+    """
+
+    def __init__(self) -> None:
+        self._late: list[tuple[float, float]] = []
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._watch, daemon=True)
+        self._thread.start()
+
+    def _watch(self) -> None:
+        set_realtime_priority()
+        while not self._ending.is_set():
+            begin = time.monotonic()
+            time.sleep(0.002)
+            now = time.monotonic()
+            self._late.append((now, max(now - begin - 0.003, 0.0)))
+
+    def kept_waiting_s(self, since: float) -> float:
+        """How long, all in all, since a moment on the monotonic clock [s]."""
+        return sum(late for t, late in self._late if t >= since)
+
+    def end(self) -> None:
+        """Watch no more."""
+        self._ending.set()
+        self._thread.join()
+
+
+@pytest.fixture
+def machine() -> Iterator[Machine]:
+    """Watches the machine during a test."""
+    made = Machine()
+    yield made
+    made.end()
 
 
 @pytest.fixture

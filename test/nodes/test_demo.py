@@ -21,17 +21,27 @@ from microbot_ros.cli.demo import GOALS_UM, places_within, tell_shortcomings
 from microbot_ros.cli.demo_results import goals_reached
 from microbot_ros.drive.real_time import set_realtime_priority
 
-pytestmark = [pytest.mark.graph, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.graph, pytest.mark.timeout(600)]
+
+
+STOLEN = 0.05
+"""Share of the processors that others took, from which on a demo that was cut tells nothing."""
 
 
 @pytest.fixture(scope='module')
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What a demo of 30 s leaves behind."""
-    out = tmp_path_factory.mktemp('demo') / 'demo'
-    done = subprocess.run(
-        [sys.executable, '-m', 'microbot_ros.cli', 'demo', '--out', str(out)],
-        capture_output=True, text=True, timeout=250)
-    assert done.returncode == 0, done.stderr
+    """What a demo of 30 s leaves behind: the first that had this machine to itself."""
+    for _ in range(4):
+        out = tmp_path_factory.mktemp('demo') / 'demo'
+        before = psutil.cpu_times()
+        done = subprocess.run(
+            [sys.executable, '-m', 'microbot_ros.cli', 'demo', '--out', str(out)],
+            capture_output=True, text=True, timeout=250)
+        after = psutil.cpu_times()
+        stolen = (after.steal - before.steal) / (sum(after[:8]) - sum(before[:8]))
+        if done.returncode == 0 or stolen < STOLEN:
+            break
+    assert done.returncode == 0, f'{stolen:.0%} of the processors stolen\n{done.stderr}'
     return out
 
 
@@ -161,13 +171,16 @@ def _zero_after(log: TextIO, moment: float) -> float:
 
 
 @pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGHUP])
-def test_a_stopped_demo_is_at_zero_says_so_and_leaves_nothing(begun: Demo, number: int) -> None:
+def test_a_stopped_demo_is_at_zero_says_so_and_leaves_nothing(
+        begun: Demo, machine: Any, number: int) -> None:
     children = begun.until('s] v = ')
     with begun.log() as log:
         moment = time.monotonic()
         begun.process.send_signal(number)
+        time.sleep(0.5)
+        kept_waiting_s = machine.kept_waiting_s(moment)
         assert begun.process.wait(30) == 128 + number
-        assert _zero_after(log, moment) < 0.1
+        assert _zero_after(log, moment) < 0.1 + kept_waiting_s
     assert f'stopped by {signal.Signals(number).name}' in begun.said
     assert not any(child.is_running() for child in children)
     assert [path.name for path in begun.folder.iterdir()] == ['said.txt']
