@@ -171,7 +171,9 @@ def test_a_recorder_whose_answer_was_lost_has_done_it(
 def _driver_and_commander(ros: Any, emulator: Any) -> tuple[Any, Any]:
     graph = ros({'coil_driver': {'port': str(emulator.port), 'full_scale_A': 2.0}})
     graph.probe.create_publisher(Vector3Stamped, 'field/command', 1)
-    return graph, graph.add('coil_driver')
+    driver = graph.add('coil_driver')
+    graph.until(lambda: len(driver._commanders()) == 1)
+    return graph, driver
 
 
 def test_arming_whose_answer_was_lost_is_asked_for_again(
