@@ -8,8 +8,6 @@ import sys
 import time
 from pathlib import Path
 
-from microbot_ros.drive.real_time import set_realtime_priority
-
 FULL_SCALE_A = 2.0
 
 
@@ -22,7 +20,6 @@ class Emulator:
             [sys.executable, '-m', 'microbot_ros.cli', 'emulate', protocol, '--link', str(link),
              '--log', str(log), '--full-scale-A', str(FULL_SCALE_A), '--fault', '-', *options],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        set_realtime_priority(self._process.pid)  # a device has nothing else to do
         assert self._process.stdout is not None
         *_, places = self._process.stdout.readline().partition(' at ')
         self.url = ','.join(places.split())

@@ -22,7 +22,6 @@ from sensor_msgs.msg import Image, PointCloud2, TimeReference
 from bench._camera_load import PIXEL_SIZE_UM
 from bench.figure import Figure
 from bench.recording import _session
-from microbot_ros.drive.real_time import set_realtime_priority
 from microbot_ros.errors import InputError
 from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes import messages
@@ -146,7 +145,6 @@ def _start(graph: Graph, folder: Path) -> list[str]:
         sys.executable, '-m', 'microbot_ros.cli', 'emulate', 'serial_transfer', '--link',
         str(port), '--full-scale-A', '2'], says_when_ready='serving')
     graph.wait_ready(20.0)
-    set_realtime_priority(graph.process_id('amplifier'))  # a board has nothing else to do
     for node in own:
         graph.start_nodes([node], rig)
     graph.wait_ready(120.0)

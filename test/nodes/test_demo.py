@@ -16,16 +16,12 @@ import numpy as np
 import psutil
 import pytest
 from mcap.reader import make_reader
+from stolen import STOLEN, Processors
 
 from microbot_ros.cli.demo import GOALS_UM, places_within, tell_shortcomings
 from microbot_ros.cli.demo_results import goals_reached
-from microbot_ros.drive.real_time import set_realtime_priority
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(600)]
-
-
-STOLEN = 0.05
-"""Share of the processors that others took, from which on a demo that was cut tells nothing."""
 
 
 @pytest.fixture(scope='module')
@@ -33,12 +29,11 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What a demo of 30 s leaves behind: the first that had this machine to itself."""
     for _ in range(4):
         out = tmp_path_factory.mktemp('demo') / 'demo'
-        before = psutil.cpu_times()
+        processors = Processors()
         done = subprocess.run(
             [sys.executable, '-m', 'microbot_ros.cli', 'demo', '--out', str(out)],
             capture_output=True, text=True, timeout=250)
-        after = psutil.cpu_times()
-        stolen = (after.steal - before.steal) / (sum(after[:8]) - sum(before[:8]))
+        stolen = processors.stolen
         if done.returncode == 0 or stolen < STOLEN:
             break
     assert done.returncode == 0, f'{stolen:.0%} of the processors stolen\n{done.stderr}'
@@ -141,11 +136,7 @@ class Demo:
             assert time.monotonic() < deadline, self.said
             assert self.process.poll() is None, self.said
             time.sleep(0.01)
-        children = psutil.Process(self.process.pid).children()
-        for child in children:
-            if 'emulate' in child.cmdline():
-                set_realtime_priority(child.pid)  # a board has nothing else to do
-        return children
+        return psutil.Process(self.process.pid).children()
 
     def log(self) -> TextIO:
         """The amplifier's log, which can be read on when its name is gone."""

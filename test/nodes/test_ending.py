@@ -21,7 +21,6 @@ from geometry_msgs.msg import Vector3Stamped
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.parameter import Parameter
 
-from microbot_ros.drive.real_time import set_realtime_priority
 from microbot_ros.ending import PARENT
 from microbot_ros.errors import InputError, RigError
 from microbot_ros.nodes import messages
@@ -46,7 +45,6 @@ class Bench:
     def __init__(self, folder: Path, emulator: Any) -> None:
         self.folder = folder
         self.emulator = emulator
-        set_realtime_priority(emulator.process.pid)  # a board has nothing else to do
         self.client = GraphClient('commander')
         self._started: list[psutil.Process] = []
         self._open = ExitStack()

@@ -18,7 +18,7 @@ import psutil
 import pytest
 import yaml
 
-from microbot_ros.drive.real_time import LOOP, SAFETY, set_realtime_priority
+from microbot_ros.drive.real_time import LOOP, SAFETY
 from microbot_ros.errors import RigError
 from microbot_ros.nodes.graph_client import GraphClient
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
@@ -59,7 +59,6 @@ class Running:
         config.write_text(yaml.safe_dump(
             {node: {'ros__parameters': values} for node, values in nodes.items()}))
         self.emulator = emulator
-        set_realtime_priority(emulator.process.pid)  # a board has nothing else to do
         self.said = (folder / 'said.txt')
         with self.said.open('w') as said:
             self.process = subprocess.Popen(

@@ -15,6 +15,7 @@ from microbot_ros.drive.emulator.device import Device
 from microbot_ros.drive.emulator.faults import Faults, parse
 from microbot_ros.drive.emulator.line import Line
 from microbot_ros.drive.emulator.server import Server
+from microbot_ros.drive.real_time import SAFETY, set_realtime_priority_of_all
 from microbot_ros.ending import Ending, find_launcher
 from microbot_ros.errors import InputError
 
@@ -54,6 +55,8 @@ def run(protocol: str, link: Path, log: Path | None, full_scale_A: float,
             lines.append(Line(path))
             stack.callback(lines[-1].unplug)
         stack.callback(coils.zero, 'power_off')
+        # A board has nothing else to do, and waits for no program of this machine.
+        set_realtime_priority_of_all(SAFETY)
         server = Server(device, lines, planned, sys.stdin.fileno() if '-' in faults else None)
         print('serving', protocol, 'at', *(line.link for line in lines), flush=True)
         server.run(lambda: ending.due)
