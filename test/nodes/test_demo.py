@@ -24,6 +24,12 @@ from microbot_ros.cli.demo_results import goals_reached
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(600)]
 
 
+def watchdogs(out: Path) -> int:
+    """How often the amplifier had to end the currents by itself."""
+    entries = [json.loads(line) for line in (out / 'amplifier.jsonl').read_text().splitlines()]
+    return [entry['cause'] for entry in entries].count('watchdog')
+
+
 @pytest.fixture(scope='module')
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What a demo of 30 s leaves behind: the first that had this machine to itself."""
@@ -34,7 +40,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
             [sys.executable, '-m', 'microbot_ros.cli', 'demo', '--out', str(out)],
             capture_output=True, text=True, timeout=250)
         stolen = processors.stolen
-        if done.returncode == 0 or stolen < STOLEN:
+        if stolen < STOLEN or (done.returncode == 0 and watchdogs(out) == 1):
             break
     assert done.returncode == 0, f'{stolen:.0%} of the processors stolen\n{done.stderr}'
     return out
@@ -74,8 +80,7 @@ def test_currents_flowed_and_ended_at_zero(demo: Path) -> None:
     entries = [json.loads(line) for line in (demo / 'amplifier.jsonl').read_text().splitlines()]
     assert any(any(entry['currents_A']) for entry in entries)
     assert not any(entries[-1]['currents_A'])
-    # Once, when arming tried it out.
-    assert [entry['cause'] for entry in entries].count('watchdog') == 1
+    assert watchdogs(demo) == 1  # when arming tried it out
 
 
 def test_another_reader_opens_the_recording(demo: Path) -> None:
