@@ -20,10 +20,8 @@ from typing import Any
 import pytest
 import rclpy
 import yaml
-from _pytest.runner import runtestprotocol
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
-from stolen import STOLEN, Processors
 
 from microbot_ros.drive.real_time import set_realtime_priority
 from microbot_ros.nodes.lifecycle import RigNode
@@ -49,29 +47,6 @@ def _own_domain() -> int:
 # The middleware shows the nodes of a graph that has ended for a while yet: the next graphs of this
 # process are elsewhere.
 _DOMAINS = itertools.cycle([os.environ['ROS_DOMAIN_ID'], *(str(_own_domain()) for _ in range(15))])
-
-
-_TRIES = 4
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_runtest_protocol(item: Any, nextitem: Any) -> bool | None:
-    """Try a test of the graph again that failed while the host lent the processors to others."""
-    if item.get_closest_marker('graph') is None:
-        return None
-    item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
-    for tried in range(1, _TRIES + 1):
-        processors = Processors()
-        reports = runtestprotocol(item, log=False, nextitem=nextitem)
-        if not any(report.failed for report in reports) or processors.stolen < STOLEN:
-            break
-        if tried < _TRIES:
-            print(f'\n{item.nodeid}: tried again, {processors.stolen:.0%} of processors stolen')
-            item._initrequest()
-    for report in reports:
-        item.ihook.pytest_runtest_logreport(report=report)
-    item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
-    return True
 
 
 class Emulator:
