@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -15,24 +13,10 @@ from _pytest.runner import runtestprotocol
 
 sys.path.insert(0, str(Path(__file__).parent))
 
+from domains import own_domain
 from stolen import STOLEN, Processors
 
-
-def _own_domain() -> int:
-    """A ROS domain that no other test process of this machine uses, for as long as we live."""
-    for domain in range(1, 101):
-        lock = os.open(Path(tempfile.gettempdir()) / f'microbot_ros_domain_{domain}',
-                       os.O_CREAT | os.O_RDWR, 0o666)
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            os.close(lock)
-            continue
-        return domain
-    raise RuntimeError('no free ROS domain')
-
-
-os.environ['ROS_DOMAIN_ID'] = str(_own_domain())
+os.environ['ROS_DOMAIN_ID'] = str(own_domain())
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 os.environ.setdefault('MPLBACKEND', 'Agg')
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import gc
 import itertools
 import json
@@ -10,7 +9,6 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -20,6 +18,7 @@ from typing import Any
 import pytest
 import rclpy
 import yaml
+from domains import own_domain
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 
@@ -31,22 +30,9 @@ from microbot_ros.nodes.transport import stay_local
 FULL_SCALE_A = 2.0
 
 
-def _own_domain() -> int:
-    """A ROS domain that no other test process of this machine uses, for as long as we live."""
-    for domain in range(1, 101):
-        lock = os.open(Path(tempfile.gettempdir()) / f'microbot_ros_domain_{domain}',
-                       os.O_CREAT | os.O_RDWR, 0o666)
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return domain
-        except OSError:
-            os.close(lock)
-    raise RuntimeError('no free ROS domain')
-
-
 # The middleware shows the nodes of a graph that has ended for a while yet: the next graphs of this
 # process are elsewhere.
-_DOMAINS = itertools.cycle([os.environ['ROS_DOMAIN_ID'], *(str(_own_domain()) for _ in range(15))])
+_DOMAINS = itertools.cycle([os.environ['ROS_DOMAIN_ID'], *(str(own_domain()) for _ in range(15))])
 
 
 class Emulator:
