@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import socket
 import subprocess
 import sys
@@ -90,15 +91,10 @@ def test_nothing_that_comes_from_beyond_loopback_is_ever_read(
 
 def test_the_shared_memory_of_the_killed_goes_and_that_of_the_living_stays(
         node: subprocess.Popen[str]) -> None:
-    folder = Path('/dev/shm')
-
-    def segments() -> set[Path]:
-        mapped = Path(f'/proc/{node.pid}/maps').read_text()
-        return {path for path in folder.glob('fastrtps_' + '[0-9a-f]' * 16)
-                if str(path) in mapped}
-
-    own = segments()
-    locks = {path.with_name(f'{path.name}_el') for path in own}
+    # Its own alone: it maps those of whoever it has found as well.
+    locks = {Path(file.path) for file in psutil.Process(node.pid).open_files()
+             if re.fullmatch('fastrtps_[0-9a-f]{16}_el', Path(file.path).name)}
+    own = {path.with_name(path.name.removesuffix('_el')) for path in locks}
     assert own
     for lock in locks:  # as if they had been there for a while
         os.utime(lock, (0, 0))
