@@ -17,8 +17,9 @@ from microbot_ros.nodes.graph import Graph
 @click.option('--config', type=click.Path(path_type=Path), required=True,
               help='ROS parameter file with a section per node; see config/rig.yaml.')
 @click.option('--arm', is_flag=True, help='Arm the gate once everything runs.')
-@click.option('--one-process', is_flag=True, help='All nodes in one process: less latency for '
-              'large frames, but one crash ends all.')
+@click.option('--one-process/--process-per-node', default=True, show_default=True,
+              help='The loop in one process answers sooner; in a process per node a crash of one '
+              'leaves the others.')
 def command(config: Path, arm: bool, one_process: bool) -> None:
     """Run the nodes beside a rig until Ctrl-C, SIGTERM or SIGHUP: the coils go to zero at once.
 
@@ -32,12 +33,12 @@ def command(config: Path, arm: bool, one_process: bool) -> None:
       microbot arm
     """
     from microbot_ros.nodes.configuration import read_rig
-    from microbot_ros.nodes.process import NODES
+    from microbot_ros.nodes.process import NODES, processes
 
     nodes = [name for name in NODES if name in read_rig(config)]
     graph = Graph(_say)
     with Ending(graph.tell_to_end) as ending, graph:
-        for group in [nodes] if one_process else [[name] for name in nodes]:
+        for group in processes(nodes, one_process):
             graph.start_nodes(group, config)
         try:
             with ending.interrupts():

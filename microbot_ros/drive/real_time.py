@@ -27,13 +27,14 @@ def set_realtime_priority(thread: int = 0, priority: int = SAFETY) -> bool:
 
 
 def set_realtime_priority_of_all(priority: int) -> None:
-    """`set_realtime_priority` with a `priority` for all threads of this process.
+    """`set_realtime_priority` with a `priority` for all threads of this process that have less.
 
     Those of the middleware too: one is not enough, it waits for who holds the interpreter's lock.
     """
     with suppress(OSError):
         for task in Path('/proc/self/task').iterdir():
-            set_realtime_priority(int(task.name), priority)
+            if os.sched_getparam(int(task.name)).sched_priority < priority:
+                set_realtime_priority(int(task.name), priority)
 
 
 def lateness(seconds: float, tick_s: float) -> list[float]:

@@ -5,13 +5,16 @@ from __future__ import annotations
 import time
 import traceback
 from collections.abc import Callable, Collection, Mapping
-from typing import Any, ClassVar
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any, ClassVar, cast
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 
@@ -19,6 +22,7 @@ from microbot_ros.errors import InputError
 from microbot_ros.nodes.account import Account
 from microbot_ros.nodes.messages import MessageError, to_seconds
 from microbot_ros.nodes.parameters import ParameterSet, refuse_unknown
+from microbot_ros.nodes.rig import HangingError, Outlet, Rig
 from microbot_ros.settings import defaults
 
 # Small messages: deep enough for a replay at many times real time.
@@ -44,7 +48,7 @@ class RigNode(LifecycleNode):
     An exception in a transition or callback is logged with its traceback and shown on
     `/diagnostics`, and `make_safe` runs at once; a bad message is reported and dropped.
     Subscriptions and timers act only while the node is active. A transition (`on_…`) is given the
-    `state` that it leaves.
+    `state` that it leaves. Nodes that share a `rig` speak to each other through it.
     """
 
     Parameters: ClassVar[type]
@@ -54,7 +58,7 @@ class RigNode(LifecycleNode):
     unrepeatable = ''
     """Why the same inputs need not have the same answers; '' where they do."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, rig: Rig | None = None) -> None:
         super().__init__(name)
         self.active = False
         self.account = self.Account(self)
@@ -64,6 +68,7 @@ class RigNode(LifecycleNode):
         self._complaint_until = 0.0
         self._created: list[tuple[Callable[[Any], Any], Any]] = []
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.rig = rig
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self.create_timer(1.0, self._report, clock=self._steady)
         self._parameters_of_node: ParameterSet[Any] = ParameterSet(
@@ -129,6 +134,8 @@ class RigNode(LifecycleNode):
         """A publisher on a `topic` for messages of a `kind`, by `qos`; goes with the cleanup."""
         made = self.create_publisher(kind, topic, qos)
         self._created.append((self.destroy_publisher, made))
+        if self.rig and qos is not LATCHED:
+            return cast(Publisher, Outlet(self.rig, topic, made))
         return made
 
     def subscribe(self, kind: type, topic: str, callback: Callable[[Any], None],
@@ -141,6 +148,12 @@ class RigNode(LifecycleNode):
         """
         if self.accounts_for and not raw:
             callback = self.account.keeping(topic, callback)
+        if self.rig and self.rig.joins(topic):
+            leave = self.rig.listen(topic, self._guarded(callback))
+            self._created.append((lambda _: leave(), None))
+            if not on_matched:
+                return
+            callback, raw = _ignore, True
         events = SubscriptionEventCallbacks(
             matched=self._guarded(on_matched) if on_matched else None)
         made = self.create_subscription(kind, topic, self._guarded(callback), qos, raw=raw,
@@ -166,6 +179,13 @@ class RigNode(LifecycleNode):
         self._created.append((self.destroy_client, made))
         return made
 
+    def afterwards(self, work: Callable[[], None]) -> None:
+        """Do some `work` once the currents that answer this callback are on their way."""
+        if self.rig:
+            self.rig.afterwards(work)
+        else:
+            work()
+
     def seconds(self) -> float:
         """Now on the node's clock [s]."""
         return to_seconds(self.get_clock().now().to_msg())
@@ -185,13 +205,25 @@ class RigNode(LifecycleNode):
 
     # Machinery ------------------------------------------------------------------------------
 
+    def _turn(self) -> AbstractContextManager[None]:
+        return self.rig.turn() if self.rig else nullcontext()
+
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """As rclpy does, all of `parameter_list` or none, between two frames."""
+        try:
+            with self._turn():
+                return super().set_parameters_atomically(parameter_list)
+        except HangingError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+
     def _guarded(self, callback: Callable[..., None]) -> Callable[..., None]:
         def guarded(*arguments: Any) -> None:
             if not self.active:
                 return
             try:
-                callback(*arguments)
-            except MessageError as error:
+                with self._turn():
+                    callback(*arguments)
+            except (MessageError, HangingError) as error:
                 self.complain(str(error))
             except Exception as error:
                 self._failed(callback.__name__, error)
@@ -285,6 +317,10 @@ def status(node: str, level: bytes, sentence: str, values: dict[str, object]) ->
     return DiagnosticStatus(
         level=level, name=f'{node}: {node}', message=sentence,
         values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()])
+
+
+def _ignore(_: object) -> None:
+    """What is heard here has come another way."""
 
 
 def _text(value: object) -> str:

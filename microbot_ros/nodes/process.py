@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import importlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import rclpy
@@ -18,6 +18,7 @@ from microbot_ros.ending import Ending, find_launcher
 from microbot_ros.errors import InputError
 from microbot_ros.nodes.graph import READY
 from microbot_ros.nodes.lifecycle import RigNode
+from microbot_ros.nodes.rig import Rig
 from microbot_ros.nodes.transport import stay_local
 
 NODES = {
@@ -32,16 +33,25 @@ NODES = {
 }
 """Node name → class in the module of the same name; imported only where it runs."""
 
-_LOOP = {'camera', 'tracker', 'model', 'controller'}
+LOOP_NODES = ('camera', 'tracker', 'model', 'controller', 'coil_driver')
+"""What runs in real time, and may share a process, joined by a `Rig`."""
 
 # The end is noticed between two spins. The coils do not wait for that.
 _SPIN_SECONDS = 0.02
+_SWITCH_S = 0.0005
+"""How long one thread may keep the interpreter from another, where the loop has several."""
 
 
-def make(name: str) -> RigNode:
-    """The node of that name. rclpy must be initialised."""
+def processes(names: Sequence[str], joined: bool) -> list[list[str]]:
+    """Who of these `names` share a process: those of the loop where they are `joined`."""
+    loop = [name for name in names if joined and name in LOOP_NODES]
+    return [*filter(None, [loop]), *([name] for name in names if name not in loop)]
+
+
+def make(name: str, rig: Rig | None = None) -> RigNode:
+    """The node of that `name`, joined with others by their `rig`. rclpy must be initialised."""
     module = importlib.import_module(f'microbot_ros.nodes.{name}')
-    node: RigNode = getattr(module, NODES[name])(name)
+    node: RigNode = getattr(module, NODES[name])(name, rig)
     return node
 
 
@@ -50,13 +60,15 @@ def run(names: list[str], arguments: list[str] | None = None) -> int:
 
     `arguments` are those of ROS, `--ros-args` and what follows.
 
-    The coils go to zero at once, whatever another node or the executor is doing.
+    Several of `LOOP_NODES` are joined by a `Rig`. The coils go to zero at once, whatever another
+    node or the executor is doing.
     The coil driver, alone in its process, runs in real time where the system grants that; so do
-    the other nodes of the closed loop, once they are active, in a process without any else.
+    the nodes of the closed loop, once they are active, in a process without any else.
     A node that has finished, as a player at the end of its recording, ends the process too.
     Returns the exit status: 0 after a signal, 2 where a person must mend an input, 1 otherwise.
     """
     nodes: list[RigNode] = []
+    rig = Rig(names) if len(names) > 1 else None
     with Ending(lambda: _zero(nodes), find_launcher()) as ending:
         stay_local()
         if names == ['coil_driver']:
@@ -65,16 +77,11 @@ def run(names: list[str], arguments: list[str] | None = None) -> int:
         executor = EventsExecutor()
         try:
             for name in names:
-                nodes.append(make(name))
+                nodes.append(make(name, rig))
                 executor.add_node(nodes[-1])
             for node in nodes:
                 _activate(node)
-            # What was imported lives for good; a full collection of it would take 40 ms, in a
-            # tick.
-            gc.collect()
-            gc.freeze()
-            if _LOOP.issuperset(names):
-                set_realtime_priority_of_all(LOOP)
+            _settle(names, rig)
             print(READY, *names, flush=True)
             while not (ending.due or any(node.finished for node in nodes)):
                 executor.spin_once(timeout_sec=_SPIN_SECONDS)
@@ -84,6 +91,8 @@ def run(names: list[str], arguments: list[str] | None = None) -> int:
             return 2
         finally:
             _zero(nodes)
+            if rig:
+                rig.stop()
             for node in reversed(nodes):
                 node.make_safe_and_close()
             for node in reversed(nodes):
@@ -91,6 +100,18 @@ def run(names: list[str], arguments: list[str] | None = None) -> int:
                 node.destroy_node()
             executor.shutdown()
             rclpy.try_shutdown()
+
+
+def _settle(names: list[str], rig: Rig | None) -> None:
+    """All that is slow has been done: from now on every millisecond counts."""
+    # What was imported lives for good; a full collection of it would take 40 ms, in a tick.
+    gc.collect()
+    gc.freeze()
+    if rig:
+        sys.setswitchinterval(_SWITCH_S)
+        rig.start()
+    if set(LOOP_NODES).issuperset(names):
+        set_realtime_priority_of_all(LOOP)
 
 
 def _told_faults(nodes: list[RigNode]) -> int:

@@ -108,11 +108,13 @@ class TrackerNode(RigNode):
             self._poses.publish(messages.poses(places, particles['theta'], stamp))
         if self._overlay.get_subscription_count() and self._is_due(
                 'overlay', self.settings.overlay_rate_hz, t):
-            from microbot_ros.tracking.overlay import draw_overlay
+            self.afterwards(lambda: self._draw(image, stamp))
 
-            assert self.stage.poses is not None
-            picture = draw_overlay(image, self.stage.poses)
-            self._overlay.publish(messages.image(picture, stamp))
+    def _draw(self, image: np.ndarray, stamp: Time) -> None:
+        from microbot_ros.tracking.overlay import draw_overlay
+
+        assert self.stage.poses is not None
+        self._overlay.publish(messages.image(draw_overlay(image, self.stage.poses), stamp))
 
     def _is_due(self, what: str, rate: float, t: float) -> bool:
         if rate <= 0 or (t < self._due[what] and self._due[what] - t < 10.0):

@@ -1,0 +1,111 @@
+"""How soon a rig answers: the processes of `microbot run`, a film, an emulated amplifier."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import yaml
+from builtin_interfaces.msg import Time
+from sensor_msgs.msg import Image, JointState, TimeReference
+from visualization_msgs.msg import MarkerArray
+
+from bench._emulator import FULL_SCALE_A, Emulator
+from microbot_ros.errors import RigError
+from microbot_ros.nodes.graph import Graph
+from microbot_ros.nodes.graph_client import GraphClient
+from microbot_ros.nodes.process import processes
+
+_WARM_S, _LOOK_S = 5.0, 0.5
+_TURNING: dict[str, Any] = {'controller': 'open_loop', 'open_loop.durations_s': [0.5] * 4,
+                            'open_loop.directions_deg': [0.0, 90.0, 180.0, 270.0],
+                            'open_loop.repeat': True}
+
+
+@dataclass
+class Answers:
+    """Seconds from a frame in memory until its currents were written, and acknowledged."""
+
+    written_s: list[float] = field(default_factory=list)
+    acknowledged_s: list[float] = field(default_factory=list)
+    cuts: int = 0
+    """How often the gate tripped and was armed again."""
+
+
+def answers(film: list[np.ndarray], rate_hz: float, frames: int, *, joined: bool,
+            recorder: bool = False, viewer: bool = False) -> Answers:
+    """What so many `frames` of a `film` (each (H, W), uint8) give, played at `rate_hz`."""
+    os.environ.setdefault('ROS_DOMAIN_ID', str(215 + os.getpid() % 17))  # nobody else's graph
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for number, picture in enumerate(film):
+            cv2.imwrite(str(folder / f'{number:04d}.bmp'), picture)
+        with (Emulator(folder, 'serial_transfer') as board,
+              _running(folder, board, rate_hz, joined, recorder), GraphClient('bench') as client):
+            return _heard(client, frames / rate_hz, viewer)
+
+
+@contextmanager
+def _running(folder: Path, board: Emulator, rate_hz: float, joined: bool,
+             recorder: bool) -> Iterator[None]:
+    nodes: dict[str, dict[str, Any]] = {
+        'camera': {'source': str(folder / '*.bmp'), 'frame_rate_hz': rate_hz, 'loop': True},
+        'tracker': {'pixel_size_um': 0.45}, 'model': {}, 'controller': _TURNING,
+        'coil_driver': {'port': str(board.url), 'full_scale_A': FULL_SCALE_A},
+        **({'recorder': {'folder': str(folder / 'recording')}} if recorder else {})}
+    parameters = folder / 'parameters.yaml'
+    parameters.write_text(yaml.safe_dump(
+        {node: {'ros__parameters': values} for node, values in nodes.items()}))
+    with Graph(lambda *_: None) as graph:
+        for group in processes(tuple(nodes), joined):
+            graph.start_nodes(group, parameters)
+        graph.wait_ready(120.0)
+        yield
+
+
+def _heard(client: GraphClient, seconds: float, viewer: bool) -> Answers:
+    found = Answers()
+
+    def written(message: JointState, info: dict[str, Any]) -> None:
+        if any(message.effort):
+            found.written_s.append(
+                info['source_timestamp'] * 1e-9 - _seconds(message.header.stamp))
+
+    def acknowledged(message: TimeReference) -> None:
+        found.acknowledged_s.append(_seconds(message.header.stamp) - _seconds(message.time_ref))
+    if viewer:
+        for kind, topic in ((Image, 'overlay/image_raw'), (MarkerArray, 'markers')):
+            client.node.create_subscription(kind, topic, lambda _: None, 1)
+    client.node.create_subscription(JointState, 'coils/applied', written, 200)
+    client.node.create_subscription(TimeReference, 'coil_driver/latency', acknowledged, 200)
+    _drive(client, found, _WARM_S)
+    found.written_s.clear()
+    found.acknowledged_s.clear()
+    found.cuts = 0
+    _drive(client, found, seconds)
+    return found
+
+
+def _drive(client: GraphClient, found: Answers, seconds: float) -> None:
+    """Let currents flow for that long, armed again wherever a busy machine cut them."""
+    with suppress(RigError):
+        client.arm()
+    while seconds > 0:
+        before = len(found.written_s)
+        client.spin(_LOOK_S)
+        seconds -= _LOOK_S
+        if len(found.written_s) == before:
+            found.cuts += 1
+            with suppress(RigError):
+                client.arm()
+
+
+def _seconds(stamp: Time) -> float:
+    return float(stamp.sec + 1e-9 * stamp.nanosec)
