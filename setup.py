@@ -7,10 +7,14 @@ package_name = 'microbot_ros'
 # What ROS installations bring by themselves; elsewhere `pip install microbot_ros[ros]` does.
 ros_from_pypi = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
 
+# For those who train controllers, and for keeping and playing what they trained.
+training, policies = ['gymnasium'], ['onnx', 'onnxruntime']
+
 development = [
-    'catkin_pkg', 'colcon-common-extensions', 'coverage', 'hypothesis', 'import-linter',
-    'magpylib', 'mypy', 'psutil', 'pysindy', 'pytest', 'pytest-timeout', 'pytest-xdist', 'ruff',
-    'StochasticForceInference', 'trackpy', 'types-PyYAML', 'types-pyserial',
+    *training, *policies, 'catkin_pkg', 'colcon-common-extensions', 'coverage', 'hypothesis',
+    'import-linter', 'magpylib', 'mypy', 'psutil', 'pysindy', 'pytest', 'pytest-timeout',
+    'pytest-xdist', 'ruff', 'StochasticForceInference', 'trackpy', 'types-PyYAML',
+    'types-pyserial',
 ]
 
 nodes = [
@@ -34,7 +38,8 @@ setup(
         'openpyxl', 'osqp', 'pydantic>=2', 'pymodbus', 'pyserial', 'pyyaml', 'rich', 'rosbags',
         'scipy', 'setuptools', 'zstandard',
     ],
-    extras_require={'ros': ros_from_pypi, 'dev': development},
+    extras_require={
+        'ros': ros_from_pypi, 'gym': training, 'onnx': policies, 'dev': development},
     zip_safe=False,
     maintainer='microbot_ros maintainers',
     maintainer_email='maintainers@microbot-ros.example',
@@ -51,6 +56,7 @@ setup(
             'hold = microbot_ros.control.hold:Hold',
             'open_loop = microbot_ros.control.open_loop:OpenLoop',
             'path_following = microbot_ros.control.path_following:PathFollowing',
+            'policy = microbot_ros.control.policy:Policy',
             'predictive = microbot_ros.control.predictive:Predictive',
             'roller = microbot_ros.control.roller:Roller',
             'teleop = microbot_ros.control.teleop:Teleop',

@@ -231,6 +231,25 @@ def advance(
 
 
 @numba.njit(cache=True)
+def advance_worlds(
+    bodies: np.ndarray, which: np.ndarray, start: np.ndarray, duration: float, steps: int,
+    rows: np.ndarray, field: np.ndarray, count: np.ndarray, rng: np.random.Generator,
+    mean: np.ndarray,
+) -> None:
+    """Take some worlds, `which` (K,) of `bodies` (M, N), each on by `duration` [s] in `steps`.
+
+    World m begins at `start[m]` [s] and has had `count[m]` commands: when each begins, in `rows`
+    (R,) [s], and its `field` (M, R, 1, 2) [T]. Adds to `mean` (M, N, 2) [m] the average position.
+    """
+    gradient, half_extent = np.empty((0, 1, 2, 2)), np.full(2, np.inf)
+    middle = (np.arange(steps) + 0.5) * (duration / steps)
+    for m in which:
+        had = count[m]
+        advance(bodies[m], start[m] + middle, duration / steps, rows[:had], field[m, :had],
+                gradient, np.zeros(had), half_extent, rng, mean[m])
+
+
+@numba.njit(cache=True)
 def _move(
     bodies: np.ndarray, i: int, bx: float, by: float, slope: np.ndarray, turns: float, t: float,
     length: float, rng: np.random.Generator, velocity: np.ndarray,

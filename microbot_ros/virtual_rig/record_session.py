@@ -67,7 +67,7 @@ def record_session(
         first = world.advance(path.t[k], history)
         path.position[k], path.heading[k] = world.position, world.heading
         second = world.advance(begin + shutter, history)
-        seen[k] = _picture(world, (first + second) / 2, path.t[k]) + errors[k]
+        seen[k] = picture(world.bodies, (first + second) / 2, path.t[k]) + errors[k]
         if not isinstance(control, Commands):
             wanted = control(world.t, seen[k])
             commands = Commands(
@@ -81,13 +81,15 @@ def _empty(frames: int, count: int) -> tuple[np.ndarray, np.ndarray]:
     return np.empty((frames, count, 2)), np.empty((frames, count))
 
 
-def _picture(world: World, position: np.ndarray, t: float) -> np.ndarray:
-    """What the camera's pixels and the stage make of true positions (N, 2)."""
-    body = world.bodies
-    jumped = t >= body['jump_time']
-    return np.column_stack((
-        position[:, 0] + jumped * body['jump_x'],
-        body['aspect'] * position[:, 1] + jumped * body['jump_y']))
+def picture(bodies: np.ndarray, position: np.ndarray, t: float | np.ndarray) -> np.ndarray:
+    """What the camera's pixels and the stage make of true positions (..., N, 2) [m] at `t` [s].
+
+    `bodies` (..., N) are of type BODY.
+    """
+    jumped = t >= bodies['jump_time']
+    return np.stack((
+        position[..., 0] + jumped * bodies['jump_x'],
+        bodies['aspect'] * position[..., 1] + jumped * bodies['jump_y']), axis=-1)
 
 
 def detection_errors(

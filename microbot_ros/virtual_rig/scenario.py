@@ -231,6 +231,15 @@ class Scenario(Settings):
         return 'v_um_s' if self.propulsion == 'catalytic' else 'gain_um_s_hz'
 
     @property
+    def listed(self) -> ParticleParameters:
+        """The particles that it lists."""
+        name = self.speed_key
+        return ParticleParameters(
+            np.arange(len(self.particles)),
+            np.array([exact_si(name, getattr(p, name)) for p in self.particles]),
+            np.array([p.phi_rad for p in self.particles]))
+
+    @property
     def reference_field(self) -> float:
         """In tesla."""
         return exact_si('reference_field_mT', self.reference_field_mT)
@@ -260,13 +269,8 @@ def read_scenario(path: Path) -> tuple[Scenario, ParticleParameters]:
     Raises InputError naming file, line, key and what was expected.
     """
     scenario = read_yaml(path, Scenario)
-    name = scenario.speed_key
-    if scenario.model is None:
-        particles = ParticleParameters(
-            np.arange(len(scenario.particles)),
-            np.array([exact_si(name, getattr(p, name)) for p in scenario.particles]),
-            np.array([p.phi_rad for p in scenario.particles]))
-    else:
+    particles = scenario.listed
+    if scenario.model is not None:
         model, particles = read_model(path.parent / scenario.model)
         scenario = _with_model(path, scenario, model)
     for effect, parameters in scenario.effects.items():

@@ -36,18 +36,12 @@ def run(scenario: Scenario, particles: ParticleParameters, source: str) -> Sessi
     """The session that a scenario makes; InputError, naming `source`, for what it cannot be."""
     rng = np.random.default_rng(scenario.seed)
     count = len(particles.ids)
-    if scenario.particles:
-        start = np.array([(p.x_um, p.y_um) for p in scenario.particles]) * 1e-6
-    else:
-        try:
-            start = scatter(rng, count, scenario.spread_um * 1e-6, 3 * scenario.radius)
-        except ValueError as error:
-            raise InputError(source, f"'spread_um': {error}") from None
+    start = starting_places(scenario, count, rng, source)
     control = (make_feedback(scenario, source) if scenario.commands is None else
                scenario.commands.control(scenario.duration_s, particles.phi, rng))
     heading = rng.uniform(-math.pi, math.pi, count)
     if scenario.physics == 'langevin':
-        world = World(_bodies(scenario, particles, start, heading), rng)
+        world = World(make_bodies(scenario, particles, start, heading), rng)
         if scenario.controller and scenario.controller.pictures:
             # Particles have the names that the tracker gives them.
             return film(scenario, world, source)
@@ -63,9 +57,28 @@ def run(scenario: Scenario, particles: ParticleParameters, source: str) -> Sessi
     return replace(session, tracks=named)
 
 
-def _bodies(
+def starting_places(
+    scenario: Scenario, count: int, rng: np.random.Generator, source: str,
+) -> np.ndarray:
+    """Where the particles (`count`, 2) [m] of a scenario begin: as listed, else at random.
+
+    InputError, naming `source`, where so many do not fit.
+    """
+    if scenario.particles:
+        return np.array([(p.x_um, p.y_um) for p in scenario.particles]) * 1e-6
+    try:
+        return scatter(rng, count, scenario.spread_um * 1e-6, 3 * scenario.radius)
+    except ValueError as error:
+        raise InputError(source, f"'spread_um': {error}") from None
+
+
+def make_bodies(
     scenario: Scenario, particles: ParticleParameters, start: np.ndarray, heading: np.ndarray,
 ) -> np.ndarray:
+    """The `particles` (N) of a scenario, of type BODY, with its effects.
+
+    At `start` (N, 2) [m], with the direction `heading` (N,) [rad].
+    """
     radius = np.full(len(start), scenario.radius)
     made = bodies(
         scenario.medium, radius, _moment(scenario), particles.phi, start, heading=heading,

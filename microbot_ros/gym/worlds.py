@@ -1,0 +1,258 @@
+"""Several simulated worlds at once, each with a goal for every particle and a loop of its own."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from microbot_ros.control.border import kept_in_view
+from microbot_ros.control.contract import (
+    ControllerInput,
+    FieldCommand,
+    Goals,
+    Limits,
+    Workspace,
+)
+from microbot_ros.control.controller_manager import LONGEST_STEP
+from microbot_ros.control.policy_task import ARRIVAL, distances, observation, wanted_field
+from microbot_ros.drive.gate import Gate
+from microbot_ros.errors import InputError
+from microbot_ros.loop.allocation import AllocationStage, GateParameters, limits
+from microbot_ros.loop.controller import ControllerParameters
+from microbot_ros.model.langevin import STEP
+from microbot_ros.model.model import ParticleParameters
+from microbot_ros.virtual_rig.body import BODY
+from microbot_ros.virtual_rig.dynamics import advance_worlds
+from microbot_ros.virtual_rig.injected_effects import check, inject_effect
+from microbot_ros.virtual_rig.record_session import detection_errors, picture, scatter
+from microbot_ros.virtual_rig.scenario import EffectSettings, Scenario, read_scenario
+from microbot_ros.virtual_rig.simulation import make_bodies, starting_places
+
+SPEEDS = (3.5e-6, 6e-6)
+"""Between these [m/s] lie the speeds of particles that are drawn."""
+KNOWN_TO = 0.02
+"""Standard deviation of what is told of φ [rad], and of a speed as a part of it."""
+WORTH_ONE = 100e-6
+"""Way [m] towards a goal that is worth a reward of 1."""
+_APART = 15e-6
+"""Goals that are drawn lie no nearer to each other [m]."""
+
+Ranges = Mapping[str, Mapping[str, tuple[float, float]]]
+"""Effect → parameter → its lowest and its highest value."""
+
+_DEFAULT = Scenario.model_validate({
+    'duration_s': 60, 'radius_um': 2.3, 'reference_field_mT': 5.0, 'spread_um': 80,
+    'fluid': {'viscosity_mPa_s': 1.245}, 'controller': {'name': 'policy'},
+    'camera': {'frame_rate_hz': 30, 'localisation_um': 0.1},
+    'particles': [{'x_um': -60, 'y_um': 20, 'v_um_s': 3.71, 'phi_rad': -1.09},
+                  {'x_um': 40, 'y_um': 50, 'v_um_s': 4.38, 'phi_rad': 3.82}]})
+
+
+class SteeredWorlds:
+    """`count` = M worlds of N particles; every one begins and is steered by itself.
+
+    `scenario`, `particles` and `randomise` as in `steering.SteeringEnv`. A command goes the way of
+    any controller's: limits, border and slew as in the controller manager, then allocation and
+    gate; the amplifier is perfect. InputError for a scenario that cannot be.
+    """
+
+    def __init__(self, count: int, scenario: str | Path | None, particles: int | None,
+                 randomise: Ranges | None) -> None:
+        self._source = str(scenario or 'scenario')
+        self.scenario, self._listed = (_DEFAULT, _DEFAULT.listed) if scenario is None else (
+            read_scenario(Path(scenario)))
+        self.particles = len(self._listed.ids) if particles is None else particles
+        """How many are in each world."""
+        if particles is not None:
+            self.scenario, self._listed = self.scenario.model_copy(update={'particles': ()}), None
+        self._randomise = _checked(randomise or {})
+        self._prepare_loop()
+        self._camera = self.scenario.camera.camera()
+        self.frames = math.floor(self.scenario.duration_s * self._camera.frame_rate) + 1
+        """How many an episode has."""
+        shape = (count, self.particles)
+        self.bodies = np.empty(shape, BODY)
+        """All particles (M, N) of type BODY."""
+        self.t, self.frame = np.zeros(count), np.zeros(count, int)
+        """The time [s] and the number of the frame (M,) in each episode."""
+        self.seen, self.goals = np.zeros((*shape, 2)), np.zeros((*shape, 2))
+        """Where particles were seen last, and their goals (M, N, 2) [m]."""
+        self.waiting = np.ones(shape, bool)
+        """Whether each (M, N) is still to be at its goal."""
+        self.commanded = np.zeros((count, 2))
+        """The field (M, 2) [T] of the last command."""
+        self.reasons = [''] * count
+        """Why what flows is not what was asked for."""
+        self.gates = [Gate(self._gate_limits) for _ in range(count)]
+        self.potential = np.zeros(count)
+        """What has been achieved in each (M,): goals reached, less the ways to the others."""
+        self._error = np.zeros((2, *shape))  # of what is told
+        self._errors = np.zeros((count, self.frames, self.particles, 2))
+        self._field = np.zeros((count, self.frames, 1, 2))
+        self._commands = np.zeros(count, int)
+        self._begins = (np.arange(self.frames) + self._camera.exposure) / self._camera.frame_rate
+
+    def _prepare_loop(self) -> None:
+        wanted, rate = self.scenario.controller, self.scenario.camera.frame_rate_hz
+        if wanted is None:
+            raise InputError(self._source, "expected a 'controller', whose place is taken")
+        if len(wanted.goals_um) not in (0, self.particles):
+            raise InputError(self._source, f"'controller.goals_um': expected {self.particles}, "
+                             f'one for each particle; found {len(wanted.goals_um)}')
+        self.goals_um = wanted.goals_um
+        """Those of the scenario (N) or none."""
+        self._values = values = ControllerParameters(max_field_mT=wanted.max_field_mT)
+        gate = GateParameters(full_field_mT=wanted.max_field_mT)
+        self._allocation, self._gate_limits = AllocationStage(gate), limits(gate)
+        slowest = 1 / self._gate_limits.command_timeout_s
+        if not rate > slowest:
+            raise InputError(self._source, "'camera.frame_rate_hz': expected more than "
+                             f'{slowest:.3g}, as no command lives longer than that')
+        self.limits = Limits(
+            wanted.max_field_mT * 1e-3, values.slew_mT_per_s * 1e-3, values.max_frequency_hz)
+        low, high = np.reshape(values.workspace_um, (2, 2)) * 1e-6
+        self.workspace = Workspace(low, high)
+
+    def begin(self, m: int, rng: np.random.Generator, goals_um: Any,
+              effects: EffectSettings) -> None:
+        """A new episode in world `m`, drawn from `rng`; `goals_um` (N, 2), drawn if empty.
+
+        `effects` as in a scenario take the place of what would be drawn. ValueError for goals or
+        effects that cannot be.
+        """
+        self.bodies[m] = self._draw_bodies(rng, effects)
+        self.goals[m] = self._draw_goals(rng, goals_um)
+        self._error[:, m] = KNOWN_TO * rng.standard_normal((2, self.particles))
+        self._errors[m] = detection_errors(self._camera, self.frames, self.particles, rng)
+        self.frame[m] = self._commands[m] = 0
+        self.waiting[m], self.commanded[m], self.reasons[m] = True, 0.0, ''
+        self.seen[m] = np.stack((self.bodies[m]['x'], self.bodies[m]['y']), axis=-1)
+        self.gates[m] = gate = Gate(self._gate_limits)
+        gate.measured((0.0,) * 4, 0.0)
+        gate.arm(0.0)
+        self._take_frames(np.array([m]), rng)
+
+    def _draw_bodies(self, rng: np.random.Generator, effects: EffectSettings) -> np.ndarray:
+        scenario, count = self.scenario, self.particles
+        particles = self._listed or ParticleParameters(
+            np.arange(count), rng.uniform(*SPEEDS, count), rng.uniform(-math.pi, math.pi, count))
+        start = starting_places(scenario, count, rng, self._source)
+        made = make_bodies(scenario, particles, start, rng.uniform(-math.pi, math.pi, count))
+        drawn = {effect: {name: rng.uniform(*ends) for name, ends in ranges.items()}
+                 for effect, ranges in self._randomise.items()}
+        for effect, parameters in (drawn | effects).items():
+            inject_effect(made, effect, parameters, scenario.reference_field)
+        return made
+
+    def _draw_goals(self, rng: np.random.Generator, goals_um: Any) -> np.ndarray:
+        if not len(goals_um):
+            return scatter(rng, self.particles, self.scenario.spread_um * 1e-6, _APART)
+        goals = np.array(goals_um, dtype=float) * 1e-6
+        if goals.shape != (self.particles, 2) or not self.workspace.holds(goals).all():
+            raise ValueError(f'expected {self.particles} goals_um within the workspace; received '
+                             f'{np.array(goals_um).tolist()}')
+        return goals
+
+    def step(self, which: np.ndarray, actions: np.ndarray, rng: np.random.Generator) -> None:
+        """One frame in the worlds `which` (K,), with an action of `actions` (K, 2) in each.
+
+        `rng` drives all chance. An action that is no number is no field.
+        """
+        self._command(which, actions)
+        for m in which.tolist():
+            gate, t = self.gates[m], float(self.t[m])
+            currents = gate.command(self._allocation.step(self.commanded[m]).tolist(), t)
+            gate.measured(currents, t)
+            self._field[m, self.frame[m]] = self._allocation.field(np.array(currents))
+            self._commands[m] += 1
+            if gate.fault:
+                self.reasons[m] = f'{gate.fault.reason.value}: {gate.fault.detail}'
+        self._advance(which, (1 - self._camera.exposure) / self._camera.frame_rate, rng)
+        self.frame[which] += 1
+        self._take_frames(which, rng)
+
+    def observation(self) -> np.ndarray:
+        """What a policy is shown of each world (M, 2 + 7 N)."""
+        speed, phi = self._told(np.arange(len(self.t)))
+        return observation(self.seen, speed * np.exp(1j * phi), self.goals, self.waiting,
+                           self.commanded / self.limits.field, self.workspace)
+
+    def cut(self) -> np.ndarray:
+        """Where (M,) the time is over, a particle out of the workspace or the gate at zero."""
+        lost = ~self.workspace.holds(self.seen).all(axis=1)
+        fault = np.array([gate.fault is not None for gate in self.gates])
+        return np.asarray(lost | fault | (self.frame + 1 >= self.frames))
+
+    def _command(self, which: np.ndarray, actions: np.ndarray) -> None:
+        """As the controller manager: no more than the limits, kept in view, at the slew."""
+        wanted = wanted_field(actions, self.limits.field)
+        numbers, seen = np.isfinite(wanted).all(axis=1), self.seen[which]
+        wanted[~numbers] = 0
+        room = np.minimum(self.workspace.high - seen, seen - self.workspace.low).min(axis=2)
+        near = (room < self._values.border_s * self._told(which)[0]).any(axis=1)
+        for row, m in enumerate(which.tolist()):
+            self.reasons[m] = ''
+            if not numbers[row]:
+                self.reasons[m] = f'the policy answered {np.asarray(actions[row]).tolist()}'
+            elif near[row]:
+                command = kept_in_view(
+                    self.inputs(m), FieldCommand(wanted[row]), self._values.border_s)
+                wanted[row], self.reasons[m] = command.field, command.progress.message
+        step = wanted - self.commanded[which]
+        length = np.hypot(*step.T)
+        longest = self.limits.slew * min(1 / self._camera.frame_rate, LONGEST_STEP)
+        self.commanded[which] += step * np.where(
+            length > longest, longest / np.maximum(length, longest), 1.0)[:, None]
+
+    def inputs(self, m: int) -> ControllerInput:
+        """What a controller would be shown of world `m`; it begins with the goals."""
+        speed, phi = (told[0] for told in self._told(np.array([m])))
+        known = np.full(self.particles, KNOWN_TO)
+        return ControllerInput(
+            t=float(self.t[m]), dt=1 / self._camera.frame_rate, age=0.0,
+            ids=np.arange(self.particles), position=self.seen[m].copy(),
+            sigma=np.full(self.particles, self._camera.noise),
+            theta=np.full(self.particles, np.nan), speed=speed, phi=phi, speed_std=known * speed,
+            phi_std=known, limits=self.limits, workspace=self.workspace,
+            goals=Goals(self.goals[m].copy()), field=self.commanded[m].copy(),
+            expected=self.seen[m].copy())
+
+    def _told(self, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """v [m/s] and φ [rad] (K, N) as the loop's model would have learned them."""
+        bodies, error = self.bodies[which], self._error[:, which]
+        return bodies['speed'] * bodies['fuel'] * (1 + error[0]), bodies['phi'] + error[1]
+
+    def _advance(self, which: np.ndarray, duration: float, rng: np.random.Generator) -> np.ndarray:
+        """Let time pass; the mean positions (K, N, 2) [m] on the way."""
+        mean = np.zeros_like(self.seen)
+        if duration > 0:
+            advance_worlds(
+                self.bodies, which, self.t, duration, math.ceil(duration / STEP - 1e-9),
+                self._begins, self._field, self._commands, rng, mean)
+        return mean[which]
+
+    def _take_frames(self, which: np.ndarray, rng: np.random.Generator) -> None:
+        rate, exposure = self._camera.frame_rate, self._camera.exposure
+        self.t[which] = self.frame[which] / rate
+        mean = self._advance(which, exposure / rate, rng)
+        middle = self.t[which, None] + exposure / rate / 2
+        self.t[which] = (self.frame[which] + exposure) / rate
+        bodies = self.bodies[which]
+        place = mean if exposure else np.stack((bodies['x'], bodies['y']), axis=-1)
+        seen = picture(bodies, place, middle) + self._errors[which, self.frame[which]]
+        self.seen[which] = np.where(np.isnan(seen), self.seen[which], seen)
+        left = distances(self.seen[which], self.goals[which])
+        self.waiting[which] = waiting = self.waiting[which] & (left > ARRIVAL)
+        self.potential[which] = np.where(waiting, -left / WORTH_ONE, 1.0).sum(axis=1)
+
+
+def _checked(randomise: Ranges) -> Ranges:
+    """The same; ValueError for an effect, a parameter or an end of a range that cannot be."""
+    for effect, ranges in randomise.items():
+        for end in (0, 1):
+            check(effect, {name: ends[end] for name, ends in ranges.items()})
+    return randomise

@@ -1,0 +1,318 @@
+"""The environment is Gymnasium's, its loop is the rig's, and no action gets past the limits."""
+
+import math
+import runpy
+import sys
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+import yaml
+from gymnasium.utils.env_checker import check_env
+
+import microbot_ros.gym
+from microbot_ros.control.contract import Goals
+from microbot_ros.control.controller_manager import ControllerManager
+from microbot_ros.control.deadline_worker import UnhurriedWorker
+from microbot_ros.control.policy import Policy
+from microbot_ros.control.policy_task import PolicyTask
+from microbot_ros.control.testkit import controller_input
+from microbot_ros.drive.gate import Reason
+from microbot_ros.errors import InputError
+from microbot_ros.gym.agent_loop import AgentLoop
+from microbot_ros.loop.controller import ControllerParameters
+from microbot_ros.loop.loop import Loop, LoopParameters
+from microbot_ros.loop.points import particles_at
+
+STEERING = 'microbot_ros/Steering-v0'
+CONFIG = Path(__file__).parents[2] / 'config'
+SCENARIO = yaml.safe_load((CONFIG / 'scenario_closed_loop.yaml').read_text(encoding='utf-8'))
+
+
+def make(**arguments):
+    return gymnasium.make(STEERING, **arguments).unwrapped
+
+
+def scenario(tmp_path, **sections):
+    path = tmp_path / 'scenario.yaml'
+    path.write_text(yaml.safe_dump(SCENARIO | sections), encoding='utf-8')
+    return path
+
+
+def to_the_first_goal(shown):
+    """The action towards the goal of the first particle that has not been at its own."""
+    ways = shown[2:].reshape(-1, 7)
+    way = ways[np.flatnonzero(ways[:, 6])[0], :2]
+    return way / np.hypot(*way)
+
+
+def play(env, seed=None, act=to_the_first_goal, **options):
+    """All that the steps of one episode gave."""
+    shown, _ = env.reset(seed=seed, options=options)
+    steps = []
+    while not (steps and (steps[-1][2] or steps[-1][3])):
+        steps.append(env.step(act(shown)))
+        shown = steps[-1][0]
+    return steps
+
+
+def test_gymnasium_finds_nothing_wrong_with_it():
+    check_env(make())
+
+
+def test_the_same_seed_gives_the_same_episode():
+    rng = np.random.default_rng(3)
+    actions = rng.uniform(-1, 1, (300, 2))
+    for seed, same in ((7, True), (8, False)):
+        one, other = make(), make()
+        first, second = one.reset(seed=7)[0], other.reset(seed=seed)[0]
+        for action in actions:
+            if not same:
+                break
+            a, b = one.step(action), other.step(action)
+            assert a[0].tobytes() == b[0].tobytes()
+            assert a[1:] == b[1:]
+        assert (first.tobytes() == second.tobytes()) == same
+
+
+def test_goals_are_reached_one_after_the_other_and_end_the_episode():
+    env = make()
+    start, _ = env.reset(seed=2)
+    left = sum(np.hypot(*one[:2]) * np.hypot(*one[4:6]) * 3 for one in start[2:].reshape(-1, 7))
+    steps = play(env, seed=2)
+    *_, terminated, truncated, info = steps[-1]
+    assert (terminated, truncated) == (True, False)
+    assert info['is_success']
+    assert info['reached'] == 2
+    assert [step[4]['reached'] for step in steps].count(1) > 100
+    # Ways are in 30 s and speeds in 10 µm/s, so that their product is in 300 µm.
+    assert sum(step[1] for step in steps) == pytest.approx(
+        2 + left - info['t_s'] / 60, abs=1e-5)
+
+
+@pytest.mark.parametrize('action', [
+    (0, 0), (1, 1), (-1, 0.999), (1e-30, 0), (1e30, -1e30), (1e300, 1e300), (0.6, 0.8)])
+def test_the_field_stays_within_its_limit(action):
+    env = make()
+    env.reset(seed=1)
+    shown = env.step(np.array(action))[0]
+    assert np.hypot(*shown[:2]) == pytest.approx(min(math.hypot(*action), 1), abs=1e-6)
+    assert np.hypot(*shown[:2]) <= 1 + 1e-6
+
+
+@pytest.mark.parametrize('value', [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize('place', [0, 1])
+def test_an_action_that_is_no_number_is_no_field(value, place):
+    env = make()
+    env.reset(seed=1)
+    assert env.step(np.array([1.0, 0.0]))[0][0] == pytest.approx(1)
+    action = np.zeros(2)
+    action[place] = value
+    shown, reward, *_, info = env.step(action)
+    assert shown[:2].tolist() == [0, 0]
+    assert math.isfinite(reward)
+    assert 'the policy answered' in info['reason']
+    shown, *_, info = env.step(np.array([0.0, 1.0]))
+    assert shown[1] == pytest.approx(1)
+    assert info['reason'] == ''
+
+
+@pytest.mark.parametrize('action', [0.0, [1.0], [1.0, 0.0, 0.0], [[1.0, 0.0]]])
+def test_an_action_of_another_shape_is_refused(action):
+    env = make()
+    env.reset(seed=1)
+    with pytest.raises(ValueError, match=r'expected an action \(2,\)'):
+        env.step(np.array(action))
+
+
+def test_its_loop_gives_the_fields_of_the_loop_to_the_last_bit():
+    loop = Loop(LoopParameters(controller=ControllerParameters(controller='open_loop')))
+    loop.measured(np.zeros(4), 0.0)
+    loop.arm(0.0)
+    agent = AgentLoop(5.0)
+    place = np.array([[1e-5, 2e-5]])
+    for k in range(1, 70):
+        t = k / 30
+        step = loop.steer(particles_at(np.arange(1), place, 1e-7), t)
+        loop.measured(step.currents, t)
+        flowing, reason = agent.step(
+            controller_input(1, t=t, dt=1 / 30, age=0.0, position=place, expected=place),
+            step.field / 5e-3)
+        assert reason == ''
+        assert flowing.tobytes() == loop.allocation.field(step.currents).tobytes()
+
+
+def test_the_controller_is_shown_what_the_environment_shows():
+    env, policy, seen = make(), Policy(), []
+
+    class Recorder:
+        particles = 2
+
+        def answer(self, shown):
+            seen.append(shown)
+            return np.zeros(2)
+
+    policy._policy = Recorder()
+    manager = ControllerManager({'policy': policy}, 'policy', worker=UnhurriedWorker)
+    shown, _ = env.reset(seed=5)
+    for _ in range(40):
+        assert manager.tick(env._inputs).command is not None
+        shown_before, (shown, *_) = shown, env.step(np.zeros(2))
+        assert seen[-1].tobytes() == shown_before.tobytes()
+    assert len(seen) == 40
+
+
+def test_the_order_of_particles_does_not_matter():
+    goals = Goals(np.array([[3e-5, 0], [0, 2e-5], [-1e-5, 1e-5]]), np.array([0, 2, 1]))
+    straight = controller_input(4, goals=goals)
+    turned = np.array([2, 0, 3, 1])
+    per_particle = {name: getattr(straight, name)[turned] for name in (
+        'ids', 'position', 'speed', 'phi', 'expected')}
+    shown = PolicyTask().observation(straight)
+    again = PolicyTask().observation(controller_input(4, goals=goals, **per_particle))
+    assert again.tobytes() == shown.tobytes()
+    assert len(shown) == 2 + 7 * 3
+
+
+def test_what_is_shown_is_what_it_says():
+    position = np.array([[14.4e-6, -10.8e-6], [0.5e-6, 0.0]])
+    shown = PolicyTask().observation(controller_input(
+        2, position=position, speed=np.array([5e-6, 4e-6]), phi=np.array([math.pi / 2, 0.0]),
+        field=np.array([0.0, -2.5e-3]), goals=Goals(np.array([[14.4e-6, 19.2e-6], [1e-6, 0.0]]))))
+    assert shown == pytest.approx([
+        0, -0.5, 0.2, 0, 0.1, -0.1, 0, 0.5, 1,  # 30 µm at 5 µm/s are 6 s along the field
+        0, 0, 0.5 / 144, 0, 0.4, 0, 0], abs=1e-6)  # at its goal
+
+
+def test_an_episode_is_cut_when_its_time_is_over(tmp_path):
+    env = make(scenario=scenario(tmp_path, duration_s=1), particles=None)
+    steps = play(env, seed=1)
+    assert len(steps) == 30
+    assert steps[-1][2:4] == (False, True)
+    assert not steps[-1][4]['is_success']
+
+
+def test_an_episode_is_cut_when_a_particle_leaves_the_workspace(tmp_path):
+    drift = {'uniform_drift': {'wx_um_s': 40.0, 'wy_um_s': 0.0}}
+    env = make(scenario=scenario(tmp_path, effects=drift), particles=None)
+    steps = play(env, seed=1)
+    assert steps[-1][2:4] == (False, True)
+    assert 2 < steps[-1][4]['t_s'] < 4  # 100 µm at 40 µm/s
+
+
+def test_an_episode_is_cut_when_the_gate_cuts_the_currents():
+    env = make()
+    shown, _ = env.reset(seed=1)
+    env.step(to_the_first_goal(shown))
+    env._loop.gate.trip(Reason.DEVICE, 'smoke')
+    *_, terminated, truncated, info = env.step(to_the_first_goal(shown))
+    assert (terminated, truncated) == (False, True)
+    assert info['reason'] == 'fault of the amplifier: smoke'
+    env.reset()
+    assert not env.step(to_the_first_goal(shown))[3]
+
+
+def test_a_scenario_brings_particles_goals_and_effects(tmp_path):
+    effects = {'command_delay': {'delay_s': 0.2}, 'speed_decay': {'tau_s': 100.0}}
+    env = make(scenario=scenario(tmp_path, effects=effects), particles=None)
+    env.reset(seed=1)
+    bodies = env._world.bodies
+    assert bodies['x'] * 1e6 == pytest.approx([-60, 40])
+    assert bodies['speed'] * 1e6 == pytest.approx([3.71, 4.38])
+    assert bodies['delay'].tolist() == [0.2, 0.2]
+    assert env._goals.position * 1e6 == pytest.approx(np.array([[30, -20], [-20, -20]]))
+    heading = bodies['heading'].copy()
+    for k in range(12):
+        env.step(np.array([1.0, 0.0]))
+        aligned = np.abs(np.exp(1j * (env._world.heading - bodies['phi'])) - 1) < 0.3
+        assert aligned.all() == (k >= 6), k  # the command of the first frame, 0.2 s later
+    assert not np.array_equal(bodies['heading'], heading)
+    assert (bodies['fuel'] < 1).all()
+
+
+def test_effects_are_drawn_anew_for_each_episode():
+    env = make(randomise={'uniform_drift': {'wx_um_s': (-1, 1), 'wy_um_s': (0.5, 0.5)}})
+    drawn = []
+    for seed in range(20):
+        env.reset(seed=seed)
+        drawn.append(env._world.bodies['drift_x'][0] * 1e6)
+        assert env._world.bodies['drift_y'] * 1e6 == pytest.approx([0.5, 0.5])
+    assert -1 <= min(drawn) < -0.4
+    assert 0.4 < max(drawn) <= 1
+    env.reset(options={'effects': {'uniform_drift': {'wx_um_s': 3.0}}})
+    assert env._world.bodies['drift_x'] * 1e6 == pytest.approx([3, 3])
+
+
+def test_what_the_camera_misses_stays_where_it_was_seen(tmp_path):
+    camera = {'frame_rate_hz': 30, 'localisation_um': 0.1, 'missed': 0.3, 'run': 2}
+    env = make(scenario=scenario(tmp_path, camera=camera, duration_s=5), particles=None)
+    steps = play(env, seed=4)
+    places = np.array([step[0][4:6] for step in steps])
+    still = (np.diff(places, axis=0) == 0).all(axis=1)
+    assert 0.15 < still.mean() < 0.45
+
+
+def test_other_numbers_of_particles_and_other_goals():
+    env = make(particles=3)
+    goals = [[10, 0], [0, 10], [-10, 0]]
+    shown, info = env.reset(seed=1, options={'goals_um': goals})
+    assert shown.shape == (2 + 7 * 3,)
+    assert info == {'is_success': False, 'reached': 0, 't_s': 0.0, 'reason': ''}
+    assert env._goals.position == pytest.approx(np.array(goals) * 1e-6)
+
+
+@pytest.mark.parametrize(('options', 'reason'), [
+    ({'goals_um': [[0, 0]]}, r'goals_um: expected \(2, 2\); received \(1, 2\)'),
+    ({'goals_um': [[0, 0], [999, 0]]}, 'goals_um: goal 2 at .* is outside the workspace'),
+    ({'goals_um': [[0, 0], [math.nan, 0]]}, 'goals_um: goal 2'),
+    ({'goal': 1}, "unknown option 'goal'; expected goals_um or effects"),
+    ({'effects': {'wind': {}}}, "unknown effect 'wind'")])
+def test_options_that_cannot_be_are_refused(options, reason):
+    with pytest.raises(ValueError, match=reason):
+        make().reset(options=options)
+
+
+@pytest.mark.parametrize(('arguments', 'reason'), [
+    ({'controller': SCENARIO['controller'] | {'goals_um': [[0, 0]]}}, 'expected 2, one for each'),
+    ({'camera': {'frame_rate_hz': 10}}, "'camera.frame_rate_hz': expected more than 13.3")])
+def test_scenarios_that_cannot_be_are_refused(tmp_path, arguments, reason):
+    with pytest.raises(InputError, match=reason):
+        make(scenario=scenario(tmp_path, **arguments))
+
+
+def test_a_scenario_with_commands_of_its_own_is_refused():
+    with pytest.raises(InputError, match=r"scenario_plain.yaml: expected a 'controller'"):
+        make(scenario=CONFIG / 'scenario_plain.yaml')
+
+
+@pytest.mark.parametrize('ranges', [{'wx': (0, 1)}, {'wx_um_s': (0, math.nan)}])
+def test_ranges_that_cannot_be_are_refused(ranges):
+    with pytest.raises(ValueError, match='uniform_drift'):
+        make(randomise={'uniform_drift': ranges})
+
+
+def test_it_shows_the_microscopes_picture():
+    env = make(render_mode='rgb_array')
+    pictures = []
+    for _ in range(2):
+        env.reset(seed=1)
+        env.step(np.array([1.0, 0.0]))
+        pictures.append(env.render())
+    assert pictures[0].shape == (480, 640, 3)
+    assert pictures[0].dtype == np.uint8
+    assert np.array_equal(*pictures)
+
+
+def test_many_at_once():
+    envs = gymnasium.make_vec(STEERING, num_envs=3, vectorization_mode='sync')
+    shown, _ = envs.reset(seed=1)
+    assert shown.shape == (3, 16)
+    assert len(np.unique(shown[:, 2])) == 3
+    assert envs.step(envs.action_space.sample())[1].shape == (3,)
+
+
+def test_without_gymnasium_one_line_names_the_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, 'gymnasium', None)
+    with pytest.raises(ImportError, match=r'^microbot_ros.gym needs .*microbot_ros\[gym\]$'):
+        runpy.run_path(microbot_ros.gym.__file__)
