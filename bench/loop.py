@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import gymnasium
 import numba
 import numpy as np
 
@@ -33,6 +34,8 @@ _FILMED, _FRAMES, _WARM = 400, 10_000, 1_000
 _PLAYED, _COMPARED = 100_000, 10_000
 """Frames in real time: of the figure itself, and of what it is compared with."""
 _PERCENTILES = (50.0, 99.0, 99.9)
+_WORLDS, _STEPS = 64, 200
+_STEERING = 'microbot_ros.gym:microbot_ros/Steering-v0'  # imported, then made
 _SCENARIO = Path('config/scenario_closed_loop.yaml')
 _BARE = 'a bare loop: Numba centroids, one matrix, os.write'
 
@@ -70,6 +73,8 @@ def _ratio_figure(viewed_s: list[float], bare_s: list[float]) -> Figure:
     ratio = float(np.percentile(viewed_s, 99) / np.percentile(bare_s, 99))
     return Figure(_ISSUE, 'the rig: p99 to currents written with recorder and viewer, over '
                   'without', ratio, 'ratio', '<= 1.2', 'none', ratio <= 1.2)
+    """All figures; some two minutes."""
+    return [*_frame_figures(), *_simulated_figures(), _training_figure()]
 
 
 def _frame_figures() -> list[Figure]:
@@ -178,3 +183,27 @@ def _simulated_figures() -> list[Figure]:
                             f'{scenario.camera.frame_rate_hz:g} frames/s', speed, '× real time',
                             f'>= {least:g}', 'none', speed >= least))
     return found
+
+
+def _training_figure() -> Figure:
+    """Steps of environments with two particles, in one process, beside Gymnasium's own first."""
+    many = _WORLDS * _steps_per_s(gymnasium.make_vec(_STEERING, num_envs=_WORLDS))
+    one, peer = (_steps_per_s(gymnasium.make(name)) for name in (_STEERING, 'CartPole-v1'))
+    return Figure(_ISSUE, f'Gymnasium steps, {_WORLDS} environments in one (one alone: '
+                  f'{one:.0f} /s)', many, '1/s', '>= 10000',
+                  f"Gymnasium's CartPole-v1, one alone: {peer:.0f} /s", many >= 1e4)
+
+
+def _steps_per_s(env: gymnasium.Env | gymnasium.vector.VectorEnv) -> float:
+    """Steps in a second with random actions, the compilation aside."""
+    env.action_space.seed(1)
+    actions = [env.action_space.sample() for _ in range(_STEPS)]
+    for _ in range(2):
+        env.reset(seed=1)
+        begin = time.perf_counter()
+        for action in actions:
+            _, _, *over, _ = env.step(action)
+            if isinstance(env, gymnasium.Env) and any(over):
+                env.reset()
+        spent = time.perf_counter() - begin
+    return len(actions) / spent

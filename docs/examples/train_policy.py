@@ -14,7 +14,7 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-import microbot_ros.gym  # noqa: F401  (registers the environment)
+ENVIRONMENT = 'microbot_ros.gym:microbot_ros/Steering-v0'
 
 
 def policy(gains: np.ndarray) -> np.ndarray:
@@ -38,7 +38,7 @@ def score(env: gymnasium.Env, matrix: np.ndarray, seed: int) -> float:
 
 def train(generations: int = 6, population: int = 16, episodes: int = 2) -> np.ndarray:
     """The matrix of the best policy found; the scores go to standard error."""
-    rng, env = np.random.default_rng(1), gymnasium.make('microbot_ros/Steering-v0')
+    rng, env = np.random.default_rng(1), gymnasium.make(ENVIRONMENT)
     mean, std = np.zeros(4), np.full(4, 10.0)
     for generation in range(generations):
         tried = rng.normal(mean, std, (population, 4))

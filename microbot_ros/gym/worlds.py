@@ -23,7 +23,6 @@ from microbot_ros.drive.gate import Gate
 from microbot_ros.errors import InputError
 from microbot_ros.loop.allocation import AllocationStage, GateParameters, limits
 from microbot_ros.loop.controller import ControllerParameters
-from microbot_ros.model.langevin import STEP
 from microbot_ros.model.model import ParticleParameters
 from microbot_ros.virtual_rig.body import BODY
 from microbot_ros.virtual_rig.dynamics import advance_worlds
@@ -38,11 +37,15 @@ KNOWN_TO = 0.02
 """Standard deviation of what is told of φ [rad], and of a speed as a part of it."""
 WORTH_ONE = 100e-6
 """Way [m] towards a goal that is worth a reward of 1."""
+STEP = 5e-3
+"""Longest step [s] of the physics. It turns headings exactly, so that longer steps than those of
+`virtual_rig.world` cost little: where the field is turned, 0.01 µm."""
 _APART = 15e-6
 """Goals that are drawn lie no nearer to each other [m]."""
 
 Ranges = Mapping[str, Mapping[str, tuple[float, float]]]
 """Effect → parameter → its lowest and its highest value."""
+Rows = np.ndarray | slice
 
 _DEFAULT = Scenario.model_validate({
     'duration_s': 60, 'radius_um': 2.3, 'reference_field_mT': 5.0, 'spread_um': 80,
@@ -90,10 +93,11 @@ class SteeredWorlds:
         self.gates = [Gate(self._gate_limits) for _ in range(count)]
         self.potential = np.zeros(count)
         """What has been achieved in each (M,): goals reached, less the ways to the others."""
-        self._error = np.zeros((2, *shape))  # of what is told
+        self._speed_error, self._phi_error = np.ones(shape), np.zeros(shape)  # of what is told
         self._errors = np.zeros((count, self.frames, self.particles, 2))
         self._field = np.zeros((count, self.frames, 1, 2))
         self._commands = np.zeros(count, int)
+        self._distorts = False  # whether the camera shows particles elsewhere than they are
         self._begins = (np.arange(self.frames) + self._camera.exposure) / self._camera.frame_rate
 
     def _prepare_loop(self) -> None:
@@ -126,7 +130,8 @@ class SteeredWorlds:
         """
         self.bodies[m] = self._draw_bodies(rng, effects)
         self.goals[m] = self._draw_goals(rng, goals_um)
-        self._error[:, m] = KNOWN_TO * rng.standard_normal((2, self.particles))
+        self._speed_error[m] = 1 + KNOWN_TO * rng.standard_normal(self.particles)
+        self._phi_error[m] = KNOWN_TO * rng.standard_normal(self.particles)
         self._errors[m] = detection_errors(self._camera, self.frames, self.particles, rng)
         self.frame[m] = self._commands[m] = 0
         self.waiting[m], self.commanded[m], self.reasons[m] = True, 0.0, ''
@@ -134,7 +139,9 @@ class SteeredWorlds:
         self.gates[m] = gate = Gate(self._gate_limits)
         gate.measured((0.0,) * 4, 0.0)
         gate.arm(0.0)
-        self._take_frames(np.array([m]), rng)
+        self._distorts |= bool((self.bodies[m]['aspect'] != 1).any()
+                               or np.isfinite(self.bodies[m]['jump_time']).any())
+        self._take_frames(np.array([m]), np.array([m]), rng)
 
     def _draw_bodies(self, rng: np.random.Generator, effects: EffectSettings) -> np.ndarray:
         scenario, count = self.scenario, self.particles
@@ -162,22 +169,26 @@ class SteeredWorlds:
 
         `rng` drives all chance. An action that is no number is no field.
         """
-        self._command(which, actions)
-        for m in which.tolist():
-            gate, t = self.gates[m], float(self.t[m])
-            currents = gate.command(self._allocation.step(self.commanded[m]).tolist(), t)
+        # A view of all is taken in a fraction of the time that a copy of some takes.
+        rows = slice(None) if len(which) == len(self.t) else which
+        self._command(which, rows, actions)
+        for m, t, wanted in zip(
+                which.tolist(), self.t[rows].tolist(), self.commanded[rows], strict=True):
+            gate = self.gates[m]
+            currents = gate.command(self._allocation.step(wanted).tolist(), t)
             gate.measured(currents, t)
-            self._field[m, self.frame[m]] = self._allocation.field(np.array(currents))
-            self._commands[m] += 1
+            self._field[m, self.frame[m], 0] = self._allocation.field(np.array(currents))
             if gate.fault:
                 self.reasons[m] = f'{gate.fault.reason.value}: {gate.fault.detail}'
-        self._advance(which, (1 - self._camera.exposure) / self._camera.frame_rate, rng)
-        self.frame[which] += 1
-        self._take_frames(which, rng)
+        self.frame[rows] += 1
+        self._commands[rows] += 1
+        if self._camera.exposure < 1:
+            self._advance(which, (1 - self._camera.exposure) / self._camera.frame_rate, rng)
+        self._take_frames(which, rows, rng)
 
     def observation(self) -> np.ndarray:
         """What a policy is shown of each world (M, 2 + 7 N)."""
-        speed, phi = self._told(np.arange(len(self.t)))
+        speed, phi = self._told(slice(None))
         return observation(self.seen, speed * np.exp(1j * phi), self.goals, self.waiting,
                            self.commanded / self.limits.field, self.workspace)
 
@@ -187,30 +198,33 @@ class SteeredWorlds:
         fault = np.array([gate.fault is not None for gate in self.gates])
         return np.asarray(lost | fault | (self.frame + 1 >= self.frames))
 
-    def _command(self, which: np.ndarray, actions: np.ndarray) -> None:
+    def _command(self, which: np.ndarray, rows: Rows, actions: np.ndarray) -> None:
         """As the controller manager: no more than the limits, kept in view, at the slew."""
         wanted = wanted_field(actions, self.limits.field)
-        numbers, seen = np.isfinite(wanted).all(axis=1), self.seen[which]
-        wanted[~numbers] = 0
-        room = np.minimum(self.workspace.high - seen, seen - self.workspace.low).min(axis=2)
-        near = (room < self._values.border_s * self._told(which)[0]).any(axis=1)
-        for row, m in enumerate(which.tolist()):
+        for m in which.tolist():
             self.reasons[m] = ''
-            if not numbers[row]:
-                self.reasons[m] = f'the policy answered {np.asarray(actions[row]).tolist()}'
-            elif near[row]:
-                command = kept_in_view(
-                    self.inputs(m), FieldCommand(wanted[row]), self._values.border_s)
-                wanted[row], self.reasons[m] = command.field, command.progress.message
-        step = wanted - self.commanded[which]
-        length = np.hypot(*step.T)
+        seen, reach = self.seen[rows], self._values.border_s * self._told(rows)[0][..., None]
+        near = (seen > self.workspace.high - reach) | (seen < self.workspace.low + reach)
+        for row in np.flatnonzero(np.isnan(wanted).any(axis=1) | near.any(axis=(1, 2))).tolist():
+            self._correct(int(which[row]), wanted[row], actions[row])
+        step = wanted - self.commanded[rows]
+        length = np.hypot(step[:, 0], step[:, 1])
         longest = self.limits.slew * min(1 / self._camera.frame_rate, LONGEST_STEP)
-        self.commanded[which] += step * np.where(
-            length > longest, longest / np.maximum(length, longest), 1.0)[:, None]
+        if (length > longest).any():
+            step *= np.minimum(longest / np.maximum(length, longest), 1.0)[:, None]
+        self.commanded[rows] += step
+
+    def _correct(self, m: int, wanted: np.ndarray, action: np.ndarray) -> None:
+        """Mend what is `wanted` where it is no number, or a particle may leave the view."""
+        if np.isnan(wanted).any():
+            wanted[:], self.reasons[m] = 0.0, f'the policy answered {action.tolist()}'
+            return
+        command = kept_in_view(self.inputs(m), FieldCommand(wanted.copy()), self._values.border_s)
+        wanted[:], self.reasons[m] = command.field, command.progress.message
 
     def inputs(self, m: int) -> ControllerInput:
         """What a controller would be shown of world `m`; it begins with the goals."""
-        speed, phi = (told[0] for told in self._told(np.array([m])))
+        speed, phi = (told[0] for told in self._told(slice(m, m + 1)))
         known = np.full(self.particles, KNOWN_TO)
         return ControllerInput(
             t=float(self.t[m]), dt=1 / self._camera.frame_rate, age=0.0,
@@ -221,33 +235,33 @@ class SteeredWorlds:
             goals=Goals(self.goals[m].copy()), field=self.commanded[m].copy(),
             expected=self.seen[m].copy())
 
-    def _told(self, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _told(self, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
         """v [m/s] and φ [rad] (K, N) as the loop's model would have learned them."""
-        bodies, error = self.bodies[which], self._error[:, which]
-        return bodies['speed'] * bodies['fuel'] * (1 + error[0]), bodies['phi'] + error[1]
+        body = self.bodies
+        speed = body['speed'][rows] * body['fuel'][rows] * self._speed_error[rows]
+        return speed, body['phi'][rows] + self._phi_error[rows]
 
     def _advance(self, which: np.ndarray, duration: float, rng: np.random.Generator) -> np.ndarray:
-        """Let time pass; the mean positions (K, N, 2) [m] on the way."""
+        """Let time pass; the mean positions (M, N, 2) [m] on the way."""
         mean = np.zeros_like(self.seen)
-        if duration > 0:
-            advance_worlds(
-                self.bodies, which, self.t, duration, math.ceil(duration / STEP - 1e-9),
-                self._begins, self._field, self._commands, rng, mean)
-        return mean[which]
+        advance_worlds(
+            self.bodies, which, self.t, duration, math.ceil(duration / STEP - 1e-9),
+            self._begins, self._field, self._commands, rng, mean)
+        return mean
 
-    def _take_frames(self, which: np.ndarray, rng: np.random.Generator) -> None:
-        rate, exposure = self._camera.frame_rate, self._camera.exposure
-        self.t[which] = self.frame[which] / rate
-        mean = self._advance(which, exposure / rate, rng)
-        middle = self.t[which, None] + exposure / rate / 2
-        self.t[which] = (self.frame[which] + exposure) / rate
-        bodies = self.bodies[which]
-        place = mean if exposure else np.stack((bodies['x'], bodies['y']), axis=-1)
-        seen = picture(bodies, place, middle) + self._errors[which, self.frame[which]]
-        self.seen[which] = np.where(np.isnan(seen), self.seen[which], seen)
-        left = distances(self.seen[which], self.goals[which])
-        self.waiting[which] = waiting = self.waiting[which] & (left > ARRIVAL)
-        self.potential[which] = np.where(waiting, -left / WORTH_ONE, 1.0).sum(axis=1)
+    def _take_frames(self, which: np.ndarray, rows: Rows, rng: np.random.Generator) -> None:
+        rate, exposure, bodies = self._camera.frame_rate, self._camera.exposure, self.bodies
+        self.t[rows] = self.frame[rows] / rate
+        place = self._advance(which, exposure / rate, rng)[rows] if exposure else np.stack(
+            (bodies['x'][rows], bodies['y'][rows]), axis=-1)
+        self.t[rows] += exposure / rate
+        if self._distorts:
+            place = picture(bodies[rows], place, self.t[rows, None] - exposure / rate / 2)
+        seen = place + self._errors[which, self.frame[rows]]
+        self.seen[rows] = np.where(np.isnan(seen), self.seen[rows], seen)
+        left = distances(self.seen[rows], self.goals[rows])
+        self.waiting[rows] &= left > ARRIVAL
+        self.potential[rows] = np.where(self.waiting[rows], -left / WORTH_ONE, 1.0).sum(axis=1)
 
 
 def _checked(randomise: Ranges) -> Ranges:

@@ -1,5 +1,6 @@
 """The environment is Gymnasium's, its loop is the rig's, and no action gets past the limits."""
 
+import dataclasses
 import math
 import runpy
 import sys
@@ -12,18 +13,25 @@ import yaml
 from gymnasium.utils.env_checker import check_env
 
 import microbot_ros.gym
-from microbot_ros.control.contract import Goals
+from microbot_ros.control.contract import Controller, FieldCommand, Goals, NoSolutionError
 from microbot_ros.control.controller_manager import ControllerManager
-from microbot_ros.control.deadline_worker import UnhurriedWorker
+from microbot_ros.control.deadline_worker import DeadlineWorker
 from microbot_ros.control.policy import Policy
-from microbot_ros.control.policy_task import PolicyTask
+from microbot_ros.control.policy_task import PolicyTask, wanted_field
 from microbot_ros.control.testkit import controller_input
-from microbot_ros.drive.gate import Reason
+from microbot_ros.drive.gate import Gate, Reason
 from microbot_ros.errors import InputError
-from microbot_ros.gym.agent_loop import AgentLoop
-from microbot_ros.loop.controller import ControllerParameters
-from microbot_ros.loop.loop import Loop, LoopParameters
-from microbot_ros.loop.points import particles_at
+from microbot_ros.loop.allocation import AllocationStage, GateParameters, limits
+from microbot_ros.virtual_rig.dynamics import advance_worlds
+from microbot_ros.virtual_rig.world import FieldHistory, World
+
+
+class Unhurried(DeadlineWorker):
+    """Calls at once."""
+
+    def call(self, function, deadline):
+        return function()
+
 
 STEERING = 'microbot_ros/Steering-v0'
 CONFIG = Path(__file__).parents[2] / 'config'
@@ -126,21 +134,47 @@ def test_an_action_of_another_shape_is_refused(action):
         env.step(np.array(action))
 
 
-def test_its_loop_gives_the_fields_of_the_loop_to_the_last_bit():
-    loop = Loop(LoopParameters(controller=ControllerParameters(controller='open_loop')))
-    loop.measured(np.zeros(4), 0.0)
-    loop.arm(0.0)
-    agent = AgentLoop(5.0)
-    place = np.array([[1e-5, 2e-5]])
-    for k in range(1, 70):
-        t = k / 30
-        step = loop.steer(particles_at(np.arange(1), place, 1e-7), t)
-        loop.measured(step.currents, t)
-        flowing, reason = agent.step(
-            controller_input(1, t=t, dt=1 / 30, age=0.0, position=place, expected=place),
-            step.field / 5e-3)
-        assert reason == ''
-        assert flowing.tobytes() == loop.allocation.field(step.currents).tobytes()
+class Agent(Controller):
+    """Asks for what it is told to ask for."""
+
+    interface_version = 1
+    summary = 'Asks.'
+    action = np.zeros(2)
+
+    def compute(self, inputs):
+        field = wanted_field(self.action, inputs.limits.field)
+        if not np.isfinite(field).all():
+            raise NoSolutionError('no number')
+        return FieldCommand(field)
+
+
+@pytest.mark.parametrize('most_mT', [5.0, 40.0])  # 80 mT are more than the slew lets one frame go
+def test_what_flows_is_what_flows_in_the_loop_to_the_last_bit(tmp_path, most_mT):
+    path = scenario(tmp_path, spread_um=100, controller={'name': 'hold', 'max_field_mT': 5.0})
+    env, agent, rng = make(scenario=path), Agent(), np.random.default_rng(3)
+    worlds = env.worlds
+    worlds.limits = dataclasses.replace(worlds.limits, field=most_mT * 1e-3)
+    allocation, odd = AllocationStage(GateParameters()), 0
+    for seed in range(12):
+        env.reset(seed=seed)
+        worlds.seen[0, 0] = worlds.bodies['x'][0, 0], worlds.bodies['y'][0, 0] = [
+            139.5e-6, 103.5e-6] if seed % 2 else [0, 0]
+        gate = Gate(limits(GateParameters()))
+        gate.measured((0.0,) * 4, 0.0)
+        gate.arm(0.0)
+        manager = ControllerManager({'agent': agent}, 'agent', worker=Unhurried)
+        for k in range(20):
+            action = rng.normal(0, 1, 2) if k % 7 else np.array([1.0, np.nan])
+            inputs, agent.action = worlds.inputs(0), action
+            outcome = manager.tick(inputs)
+            currents = gate.command(allocation.step(outcome.command.field).tolist(), inputs.t)
+            gate.measured(currents, inputs.t)
+            *_, info = env.step(action)
+            odd += bool(info['reason'])
+            assert worlds.commanded[0].tobytes() == outcome.command.field.tobytes()
+            assert worlds.gates[0].output == currents
+            assert (worlds.gates[0].fault is None) == (gate.fault is None)
+    assert odd > 40
 
 
 def test_the_controller_is_shown_what_the_environment_shows():
@@ -154,10 +188,10 @@ def test_the_controller_is_shown_what_the_environment_shows():
             return np.zeros(2)
 
     policy._policy = Recorder()
-    manager = ControllerManager({'policy': policy}, 'policy', worker=UnhurriedWorker)
+    manager = ControllerManager({'policy': policy}, 'policy', worker=Unhurried)
     shown, _ = env.reset(seed=5)
     for _ in range(40):
-        assert manager.tick(env._inputs).command is not None
+        assert manager.tick(env.worlds.inputs(0)).command is not None
         shown_before, (shown, *_) = shown, env.step(np.zeros(2))
         assert seen[-1].tobytes() == shown_before.tobytes()
     assert len(seen) == 40
@@ -205,7 +239,7 @@ def test_an_episode_is_cut_when_the_gate_cuts_the_currents():
     env = make()
     shown, _ = env.reset(seed=1)
     env.step(to_the_first_goal(shown))
-    env._loop.gate.trip(Reason.DEVICE, 'smoke')
+    env.worlds.gates[0].trip(Reason.DEVICE, 'smoke')
     *_, terminated, truncated, info = env.step(to_the_first_goal(shown))
     assert (terminated, truncated) == (False, True)
     assert info['reason'] == 'fault of the amplifier: smoke'
@@ -217,15 +251,15 @@ def test_a_scenario_brings_particles_goals_and_effects(tmp_path):
     effects = {'command_delay': {'delay_s': 0.2}, 'speed_decay': {'tau_s': 100.0}}
     env = make(scenario=scenario(tmp_path, effects=effects), particles=None)
     env.reset(seed=1)
-    bodies = env._world.bodies
+    bodies = env.worlds.bodies[0]
     assert bodies['x'] * 1e6 == pytest.approx([-60, 40])
     assert bodies['speed'] * 1e6 == pytest.approx([3.71, 4.38])
     assert bodies['delay'].tolist() == [0.2, 0.2]
-    assert env._goals.position * 1e6 == pytest.approx(np.array([[30, -20], [-20, -20]]))
+    assert env.worlds.goals[0] * 1e6 == pytest.approx(np.array([[30, -20], [-20, -20]]))
     heading = bodies['heading'].copy()
     for k in range(12):
         env.step(np.array([1.0, 0.0]))
-        aligned = np.abs(np.exp(1j * (env._world.heading - bodies['phi'])) - 1) < 0.3
+        aligned = np.abs(np.exp(1j * (bodies['heading'] - bodies['phi'])) - 1) < 0.3
         assert aligned.all() == (k >= 6), k  # the command of the first frame, 0.2 s later
     assert not np.array_equal(bodies['heading'], heading)
     assert (bodies['fuel'] < 1).all()
@@ -236,12 +270,12 @@ def test_effects_are_drawn_anew_for_each_episode():
     drawn = []
     for seed in range(20):
         env.reset(seed=seed)
-        drawn.append(env._world.bodies['drift_x'][0] * 1e6)
-        assert env._world.bodies['drift_y'] * 1e6 == pytest.approx([0.5, 0.5])
+        drawn.append(env.worlds.bodies[0]['drift_x'][0] * 1e6)
+        assert env.worlds.bodies[0]['drift_y'] * 1e6 == pytest.approx([0.5, 0.5])
     assert -1 <= min(drawn) < -0.4
     assert 0.4 < max(drawn) <= 1
     env.reset(options={'effects': {'uniform_drift': {'wx_um_s': 3.0}}})
-    assert env._world.bodies['drift_x'] * 1e6 == pytest.approx([3, 3])
+    assert env.worlds.bodies[0]['drift_x'] * 1e6 == pytest.approx([3, 3])
 
 
 def test_what_the_camera_misses_stays_where_it_was_seen(tmp_path):
@@ -259,13 +293,13 @@ def test_other_numbers_of_particles_and_other_goals():
     shown, info = env.reset(seed=1, options={'goals_um': goals})
     assert shown.shape == (2 + 7 * 3,)
     assert info == {'is_success': False, 'reached': 0, 't_s': 0.0, 'reason': ''}
-    assert env._goals.position == pytest.approx(np.array(goals) * 1e-6)
+    assert env.worlds.goals[0] == pytest.approx(np.array(goals) * 1e-6)
 
 
 @pytest.mark.parametrize(('options', 'reason'), [
-    ({'goals_um': [[0, 0]]}, r'goals_um: expected \(2, 2\); received \(1, 2\)'),
-    ({'goals_um': [[0, 0], [999, 0]]}, 'goals_um: goal 2 at .* is outside the workspace'),
-    ({'goals_um': [[0, 0], [math.nan, 0]]}, 'goals_um: goal 2'),
+    ({'goals_um': [[0, 0]]}, r'expected 2 goals_um within the workspace; received \[\[0, 0\]\]'),
+    ({'goals_um': [[0, 0], [999, 0]]}, 'expected 2 goals_um within the workspace'),
+    ({'goals_um': [[0, 0], [math.nan, 0]]}, 'expected 2 goals_um within the workspace'),
     ({'goal': 1}, "unknown option 'goal'; expected goals_um or effects"),
     ({'effects': {'wind': {}}}, "unknown effect 'wind'")])
 def test_options_that_cannot_be_are_refused(options, reason):
@@ -304,12 +338,47 @@ def test_it_shows_the_microscopes_picture():
     assert np.array_equal(*pictures)
 
 
-def test_many_at_once():
-    envs = gymnasium.make_vec(STEERING, num_envs=3, vectorization_mode='sync')
+def test_many_at_once_begin_anew_each_by_itself(tmp_path):
+    path = scenario(tmp_path, duration_s=1, controller={'name': 'hold'})
+    envs = gymnasium.make_vec(STEERING, num_envs=3, scenario=path)
     shown, _ = envs.reset(seed=1)
+    assert envs.observation_space.contains(shown)
     assert shown.shape == (3, 16)
-    assert len(np.unique(shown[:, 2])) == 3
-    assert envs.step(envs.action_space.sample())[1].shape == (3,)
+    envs.unwrapped.worlds.goals[1] = envs.unwrapped.worlds.seen[1]
+    ends = []
+    for k in range(64):
+        shown, rewards, done, cut, info = envs.step(np.tile([1.0, 0.0], (3, 1)))
+        ends += [(k, m, bool(done[m])) for m in np.flatnonzero(done | cut).tolist()]
+        begun = info['t_s'] == 0
+        assert (rewards[begun] == 0).all()
+        assert (shown[begun, :2] == 0).all()
+        assert begun.tolist() == [(k - 1, m) in [end[:2] for end in ends] for m in range(3)]
+    assert ends == [(0, 1, True), (29, 0, False), (29, 2, False), (31, 1, False),
+                    (60, 0, False), (60, 2, False), (62, 1, False)]
+    with pytest.raises(ValueError, match=r'expected actions \(3, 2\)'):
+        envs.step(np.zeros(2))
+
+
+def test_one_of_many_is_the_same_as_one_alone():
+    one, many = make(), gymnasium.make_vec(STEERING, num_envs=1)
+    assert many.reset(seed=4)[0][0].tobytes() == one.reset(seed=4)[0].tobytes()
+    for action in np.random.default_rng(1).uniform(-1, 1, (100, 2)):
+        a, b = one.step(action), many.step(action[None])
+        assert a[0].tobytes() == b[0][0].tobytes()
+        assert [*a[1:4], a[4]['t_s']] == [*(x[0] for x in b[1:4]), b[4]['t_s'][0]]
+
+
+def test_the_worlds_move_as_the_virtual_rigs_does():
+    env = make(particles=3)
+    env.reset(seed=1)
+    bodies, rows = env.worlds.bodies.copy(), np.arange(2) / 30
+    world = World(bodies[0].copy(), np.random.default_rng(2))
+    field = np.random.default_rng(3).normal(0, 3e-3, (1, 2, 1, 2))
+    advance_worlds(bodies, np.zeros(1, int), np.zeros(1), 0.05, 50, rows, field,
+                   np.full(1, 2), np.random.default_rng(2), np.zeros((1, 3, 2)))
+    world.advance(0.05, FieldHistory(rows, field[0]))
+    for name in ('x', 'y', 'heading'):
+        assert bodies[name][0] == pytest.approx(world.bodies[name], rel=1e-12)
 
 
 def test_without_gymnasium_one_line_names_the_extra(monkeypatch):

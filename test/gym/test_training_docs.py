@@ -19,7 +19,7 @@ def test_the_example_trains_and_exports(tmp_path, capsys):
     example['export'](matrix, tmp_path / 'policy.onnx')
     policy = OnnxPolicy(tmp_path / 'policy.onnx')
     assert policy.particles == 2
-    env = gymnasium.make('microbot_ros/Steering-v0')
+    env = gymnasium.make(example['ENVIRONMENT'])
     for seed in range(5):
         seen, _ = env.reset(seed=seed)
         np.testing.assert_allclose(policy.answer(seen), matrix @ seen, rtol=1e-5, atol=1e-6)
@@ -27,7 +27,7 @@ def test_the_example_trains_and_exports(tmp_path, capsys):
 
 def test_gains_like_those_it_finds_reach_both_goals():
     example = runpy.run_path(str(EXAMPLE), run_name='example')
-    env = gymnasium.make('microbot_ros/Steering-v0')
+    env = gymnasium.make(example['ENVIRONMENT'])
     scores = [example['score'](env, example['policy'](np.array([100, 0, 2, 0])), seed)
               for seed in range(3)]
     assert min(scores) > 2
