@@ -41,6 +41,8 @@ class SteeringEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     the microscope's picture. InputError for a scenario, ValueError for ranges that cannot be.
     """
 
+    metadata = {'render_modes': ['rgb_array'], 'render_fps': 30}  # noqa: RUF012
+
     def __init__(
         self, scenario: str | Path | None = None, particles: int | None = 2,
         randomise: Ranges | None = None, render_mode: str | None = None,
@@ -49,7 +51,7 @@ class SteeringEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """The one in which it plays."""
         self.observation_space, self.action_space = _spaces(self.worlds)
         rate = self.worlds.scenario.camera.frame_rate_hz
-        self.metadata = {'render_modes': ['rgb_array'], 'render_fps': rate}
+        self.metadata = self.metadata | {'render_fps': rate}
         self.render_mode = render_mode
         self._microscope: Microscope | None = None
 

@@ -107,7 +107,7 @@ def test_at_the_last_goal_it_is_done_and_goes_round_a_triangle(proportional):
     fields = []
     for k in range(3):
         outcome = playing.tick(controller_input(
-            1, t=1.5 * k, dt=0.1, goals=Goals(shown.position)))
+            1, t=1.1 * k, dt=0.1, goals=Goals(shown.position)))
         assert outcome.command.progress.done
         fields.append(outcome.command.field)
     assert np.sum(fields, axis=0) == pytest.approx(np.zeros(2), abs=1e-12)
