@@ -1,9 +1,9 @@
-"""Trains a linear policy by the cross-entropy method, with NumPy alone, and keeps it as ONNX.
+"""Trains a policy by the cross-entropy method, with NumPy alone, and keeps it as ONNX.
 
     python docs/examples/train_policy.py policy.onnx
 
-The field points along Σ aₖ wₖ, with the ways wₖ that are left (what each is, says
-`microbot_ros.control.policy_task`) and complex gains aₖ: four numbers for two particles.
+The field points along Σ aₖ wₖ, with the ways wₖ that are left to two particles (see
+`microbot_ros.control.policy_task` for what is observed) and complex gains aₖ = exp(xₖ + iyₖ).
 """
 
 import sys
@@ -17,37 +17,39 @@ from onnx import TensorProto, helper, numpy_helper
 ENVIRONMENT = 'microbot_ros.gym:microbot_ros/Steering-v0'
 
 
-def policy(gains: np.ndarray) -> np.ndarray:
-    """The matrix (2, 2 + 7 K) that makes actions of observations, for `gains` (2 K,)."""
-    pairs = gains.reshape(-1, 2)
-    matrix = np.zeros((2, 2 + 7 * len(pairs)), np.float32)
-    for k, (a, b) in enumerate(pairs):
+def policy(exponents: np.ndarray) -> np.ndarray:
+    """The matrix (2, 2 + 7 K) that makes actions of observations, of (x, y) (K, 2)."""
+    matrix = np.zeros((2, 2 + 7 * len(exponents)), np.float32)
+    for k, (x, y) in enumerate(exponents):
+        a, b = np.exp(x) * np.cos(y), np.exp(x) * np.sin(y)
         matrix[:, 2 + 7 * k:4 + 7 * k] = [[a, -b], [b, a]]
     return matrix
 
 
-def score(env: gymnasium.Env, matrix: np.ndarray, seed: int) -> float:
-    """The sum of the rewards of one episode."""
-    seen, _ = env.reset(seed=seed)
-    total, over = 0.0, False
-    while not over:
-        seen, reward, terminated, truncated, _ = env.step(matrix @ seen)
-        total, over = total + float(reward), terminated or truncated
+def scores(envs: gymnasium.vector.VectorEnv, matrices: np.ndarray, steps: int) -> np.ndarray:
+    """The sums (M,) of the rewards of one episode each, by policies (M, 2, 2 + 7 K)."""
+    seen, _ = envs.reset()
+    total, going = np.zeros(len(matrices)), np.ones(len(matrices), bool)
+    for _ in range(steps):
+        seen, rewards, ended, cut, _ = envs.step(np.einsum('mij,mj->mi', matrices, seen))
+        total += np.where(going, rewards, 0)
+        going &= ~(ended | cut)
     return total
 
 
-def train(generations: int = 6, population: int = 16, episodes: int = 2) -> np.ndarray:
-    """The matrix of the best policy found; the scores go to standard error."""
-    rng, env = np.random.default_rng(1), gymnasium.make(ENVIRONMENT)
-    mean, std = np.zeros(4), np.full(4, 10.0)
+def train(generations: int = 8, population: int = 16, steps: int = 900) -> np.ndarray:
+    """The matrix in the middle of the best policies; the scores go to standard error."""
+    envs = gymnasium.make_vec(ENVIRONMENT, num_envs=2 * population)
+    envs.reset(seed=1)
+    rng = np.random.default_rng(1)
+    mean, std = np.zeros((2, 2)), np.array([[3.0, 1.0], [3.0, 1.0]])
     for generation in range(generations):
-        tried = rng.normal(mean, std, (population, 4))
-        seeds = rng.integers(2**31, size=episodes).tolist()
-        scores = [np.mean([score(env, policy(gains), seed) for seed in seeds]) for gains in tried]
-        best = tried[np.argsort(scores)[-max(population // 4, 2):]]
-        mean, std = best.mean(axis=0), best.std(axis=0) + 0.3
-        print(f'{generation}: mean {np.mean(scores):.2f}, best {np.max(scores):.2f}',
-              file=sys.stderr)
+        tried = rng.normal(mean, std, (population, 2, 2))
+        matrices = np.repeat([policy(one) for one in tried], 2, axis=0)  # two episodes each
+        found = scores(envs, matrices, steps).reshape(population, 2).mean(axis=1)
+        best = tried[np.argsort(found)[-max(population // 4, 2):]]
+        mean, std = best.mean(axis=0), best.std(axis=0) + 0.1
+        print(f'{generation}: mean {found.mean():.2f}, best {found.max():.2f}', file=sys.stderr)
     return policy(mean)
 
 

@@ -48,7 +48,7 @@ Ranges = Mapping[str, Mapping[str, tuple[float, float]]]
 Rows = np.ndarray | slice
 
 _DEFAULT = Scenario.model_validate({
-    'duration_s': 60, 'radius_um': 2.3, 'reference_field_mT': 5.0, 'spread_um': 80,
+    'duration_s': 60, 'radius_um': 2.3, 'reference_field_mT': 5.0, 'spread_um': 40,
     'fluid': {'viscosity_mPa_s': 1.245}, 'controller': {'name': 'policy'},
     'camera': {'frame_rate_hz': 30, 'localisation_um': 0.1},
     'particles': [{'x_um': -60, 'y_um': 20, 'v_um_s': 3.71, 'phi_rad': -1.09},

@@ -39,7 +39,7 @@ GOALS = Goals(np.array([[20e-6, 10e-6]]))
 def proportional(tmp_path):
     """A policy for one particle that goes straight to its goal."""
     path = tmp_path / 'policy.onnx'
-    EXAMPLE['export'](EXAMPLE['policy'](np.array([100.0, 0.0])), path)
+    EXAMPLE['export'](EXAMPLE['policy'](np.array([[4.0, 0.0]])), path)
     return path
 
 
@@ -70,10 +70,10 @@ def manager(path):
 def test_it_reaches_its_goal_in_the_whole_loop(tmp_path, proportional):
     path = tmp_path / 'scenario.yaml'
     path.write_text(yaml.safe_dump({
-        'duration_s': 25, 'seed': 1, 'radius_um': 2.3, 'reference_field_mT': 5.0,
+        'duration_s': 16, 'seed': 1, 'radius_um': 2.3, 'reference_field_mT': 5.0,
         'fluid': {'viscosity_mPa_s': 1.245},
         'camera': {'frame_rate_hz': 30, 'localisation_um': 0.1},
-        'particles': [{'x_um': -20, 'y_um': 20, 'v_um_s': 3.71, 'phi_rad': -1.09}],
+        'particles': [{'x_um': 0, 'y_um': 10, 'v_um_s': 3.71, 'phi_rad': -1.09}],
         'controller': {'name': 'policy', 'goals_um': [[20, -10]],
                        'parameters': {'file': str(proportional)}}}), encoding='utf-8')
     scenario, particles = read_scenario(path)

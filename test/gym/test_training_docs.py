@@ -13,7 +13,7 @@ EXAMPLE = Path(__file__).parents[2] / 'docs/examples/train_policy.py'
 
 def test_the_example_trains_and_exports(tmp_path, capsys):
     example = runpy.run_path(str(EXAMPLE), run_name='example')
-    matrix = example['train'](generations=1, population=3, episodes=1)
+    matrix = example['train'](generations=2, population=3, steps=40)
     assert matrix.shape == (2, 16)
     assert capsys.readouterr().err.startswith('0: mean ')
     example['export'](matrix, tmp_path / 'policy.onnx')
@@ -25,9 +25,14 @@ def test_the_example_trains_and_exports(tmp_path, capsys):
         np.testing.assert_allclose(policy.answer(seen), matrix @ seen, rtol=1e-5, atol=1e-6)
 
 
-def test_gains_like_those_it_finds_reach_both_goals():
+def test_policies_like_those_it_finds_reach_both_goals():
     example = runpy.run_path(str(EXAMPLE), run_name='example')
-    env = gymnasium.make(example['ENVIRONMENT'])
-    scores = [example['score'](env, example['policy'](np.array([100, 0, 2, 0])), seed)
-              for seed in range(3)]
-    assert min(scores) > 2
+    matrix = example['policy'](np.array([[4.0, 0.0], [-1.0, 0.0]]))
+    envs = gymnasium.make_vec(example['ENVIRONMENT'], num_envs=6)
+    seen, _ = envs.reset(seed=1)
+    reached, going = np.zeros(6, bool), np.ones(6, bool)
+    while going.any():
+        seen, _, ended, cut, _ = envs.step(seen @ matrix.T)
+        reached |= going & ended
+        going &= ~(ended | cut)
+    assert reached.all()
