@@ -81,7 +81,7 @@ class SteeredWorlds:
         self.bodies = np.empty(shape, BODY)
         """All particles (M, N) of type BODY."""
         self.t, self.frame = np.zeros(count), np.zeros(count, int)
-        """The time [s] and the number of the frame (M,) in each episode."""
+        """The time [s] and how many frames and commands went before (M,) in each episode."""
         self.seen, self.goals = np.zeros((*shape, 2)), np.zeros((*shape, 2))
         """Where particles were seen last, and their goals (M, N, 2) [m]."""
         self.waiting = np.ones(shape, bool)
@@ -96,7 +96,6 @@ class SteeredWorlds:
         self._speed_error, self._phi_error = np.ones(shape), np.zeros(shape)  # of what is told
         self._errors = np.zeros((count, self.frames, self.particles, 2))
         self._field = np.zeros((count, self.frames, 1, 2))
-        self._commands = np.zeros(count, int)
         self._distorts = False  # whether the camera shows particles elsewhere than they are
         self._begins = (np.arange(self.frames) + self._camera.exposure) / self._camera.frame_rate
 
@@ -133,7 +132,7 @@ class SteeredWorlds:
         self._speed_error[m] = 1 + KNOWN_TO * rng.standard_normal(self.particles)
         self._phi_error[m] = KNOWN_TO * rng.standard_normal(self.particles)
         self._errors[m] = detection_errors(self._camera, self.frames, self.particles, rng)
-        self.frame[m] = self._commands[m] = 0
+        self.frame[m] = 0
         self.waiting[m], self.commanded[m], self.reasons[m] = True, 0.0, ''
         self.seen[m] = np.stack((self.bodies[m]['x'], self.bodies[m]['y']), axis=-1)
         self.gates[m] = gate = Gate(self._gate_limits)
@@ -181,7 +180,6 @@ class SteeredWorlds:
             if gate.fault:
                 self.reasons[m] = f'{gate.fault.reason.value}: {gate.fault.detail}'
         self.frame[rows] += 1
-        self._commands[rows] += 1
         if self._camera.exposure < 1:
             self._advance(which, (1 - self._camera.exposure) / self._camera.frame_rate, rng)
         self._take_frames(which, rows, rng)
@@ -246,7 +244,7 @@ class SteeredWorlds:
         mean = np.zeros_like(self.seen)
         advance_worlds(
             self.bodies, which, self.t, duration, math.ceil(duration / STEP - 1e-9),
-            self._begins, self._field, self._commands, rng, mean)
+            self._begins, self._field, self.frame, rng, mean)
         return mean
 
     def _take_frames(self, which: np.ndarray, rows: Rows, rng: np.random.Generator) -> None:

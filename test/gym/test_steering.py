@@ -368,6 +368,48 @@ def test_one_of_many_is_the_same_as_one_alone():
         assert [*a[1:4], a[4]['t_s']] == [*(x[0] for x in b[1:4]), b[4]['t_s'][0]]
 
 
+def test_all_may_begin_anew_at_once(tmp_path):
+    path = scenario(tmp_path, duration_s=1, controller={'name': 'hold'})
+    envs = gymnasium.make_vec(STEERING, num_envs=2, scenario=path)
+    envs.reset(seed=1)
+    times = [envs.step(np.zeros((2, 2)))[4]['t_s'].tolist() for _ in range(33)]
+    assert times[29:] == [[1.0, 1.0], [0.0, 0.0], [1 / 30] * 2, [2 / 30] * 2]
+
+
+@pytest.mark.parametrize('exposure', [0.0, 0.5, 1.0])
+def test_the_camera_sees_the_mean_of_its_exposure(tmp_path, exposure):
+    camera = {'frame_rate_hz': 30, 'exposure': exposure}
+    env = make(scenario=scenario(tmp_path, camera=camera), particles=None)
+    env.reset(seed=1)
+    worlds = env.worlds
+    worlds.bodies['diffusion'] = worlds.bodies['rotational_diffusion'] = 0
+    for _ in range(3):
+        env.step(np.array([1.0, 0.0]))
+    bodies, since = worlds.bodies[0], exposure / 30 / 2
+    velocity = bodies['speed'] * np.exp(1j * bodies['phi'])
+    middle = bodies['x'] + 1j * bodies['y'] - since * velocity
+    assert worlds.t[0] == pytest.approx((3 + exposure) / 30)
+    assert worlds.seen[0] @ [1, 1j] == pytest.approx(middle, abs=1e-9)
+
+
+def test_long_steps_of_the_physics_cost_little():
+    env = make()
+    env.reset(seed=1)
+    bodies = env.worlds.bodies.copy()
+    bodies['diffusion'] = bodies['rotational_diffusion'] = 0
+    angle = np.random.default_rng(1).uniform(-3, 3, 60)
+    field = 5e-3 * np.stack((np.cos(angle), np.sin(angle)), axis=-1)[None, :, None]
+    places = []
+    for steps in (34, 7):  # of 1 ms and of 5 ms
+        moved = bodies.copy()
+        for k in range(60):
+            advance_worlds(moved, np.zeros(1, int), np.full(1, k / 30), 1 / 30, steps,
+                           np.arange(60) / 30, field, np.full(1, k + 1),
+                           np.random.default_rng(1), np.zeros((1, 2, 2)))
+        places.append(moved['x'][0] + 1j * moved['y'][0])
+    assert np.abs(places[0] - places[1]).max() < 0.1e-6  # after 60 turns of the field
+
+
 def test_the_worlds_move_as_the_virtual_rigs_does():
     env = make(particles=3)
     env.reset(seed=1)
