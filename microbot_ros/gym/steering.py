@@ -79,7 +79,7 @@ class SteeringEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         return (self.worlds.observation()[0], float(rewards[0]), bool(successes[0]), bool(cut[0]),
                 self._info())
 
-    def render(self) -> np.ndarray | None:  # type: ignore[override]
+    def render(self) -> np.ndarray | None:
         """The microscope's picture (H, W, 3) uint8; None unless the mode is 'rgb_array'."""
         if self.render_mode != 'rgb_array':
             return None

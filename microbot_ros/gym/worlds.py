@@ -66,12 +66,13 @@ class SteeredWorlds:
     def __init__(self, count: int, scenario: str | Path | None, particles: int | None,
                  randomise: Ranges | None) -> None:
         self._source = str(scenario or 'scenario')
-        self.scenario, self._listed = (_DEFAULT, _DEFAULT.listed) if scenario is None else (
-            read_scenario(Path(scenario)))
-        self.particles = len(self._listed.ids) if particles is None else particles
+        chosen, listed = (_DEFAULT, _DEFAULT.listed) if scenario is None else read_scenario(
+            Path(scenario))
+        self.particles = len(listed.ids) if particles is None else particles
         """How many are in each world."""
-        if particles is not None:
-            self.scenario, self._listed = self.scenario.model_copy(update={'particles': ()}), None
+        self._listed = listed if particles is None else None
+        self.scenario = chosen if particles is None else chosen.model_copy(
+            update={'particles': ()})
         self._randomise = _checked(randomise or {})
         self._prepare_loop()
         self._camera = self.scenario.camera.camera()
