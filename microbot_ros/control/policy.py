@@ -147,6 +147,7 @@ def _load(path: Path) -> tuple[Callable[[np.ndarray], list[Any]], int]:
                          'microbot_ros[onnx]') from None
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.use_deterministic_compute = True
     options.log_severity_level = 4  # what goes wrong is raised
     try:
         content = path.read_bytes()
