@@ -86,10 +86,13 @@ def picture(bodies: np.ndarray, position: np.ndarray, t: float | np.ndarray) -> 
 
     `bodies` (..., N) are of type BODY.
     """
+    seen = position.copy()
+    seen[..., 1] *= bodies['aspect']
     jumped = t >= bodies['jump_time']
-    return np.stack((
-        position[..., 0] + jumped * bodies['jump_x'],
-        bodies['aspect'] * position[..., 1] + jumped * bodies['jump_y']), axis=-1)
+    if jumped.any():
+        seen[..., 0] += jumped * bodies['jump_x']
+        seen[..., 1] += jumped * bodies['jump_y']
+    return seen
 
 
 def detection_errors(
