@@ -171,7 +171,8 @@ def test_what_flows_is_what_flows_in_the_loop(tmp_path, most_mT):
             gate.measured(currents, inputs.t)
             *_, info = env.step(action)
             odd += bool(info['reason'])
-            assert worlds.commanded[0] == pytest.approx(outcome.command.field, rel=1e-14, abs=1e-17)
+            wanted = outcome.command.field
+            assert worlds.commanded[0] == pytest.approx(wanted, rel=1e-14, abs=1e-17)
             assert worlds.gates[0].output == pytest.approx(currents, rel=1e-12, abs=1e-15)
             assert (worlds.gates[0].fault is None) == (gate.fault is None)
     assert odd > 40
