@@ -42,7 +42,7 @@ _BARE = 'a bare loop: Numba centroids, one matrix, os.write'
 
 def figures() -> list[Figure]:
     """All figures; some thirty minutes, most of them for frames in real time."""
-    return [*_frame_figures(), *_simulated_figures(), *_rig_figures()]
+    return [*_frame_figures(), *_simulated_figures(), _training_figure(), *_rig_figures()]
 
 
 def _rig_figures() -> list[Figure]:
