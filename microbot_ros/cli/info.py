@@ -42,6 +42,7 @@ def command(session: Path, json_path: Path | None, figure: Path | None, repair: 
     """
     from rich.console import Console
 
+    from microbot_ros.estimation.batch import command_excitation
     from microbot_ros.session import is_recording, open_recording
     from microbot_ros.session.survey import survey_folder, survey_recording
 
@@ -59,6 +60,8 @@ def command(session: Path, json_path: Path | None, figure: Path | None, repair: 
             raise InputError(session, 'expected a recording to repair, found a folder')
         else:
             found, content = survey_folder(session)
+    if excited := command_excitation(content) if content else None:
+        found = dataclasses.replace(found, remarks=(*found.remarks, *excited.sentences))
     _show(console, found)
     if figure:
         from microbot_ros.session.survey_figure import draw_survey

@@ -16,9 +16,6 @@ from microbot_ros.session.recording import Recording
 
 _SAME_LEVEL = 0.02
 """Values closer than this share of the largest are one level."""
-_SPREAD = 0.5
-"""Circular variance below which the directions count as bunched; 1 is even, 0 is one."""
-_ONE_SENSE = 0.95
 _STEP = 1e-3
 """Turns smaller than this [rad] are read-back noise, not turns."""
 
@@ -40,28 +37,6 @@ class CommandSpread:
     frequencies_hz: tuple[float, ...]
     turns_left: int
     turns_right: int
-
-    def sentences(self) -> list[str]:
-        """What a person should know before fitting, and what to do about it."""
-        if self.off_share > 1 - 1e-9:
-            return ['No field was commanded: only drift and diffusion can be learnt.']
-        said = []
-        if self.direction_variance < _SPREAD:
-            said.append(
-                'The directions are bunched: the offset of the heading cannot be told from a '
-                'drift; command directions all around the circle.')
-        else:
-            said.append('The directions cover the circle.')
-        turns = self.turns_left + self.turns_right
-        if turns and max(self.turns_left, self.turns_right) >= _ONE_SENSE * turns:
-            said.append(
-                'The direction turns one way only: the offset of the heading cannot be told from '
-                'a delay; turn both ways.')
-        levels = self.frequencies_hz or self.magnitudes_mT
-        if len(levels) < 2:
-            what = 'frequency' if self.frequencies_hz else 'magnitude'
-            said.append(f'One {what} only: what depends on it cannot be seen; use at least two.')
-        return said
 
 
 @dataclass(frozen=True)
@@ -149,7 +124,7 @@ def _survey(
         dropped={name: int(count) for name, count in metadata.get('dropped', {}).items()},
         latency_ms=_latency(recording) if recording else None, excitation=spread,
         attachments=tuple(recording.attachments()) if recording else (), metadata=metadata,
-        remarks=(*remarks, *(spread.sentences() if spread else ())),
+        remarks=tuple(remarks),
     )
 
 

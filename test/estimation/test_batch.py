@@ -8,7 +8,7 @@ import pytest
 
 from microbot_ros.errors import InputError
 from microbot_ros.estimation import report
-from microbot_ros.estimation.batch import fit
+from microbot_ros.estimation.batch import command_excitation, fit
 from microbot_ros.estimation.one_leg_regression import one_leg
 from microbot_ros.model.particle import Fluid, translational_diffusion
 from microbot_ros.records import Commands, Conditions, Session, Tracks
@@ -90,6 +90,27 @@ def test_without_commands_there_is_noise_but_no_speed():
     content = report.as_json(result)
     assert content['particles']['0']['v_um_s'] == {'value': None, 'std': None}
     json.dumps(content, allow_nan=False)
+
+
+@pytest.mark.parametrize(('degrees', 'open_pairs', 'told'), [
+    (np.arange(0, 360, 2), {('φ', 'delay')}, 'both ways'),
+    (np.r_[np.arange(0, 180, 2), np.arange(180, 0, -2)], set(), ''),
+    ([0, 120, 240, 0], set(), ''),
+    ([40], {('φ', 'drift'), ('speed', 'drift')}, 'other directions'),
+    ([], set(), 'nothing was driven')])
+def test_what_commands_leave_open_is_known_before_any_fit(degrees, open_pairs, told):
+    """Steps tell φ from a delay whichever way they turn, a steady turn does not."""
+    t, angle = np.arange(180) / 30, np.radians(degrees)
+    tracks = Tracks(t, np.zeros(180, int), np.zeros((180, 2)), np.full(180, np.nan),
+                    np.full(180, np.nan))
+    field = FIELD * np.column_stack([np.cos(angle), np.sin(angle)])
+    commands = Commands(np.linspace(-1, 6, len(angle), endpoint=False), field)
+    excited = command_excitation(Session(tracks, commands, CONDITIONS))
+    assert set(excited.pairs) == open_pairs
+    assert excited.driven == (len(degrees) > 0)
+    assert told in ' '.join(excited.sentences)
+    assert command_excitation(Session(Tracks(*(each[:1] for each in (
+        t, tracks.particle, tracks.position, tracks.theta, tracks.sigma))), commands)) is None
 
 
 def test_too_little_is_an_input_error():

@@ -26,10 +26,6 @@ def circle(*degrees: float, magnitude: float = 2e-3) -> Commands:
     return Commands(np.arange(len(degrees), dtype=float), field)
 
 
-def said(commands: Commands, end: float | None = None) -> str:
-    return ' '.join(command_spread(commands, 0, end or len(commands.t)).sentences())
-
-
 def test_even_directions_have_circular_variance_one_and_one_direction_zero():
     assert command_spread(circle(0, 90, 180, 270), 0, 4).direction_variance == pytest.approx(1)
     assert command_spread(circle(40, 40), 0, 2).direction_variance == pytest.approx(0)
@@ -60,20 +56,6 @@ def test_a_rolling_field_that_does_not_turn_is_off():
     spread = command_spread(rolling, 0, 3)
     assert spread.frequencies_hz == (5, 10)
     assert spread.off_share == pytest.approx(1 / 3)
-
-
-@pytest.mark.parametrize(('commands', 'expected', 'absent'), [
-    (circle(0, 120, 240, 0), 'one way only', 'bunched'),
-    (circle(0, 120, 0, 240), 'cover the circle', 'one way only'),
-    (circle(0, 20, 0, 20), 'bunched', 'cover'),
-    (circle(0, 120, 0, 240), 'One magnitude only', 'frequency'),
-    (circle(0, 120, magnitude=0), 'No field was commanded', 'circle'),
-    (Commands(np.empty(0), np.empty((0, 2))), 'No field was commanded', 'circle'),
-])
-def test_every_sentence_has_a_case_for_it_and_one_against(commands, expected, absent):
-    text = said(commands, 4.0)
-    assert expected in text
-    assert absent not in text
 
 
 def test_missing_frames_are_the_holes_in_an_even_rate():
