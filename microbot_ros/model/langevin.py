@@ -72,9 +72,9 @@ def step_heading(
     return settled + math.sqrt(2 * diffusion * duration * narrowing) * normal
 
 
-def step_grid(start: float, end: float, longest: float = STEP) -> tuple[np.ndarray, float]:
-    """Mid-points [s] and length [s] of equal steps, none over `longest`, from start to end."""
-    count = max(math.ceil((end - start) / longest - 1e-9), 1)
+def step_grid(start: float, end: float) -> tuple[np.ndarray, float]:
+    """Mid-points [s] and length [s] of equal steps, none over STEP, from start to end."""
+    count = max(math.ceil((end - start) / STEP - 1e-9), 1)
     length = (end - start) / count
     return start + (np.arange(count) + 0.5) * length, length
 

@@ -180,14 +180,11 @@ def rmse(path: np.ndarray, measured: np.ndarray) -> np.ndarray:
     return result
 
 
-def run_times(trial: Trial, rounds: int = 5) -> dict[str, float]:
-    """Median seconds of every solver on one trial over some `rounds`.
-
-    Taken in turns so that noise hits all alike.
-    """
+def run_times(trial: Trial) -> dict[str, float]:
+    """Median seconds of every solver on one trial, in turns so that noise hits all alike."""
     particles = swimmers(FORCE, PHI)
     spent: dict[str, list[float]] = {name: [] for name in SOLVERS}
-    for _ in range(rounds + 1):
+    for _ in range(6):
         for name, solver in SOLVERS.items():
             begin = time.perf_counter()
             solver(particles, trial.session.commands, trial.times, trial.measured[0])

@@ -32,12 +32,12 @@ def steps(
     return Commands(begin, strength[:, None] * unit(direction), turns)
 
 
-def rotating(duration: float, field: float, period: float, update: float = 0.05) -> Commands:
-    """A `field` [T] turning anticlockwise once in `period` [s], set anew every `update` [s].
+def rotating(duration: float, field: float, period: float) -> Commands:
+    """A `field` [T] turning anticlockwise once in `period` [s], set anew 20 times a second.
 
     For `duration` [s].
     """
-    begin = np.arange(0.0, duration, update)
+    begin = np.arange(0.0, duration, 0.05)
     return Commands(begin, field * unit(2 * math.pi * begin / period))
 
 
