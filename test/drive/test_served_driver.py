@@ -296,14 +296,19 @@ def test_stopping_while_the_line_is_away(driver, device):
     assert not driver.stop()
 
 
-def test_stopping_during_the_check_answers(drivers):
-    driver = drivers(self_check=True, settling_s=5.0)
-    driver._go_on_checking = lambda *_: None  # it never ends
-    answers = []
+def checking(drivers, **options):
+    """A driver in a self-check that never ends, who is arming it, and what arming answers."""
+    driver, answers = drivers(self_check=True, **options), []
+    driver._go_on_checking = lambda *_: None
     arming = threading.Thread(target=lambda: answers.append(driver.arm()))
     until(lambda: driver.gate._measured_s > 0)
     arming.start()
     until(lambda: driver._arming is not None)
+    return driver, arming, answers
+
+
+def test_stopping_during_the_check_answers(drivers):
+    driver, arming, answers = checking(drivers, settling_s=5.0)
     assert driver.arm() == 'the self-check is going on'
     assert not driver.command(DRIVING)
     driver.stop()
@@ -312,13 +317,7 @@ def test_stopping_during_the_check_answers(drivers):
 
 
 def test_disarming_during_the_check_ends_it(drivers, device):
-    driver = drivers(self_check=True)
-    driver._go_on_checking = lambda *_: None
-    answers = []
-    arming = threading.Thread(target=lambda: answers.append(driver.arm()))
-    until(lambda: driver.gate._measured_s > 0)
-    arming.start()
-    until(lambda: driver._arming is not None)
+    driver, arming, answers = checking(drivers)
     driver.disarm()
     arming.join()
     assert answers == ['disarmed meanwhile']
@@ -328,13 +327,7 @@ def test_disarming_during_the_check_ends_it(drivers, device):
 
 
 def test_a_line_lost_during_the_check_ends_it(drivers, device):
-    driver = drivers(self_check=True)
-    driver._go_on_checking = lambda *_: None
-    answers = []
-    arming = threading.Thread(target=lambda: answers.append(driver.arm()))
-    until(lambda: driver.gate._measured_s > 0)
-    arming.start()
-    until(lambda: driver._arming is not None)
+    _, arming, answers = checking(drivers)
     device.fault('unplug')
     arming.join(5.0)
     assert answers[0].startswith(Reason.LINE.value)

@@ -1,5 +1,6 @@
 """Sessions and recordings to test on."""
 
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -8,9 +9,24 @@ from microbot_ros.records import Commands, Conditions, Session, Tracks
 from microbot_ros.session import RecordingWriter
 from microbot_ros.session.as_messages import SessionMessages
 from microbot_ros.session.bag import typestore
+from microbot_ros.session.recording import Message, Topic
 
 IMAGE = 'sensor_msgs/msg/Image'
 VECTOR = 'geometry_msgs/msg/Vector3Stamped'
+
+
+class Listed:
+    """A source of listed messages."""
+
+    def __init__(self, messages: Iterable[Message]) -> None:
+        self.listed = sorted(messages, key=lambda m: m.t_ns)
+        self.topics = {m.topic: Topic(m.type, 1) for m in messages}
+        self.start_ns, self.end_ns = self.listed[0].t_ns, self.listed[-1].t_ns
+
+    def messages(self, topics: Collection[str] | None = None, start_ns: int | None = None,
+                 end_ns: int | None = None) -> Iterator[Message]:
+        return iter([m for m in self.listed if (topics is None or m.topic in topics)
+                     and (start_ns or 0) <= m.t_ns < (end_ns or 2**63)])
 
 
 def small_session(seed: int = 0, frames: int = 120, rolling: bool = False) -> Session:

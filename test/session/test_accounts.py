@@ -5,7 +5,7 @@ import math
 import struct
 
 import pytest
-from recordings import vector
+from recordings import Listed, vector
 
 from microbot_ros.errors import InputError
 from microbot_ros.session.accounts import (
@@ -18,23 +18,10 @@ from microbot_ros.session.accounts import (
     unjudgeable,
 )
 from microbot_ros.session.inputs import Inputs
-from microbot_ros.session.recording import Message, Topic
+from microbot_ros.session.recording import Message
 
 VECTOR = 'geometry_msgs/msg/Vector3Stamped'
 MS = 1_000_000
-
-
-class Listed:
-    """A source of listed messages."""
-
-    def __init__(self, messages):
-        self.listed = sorted(messages, key=lambda m: m.t_ns)
-        self.topics = {m.topic: Topic(m.type, 1) for m in messages}
-        self.start_ns, self.end_ns = self.listed[0].t_ns, self.listed[-1].t_ns
-
-    def messages(self, topics=None, start_ns=None, end_ns=None):
-        return iter([m for m in self.listed if (topics is None or m.topic in topics)
-                     and (start_ns or 0) <= m.t_ns < (end_ns or 2**63)])
 
 
 def heard(topic, t_ms, stamp_ms, x=0.0):

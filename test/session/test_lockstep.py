@@ -6,13 +6,13 @@ import struct
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from recordings import small_session, vector
+from recordings import Listed, small_session, vector
 
 from microbot_ros.errors import InputError
 from microbot_ros.session.as_messages import SessionMessages
 from microbot_ros.session.lockstep import LockStep, frame_topic, header_stamp_ns
 from microbot_ros.session.playback import Playback
-from microbot_ros.session.recording import Message, Topic
+from microbot_ros.session.recording import Message
 from microbot_ros.session.replay_order import ReplayOrder
 
 SOURCE = SessionMessages(small_session())
@@ -94,19 +94,6 @@ def test_the_frame_is_what_stands_first_in_the_graph():
 ])
 def test_the_frame_is_what_sets_the_first_node_going_not_what_it_takes_beside(answers, frame):
     assert frame_topic(['/particles', '/model/state', '/goals'], answers) == frame
-
-
-class Listed:
-    """A source of listed messages."""
-
-    def __init__(self, messages):
-        self.listed = sorted(messages, key=lambda m: m.t_ns)
-        self.topics = {m.topic: Topic(m.type, 1) for m in messages}
-        self.start_ns, self.end_ns = self.listed[0].t_ns, self.listed[-1].t_ns
-
-    def messages(self, topics=None, start_ns=None, end_ns=None):
-        return iter([m for m in self.listed if (topics is None or m.topic in topics)
-                     and (start_ns or 0) <= m.t_ns < (end_ns or 2**63)])
 
 
 def message(topic, t_ns, stamp_ns=0):
