@@ -10,8 +10,11 @@ import pytest
 
 from bench._tracker_scenes import crowd, expose, identity_switches, light, scene
 from microbot_ros.tracking import FrameError, Tracker, TrackerSettings, learn
+from microbot_ros.tracking.appearance import Appearance
 from microbot_ros.tracking.assign import assign
 from microbot_ros.tracking.motion import Motion
+
+ROUND = TrackerSettings(shape='round')
 
 
 @pytest.fixture(scope='module')
@@ -19,16 +22,21 @@ def still() -> list[np.ndarray]:
     return [frame[:240, :320] for frame in scene('disc', -60, 15, seed=9, frames=6).frames]
 
 
-def _tracker(frames: list[np.ndarray]) -> Tracker:
-    settings = TrackerSettings(shape='round')
-    appearance = learn(frames, settings)
-    assert appearance is not None
-    return Tracker(settings, appearance)
+@pytest.fixture(scope='module')
+def appearance(still: list[np.ndarray]) -> Appearance:
+    learned = learn(still, ROUND)
+    assert learned is not None
+    return learned
+
+
+@pytest.fixture
+def tracker(appearance: Appearance) -> Tracker:
+    return Tracker(ROUND, appearance)
 
 
 def test_crossings_and_gaps_keep_identities() -> None:
     people = crowd(400, seed=3)
-    tracker = _tracker(people.frames[:10])
+    tracker = Tracker(ROUND, learn(people.frames[:10], ROUND))
     seen = []
     for t, frame in enumerate(people.frames):
         poses = tracker.update(frame, t / 60)
@@ -39,8 +47,9 @@ def test_crossings_and_gaps_keep_identities() -> None:
     assert len(named) <= 30
 
 
-def test_an_unseen_particle_is_carried_on_with_growing_doubt(still: list[np.ndarray]) -> None:
-    tracker = _tracker(still)
+def test_an_unseen_particle_is_carried_on_with_growing_doubt(
+    still: list[np.ndarray], tracker: Tracker
+) -> None:
     for t in range(6):
         before = tracker.update(still[t], float(t))
     assert before.seen.all()
@@ -71,9 +80,8 @@ def test_without_an_appearance_it_learns_one_first(still: list[np.ndarray]) -> N
     np.zeros((240, 320, 3), np.uint8), np.zeros((240, 320)), np.zeros((100, 320), np.uint8),
     np.zeros((240, 320), np.uint16), np.zeros((0, 320), np.uint8)])
 def test_a_frame_of_another_kind_is_refused_and_changes_nothing(
-    frame: np.ndarray, still: list[np.ndarray]
+    frame: np.ndarray, still: list[np.ndarray], tracker: Tracker
 ) -> None:
-    tracker = _tracker(still)
     for t in range(4):
         before = tracker.update(still[t], float(t))
     with pytest.raises(FrameError, match='expected'):
@@ -82,8 +90,9 @@ def test_a_frame_of_another_kind_is_refused_and_changes_nothing(
 
 
 @pytest.mark.parametrize('stamp', [3.0, 2.5, math.nan, math.inf, -math.inf])
-def test_a_time_that_is_not_later_is_refused(stamp: float, still: list[np.ndarray]) -> None:
-    tracker = _tracker(still)
+def test_a_time_that_is_not_later_is_refused(
+    stamp: float, still: list[np.ndarray], tracker: Tracker
+) -> None:
     for t in range(4):
         before = tracker.update(still[t], float(t))
     with pytest.raises(FrameError, match='time stamp'):
@@ -91,8 +100,7 @@ def test_a_time_that_is_not_later_is_refused(stamp: float, still: list[np.ndarra
     assert tracker.update(still[4], 4.0).id.tolist() == before.id.tolist()
 
 
-def test_a_clock_set_back_for_good_is_followed(still: list[np.ndarray]) -> None:
-    tracker = _tracker(still)
+def test_a_clock_set_back_for_good_is_followed(still: list[np.ndarray], tracker: Tracker) -> None:
     for t in range(4):
         before = tracker.update(still[t], 100.0 + t)
     with pytest.raises(FrameError, match='before the last one'):
@@ -102,16 +110,17 @@ def test_a_clock_set_back_for_good_is_followed(still: list[np.ndarray]) -> None:
 
 
 @pytest.mark.parametrize('drive', [[math.nan, 0.0], [math.inf, 0.0], [1.0], 3.0])
-def test_a_drive_is_two_finite_numbers(drive: object, still: list[np.ndarray]) -> None:
+def test_a_drive_is_two_finite_numbers(
+    drive: object, still: list[np.ndarray], tracker: Tracker
+) -> None:
     with pytest.raises(FrameError, match='finite drive'):
-        _tracker(still).update(still[0], 0.0, np.array(drive))
+        tracker.update(still[0], 0.0, np.array(drive))
 
 
-def test_a_jump_of_the_picture_keeps_identities_and_is_told(still: list[np.ndarray]) -> None:
+def test_a_jump_of_the_picture_keeps_identities_and_is_told(tracker: Tracker) -> None:
     """Somebody touches the table: all move by two diameters at once."""
     whole = scene('disc', -60, 15, seed=9, frames=6).frames
     jump = np.array([20.0, 14.0])
-    tracker = _tracker(still)
     for t in range(4):
         before = tracker.update(whole[t][:240, :320], t / 60)
     assert tracker.remarks == {}
@@ -124,17 +133,15 @@ def test_a_jump_of_the_picture_keeps_identities_and_is_told(still: list[np.ndarr
     assert np.abs(poses.velocity[poses.seen]).max() < 100
 
 
-def test_noise_and_a_flickering_lamp_invent_nothing(still: list[np.ndarray]) -> None:
+def test_noise_and_a_flickering_lamp_invent_nothing(tracker: Tracker) -> None:
     rng = np.random.default_rng(4)
-    tracker = _tracker(still)
     lamp = light(480, 640)[:240, :320]
     for t in range(300):
         flicker = 1 + 0.3 * math.sin(t)
         assert len(tracker.update(expose(lamp * flicker, 4, rng), t / 60)) == 0
 
 
-def test_a_flickering_lamp_loses_nobody(still: list[np.ndarray]) -> None:
-    tracker = _tracker(still)
+def test_a_flickering_lamp_loses_nobody(still: list[np.ndarray], tracker: Tracker) -> None:
     names = set()
     for t in range(60):
         dimmed = (still[t % 6] * (0.85 + 0.1 * math.sin(t))).astype(np.uint8)
@@ -144,8 +151,9 @@ def test_a_flickering_lamp_loses_nobody(still: list[np.ndarray]) -> None:
     assert poses.seen.all()
 
 
-def test_a_lamp_that_fades_loses_nobody_and_is_told(still: list[np.ndarray]) -> None:
-    tracker = _tracker(still)
+def test_a_lamp_that_fades_loses_nobody_and_is_told(
+    still: list[np.ndarray], tracker: Tracker
+) -> None:
     names: set[int] = set()
     for t in range(150):
         faded = (still[t % 6] * (1 - 0.5 * t / 150)).astype(np.uint8)
