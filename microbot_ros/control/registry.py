@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import logging
 from importlib.metadata import EntryPoint, entry_points
 
@@ -16,13 +17,18 @@ class PluginError(Exception):
     """A controller that was asked for by name can't be had; the message says why."""
 
 
+@functools.cache
+def _installed() -> dict[str, EntryPoint]:
+    """By name; found once, for that reads the metadata of every package of the environment."""
+    return {point.name: point for point in entry_points(group=GROUP)}
+
+
 def controller_class(name: str) -> type[Controller]:
     """The class behind one name; PluginError if there is none or it can't be used."""
-    found = {point.name: point for point in entry_points(group=GROUP)}
-    if name not in found:
-        known = ', '.join(sorted(found)) or 'none'
+    if name not in _installed():
+        known = ', '.join(sorted(_installed())) or 'none'
         raise PluginError(f"no controller '{name}' is installed; there are: {known}")
-    return _load(found[name])
+    return _load(_installed()[name])
 
 
 def controller_classes(required: str | None = None) -> dict[str, type[Controller]]:
@@ -31,10 +37,10 @@ def controller_classes(required: str | None = None) -> dict[str, type[Controller
     One that can't be loaded is logged and left out, unless it is `required`: then PluginError.
     """
     classes = {} if required is None else {required: controller_class(required)}
-    for point in entry_points(group=GROUP):
-        if point.name not in classes:
+    for name, point in _installed().items():
+        if name not in classes:
             try:
-                classes[point.name] = _load(point)
+                classes[name] = _load(point)
             except PluginError as error:
                 _log.warning('left out: %s', error)
     return dict(sorted(classes.items()))

@@ -6,6 +6,7 @@ it keeps no limits but its full scale: those are the gate's.
 
 from __future__ import annotations
 
+import functools
 import time
 from abc import ABC, abstractmethod
 from collections import deque
@@ -206,6 +207,7 @@ class Amplifier(ABC):
         """Close whatever `_open` opened; harmless when it is closed already."""
 
 
+@functools.cache
 def amplifier_class(protocol: str) -> type[Amplifier]:
     """The driver registered for `protocol` in the entry-point group `microbot_ros.amplifiers`.
 

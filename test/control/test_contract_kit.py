@@ -98,7 +98,7 @@ class Entry:
 def plugins(monkeypatch):
     entries = [Entry('zeta', Honest), Entry('broken', ImportError('no module named lab')),
                Entry('old', Old), Entry('thing', 7), Entry('alpha', Honest)]
-    monkeypatch.setattr(registry, 'entry_points', lambda **_: entries)
+    monkeypatch.setattr(registry, '_installed', lambda: {one.name: one for one in entries})
 
 
 @pytest.mark.usefixtures('plugins')
