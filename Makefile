@@ -3,7 +3,11 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := PIP_DISABLE_PIP_VERSION_CHECK=1 $(BIN)/pip install --quiet --constraint constraints.txt
 
-.PHONY: setup demo test bench lint clean
+SIDE_BY_SIDE := $(MAKE) --no-print-directory --jobs 2 --output-sync=target
+# A rig is eight processes, and the tests start hundreds: none is to translate the package anew.
+export PYTHONDONTWRITEBYTECODE :=
+
+.PHONY: setup demo test test-graph test-others compiled bench lint clean
 
 # The first of these that is Python 3.12 or 3.11 and can make environments.
 PYTHON := $(shell for p in python3.12 python3.11 python3; do \
@@ -29,10 +33,22 @@ $(VENV)/.development: $(VENV)/.runtime
 demo: $(VENV)/.runtime
 	@$(BIN)/microbot demo --out out/demo
 
-# The graph's tests have the machine to themselves: the loop is a matter of milliseconds.
-test: $(VENV)/.development lint
-	@$(BIN)/python -m pytest -m 'not graph' --numprocesses 3
-	@$(BIN)/python -m pytest -m graph
+# Tests of the graph wait most of the time: others compute meanwhile, where it leaves them the
+# processors. What needs the whole machine comes last.
+test: $(VENV)/.development
+	@$(SIDE_BY_SIDE) lint compiled
+	@$(SIDE_BY_SIDE) test-graph test-others
+	@$(BIN)/python -m pytest -m timed test/nodes
+
+test-graph:
+	@$(BIN)/python -m pytest -m 'graph and not timed' test/nodes --numprocesses 2
+
+test-others:
+	@nice -n 19 $(BIN)/python -m pytest -m 'not graph' --numprocesses 2
+
+# Whoever needs compiled code that is not there yet makes it: once, not in every process at once.
+compiled: $(VENV)/.development
+	@$(BIN)/python -c 'from microbot_ros.tracking.warm import warm_up; warm_up()'
 
 lint: $(VENV)/.development
 	@$(BIN)/ruff check .
