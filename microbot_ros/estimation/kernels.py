@@ -1,6 +1,7 @@
 """The inner loops over frames, compiled: whitening and filtering. Imported when they are needed.
 
-All take D = 1: `noise_ratio` [s] is σ²/D less a third of the exposure (see `noise`).
+All take D = 1: `noise_ratio` [s] is σ²/D less a third of the exposure (see `noise`). Loops where
+slices would do, which take seconds longer to compile.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ def whiten_columns(times, seen, columns, noise_ratio):  # type: ignore[no-untype
             if not seen[k, n]:
                 continue
             if last < 0:
-                filtered[:] = columns[k, n]
+                for m in range(count):
+                    filtered[m] = columns[k, n, m]
             else:
                 ahead = variance + 2.0 * (times[k] - times[last])
                 total = ahead + noise_ratio
@@ -113,8 +115,8 @@ def whiten_with_heading(  # type: ignore[no-untyped-def]
                 xx = yy = noise_ratio
                 xy = xa = ya = 0.0
                 aa = _stationary_variance(diffusion_ratio, times, retention, k, n)
-                place[:] = columns[k, n]
-                turn[:] = 0.0
+                for m in range(M):
+                    place[m], turn[m] = columns[k, n, m], 0.0
                 continue
             sx, sy = xx + noise_ratio, yy + noise_ratio
             det = sx * sy - xy * xy
