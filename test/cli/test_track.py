@@ -9,21 +9,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from command_line import microbot
 
 from bench._tracker_scenes import KINDS, draw, expose, light, scene
-from microbot_ros.cli import main
 
 
 def _run(*arguments: object) -> int:
-    import sys
-
-    before, sys.argv = sys.argv, ['microbot', 'track', *map(str, arguments)]
-    try:
-        with pytest.raises(SystemExit) as done:
-            main()
-    finally:
-        sys.argv = before
-    return int(done.value.code or 0)
+    return microbot('track', *arguments)
 
 
 @pytest.fixture(scope='module')

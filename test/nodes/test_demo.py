@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 import psutil
 import pytest
+from command_line import microbot
 from mcap.reader import make_reader
 from stolen import STOLEN, Processors
 
@@ -115,12 +116,10 @@ def test_the_film_and_the_figure_show_something(demo: Path) -> None:
 
 @pytest.mark.parametrize('arguments', [
     ['--seconds', '3'], ['--seconds', 'nan'], ['--sedond', '1']])
-def test_bad_options_are_one_line_and_two(tmp_path: Path, arguments: list[str]) -> None:
-    done = subprocess.run(
-        [sys.executable, '-m', 'microbot_ros.cli', 'demo', '--out', str(tmp_path / 'out'),
-         *arguments], capture_output=True, text=True, timeout=60)
-    assert done.returncode == 2
-    assert len(done.stderr.strip().splitlines()) == 1
+def test_bad_options_are_one_line_and_two(
+        tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str]) -> None:
+    assert microbot('demo', '--out', tmp_path / 'out', *arguments) == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1
     assert not list(tmp_path.iterdir())
 
 

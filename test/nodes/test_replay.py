@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 import yaml
 from builtin_interfaces.msg import Time
+from command_line import microbot
 from geometry_msgs.msg import PoseArray, Vector3Stamped
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
@@ -148,27 +149,31 @@ def test_what_a_change_does_is_shown_at_the_first_point(tmp_path: Path) -> None:
     (['EMPTY'], 'expected an MCAP recording, found an empty file'),
 ])
 def test_what_cannot_be_checked_is_one_line_and_two(
-        tmp_path: Path, words: list[Any], expected: str) -> None:
+        tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[Any],
+        expected: str) -> None:
     (tmp_path / 'tracks.csv').write_text('t_s,particle,x_um,y_um\n0,0,0,0\n')
     named = {'FOLDER': tmp_path, 'ODD': tmp_path / 'odd', 'EMPTY': tmp_path / 'odd' / 'a.mcap'}
     named['ODD'].mkdir()
     (tmp_path / 'odd' / 'tracks.csv').write_text('t_s,particle,x_um,y_um\n0,0,0,nan\n')
     if 'EMPTY' in words:
         named['EMPTY'].write_bytes(b'')
-    done = replay(*(named.get(word, word) for word in words))
-    assert done.returncode == 2, done.stdout + done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1
-    assert expected in done.stderr
+    status = microbot('replay', *(named.get(word, word) for word in words))
+    said = capsys.readouterr()
+    assert status == 2, said
+    assert len(said.err.strip().splitlines()) == 1
+    assert expected in said.err
 
 
-def test_a_topic_of_another_type_is_refused(tmp_path: Path) -> None:
+def test_a_topic_of_another_type_is_refused(
+        tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with RecordingWriter(tmp_path / 'odd') as writer:
         for topic in ('/particles', '/model/state'):
             writer.write(topic, 'std_msgs/msg/Bool', 10**9, b'\0\1\0\0\1')
-    done = replay(tmp_path / 'odd', '--check')
-    assert done.returncode == 2, done.stdout + done.stderr
-    assert 'expected a PointCloud2 on /particles, found another type' in done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1
+    status = microbot('replay', tmp_path / 'odd', '--check')
+    said = capsys.readouterr()
+    assert status == 2, said
+    assert 'expected a PointCloud2 on /particles, found another type' in said.err
+    assert len(said.err.strip().splitlines()) == 1
 
 
 def play(ros: Any, seconds: float) -> Any:
