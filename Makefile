@@ -44,7 +44,7 @@ test-graph:
 	@$(BIN)/python -m pytest -m 'graph and not timed' test/nodes --numprocesses 2
 
 test-others:
-	@nice -n 19 $(BIN)/python -m pytest -m 'not graph' --numprocesses 2
+	@nice $(BIN)/python -m pytest -m 'not graph' --numprocesses 2 --timeout 600
 
 # Whoever needs compiled code that is not there yet makes it: once, not in every process at once.
 compiled: $(VENV)/.development

@@ -74,7 +74,6 @@ def _ratio_figure(viewed_s: list[float], bare_s: list[float]) -> Figure:
     return Figure(_ISSUE, 'the rig: p99 to currents written with recorder and viewer, over '
                   'without', ratio, 'ratio', '<= 1.2', 'none', ratio <= 1.2)
     """All figures; some two minutes."""
-    return [*_frame_figures(), *_simulated_figures(), _training_figure()]
 
 
 def _frame_figures() -> list[Figure]:
