@@ -401,6 +401,15 @@ def steered_live(ros: Any, folder: Path) -> Path:
     return out
 
 
+@pytest.fixture
+def steered(ros: Any, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What `steered_live` leaves behind, made once: nobody changes it."""
+    kept = tmp_path_factory.getbasetemp() / 'live'
+    if not kept.is_dir():
+        steered_live(ros, tmp_path).rename(kept)
+    return kept
+
+
 def copied(source: Path, out: Path, apart_ms: float, without: str = 'nothing') -> Path:
     """A recording as a busy recorder would have made it: each topic in its order, but up to so
     much later than the others; without topics of that name."""
@@ -422,8 +431,8 @@ def copied(source: Path, out: Path, apart_ms: float, without: str = 'nothing') -
 
 @pytest.mark.graph
 def test_a_recording_that_came_in_another_order_is_answered_alike(
-        ros: Any, tmp_path: Path) -> None:
-    shuffled = copied(steered_live(ros, tmp_path), tmp_path / 'shuffled', 80.0)
+        steered: Path, tmp_path: Path) -> None:
+    shuffled = copied(steered, tmp_path / 'shuffled', 80.0)
     for nodes in ([], ['--node', 'model'], ['--node', 'controller']):
         done = replay(shuffled, '--check', *nodes, '--json', tmp_path / 'a.json')
         assert done.returncode == 0, done.stdout + done.stderr
@@ -441,8 +450,9 @@ def test_a_recording_that_came_in_another_order_is_answered_alike(
 
 
 @pytest.mark.graph
-def test_an_order_that_nobody_kept_is_named_and_no_difference(ros: Any, tmp_path: Path) -> None:
-    shuffled = copied(steered_live(ros, tmp_path), tmp_path / 'shuffled', 2.0, 'account')
+def test_an_order_that_nobody_kept_is_named_and_no_difference(
+        steered: Path, tmp_path: Path) -> None:
+    shuffled = copied(steered, tmp_path / 'shuffled', 2.0, 'account')
     done = replay(shuffled, '--check', '--json', tmp_path / 'a.json')
     assert done.returncode == 0, done.stdout + done.stderr
     for topic in json.loads((tmp_path / 'a.json').read_text())['topics']:
@@ -452,8 +462,8 @@ def test_an_order_that_nobody_kept_is_named_and_no_difference(ros: Any, tmp_path
 
 
 @pytest.mark.graph
-def test_what_was_not_recorded_is_named(ros: Any, tmp_path: Path) -> None:
-    lacking = copied(steered_live(ros, tmp_path), tmp_path / 'lacking', 0.0, 'goals')
+def test_what_was_not_recorded_is_named(steered: Path, tmp_path: Path) -> None:
+    lacking = copied(steered, tmp_path / 'lacking', 0.0, 'goals')
     done = replay(lacking, '--check', '--node', 'controller')
     assert done.returncode == 0, done.stdout + done.stderr
     assert 'cannot be judged: what the controller took from goals was not rec' in done.stdout
