@@ -9,10 +9,19 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 
 
-@njit(cache=True)
+def _given(dtype: types.Type, dimensions: int) -> types.Array:
+    """Any contiguous array: one that may be written to would be compiled a second time."""
+    return types.Array(dtype, dimensions, 'C', readonly=True)
+
+
+_SEEN = (_given(types.float64, 1), _given(types.boolean, 2))
+
+
+@njit([(*_SEEN, _given(kind, 3), types.float64) for kind in (types.complex128, types.float64)],
+      cache=True)
 def whiten_columns(times, seen, columns, noise_ratio):  # type: ignore[no-untyped-def]
     """White increments of `columns` (T, N, M), of unit variance per axis, by the local-level gain.
 
@@ -75,7 +84,8 @@ def filter_positions(times, seen, positions, noise_ratio):  # type: ignore[no-un
     return out
 
 
-@njit(cache=True)
+@njit([(*_SEEN, _given(types.complex128, 3), types.float64, types.float64,
+        _given(types.complex128, 2), _given(types.float64, 2))], cache=True)
 def whiten_with_heading(  # type: ignore[no-untyped-def]
         times, seen, columns, noise_ratio, diffusion_ratio, sensitivity, retention):
     """White increments of complex `columns` (T, N, M) where headings are noisy as well.

@@ -65,7 +65,7 @@ def learning(
 ) -> Generator[None, None, Appearance | None]:
     """`learn` from `frames` in portions of some milliseconds, so that a live loop can go on."""
     step = max(1, len(frames) // _MOST_FRAMES)
-    frames = frames[::step][:_MOST_FRAMES]
+    frames = [np.ascontiguousarray(frame) for frame in frames[::step][:_MOST_FRAMES]]
     initial = yield from best_initial_size(frames, settings)
     # A wide window collects the energy of debris and halos too: look again at the size of what
     # was found, or the fits would run into the limits of their size.

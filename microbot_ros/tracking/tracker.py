@@ -129,6 +129,7 @@ class Tracker:
         from there, identities kept.
         """
         self._check(image, drive)
+        image = np.ascontiguousarray(image)  # as a part of a picture all would be compiled anew
         dt = self._interval(t)
         if self.appearance is None:
             self.remarks = self._frame_quality.look(image, dt, 0.0)
