@@ -84,6 +84,36 @@ def filter_positions(times, seen, positions, noise_ratio):  # type: ignore[no-un
     return out
 
 
+@njit(cache=True)
+def _stationary_variance(diffusion_ratio, times, retention, k, n):  # type: ignore[no-untyped-def]
+    """Variance of a heading that the field has long held."""
+    k = min(k, len(retention) - 1)
+    q = min(retention[k, n], 0.999)
+    if q <= 0:
+        return 0.0
+    return -diffusion_ratio * (times[k + 1] - times[k]) / math.log(q)
+
+
+@njit(cache=True)
+def _heading_noise(h, diffusion_ratio, sensitivity, retention):  # type: ignore[no-untyped-def]
+    """What noise in the heading adds over an interval h: an Ornstein–Uhlenbeck process.
+
+    The velocity per radian, and the variance of its integral, their covariance, the variance of
+    the heading.
+    """
+    if retention < 1e-9:
+        return 0j, 0.0, 0.0, 0.0
+    decay = -math.log(retention)
+    if abs(decay) < 1e-3:
+        variance = diffusion_ratio * 2 * h
+        return sensitivity / h, variance * h**2 / 3, variance * h / 2, variance
+    rate = decay / h
+    spread = 2 / rate**2 * (h - 2 * (1 - retention) / rate + (1 - retention**2) / (2 * rate))
+    return (sensitivity * rate / (1 - retention), diffusion_ratio * spread,
+            diffusion_ratio * ((1 - retention) / rate) ** 2,
+            diffusion_ratio * (1 - retention**2) / rate)
+
+
 @njit([(*_SEEN, _given(types.complex128, 3), types.float64, types.float64,
         _given(types.complex128, 2), _given(types.float64, 2))], cache=True)
 def whiten_with_heading(  # type: ignore[no-untyped-def]
@@ -147,33 +177,3 @@ def whiten_with_heading(  # type: ignore[no-untyped-def]
             xa, ya = xa - gxx * xa - gxy * ya, ya - gyx * xa - gyy * ya
             xx, xy, yy = noise_ratio * gxx, noise_ratio * gxy, noise_ratio * gyy
     return out, log_det, used
-
-
-@njit(cache=True)
-def _stationary_variance(diffusion_ratio, times, retention, k, n):  # type: ignore[no-untyped-def]
-    """Variance of a heading that the field has long held."""
-    k = min(k, len(retention) - 1)
-    q = min(retention[k, n], 0.999)
-    if q <= 0:
-        return 0.0
-    return -diffusion_ratio * (times[k + 1] - times[k]) / math.log(q)
-
-
-@njit(cache=True)
-def _heading_noise(h, diffusion_ratio, sensitivity, retention):  # type: ignore[no-untyped-def]
-    """What noise in the heading adds over an interval h: an Ornstein–Uhlenbeck process.
-
-    The velocity per radian, and the variance of its integral, their covariance, the variance of
-    the heading.
-    """
-    if retention < 1e-9:
-        return 0j, 0.0, 0.0, 0.0
-    decay = -math.log(retention)
-    if abs(decay) < 1e-3:
-        variance = diffusion_ratio * 2 * h
-        return sensitivity / h, variance * h**2 / 3, variance * h / 2, variance
-    rate = decay / h
-    spread = 2 / rate**2 * (h - 2 * (1 - retention) / rate + (1 - retention**2) / (2 * rate))
-    return (sensitivity * rate / (1 - retention), diffusion_ratio * spread,
-            diffusion_ratio * ((1 - retention) / rate) ** 2,
-            diffusion_ratio * (1 - retention**2) / rate)

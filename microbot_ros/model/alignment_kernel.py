@@ -6,6 +6,7 @@ import math
 
 import numba
 import numpy as np
+from numba import types
 
 UNSTABLE = 0.01
 """A heading this close [rad] to opposing the field is moved this far from it.
@@ -15,7 +16,34 @@ does; within this angle noise decides, not the equation.
 """
 
 
+def _given(dtype: types.Type, dimensions: int) -> types.Array:
+    """Any array: a broadcast one, or one that may be written to, would be compiled anew."""
+    return types.Array(dtype, dimensions, 'A', readonly=True)
+
+
 @numba.njit(cache=True)
+def _span(relative, rate, h):  # type: ignore[no-untyped-def]
+    """∫cos δ, ∫sin δ, their derivatives to δ₀, cos δ₁, sin δ₁ and ∂δ₁/∂δ₀ over one span."""
+    cos0, sin0 = relative.real, relative.imag
+    if cos0 < -math.cos(UNSTABLE):
+        cos0, sin0 = -math.cos(UNSTABLE), math.copysign(math.sin(UNSTABLE), sin0)
+    q = math.exp(-rate * h)
+    near, far = (1 + cos0) / 2, (1 - cos0) / 2
+    scale = near + far * q * q
+    retention = q / scale
+    cos1, sin1 = (near - far * q * q) / scale, retention * sin0
+    if rate * h < 1e-100:
+        C, Sn, dC, dS = h * cos0, h * sin0, -h * sin0, h * cos0
+    else:
+        turned, lost = -math.expm1(-rate * h), math.expm1(-2 * rate * h)
+        C = h + math.log1p(far * lost) / rate
+        Sn = 2 * math.atan2(sin0 * turned / 2, near + far * q) / rate
+        dC, dS = sin0 * lost / (2 * rate * scale), turned * (near - far * q) / (rate * scale)
+    return C, Sn, dC, dS, cos1, sin1, retention
+
+
+@numba.njit([(_given(types.complex128, 1), _given(types.complex128, 2),
+             _given(types.float64, 2), _given(types.float64, 1))], cache=True)
 def integrate_alignment(start, target, rate, span):  # type: ignore[no-untyped-def]
     """Solve dχ/dt = κ sin(ψ − χ) through S spans of constant ψ and κ, n headings at once.
 
@@ -54,28 +82,8 @@ def integrate_alignment(start, target, rate, span):  # type: ignore[no-untyped-d
     return heading, path, sensitivity, retention
 
 
-@numba.njit(cache=True)
-def _span(relative, rate, h):  # type: ignore[no-untyped-def]
-    """∫cos δ, ∫sin δ, their derivatives to δ₀, cos δ₁, sin δ₁ and ∂δ₁/∂δ₀ over one span."""
-    cos0, sin0 = relative.real, relative.imag
-    if cos0 < -math.cos(UNSTABLE):
-        cos0, sin0 = -math.cos(UNSTABLE), math.copysign(math.sin(UNSTABLE), sin0)
-    q = math.exp(-rate * h)
-    near, far = (1 + cos0) / 2, (1 - cos0) / 2
-    scale = near + far * q * q
-    retention = q / scale
-    cos1, sin1 = (near - far * q * q) / scale, retention * sin0
-    if rate * h < 1e-100:
-        C, Sn, dC, dS = h * cos0, h * sin0, -h * sin0, h * cos0
-    else:
-        turned, lost = -math.expm1(-rate * h), math.expm1(-2 * rate * h)
-        C = h + math.log1p(far * lost) / rate
-        Sn = 2 * math.atan2(sin0 * turned / 2, near + far * q) / rate
-        dC, dS = sin0 * lost / (2 * rate * scale), turned * (near - far * q) / (rate * scale)
-    return C, Sn, dC, dS, cos1, sin1, retention
-
-
-@numba.njit(cache=True)
+@numba.njit([(_given(types.int64, 1), _given(types.complex128, 2), _given(types.float64, 2))],
+            cache=True)
 def chain_intervals(first, sensitivity, retention):  # type: ignore[no-untyped-def]
     """Derivatives over whole frame intervals from those over their spans.
 
