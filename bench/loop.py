@@ -73,7 +73,6 @@ def _ratio_figure(viewed_s: list[float], bare_s: list[float]) -> Figure:
     ratio = float(np.percentile(viewed_s, 99) / np.percentile(bare_s, 99))
     return Figure(_ISSUE, 'the rig: p99 to currents written with recorder and viewer, over '
                   'without', ratio, 'ratio', '<= 1.2', 'none', ratio <= 1.2)
-    """All figures; some two minutes."""
 
 
 def _frame_figures() -> list[Figure]:
