@@ -53,6 +53,7 @@ _SUFFIXES: dict[str, tuple[float, str]] = {
 _BY_LENGTH = sorted(_SUFFIXES, key=len, reverse=True)
 
 
+@cache
 def suffix(name: str) -> str:
     """The unit suffix of a name, or '' where it has none: `suffix('wx_um_s') == '_um_s'`."""
     return next((s for s in _BY_LENGTH if name.endswith(s)), '')

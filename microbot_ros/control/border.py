@@ -5,6 +5,7 @@ from __future__ import annotations
 import cmath
 import dataclasses
 
+import numba
 import numpy as np
 
 from microbot_ros.control.contract import ControllerInput, FieldCommand
@@ -25,6 +26,9 @@ def kept_in_view(inputs: ControllerInput, command: FieldCommand, horizon: float)
     as possible. Only particles whose speed and φ are known count; a field of zero stays zero.
     This is a control barrier function, h the distance: dh/dt ≥ −h/horizon.
     """
+    if _clear(inputs.expected, inputs.speed, command.frequency or 1.0, inputs.workspace.low,
+              inputs.workspace.high, horizon):
+        return command
     model = inputs.model
     made = complex(*(command.field if model is None else model.field(command.field)).tolist())
     rows = _concerned(inputs, command)
@@ -44,6 +48,18 @@ def kept_in_view(inputs: ControllerInput, command: FieldCommand, horizon: float)
     message = f'{command.progress.message}; turned, for a particle is about to leave the view'
     progress = dataclasses.replace(command.progress, message=message)
     return dataclasses.replace(command, field=field, progress=progress)
+
+
+@numba.njit(cache=True)
+def _clear(expected, speed, turns, low, high, horizon):  # type: ignore[no-untyped-def]
+    """Whether no particle could be out of the workspace within the horizon [s]."""
+    for n in range(len(speed)):
+        pace = speed[n] * max(turns, 1.0) * horizon
+        for axis in range(2):
+            at = expected[n, axis]
+            if pace > high[axis] - at or pace > at - low[axis]:
+                return False
+    return True
 
 
 def _concerned(inputs: ControllerInput, command: FieldCommand) -> np.ndarray:

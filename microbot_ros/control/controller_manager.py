@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -166,9 +167,9 @@ class ControllerManager:
         if not fresh:
             return Outcome(None, Result.STALE, f'poses are {inputs.age:.2f} s old')
         inputs = _with_delay_of_model(_usable(inputs))
-        inputs = dataclasses.replace(
-            inputs, field=self._field.copy(), record=self._record)
-        self._last = inputs = look_ahead(inputs)
+        self._last = inputs = dataclasses.replace(
+            inputs, field=self._field.copy(), record=self._record,
+            expected=look_ahead(inputs, self._record))
         command, result, message = self._ask(inputs)
         field = _approach(self._field, command.field, inputs)
         self._field = field
@@ -189,8 +190,8 @@ class ControllerManager:
             command = self._threads[self._active].compute(inputs, self._deadline)
             command = _checked(command, inputs.limits)
             if self._border > 0:
-                command = kept_in_view(inputs, command, self._border)
-                command = _checked(command, inputs.limits)
+                kept = kept_in_view(inputs, command, self._border)
+                command = command if kept is command else _checked(kept, inputs.limits)
             return command, Result.OK, command.progress.message
         except ControllerError as error:
             result, why = error.result, str(error)
@@ -223,7 +224,7 @@ def _with_delay_of_model(inputs: ControllerInput) -> ControllerInput:
 def _checked(command: FieldCommand, limits: Limits) -> FieldCommand:
     """The command with a field of its own, (2,); ValueError unless finite and within limits."""
     field = np.array(command.field, dtype=float).reshape(2)
-    strength = float(np.hypot(*field))
+    strength = math.hypot(*field.tolist())
     if not strength <= limits.field * (1 + 1e-9):
         raise ValueError(f'commanded {strength * 1e3:g} mT; the limit is {limits.field * 1e3:g}')
     if not 0 <= command.frequency <= limits.frequency:
@@ -240,6 +241,6 @@ def _approach(now: np.ndarray, wanted: np.ndarray, inputs: ControllerInput) -> n
     if not inputs.dt > 0:
         return now if wanted.any() else wanted
     step = wanted - now
-    length, longest = float(np.hypot(*step)), inputs.limits.slew * min(
-        inputs.dt, LONGEST_STEP)
+    length = math.hypot(*step.tolist())
+    longest = inputs.limits.slew * min(inputs.dt, LONGEST_STEP)
     return now + step if length <= longest else now + step * (longest / length)

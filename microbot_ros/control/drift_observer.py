@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+
+import numba
 import numpy as np
 
 
@@ -28,12 +31,7 @@ class DriftObserver:
 
         `shared` is ∫u dt [s] in between.
         """
-        move = np.array([[1, shared, dt], [0, 1, 0], [0, 0, 1]], complex)
-        P = move @ self._covariance @ move.conj().T + np.diag(self.WANDER * dt)
-        state = move @ self._state
-        gain = P[:, 0] / (P[0, 0].real + sigma**2)
-        self._state = state + gain * (measured - state[0])
-        self._covariance = P - np.outer(gain, P[0])
+        _update(self._state, self._covariance, shared, dt, measured, sigma, self.WANDER)
 
     def jump(self, dt: float, measured: complex, sigma: float) -> None:
         """The same with `measured` and `sigma`, where it is not known what the field did."""
@@ -51,7 +49,7 @@ class DriftObserver:
     @property
     def answer_std(self) -> float:
         """Standard deviation of each coordinate of c [m/s]."""
-        return float(np.sqrt(self._covariance[1, 1].real))
+        return math.sqrt(self._covariance[1, 1].real)
 
     @property
     def drift(self) -> complex:
@@ -61,3 +59,22 @@ class DriftObserver:
     def ahead(self, shared: complex, dt: float) -> complex:
         """Where the particle is `dt` [s] after the last measurement, ∫u dt = `shared` later."""
         return complex(self._state[0] + self._state[1] * shared + self._state[2] * dt)
+
+
+@numba.njit(cache=True)
+def _update(state, covariance, shared, dt, measured, sigma, wander):  # type: ignore[no-untyped-def]
+    """`DriftObserver.update`, in place."""
+    state[0] += shared * state[1] + dt * state[2]
+    for k in range(3):
+        covariance[0, k] += shared * covariance[1, k] + dt * covariance[2, k]
+    for k in range(3):
+        covariance[k, 0] += shared.conjugate() * covariance[k, 1] + dt * covariance[k, 2]
+    for k in range(3):
+        covariance[k, k] += wander[k] * dt
+    row = covariance[0].copy()
+    gain = covariance[:, 0] / (row[0].real + sigma**2)
+    off = measured - state[0]
+    for k in range(3):
+        state[k] += gain[k] * off
+        for m in range(3):
+            covariance[k, m] -= gain[k] * row[m]

@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from microbot_ros.control.contract import NO_PLACES, ControllerInput, Goals, ParticleLostError
+from microbot_ros.control.contract import (
+    NO_PLACES,
+    ControllerInput,
+    Goals,
+    ParticleLostError,
+    Workspace,
+)
 from microbot_ros.control.steering import goals_in_reach
 
 
@@ -23,6 +29,8 @@ class GoalSequence:
         self._next = 0
         self._named = False
         self._position = NO_PLACES
+        self._goals: Goals | None = None
+        self._workspace: Workspace | None = None
         self._seen: np.ndarray | None = None
 
     def __len__(self) -> int:
@@ -36,7 +44,9 @@ class GoalSequence:
 
         GoalError for a goal outside the workspace.
         """
-        goals_in_reach(inputs)
+        if inputs.goals is not self._goals or inputs.workspace is not self._workspace:
+            goals_in_reach(inputs)
+            self._goals, self._workspace = inputs.goals, inputs.workspace
         named = _first_named(inputs.goals) if asked < 0 else asked
         position = inputs.goals.position
         if inputs.goals.ids is not None:

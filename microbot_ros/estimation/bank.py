@@ -2,12 +2,28 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+import math
+from typing import ClassVar, NamedTuple
 
+import numba
 import numpy as np
 
 MIN_WEIGHT = 0.05
 """Hypotheses less probable than this neither move nor widen an estimate."""
+
+
+class Mixture(NamedTuple):
+    """Mean and covariance over hypotheses, arrays (N,): see `PhasorBank`.
+
+    `p`, `velocity_phasor`, their variances per axis `p_var`, `phasor_var`, and `cross`, half the
+    mean of p̃ c̃*.
+    """
+
+    p: np.ndarray
+    velocity_phasor: np.ndarray
+    p_var: np.ndarray
+    phasor_var: np.ndarray
+    cross: np.ndarray
 
 
 class PhasorBank:
@@ -69,44 +85,23 @@ class PhasorBank:
     def keep(self, particles: np.ndarray) -> None:
         """Keep only these columns: `particles` is a mask (N,) or indices (n,)."""
         for name in self._ARRAYS:
-            setattr(self, name, getattr(self, name)[:, particles])
+            # Another order in memory would be compiled for anew.
+            setattr(self, name, getattr(self, name)[:, particles].copy('C'))
 
     def predict(
-        self, path: np.ndarray | complex, drift: np.ndarray | complex, diffused: float,
-        wander: float,
+        self, path: np.ndarray, drift: np.ndarray, diffused: float, wander: np.ndarray,
     ) -> None:
-        """Move on to the next frame: by c · `path`, ∫u dt [s], and `drift` [m], (N,) complex.
+        """Move on to the next frame: by c · `path`, ∫u dt [s], and `drift` [m], (1 or N,) complex.
 
         `diffused` = 2Dh [m²] is the variance that diffusion adds, `wander` (N,) that of c.
         """
-        self.p += self.velocity_phasor * path + drift
-        self.g += path
-        self.p_var += diffused
-        shrink = self.phasor_var / (self.phasor_var + wander)
-        self.p_var += np.abs(self.g) ** 2 * self.phasor_var * (1 - shrink)
-        self.g *= shrink
-        self.phasor_var += wander
-
-    def innovation(self, z: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """`z` (N,) − prediction (K, N) [m], and its variance per axis; `noise` (N,): of `z`."""
-        return z - self.p, self.p_var + np.abs(self.g) ** 2 * self.phasor_var + noise
+        _predict(self.p, self.velocity_phasor, self.g, self.p_var, self.phasor_var, path, drift,
+                 diffused, wander)
 
     def update(self, z: np.ndarray, noise: np.ndarray, seen: np.ndarray) -> None:
         """Take positions `z` (N,) read with variance `noise` (N,) [m²] where `seen` (N,)."""
-        residual, total = self.innovation(z, noise)
-        given_c = self.p_var + noise
-        gain_c = np.conj(self.g) * self.phasor_var / total
-        gain_p = 1 - noise / total
-        residual = np.where(seen, residual, 0)
-        self.velocity_phasor += gain_c * residual
-        self.p += gain_p * residual
-        self.phasor_var *= np.where(seen, given_c / total, 1)
-        kept = np.where(seen, noise / given_c, 1)
-        self.g *= kept
-        self.p_var *= kept
-        log_density = -np.log(total) - np.abs(residual) ** 2 / (2 * total)
-        self.log_weight += np.where(seen, log_density, 0)
-        self.log_weight -= self.log_weight.max(axis=0)
+        _update(self.p, self.velocity_phasor, self.g, self.p_var, self.phasor_var,
+                self.log_weight, z, noise, seen)
 
     def restart_position(self, z: np.ndarray, noise: np.ndarray, where: np.ndarray) -> None:
         """Put particles `where` (N,) bool to `z` ± √`noise`, knowing c as before: after a jump."""
@@ -133,46 +128,31 @@ class PhasorBank:
 
     def weights(self) -> np.ndarray:
         """Posterior probability (K, N) of each hypothesis, those below MIN_WEIGHT set to zero."""
-        weight = np.exp(self.log_weight - self.log_weight.max(axis=0))
-        weight /= weight.sum(axis=0)
-        weight[weight < MIN_WEIGHT] = 0
-        return weight / weight.sum(axis=0)
+        weight: np.ndarray = posterior(self.log_weight)
+        return weight
 
-    def combined(self) -> dict[str, np.ndarray]:
-        """Mean and covariance over hypotheses: p, c, their variances, and cross = ½ E p̃c̃* (N,)."""
-        return self._combine(self.weights())
-
-    def _combine(self, weight: np.ndarray) -> dict[str, np.ndarray]:
-        p = (weight * self.p).sum(axis=0)
-        c = (weight * self.velocity_phasor).sum(axis=0)
-        dp, dc = self.p - p, self.velocity_phasor - c
-        spread_c = self.phasor_var + np.abs(dc) ** 2 / 2
-        spread_p = self.p_var + np.abs(self.g) ** 2 * self.phasor_var + np.abs(dp) ** 2 / 2
-        cross = self.g * self.phasor_var + dp * np.conj(dc) / 2
-        return {
-            'p': p, 'velocity_phasor': c, 'p_var': (weight * spread_p).sum(axis=0),
-            'phasor_var': (weight * spread_c).sum(axis=0), 'cross': (weight * cross).sum(axis=0),
-        }
+    def combined(self) -> Mixture:
+        """Mean and covariance over all hypotheses."""
+        return Mixture(*_combine(self.weights(), self.p, self.velocity_phasor, self.g, self.p_var,
+                                 self.phasor_var))
 
     def _fold(self, slot: int) -> np.ndarray:
         """Merge a slot into hypothesis 0 where it carries weight, else let it lapse; its share."""
-        pair = np.exp(self.log_weight[[0, slot]] - self.log_weight[[0, slot]].max(axis=0))
-        share = pair / pair.sum(axis=0)
-        share[share < MIN_WEIGHT] = 0
-        share /= share.sum(axis=0)
-        weight = np.zeros_like(self.log_weight)
-        weight[[0, slot]] = share
-        merged = self._combine(weight)
+        pair = [0, slot]
+        share = posterior(self.log_weight[pair])
+        merged = Mixture(*_combine(share, *(
+            getattr(self, name)[pair] for name in self._ARRAYS[:5])))
         self.log_weight[0] = np.logaddexp(
             self.log_weight[0], np.where(share[1] > 0, self.log_weight[slot], -np.inf)
         )
         for name in ('p', 'velocity_phasor', 'phasor_var'):
-            getattr(self, name)[0] = merged[name]
-        self.g[0] = merged['cross'] / merged['phasor_var']
-        left = merged['p_var'] - np.abs(merged['cross']) ** 2 / merged['phasor_var']
+            getattr(self, name)[0] = getattr(merged, name)
+        self.g[0] = merged.cross / merged.phasor_var
+        left = merged.p_var - np.abs(merged.cross) ** 2 / merged.phasor_var
         # Exactly, a mixture is never narrower than its narrowest part; rounding could be.
-        self.p_var[0] = np.maximum(left, self.p_var[[0, slot]].min(axis=0))
-        return share[1]
+        self.p_var[0] = np.maximum(left, self.p_var[pair].min(axis=0))
+        second: np.ndarray = share[1]
+        return second
 
     def _open(
         self, slot: int, probability: float, change_var: np.ndarray, phasor_var_max: float,
@@ -187,3 +167,85 @@ class PhasorBank:
         self.g[slot] = self.g[0] * shared
         self.phasor_var[slot] = grown
         self.log_weight[slot] = self.log_weight[0] + np.log(probability)
+
+
+@numba.njit(cache=True, error_model='numpy')
+def _predict(p, c, g, p_var, phasor_var, path, drift, diffused, wander):  # type: ignore[no-untyped-def]
+    """`PhasorBank.predict` on its arrays; `path` and `drift` are (1 or N,)."""
+    hypotheses, count = p.shape
+    for n in range(count):
+        way, carried = path[min(n, len(path) - 1)], drift[min(n, len(drift) - 1)]
+        for k in range(hypotheses):
+            p[k, n] += c[k, n] * way + carried
+            bent = g[k, n] + way
+            shrink = phasor_var[k, n] / (phasor_var[k, n] + wander[n])
+            p_var[k, n] += diffused
+            p_var[k, n] += _square(bent) * phasor_var[k, n] * (1 - shrink)
+            g[k, n] = bent * shrink
+            phasor_var[k, n] += wander[n]
+
+
+@numba.njit(cache=True, error_model='numpy')
+def _update(p, c, g, p_var, phasor_var, log_weight, z, noise, seen):  # type: ignore[no-untyped-def]
+    """`PhasorBank.update` on its arrays."""
+    hypotheses, count = p.shape
+    for n in range(count):
+        best = -np.inf
+        for k in range(hypotheses):
+            if seen[n]:
+                residual, given_c = z[n] - p[k, n], p_var[k, n] + noise[n]
+                total = p_var[k, n] + _square(g[k, n]) * phasor_var[k, n] + noise[n]
+                c[k, n] += g[k, n].conjugate() * phasor_var[k, n] / total * residual
+                p[k, n] += (1 - noise[n] / total) * residual
+                phasor_var[k, n] *= given_c / total
+                g[k, n] *= noise[n] / given_c
+                p_var[k, n] *= noise[n] / given_c
+                log_weight[k, n] += -math.log(total) - _square(residual) / (2 * total)
+            best = max(best, log_weight[k, n])
+        for k in range(hypotheses):
+            log_weight[k, n] -= best
+
+
+@numba.njit(cache=True, error_model='numpy')
+def posterior(log_weight):  # type: ignore[no-untyped-def]
+    """Probabilities (K, N) of log weights, those below MIN_WEIGHT set to zero."""
+    weight = np.empty_like(log_weight)
+    hypotheses, count = weight.shape
+    for n in range(count):
+        best, total, kept = log_weight[:, n].max(), 0.0, 0.0
+        for k in range(hypotheses):
+            weight[k, n] = math.exp(log_weight[k, n] - best)
+            total += weight[k, n]
+        for k in range(hypotheses):
+            weight[k, n] /= total
+            if weight[k, n] < MIN_WEIGHT:
+                weight[k, n] = 0.0
+            kept += weight[k, n]
+        for k in range(hypotheses):
+            weight[k, n] /= kept
+    return weight
+
+
+@numba.njit(cache=True, error_model='numpy')
+def _combine(weight, p, c, g, p_var, phasor_var):  # type: ignore[no-untyped-def]
+    """The fields of `Mixture` for hypotheses of some weight (K, N)."""
+    hypotheses, count = weight.shape
+    place, phasor = np.zeros(count, np.complex128), np.zeros(count, np.complex128)
+    cross = np.zeros(count, np.complex128)
+    place_var, spread = np.zeros(count), np.zeros(count)
+    for n in range(count):
+        for k in range(hypotheses):
+            place[n] += weight[k, n] * p[k, n]
+            phasor[n] += weight[k, n] * c[k, n]
+        for k in range(hypotheses):
+            dp, dc = p[k, n] - place[n], c[k, n] - phasor[n]
+            spread[n] += weight[k, n] * (phasor_var[k, n] + _square(dc) / 2)
+            place_var[n] += weight[k, n] * (
+                p_var[k, n] + _square(g[k, n]) * phasor_var[k, n] + _square(dp) / 2)
+            cross[n] += weight[k, n] * (g[k, n] * phasor_var[k, n] + dp * dc.conjugate() / 2)
+    return place, phasor, place_var, spread, cross
+
+
+@numba.njit(cache=True, inline='always')
+def _square(z):  # type: ignore[no-untyped-def]
+    return z.real * z.real + z.imag * z.imag

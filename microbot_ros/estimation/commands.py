@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from microbot_ros.records import Commands
@@ -25,18 +27,23 @@ class CommandLog:
         `field` (2,) [T], taken for zero below NEGLIGIBLE; `frequency` [Hz] of rollers. Refused
         are numbers that are not finite and commands earlier than the last one.
         """
-        row = np.array([t, field[0], field[1], 0.0 if frequency is None else frequency], float)
-        if not np.isfinite(row).all():
+        x, y, turns = float(field[0]), float(field[1]), frequency or 0.0
+        if not all(map(math.isfinite, (t, x, y, turns))):
             return 'a command holds numbers that are not finite: ignored'
-        if np.hypot(row[1], row[2]) < NEGLIGIBLE:
-            row[1:3] = 0
+        if math.hypot(x, y) < NEGLIGIBLE:
+            x = y = 0.0
         if self._count and not t >= self.last:
             return f'a command is stamped {self.last - t:.3g} s before the one before it: ignored'
         if self._count == len(self._rows):
             self._rows = np.concatenate([self._rows, np.empty_like(self._rows)])
-        self._rows[self._count] = row
+        self._rows[self._count] = t, x, y, turns
         self._count += 1
         return ''
+
+    @property
+    def rows(self) -> np.ndarray:
+        """What is kept, a view (K, 4): time [s], field [T] and frequency [Hz] of each command."""
+        return self._rows[:self._count]
 
     @property
     def last(self) -> float:
@@ -54,12 +61,14 @@ class CommandLog:
 
     def forget_before(self, t: float) -> None:
         """Drop what `since(t)` [s] would not give, once that is many commands."""
+        if 4 * self._count < 3 * len(self._rows):
+            return
         kept = self._in_force(t)
         if self._count - len(kept) > self._ROOM:
             self._rows, self._count = kept.copy(), len(kept)
 
     def _in_force(self, t: float) -> np.ndarray:
-        rows = self._rows[:self._count]
+        rows = self.rows
         first = max(int(np.searchsorted(rows[:, 0], t, side='right')) - 1, 0)
         if rows[first:first + 1, 1:3].any():
             return rows[first:]

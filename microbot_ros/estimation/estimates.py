@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 
 from microbot_ros.estimation.noise import Noise
 from microbot_ros.estimation.phasor import polar
 from microbot_ros.estimation.propagation import Step
 from microbot_ros.estimation.shared import SharedKnowledge
+from microbot_ros.model.vectors import as_vectors
 from microbot_ros.records import Conditions
 
 FASTEST = 20e-6
@@ -74,8 +77,8 @@ class State:
     ids: np.ndarray
     seen: np.ndarray
     p: np.ndarray
-    p_var: np.ndarray
     velocity_phasor: np.ndarray
+    p_var: np.ndarray
     phasor_var: np.ndarray
     cross: np.ndarray
 
@@ -91,30 +94,35 @@ def answer(
     since its start.
     """
     std = np.sqrt(state.phasor_var)
-    known = std < FASTEST / 20
     speeds = polar(state.velocity_phasor * aging, std * abs(aging)).widened(
         shared.log_phasor_slope, shared.delay.std)
-    force, force_std = speeds.force(conditions)
-    spread = (
-        state.p_var + 2 * np.real(ahead.path * np.conj(state.cross))
-        + np.abs(ahead.path) ** 2 * state.phasor_var + 2 * shared.noise.diffusion * ahead.span
-    )
-
-    def shown(value: np.ndarray) -> np.ndarray:
-        return np.where(known, value, np.nan)
-
+    told = (speeds.speed, speeds.speed_std, speeds.phi, speeds.phi_std, *speeds.force(conditions))
+    known, prediction, prediction_std = _look_ahead(
+        std, *told, state.p, state.velocity_phasor, state.p_var, state.phasor_var, state.cross,
+        ahead.path, ahead.drift, 2 * shared.noise.diffusion * ahead.span)
+    speed, speed_std, phi, phi_std, force, force_std = told
     return Estimates(
         t=state.t, id=state.ids, seen=state.seen, known=known,
-        position=_vectors(state.p), position_std=np.sqrt(state.p_var),
-        speed=shown(speeds.speed), speed_std=shown(speeds.speed_std),
-        phi=shown(speeds.phi), phi_std=shown(speeds.phi_std),
-        force=shown(force), force_std=shown(force_std),
-        prediction=_vectors(state.p + state.velocity_phasor * ahead.path + ahead.drift),
-        prediction_std=np.sqrt(spread),
+        position=as_vectors(state.p), position_std=np.sqrt(state.p_var),
+        speed=speed, speed_std=speed_std, phi=phi, phi_std=phi_std,
+        force=force, force_std=force_std,
+        prediction=as_vectors(prediction), prediction_std=prediction_std,
         delay=shared.delay.value, delay_std=shared.delay.std, noise=shared.noise,
         diagnosis=diagnosis,
     )
 
 
-def _vectors(z: np.ndarray) -> np.ndarray:
-    return np.stack([z.real, z.imag], axis=-1)
+@numba.njit(cache=True)
+def _look_ahead(std, speed, speed_std, phi, phi_std, force, force_std, p, c, p_var, phasor_var,  # type: ignore[no-untyped-def]
+                cross, path, drift, diffused):
+    """What is known (N,), and where particles will be, with its spread; the rest is made NaN."""
+    known, prediction, spread = np.empty(len(p), np.bool_), np.empty_like(p), np.empty(len(p))
+    for n in range(len(p)):
+        way, carried = path[min(n, len(path) - 1)], drift[min(n, len(drift) - 1)]
+        known[n] = std[n] < FASTEST / 20
+        if not known[n]:
+            speed[n] = speed_std[n] = phi[n] = phi_std[n] = force[n] = force_std[n] = np.nan
+        prediction[n] = p[n] + c[n] * way + carried
+        spread[n] = math.sqrt(p_var[n] + 2 * (way * cross[n].conjugate()).real
+                              + (way.real**2 + way.imag**2) * phasor_var[n] + diffused)
+    return known, prediction, spread

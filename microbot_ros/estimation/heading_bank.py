@@ -77,8 +77,8 @@ class HeadingBank(PhasorBank):
 
     def update(self, z: np.ndarray, noise: np.ndarray, seen: np.ndarray) -> None:
         """Take positions `z`, `noise` and `seen` as the plain bank does; deviations learn too."""
-        residual, total = self.innovation(z, noise)
-        given_c = self.p_var + noise
+        residual, given_c = z - self.p, self.p_var + noise
+        total = given_c + np.abs(self.g) ** 2 * self.phasor_var
         gain = (np.conj(self.ps) + self.gs * np.conj(self.g) * self.phasor_var) / total
         self.s += np.where(seen, gain * residual, 0)
         self.gs -= np.where(seen, np.conj(self.ps) / given_c * self.g, 0)

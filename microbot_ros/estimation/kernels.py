@@ -59,6 +59,46 @@ def whiten_columns(times, seen, columns, noise_ratio):  # type: ignore[no-untype
 
 
 @njit(cache=True)
+def whitened_products(times, seen, z, offset, along, noise_ratio):  # type: ignore[no-untyped-def]
+    """Real inner products (N, 3, 3) of `z` − `offset`, `along` and i·`along` (T, 1 or N), white.
+
+    All else as in `whiten_columns`, whose columns need not be kept for these.
+    """
+    frames, tracks = z.shape
+    products, log_det, used = np.zeros((tracks, 3, 3)), 0.0, 0
+    for n in range(tracks):
+        o, a = min(n, offset.shape[1] - 1), min(n, along.shape[1] - 1)
+        data = column = 0j
+        last, variance = -1, noise_ratio
+        own, power, mixed = 0.0, 0.0, 0j
+        for k in range(frames):
+            if not seen[k, n]:
+                continue
+            new, way = z[k, n] - offset[k, o], along[k, a]
+            if last < 0:
+                data, column = new, way
+            else:
+                ahead = variance + 2.0 * (times[k] - times[last])
+                total = ahead + noise_ratio
+                gain, weight = ahead / total, 1.0 / total
+                new, way = new - data, way - column
+                data += gain * new
+                column += gain * way
+                own += (new.real * new.real + new.imag * new.imag) * weight
+                power += (way.real * way.real + way.imag * way.imag) * weight
+                mixed += new * way.conjugate() * weight
+                variance = noise_ratio * gain
+                log_det += np.log(total)
+                used += 1
+            last = k
+        gram = products[n]
+        gram[0, 0], gram[1, 1], gram[2, 2] = own, power, power
+        gram[0, 1] = gram[1, 0] = mixed.real
+        gram[0, 2] = gram[2, 0] = mixed.imag
+    return products, log_det, used
+
+
+@njit(cache=True)
 def filter_positions(times, seen, positions, noise_ratio):  # type: ignore[no-untyped-def]
     """Means (T, N) of the local-level filter of `positions` (T, N) complex after every frame.
 

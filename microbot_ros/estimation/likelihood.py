@@ -71,15 +71,15 @@ class Whitening:
 class SessionFit:
     """One session under a model of given effects and noise ratio: all that follows in closed form.
 
-    `session` and `whitening` as given, `expected` by the model. `whitened` (T, N, 2 or 3): the
-    data less the offset, the column along and, unless it is i times that, the column across, of
-    unit variance but for D; `log_det` = ½ log|V|; `count` of the increments used, of two numbers.
+    `session` and `whitening` as given, `expected` by the model. `gram` (P, 3, 3): real inner
+    products of `white` by particle, since pieces of one share v and φ; `log_det` = ½ log|V|;
+    `count` of the increments used, of two numbers.
     """
 
     session: PreparedSession
     whitening: Whitening
     expected: ExpectedDisplacement
-    whitened: np.ndarray
+    gram: np.ndarray
     log_det: float
     count: int
 
@@ -87,33 +87,26 @@ class SessionFit:
     def of(cls, session: PreparedSession, whitening: Whitening,
            expected: ExpectedDisplacement) -> SessionFit:
         """A `session` whose displacements are `expected`, under the noise of `whitening`."""
-        isotropic = expected.isotropic and whitening.sensitivity is None
-        model = (expected.along,) if isotropic else (expected.along, expected.across)
-        columns = np.stack([session.z - expected.offset, *(
-            np.broadcast_to(column, session.z.shape) for column in model)], axis=-1)
-        return cls(session, whitening, expected, *whitening.apply(session, columns))
+        if expected.isotropic and whitening.sensitivity is None:
+            from microbot_ros.estimation.kernels import whitened_products
+
+            products, log_det, count = whitened_products(
+                session.times, session.seen, session.z, expected.offset, expected.along,
+                whitening.noise_ratio)
+            gram = np.add.reduceat(products, session.first_track)
+            return cls(session, whitening, expected, gram, log_det, count)
+        white, log_det, count = whitening.apply(session, _columns(session, expected))
+        fit = cls(session, whitening, expected, inner(white, session), log_det, count)
+        vars(fit)['white'] = white
+        return fit
 
     @cached_property
     def white(self) -> np.ndarray:
-        """White data and columns along and across (T, N, 3), of unit variance but for D."""
-        if self.whitened.shape[-1] == 3:
-            return self.whitened
-        return np.concatenate([self.whitened, 1j * self.whitened[..., 1:]], axis=-1)
+        """White data and columns along and across (T, N, 3), of unit variance but for D.
 
-    @cached_property
-    def gram(self) -> np.ndarray:
-        """Real inner products (P, 3, 3) of `white` by particle: pieces of one share v and φ."""
-        if self.whitened.shape[-1] == 3:
-            return inner(self.white, self.session)
-        columns = np.ascontiguousarray(self.whitened.transpose(1, 2, 0))
-        power = np.square(columns.view(float)).sum(axis=2)
-        mixed = np.matmul(columns[:, :1], columns[:, 1:].conj().transpose(0, 2, 1))[:, 0, 0]
-        gram = np.zeros((len(power), 3, 3))
-        gram[:, 0, 0], gram[:, 1, 1], gram[:, 2, 2] = power[:, 0], power[:, 1], power[:, 1]
-        gram[:, 0, 1] = gram[:, 1, 0] = mixed.real
-        gram[:, 0, 2] = gram[:, 2, 0] = mixed.imag
-        product: np.ndarray = np.add.reduceat(gram, self.session.first_track)
-        return product
+        The data less the offset.
+        """
+        return self.whitening.apply(self.session, _columns(self.session, self.expected))[0]
 
     @cached_property
     def velocity_phasor(self) -> np.ndarray:
@@ -244,6 +237,13 @@ def search_noise_ratio(fit: SessionFit) -> Iterator[SessionFit | None]:
     bend, slope, _ = np.polyfit(near - best, [known[u] - known[best] for u in near], 2)
     vertex = best - slope / (2 * bend) if bend < 0 else best
     yield at(float(np.clip(vertex, low, high)))
+
+
+def _columns(session: PreparedSession, expected: ExpectedDisplacement) -> np.ndarray:
+    """The data of a `session` less the offset, and the columns along and across (T, N, 3)."""
+    return np.stack([session.z - expected.offset, *(
+        np.broadcast_to(column, session.z.shape) for column in (expected.along, expected.across))],
+        axis=-1)
 
 
 def inner(columns: np.ndarray, session: PreparedSession) -> np.ndarray:

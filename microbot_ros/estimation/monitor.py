@@ -12,8 +12,11 @@ and Rinaldo 2022).
 
 from __future__ import annotations
 
+import cmath
+import math
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 
 TICK = 0.5
@@ -75,7 +78,7 @@ FEATURES = (
     'command', 'command', 'command', 'command', 'command', 'command', 'command', 'command',
     'turn', 'turn', 'memory',
 )
-"""The detector that each row of `_features` belongs to."""
+"""The detector that each quantity of `_add` belongs to, on which innovations might lean."""
 
 
 class Monitor:
@@ -93,7 +96,8 @@ class Monitor:
         self._spreads = np.zeros(len(SPREADS))
         self._alarms: dict[str, float] = {}
         self._next = -np.inf
-        self._turned_at, self._sense = -np.inf, 0.0
+        self._turned = np.array([-np.inf, 0.0])
+        """When the field last turned, and which way."""
         self._heading = np.zeros(1, complex)
         self._before: tuple[np.ndarray, np.ndarray] = (np.empty(0, int), np.empty(0, complex))
         self._clear()
@@ -109,50 +113,19 @@ class Monitor:
     ) -> None:
         """A frame at `t` [s]: whitened `innovation` (N,), NaN where none, of particles `ids` (N,).
 
-    All else was known before it.         `place` (N,) complex [m]; `heading` (1 or N,)
+        All else was known before it. `place` (N,) complex [m]; `heading` (1 or N,)
     e^{i(θ−φ)}; `swimming` (N,) unit phasors of the direction in which each particle moves, 0
     where it is not known.
         """
-        used = np.isfinite(innovation)
-        x = self._features(t, ids, place, heading, swimming)[:, used]
-        z = innovation[used]
-        self._score += np.real(np.conj(x) * z).sum(axis=1)
-        self._power += (np.abs(x) ** 2).sum(axis=1)
-        self._squares += float((np.abs(z) ** 2).sum())
-        self._count += len(z)
-        self._before = ids[used], z
+        squares, count = _add(
+            self._score, self._power, innovation, place, heading, self._heading, swimming, ids,
+            *self._before, t, self._turned)
+        self._squares += squares
+        self._count += count
+        self._heading, self._before = heading, (ids, innovation)
         if t >= self._next:
             self._next = t + TICK
             self._raise_stakes(t)
-
-    def _features(
-        self, t: float, ids: np.ndarray, place: np.ndarray, heading: np.ndarray,
-        swimming: np.ndarray,
-    ) -> np.ndarray:
-        """What innovations might lean on (F, N), complex: direction times strength."""
-        same = heading.shape == self._heading.shape
-        turn = float(np.angle((heading * np.conj(self._heading)).sum())) if same else 0.0
-        if abs(turn) > 0.05:
-            self._turned_at, self._sense = t, float(np.sign(turn))
-        self._heading = heading
-        fresh = np.exp(-(t - self._turned_at) / AFTER_TURN)
-        one = np.ones(len(ids), complex)
-        x, y = (np.clip(p / PLACE_SCALE, -3, 3) for p in (place.real, place.imag))
-        angle = [heading.real, heading.imag, (heading**2).real, (heading**2).imag]
-        return np.stack([
-            one, 1j * one, one * x, 1j * x, one * y, 1j * y, swimming, 1j * swimming,
-            *(swimming * a for a in angle), *(1j * swimming * a for a in angle),
-            1j * swimming * self._sense * fresh, swimming * fresh, self._memory(ids),
-        ])
-
-    def _memory(self, ids: np.ndarray) -> np.ndarray:
-        """The innovation of every particle in the frame before, 0 where there was none."""
-        known, value = self._before
-        row = np.searchsorted(known, ids)
-        row[row == len(known)] = 0
-        if not len(known):
-            return np.zeros(len(ids), complex)
-        return np.where(known[row] == ids, value[row], 0)
 
     def _raise_stakes(self, t: float) -> None:
         growth = self._lean * self._score[:, None] - self._cost * self._power[:, None]
@@ -177,3 +150,47 @@ class Monitor:
             f'the model does not explain the data: {DETECTORS[name].sentence}'
             for name in self._alarms
         )
+
+
+@numba.njit(cache=True)
+def _add(score, power, innovation, place, heading, heading_before, swimming, ids, ids_before,  # type: ignore[no-untyped-def]
+         before, t, turned):
+    """Add a frame to the scores and powers (F,); the sum of squares, and how many innovations.
+
+    `before` are the innovations of the frame before, of particles `ids_before` (M,), ascending as
+    `ids`. `turned` (2,) is renewed where the heading has turned.
+    """
+    if len(heading) == len(heading_before):
+        angle = cmath.phase((heading * heading_before.conj()).sum())
+        if abs(angle) > 0.05:
+            turned[0], turned[1] = t, math.copysign(1.0, angle)
+    fresh = math.exp(-(t - turned[0]) / AFTER_TURN)
+    squares, count, m = 0.0, 0, 0
+    x = np.empty(len(score), np.complex128)
+    for n in range(len(ids)):
+        z, swims, u = innovation[n], swimming[n], heading[min(n, len(heading) - 1)]
+        if math.isnan(z.real):
+            continue
+        twice = u * u
+        x[0] = 1.0
+        x[2] = min(max(place[n].real / PLACE_SCALE, -3.0), 3.0)
+        x[4] = min(max(place[n].imag / PLACE_SCALE, -3.0), 3.0)
+        x[6] = swims
+        for k in range(0, 8, 2):
+            x[k + 1] = 1j * x[k]
+        x[8], x[9], x[10], x[11] = (
+            swims * u.real, swims * u.imag, swims * twice.real, swims * twice.imag)
+        for k in range(8, 12):
+            x[k + 4] = 1j * x[k]
+        x[16], x[17] = 1j * swims * turned[1] * fresh, swims * fresh
+        while m < len(ids_before) and ids_before[m] < ids[n]:
+            m += 1
+        x[18] = before[m] if m < len(ids_before) and ids_before[m] == ids[n] else 0.0
+        if math.isnan(x[18].real):
+            x[18] = 0.0
+        for k in range(len(x)):
+            score[k] += x[k].real * z.real + x[k].imag * z.imag
+            power[k] += x[k].real**2 + x[k].imag**2
+        squares += z.real**2 + z.imag**2
+        count += 1
+    return squares, count

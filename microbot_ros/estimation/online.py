@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
+import numba
 import numpy as np
 
 from microbot_ros.errors import InputError
@@ -20,6 +22,7 @@ from microbot_ros.estimation.track_faults import TrackFaults
 from microbot_ros.estimation.window import SECONDS
 from microbot_ros.model.model import Model
 from microbot_ros.model.model_file import read_model
+from microbot_ros.model.vectors import as_complex
 from microbot_ros.records import Conditions
 
 __all__ = ['Estimates', 'Estimator', 'Settings']
@@ -120,7 +123,7 @@ class Estimator:
 
         What is not finite or out of order is ignored and noted; a clock set back starts anew.
         """
-        if np.isfinite(t) and t < self._log.last - SET_BACK:
+        if math.isfinite(t) and t < self._log.last - SET_BACK:
             self._log = CommandLog()
         self._note(self._log.append(t, field, frequency))
 
@@ -133,16 +136,16 @@ class Estimator:
         newer than the one before changes nothing; a clock set back starts everything anew. The
         camera's readings are made true ones by the model's observation stage.
         """
-        if np.isfinite(t) and t < self._t - SET_BACK:
+        if math.isfinite(t) and t < self._t - SET_BACK:
             self._start(self.model)
             self._note('the clock of the frames was set back: everything is learned anew')
-        if not (np.isfinite(t) and t > self._t):
+        if not (math.isfinite(t) and t > self._t):
             self._note(f'a frame is stamped {t:.6g} s, not later than the one before: ignored')
             return self._answer(np.zeros(len(self._population.ids), bool))
         frame = self._usable(t, ids, position, sigma)
         shared = self._knowledge(frame.sigma)
         readings, changed = self._filter(frame, shared)
-        for row in np.flatnonzero(readings.jump):
+        for row in readings.jumped:
             self._note(f'particle {self._population.ids[row]} jumped by '
                        f'{abs(readings.jump[row]) * 1e6:.1f} µm: is it still the same one?')
         self._watch(readings)
@@ -152,14 +155,20 @@ class Estimator:
         self._refilter_opening(frame, shared)
         self._population.forget(t - self.settings.forget_after)
         self._log.forget_before(t - SECONDS - HEADING_MEMORY)
-        return self._answer(np.isin(self._population.ids, frame.ids))
+        return self._answer(self._population.last_seen == t)
 
     def _usable(
         self, t: float, ids: np.ndarray, position: np.ndarray, sigma: np.ndarray | None,
     ) -> _Frame:
         """The readings that are finite and the first of their identity."""
-        ids, position = np.asarray(ids, int), np.asarray(position, float).reshape(-1, 2)
-        sigma = np.full(len(ids), np.nan) if sigma is None else np.asarray(sigma, float)
+        ids, position = np.array(ids, int), np.array(position, float).reshape(-1, 2)
+        sigma = np.full(len(ids), np.nan) if sigma is None else np.array(sigma, float)
+        if not _in_order(ids, position):
+            ids, position, sigma = self._cleaned(ids, position, sigma)
+        return _Frame(t, ids, as_complex(self.model.true_position(position)), sigma)
+
+    def _cleaned(self, ids: np.ndarray, position: np.ndarray, sigma: np.ndarray,
+                 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         good = np.isfinite(position).all(axis=1)
         for name in ids[~good]:
             self._note(f'particle {name} was reported at a place that is not a number')
@@ -167,8 +176,7 @@ class Estimator:
         names, first, count = np.unique(ids, return_index=True, return_counts=True)
         for name in names[count > 1]:
             self._note(f'particle {name} was reported twice in one frame: the first is used')
-        true = self.model.true_position(position[first])
-        return _Frame(t, names, true[:, 0] + 1j * true[:, 1], sigma[first])
+        return names, position[first], sigma[first]
 
     def _knowledge(self, sigma: np.ndarray) -> SharedKnowledge:
         """What is shared; assumed from the conditions and the tracker at the first reading."""
@@ -182,10 +190,11 @@ class Estimator:
             self._shared = shared
         return shared
 
-    def _filter(self, frame: _Frame, shared: SharedKnowledge) -> tuple[Readings, np.ndarray]:
-        """Predict and take one frame; its readings, and seconds since each c changed."""
+    def _filter(self, frame: _Frame, shared: SharedKnowledge,
+                ) -> tuple[Readings, list[tuple[int, float]]]:
+        """Predict and take one frame; its readings, and which c changed how long ago."""
         bank, noise = self._population.bank, shared.noise
-        start = self._t if np.isfinite(self._t) else frame.t - 1e-3
+        start = self._t if math.isfinite(self._t) else frame.t - 1e-3
         step = self._propagator.advance(
             self._log, shared.delay.value, start, frame.t, bank.p[0]
         )
@@ -198,7 +207,8 @@ class Estimator:
         bank.predict(step.path, step.drift, 2 * noise.diffusion * step.span, wander)
         self._t = frame.t
         readings = self._population.take(
-            frame.t, frame.ids, frame.z, _reading_variance(noise, frame.sigma)
+            frame.t, frame.ids, frame.z, _reading_variance(
+                noise.localisation**2, frame.sigma, noise.diffusion * noise.exposure / 3)
         )
         return readings, self._population.consider_changes(frame.t, CHANGE_INTERVAL)
 
@@ -225,21 +235,22 @@ class Estimator:
             self._opening = None
 
     def _answer(self, seen: np.ndarray) -> Estimates:
-        state = State(self._t, self._population.ids, seen, **self._population.bank.combined())
+        state = State(
+            self._t, self._population.ids, seen, *self._population.bank.combined())
         if self._t >= self._next_question:
             self._next_question = self._t + 1.0
             moving = bool(self._propagator.heading.any())
             self._faults = self._track_faults.find(state, self._log.last, moving)
         # What was noted before the first frame counts from that frame on.
         self._notes = {
-            text: max(at, self._t) if np.isinf(at) else at
-            for text, at in self._notes.items() if np.isinf(at) or self._t - at < NOTED
+            text: max(at, self._t) if math.isinf(at) else at
+            for text, at in self._notes.items() if math.isinf(at) or self._t - at < NOTED
         }
         shared = self._shared or self._knowledge(np.empty(0))
         told = (
             *self._notes, *self._faults, *shared.sentences, *self._monitor.sentences
         )
-        now = self._t if np.isfinite(self._t) else 0.0
+        now = self._t if math.isfinite(self._t) else 0.0
         ahead = self._propagator.look_ahead(
             self._log, shared.delay.value, now, now + max(self.settings.horizon, 1e-6), state.p
         )
@@ -252,11 +263,30 @@ class Estimator:
             self._notes[text] = self._t
 
 
-def _reading_variance(noise: Noise, sigma: np.ndarray) -> np.ndarray:
-    """Variance of each reading: the learned level, shared out as the tracker says."""
-    stated = (sigma > 0) & np.isfinite(sigma)
-    relative = np.ones(len(sigma))
-    if stated.any():
-        relative[stated] = sigma[stated] ** 2 / np.mean(sigma[stated] ** 2)
-    blur = noise.diffusion * noise.exposure / 3
-    return np.maximum(noise.localisation**2 * relative - blur, 1e-20)
+@numba.njit(cache=True)
+def _in_order(ids, position):  # type: ignore[no-untyped-def]
+    """Whether `ids` (N,) ascend and every `position` (N, 2) is finite."""
+    for n in range(len(ids)):
+        if n and not ids[n - 1] < ids[n]:
+            return False
+        if not (math.isfinite(position[n, 0]) and math.isfinite(position[n, 1])):
+            return False
+    return True
+
+
+@numba.njit(cache=True)
+def _reading_variance(level, sigma, blur):  # type: ignore[no-untyped-def]
+    """Variance (N,) of each reading: the learned `level`, shared out as the tracker says.
+
+    `sigma` (N,) as it states them; exposures take a variance of `blur` off.
+    """
+    stated, total = 0, 0.0
+    for value in sigma:
+        if 0 < value < np.inf:
+            stated += 1
+            total += value**2
+    variance = np.empty(len(sigma))
+    for n, value in enumerate(sigma):
+        relative = value**2 / (total / stated) if 0 < value < np.inf else 1.0
+        variance[n] = max(level * relative - blur, 1e-20)
+    return variance

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import cmath
+import math
+from dataclasses import dataclass
 
+import numba
 import numpy as np
 from scipy.special import i0e, i1e
 
@@ -29,10 +32,10 @@ class Polar:
         `log_phasor_slope` is d log(v e^{iφ}) / d delay [1/s]. Nothing where the delay is not
         determined (NaN): then it is said that φ hangs on it.
         """
-        late = delay_std if np.isfinite(delay_std) else 0.0
+        late = delay_std if math.isfinite(delay_std) else 0.0
         speed, phi = late * abs(log_phasor_slope.real), late * abs(log_phasor_slope.imag)
-        return replace(self, speed_std=np.hypot(self.speed_std, self.speed * speed),
-                       phi_std=np.hypot(self.phi_std, phi))
+        return Polar(self.speed, np.hypot(self.speed_std, self.speed * speed),
+                     self.phi, np.hypot(self.phi_std, phi))
 
     def force(self, conditions: Conditions) -> tuple[np.ndarray, np.ndarray]:
         """F = 6πηr v [N] under some `conditions`, and its standard deviation, that of 6πηr in it.
@@ -58,15 +61,37 @@ def polar(velocity_phasor: np.ndarray, std: np.ndarray) -> Polar:
     E v² = std² (1 + y + y I₁(y/2)/I₀(y/2)); the phase's mean resultant length is
     √(πy)/2 · e^{−y/2} (I₀(y/2) + I₁(y/2)).
     """
-    std = np.maximum(std, 1e-30)
-    y = np.minimum((np.abs(velocity_phasor) / std) ** 2 / 2, 1e12)
-    i0, i1 = i0e(y / 2), i1e(y / 2)
-    mean = std * np.sqrt(2 / np.pi) / i0
-    # For large y the difference of squares cancels: the spread is `std` to 1 part in 4y.
-    square = std**2 * (1 + y + y * i1 / i0)
-    spread = np.where(y > 1e4, std, np.sqrt(np.maximum(square - mean**2, 0)))
-    resultant = np.clip(np.sqrt(np.pi * y) / 2 * (i0 + i1), 1e-300, 1)
-    phase = np.where(
-        y > 1e4, 1 / np.sqrt(2 * np.maximum(y, 1)), np.sqrt(-2 * np.log(resultant))
-    )
-    return Polar(mean, spread, np.angle(velocity_phasor), np.minimum(phase, np.pi / np.sqrt(3)))
+    half = _half_square(velocity_phasor, std)
+    return Polar(*_moments(velocity_phasor, std, half, i0e(half), i1e(half)))
+
+
+@numba.njit(cache=True)
+def _half_square(c, std):  # type: ignore[no-untyped-def]
+    """y/2 (N,) of `polar`."""
+    half = np.empty(len(c))
+    for n in range(len(c)):
+        size = abs(c[n]) / max(std[n], 1e-30)
+        half[n] = min(size * size / 4, 5e11) if size == size else np.nan
+    return half
+
+
+@numba.njit(cache=True, error_model='numpy')
+def _moments(c, std, half, i0, i1):  # type: ignore[no-untyped-def]
+    """The fields of `Polar` from c, its `std`, y/2 and e^{−y/2} I(y/2) of orders 0 and 1."""
+    speed, spread, phase_std = np.empty(len(c)), np.empty(len(c)), np.empty(len(c))
+    phase = np.empty(len(c))
+    for n in range(len(c)):
+        y, width = 2 * half[n], max(std[n], 1e-30)
+        speed[n] = width * math.sqrt(2 / math.pi) / i0[n]
+        # For large y the difference of squares cancels: the spread is `std` to 1 part in 4y.
+        if y > 1e4:
+            spread[n], phase_std[n] = width, 1 / math.sqrt(2 * y)
+        else:
+            square = width**2 * (1 + y + y * i1[n] / i0[n])
+            spread[n] = math.sqrt(max(square - speed[n] ** 2, 0.0))
+            resultant = min(max(math.sqrt(math.pi * y) / 2 * (i0[n] + i1[n]), 1e-300), 1.0)
+            phase_std[n] = min(math.sqrt(-2 * math.log(resultant)), math.pi / math.sqrt(3))
+        phase[n] = cmath.phase(c[n])
+        if math.isnan(half[n]):
+            speed[n] = spread[n] = phase_std[n] = np.nan
+    return speed, spread, phase, phase_std

@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from typing import NamedTuple
 
+import numba
 import numpy as np
 
 from microbot_ros.estimation.bank import PhasorBank
@@ -23,14 +25,14 @@ JUMP_FRAMES = 5
 """Consecutive outliers after which the particle really is there."""
 
 
-@dataclass(frozen=True)
-class Readings:
+class Readings(NamedTuple):
     """What became of a frame's readings: all (N,) over the population.
 
     `used` the readings that the filter took; `innovation` complex, whitened to unit variance per
-    axis, NaN where none was taken; `jump` complex [m], by how far a particle was moved, else 0.
-    Known before the frame: the `predicted` place [m] and `direction`, the unit phasor of c, 0
-    where that is not known to within a third. `z` are the places read [m].
+    axis, NaN where none was taken; `jump` complex [m], by how far a particle was moved, else 0,
+    and `jumped`, the rows where one was. Known before the frame: the `predicted` place [m] and
+    `direction`, the unit phasor of c, 0 where that is not known to within a third. `z` are the
+    places read [m].
     """
 
     z: np.ndarray
@@ -39,6 +41,7 @@ class Readings:
     direction: np.ndarray
     innovation: np.ndarray
     jump: np.ndarray
+    jumped: np.ndarray
 
 
 class Population:
@@ -66,42 +69,27 @@ class Population:
         Of distinct particles `ids` (n,): complex positions `z` [m], `reading` their variance [m²].
         """
         born = self._admit(t, ids, z, reading)
-        rows = np.searchsorted(self.ids, ids)
-        place, noise = np.zeros(len(self.ids), complex), np.ones(len(self.ids))
-        seen = np.zeros(len(self.ids), bool)
-        place[rows], noise[rows], seen[rows] = z, reading, True
-        predicted, direction = self.bank.p[0].copy(), self._direction()
-        innovation, variance = self.bank.innovation(place, noise)
-        weight = self.bank.weights()
-        distance = np.where(weight > 0, np.abs(innovation) ** 2 / variance, np.inf).min(axis=0)
-        outlier = seen & ~(distance <= GATE)
-        self._outliers = np.where(outlier, self._outliers + 1, np.where(seen, 0, self._outliers))
-        jumped = outlier & (self._outliers >= JUMP_FRAMES)
-        jump = np.where(jumped, place - (weight * self.bank.p).sum(axis=0), 0)
-        self.bank.restart_position(place, noise, jumped)
-        self._outliers[jumped] = 0
-        used = seen & ~outlier
-        lead = weight.argmax(axis=0), np.arange(len(self.ids))
-        whitened = np.where(used & ~born, innovation[lead] / np.sqrt(variance[lead]), np.nan)
-        self.bank.update(place, noise, used & ~born)
-        self.last_seen[seen] = t
-        return Readings(place, used, predicted, direction, whitened, jump)
+        bank, weight = self.bank, self.bank.weights()
+        readings, noise, jumped, taken = _gate(
+            self.ids, ids, z, reading, born, weight, bank.p, bank.velocity_phasor, bank.g,
+            bank.p_var, bank.phasor_var, self._outliers, self.last_seen, t)
+        found = Readings(*readings)
+        if len(found.jumped):
+            bank.restart_position(found.z, noise, jumped)
+        bank.update(found.z, noise, taken)
+        return found
 
-    def _direction(self) -> np.ndarray:
-        c, size = self.bank.velocity_phasor[0], np.abs(self.bank.velocity_phasor[0])
-        certain = size > 3 * np.sqrt(self.bank.phasor_var[0])
-        return np.where(certain, c, 0) / np.where(certain, size, 1)
-
-    def consider_changes(self, t: float, interval: float) -> np.ndarray:
-        """Reopen hypotheses at `t` [s] if it is time; seconds since c changed (N,), else 0.
+    def consider_changes(self, t: float, interval: float) -> list[tuple[int, float]]:
+        """Reopen hypotheses at `t` [s] if it is time: rows whose c changed, and how long ago [s].
 
         `interval` is the mean time [s] between changes of one particle.
         """
         if t < self._next_tick:
-            return np.zeros(len(self.ids))
+            return []
         self._next_tick = t + TICK
         size = np.maximum(np.abs(self.bank.velocity_phasor[0]) ** 2 / 2, self.bank.phasor_var[0])
-        return TICK * self.bank.tick(TICK / interval, size, self._phasor_prior_var)
+        ago = TICK * self.bank.tick(TICK / interval, size, self._phasor_prior_var)
+        return [(int(row), float(ago[row])) for row in np.flatnonzero(ago)]
 
     def forget(self, before: float) -> None:
         """Drop particles not seen since `before` [s]."""
@@ -110,7 +98,7 @@ class Population:
             self._select(kept)
 
     def _admit(self, t: float, ids: np.ndarray, z: np.ndarray, reading: np.ndarray) -> np.ndarray:
-        if np.array_equal(ids, self.ids):
+        if len(ids) == len(self.ids) and (ids == self.ids).all():
             return np.zeros(len(ids), bool)
         new = ~np.isin(ids, self.ids)
         if new.any():
@@ -125,3 +113,47 @@ class Population:
         self.bank.keep(rows)
         self.ids, self.last_seen = self.ids[rows], self.last_seen[rows]
         self._outliers = self._outliers[rows]
+
+
+@numba.njit(cache=True, error_model='numpy')
+def _gate(ids, seen_ids, z, reading, born, weight, p, c, g, p_var, phasor_var, outliers,  # type: ignore[no-untyped-def]
+          last_seen, t):
+    """The fields of `Readings`, and (N,): the readings' variance, who jumped, whom to update."""
+    hypotheses, count = p.shape
+    place, noise = np.zeros(count, np.complex128), np.ones(count)
+    used, taken = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
+    innovation = np.full(count, np.nan + 0j)
+    jumped, jump = np.zeros(count, np.bool_), np.zeros(count, np.complex128)
+    predicted, direction = p[0].copy(), np.zeros(count, np.complex128)
+    for n in range(count):
+        size = abs(c[0, n])
+        if size > 3 * math.sqrt(phasor_var[0, n]):
+            direction[n] = c[0, n] / size
+    for m, n in enumerate(np.searchsorted(ids, seen_ids)):
+        place[n], noise[n], last_seen[n] = z[m], reading[m], t
+        nearest, mean, lead = np.inf, 0j, 0
+        for k in range(hypotheses):
+            mean += weight[k, n] * p[k, n]
+            if weight[k, n] > weight[lead, n]:
+                lead = k
+            if weight[k, n] > 0:
+                off, variance = _innovation(z[m], p[k, n], g[k, n], p_var[k, n], phasor_var[k, n])
+                variance += reading[m]
+                nearest = min(nearest, (off.real**2 + off.imag**2) / variance)
+        used[n] = nearest <= GATE
+        outliers[n] = 0 if used[n] else outliers[n] + 1
+        if outliers[n] >= JUMP_FRAMES:
+            jumped[n], jump[n], outliers[n] = True, z[m] - mean, 0
+        taken[n] = used[n] and not born[n]
+        if taken[n]:
+            off, variance = _innovation(
+                z[m], p[lead, n], g[lead, n], p_var[lead, n], phasor_var[lead, n])
+            innovation[n] = off / math.sqrt(variance + reading[m])
+    readings = place, used, predicted, direction, innovation, jump, np.flatnonzero(jumped)
+    return readings, noise, jumped, taken
+
+
+@numba.njit(cache=True, inline='always')
+def _innovation(z, p, g, p_var, phasor_var):  # type: ignore[no-untyped-def]
+    """Place less prediction, and the variance of that per axis, but for the reading's own."""
+    return z - p, p_var + (g.real**2 + g.imag**2) * phasor_var

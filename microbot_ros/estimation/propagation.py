@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from microbot_ros.estimation.commands import CommandLog
+from microbot_ros.model.alignment_kernel import integrate_direction
 from microbot_ros.model.increments import heading_response, respond
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.timeline import Timeline
@@ -15,8 +16,10 @@ HEADING_MEMORY = 10.0
 """Seconds of commands from which the course of a lagging heading is followed anew."""
 
 
-@dataclass(frozen=True)
-class Step:
+_NO_DRIFT = np.zeros(1, complex)
+
+
+class Step(NamedTuple):
     """In `span` [s] a particle moves by c·`path` + `drift` (1 or N,), complex, c = v e^{iφ}."""
 
     path: np.ndarray
@@ -70,6 +73,11 @@ class Propagator:
     def _respond(
         self, log: CommandLog, delay: float, start: float, end: float, positions: np.ndarray,
     ) -> tuple[Step, np.ndarray]:
+        if not self.model.effects:
+            path, heading = integrate_direction(
+                log.rows, delay, np.array([start, end]), self.heading[0],
+                self.model.propulsion == 'rolling')
+            return Step(path, _NO_DRIFT, end - start), heading[1:]
         vectors = np.stack([positions.real, positions.imag], axis=-1)
         timeline = Timeline(
             log.since(start - self.model.delay, delay), np.array([start, end]),
@@ -80,3 +88,4 @@ class Propagator:
         response = respond(self.model, timeline, self.heading if known else None)
         moved = response.drift[0, :, 0] + 1j * response.drift[0, :, 1]
         return Step(response.propulsion[0], moved, end - start), response.heading[1]
+

@@ -50,15 +50,16 @@ class SharedKnowledge:
         self.delay, self.log_phasor_slope, self.sentences = Delay(), 0j, ()
         self._review = None
 
-    def add(self, t: float, ids: np.ndarray, readings: Readings, changed_for: np.ndarray) -> None:
+    def add(self, t: float, ids: np.ndarray, readings: Readings,
+            changed: list[tuple[int, float]]) -> None:
         """A frame at `t` [s] of particles `ids` (N,) with its `readings`.
 
-        `changed_for` (N,): seconds since the velocity phasor changed, 0 where it did not.
+        `changed`: rows whose velocity phasor changed, and how long ago [s].
         """
-        for row in np.flatnonzero(readings.jump):
+        for row in readings.jumped:
             self._window.jumped(int(ids[row]), complex(readings.jump[row]))
-        for row in np.flatnonzero(changed_for):
-            self._window.changed(int(ids[row]), t - changed_for[row])
+        for row, ago in changed:
+            self._window.changed(int(ids[row]), t - ago)
         self._window.add(t, ids, readings.z, readings.used)
 
     def work(self, t: float, model: Model, log: CommandLog, bank: PhasorBank) -> bool:
@@ -77,7 +78,7 @@ class SharedKnowledge:
             self._next = t + self._pause
             self._review = self._window.review(model, log, self.delay, self.noise)
         try:
-            for _ in range(round(np.clip(span / SLICE_EVERY, 1, MOST_SLICES))):
+            for _ in range(round(min(max(span / SLICE_EVERY, 1), MOST_SLICES))):
                 if (result := next(self._review)) is not None:
                     self._review = None
                     return self._adopt(result, bank)

@@ -51,20 +51,23 @@ class Window:
         self._count = 0
         self.ids = np.full(PROBES, np.iinfo(int).min)
         self._shift = np.zeros(PROBES, complex)
+        self._present = np.empty(0, int)
+        self._rows: list[tuple[int, int]] = []
+        """Each probe that is there, and its row among those present."""
 
     def add(self, t: float, ids: np.ndarray, z: np.ndarray, used: np.ndarray) -> None:
         """Append a frame at `t` [s]: `ids` (N,), complex places `z` (N,), `used` (N,) bool."""
         if self._count == len(self._t):
             self._t[:FRAMES], self._z[:FRAMES] = self._t[FRAMES:], self._z[FRAMES:]
             self._count = FRAMES
-        self._adopt(ids)
-        row = np.full(PROBES, np.nan, complex)
-        place = {int(name): k for k, name in enumerate(ids)}
-        for probe, name in enumerate(self.ids):
-            k = place.get(int(name))
-            if k is not None and used[k]:
+        if not (len(ids) == len(self._present) and (ids == self._present).all()):
+            self._adopt(ids)
+        row = self._z[self._count]
+        row[:] = np.nan
+        for probe, k in self._rows:
+            if used[k]:
                 row[probe] = z[k] - self._shift[probe]
-        self._t[self._count], self._z[self._count] = t, row
+        self._t[self._count] = t
         self._count += 1
 
     def _adopt(self, ids: np.ndarray) -> None:
@@ -77,6 +80,10 @@ class Window:
                 self.ids[probe] = name
                 self._shift[probe] = 0
                 self._z[:self._count, probe] = np.nan
+        place = {name: k for k, name in enumerate(ids.tolist())}
+        self._present = ids
+        self._rows = [(probe, place[name]) for probe, name in enumerate(self.ids.tolist())
+                      if name in place]
 
     def jumped(self, name: int, by: complex) -> None:
         """Particle `name` was moved by `by` [m], complex: take that out of what follows."""

@@ -6,6 +6,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,9 @@ from microbot_ros.control.contract import ControllerInput, Goals, Limits, Result
 from microbot_ros.control.controller_manager import ControllerManager, Outcome, SwitchResult
 from microbot_ros.control.deadline_worker import DeadlineWorker
 from microbot_ros.control.registry import PluginError, controller_classes
+from microbot_ros.control.waypoint import Waypoint
 from microbot_ros.errors import InputError
+from microbot_ros.loop.points import numbers
 from microbot_ros.model.model import Model
 from microbot_ros.model.model_file import read_model
 from microbot_ros.settings import setting
@@ -61,6 +64,10 @@ class ControllerStage:
     def __init__(self, parameters: ControllerParameters,
                  worker: Callable[[float], DeadlineWorker] = DeadlineWorker) -> None:
         self.parameters = parameters
+        self._limits = Limits(parameters.max_field_mT * 1e-3, parameters.slew_mT_per_s * 1e-3,
+                              parameters.max_frequency_hz)
+        self._workspace = Workspace(np.array(parameters.workspace_um[:2]) * 1e-6,
+                                    np.array(parameters.workspace_um[2:]) * 1e-6)
         try:
             self.classes = controller_classes(required=parameters.controller)
         except PluginError as error:
@@ -70,6 +77,7 @@ class ControllerStage:
             active=parameters.controller, deadline=parameters.deadline_ms * 1e-3,
             pose_timeout=parameters.pose_timeout_ms * 1e-3, border=parameters.border_s,
             worker=worker)
+        _warm_up()
         self.begin()
 
     def begin(self) -> None:
@@ -135,8 +143,10 @@ class ControllerStage:
         ESTIMATE, came at `now` [s]; without a command the field is let go.
         """
         outcome = self.manager.tick(self._input(estimates, t, now))
-        said = '; '.join(filter(None, [outcome.message, self.joystick_remark]))
-        self.outcome = dataclasses.replace(outcome, message=said)
+        if self.joystick_remark:
+            said = '; '.join(filter(None, [outcome.message, self.joystick_remark]))
+            outcome = dataclasses.replace(outcome, message=said)
+        self.outcome = outcome
         self.driving = outcome.command is not None or self.driving
         return self.outcome
 
@@ -173,19 +183,15 @@ class ControllerStage:
         if not -timeout <= dt <= 0:
             self._last_t = t
         age = now - t
-        known = np.isfinite(estimates['speed_std'])
+        rows = numbers(estimates)
+        _, _, speed, phi, _, x_std, _, speed_std, phi_std, *_, theta = rows
+        unknown = ~np.isfinite(speed_std)
+        speed_std[unknown] = phi_std[unknown] = math.inf
         return ControllerInput(
             t=t, dt=dt if math.isfinite(dt) else 0.0, age=0.0 if abs(age) <= timeout else age,
             ids=estimates['id'].astype(int),
-            position=np.stack([estimates['x'], estimates['y']], axis=1).astype(float),
-            sigma=estimates['x_std'].astype(float), theta=estimates['theta'].astype(float),
-            speed=estimates['speed'].astype(float), phi=estimates['phi'].astype(float),
-            speed_std=np.where(known, estimates['speed_std'], math.inf).astype(float),
-            phi_std=np.where(known, estimates['phi_std'], math.inf).astype(float),
-            limits=Limits(values.max_field_mT * 1e-3, values.slew_mT_per_s * 1e-3,
-                          values.max_frequency_hz),
-            workspace=Workspace(np.array(values.workspace_um[:2]) * 1e-6,
-                                np.array(values.workspace_um[2:]) * 1e-6),
+            position=rows[:2].T.copy(), sigma=x_std, theta=theta, speed=speed, phi=phi,
+            speed_std=speed_std, phi_std=phi_std, limits=self._limits, workspace=self._workspace,
             delay=values.delay_ms * 1e-3, goals=self.goals, path=self.path,
             joystick=self._joystick_at(t), model=self._present_model())
 
@@ -209,3 +215,16 @@ class ControllerStage:
         if file != self._model[0]:
             self._model = (file, read_model(file)[0] if file else None)
         return self._model[1]
+
+
+@cache
+def _warm_up() -> None:
+    """Compile what the first ticks would otherwise wait for."""
+    manager, one = ControllerManager({'it': Waypoint()}, 'it', deadline=60.0), np.ones(1)
+    workspace = Workspace(np.full(2, -1e-4), np.full(2, 1e-4))
+    goals = Goals(np.zeros((1, 2)))
+    for k in range(3):
+        manager.tick(ControllerInput(
+            0.01 * k, 0.01, 0.0, np.zeros(1, int), np.full((1, 2), 1e-6), 1e-8 * one, one,
+            1e-6 * one, one, 1e-8 * one, 1e-2 * one, Limits(), workspace, goals=goals))
+    manager.close()

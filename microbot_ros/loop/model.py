@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
 from microbot_ros.estimation.online import Estimates, Estimator, Settings
-from microbot_ros.loop.points import ESTIMATE
+from microbot_ros.loop.points import ESTIMATE, numbers
 from microbot_ros.records import Conditions
 from microbot_ros.settings import setting
 
@@ -48,7 +49,7 @@ class ModelStage:
     """
 
     def __init__(self, parameters: ModelParameters) -> None:
-        _warm_up(_estimator(parameters))
+        _warm_up()
         self.estimator = _estimator(parameters)
         self._first_order = self.estimator.model
         self._model_file = ''
@@ -84,13 +85,11 @@ class ModelStage:
         """What is known (N,), of type ESTIMATE, after particles of type PARTICLE in a frame that
         was exposed at `t` [s].
         """
-        position = np.stack([particles['x'], particles['y']], axis=1).astype(float)
+        rows = numbers(particles)
         self.estimates = found = self.estimator.update(
-            self._exposed(t), particles['id'].astype(int), position,
-            particles['sigma'].astype(float))
-        points = _points(found)
-        points['theta'] = _headings(particles, found.id)
-        return points
+            self._exposed(t), particles['id'].astype(int), rows[:2].T.copy(), rows[5])
+        seen = dict(zip(particles['id'].tolist(), rows[2].tolist(), strict=True))
+        return _points(found, [seen.get(name, math.nan) for name in found.id.tolist()])
 
     def _command(self, t: float, field: np.ndarray, frequency: float | None) -> None:
         self._early.append((t, field, frequency))
@@ -119,8 +118,10 @@ def _estimator(values: ModelParameters) -> Estimator:
         Settings(horizon=values.horizon_s, exposure=values.exposure_ms * 1e-3))
 
 
-def _warm_up(estimator: Estimator) -> None:
+@cache
+def _warm_up() -> None:
     """Compile what the first frames would otherwise wait for."""
+    estimator = _estimator(ModelParameters())
     for frame in range(200):
         t = frame / 50
         if frame % 25 == 0:
@@ -128,13 +129,7 @@ def _warm_up(estimator: Estimator) -> None:
         estimator.update(t, np.arange(2), np.full((2, 2), 1e-6 * t), np.full(2, 1e-7))
 
 
-def _headings(particles: np.ndarray, ids: np.ndarray) -> np.ndarray:
-    """The headings (N,) [rad] that particles of these ids have in a frame; NaN where not seen."""
-    seen = dict(zip(particles['id'].tolist(), particles['theta'].tolist(), strict=True))
-    return np.array([seen.get(name, math.nan) for name in ids.tolist()])
-
-
-def _points(estimates: Estimates) -> np.ndarray:
+def _points(estimates: Estimates, theta: list[float]) -> np.ndarray:
     points = np.empty(len(estimates.id), ESTIMATE)
     points['id'] = estimates.id
     points['x'], points['y'] = estimates.position.T
@@ -143,4 +138,5 @@ def _points(estimates: Estimates) -> np.ndarray:
     points['ahead_std'] = estimates.prediction_std
     for name in ('speed', 'phi', 'force', 'speed_std', 'phi_std', 'force_std'):
         points[name] = getattr(estimates, name)
+    points['theta'] = theta
     return points

@@ -28,6 +28,14 @@ GOAL = np.dtype([('id', '<u4'), ('x', '<f4'), ('y', '<f4')])
 """Where one particle is to go [m], a point of `particle_goals`."""
 
 
+def numbers(points: np.ndarray) -> np.ndarray:
+    """All of `points` (N,), of one of these types, but their ids: (F, N) double precision, a row
+    for each field.
+    """
+    rows = np.ascontiguousarray(points).view('<f4').reshape(-1, points.itemsize // 4)
+    return rows.T[1:].astype(float, order='C')
+
+
 def particles_at(ids: np.ndarray, position: np.ndarray, sigma: float) -> np.ndarray:
     """Particles (N,) of type PARTICLE of which only `position` (N, 2) [m] is known, and `sigma`
     [m], its standard deviation per axis; `ids` (N,).

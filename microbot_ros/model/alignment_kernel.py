@@ -1,4 +1,4 @@
-"""The exact solution of dχ/dt = κ sin(ψ − χ), compiled."""
+"""The exact solution of dχ/dt = κ sin(ψ − χ), and of χ = ψ, compiled."""
 
 from __future__ import annotations
 
@@ -19,6 +19,50 @@ does; within this angle noise decides, not the equation.
 def _given(dtype: types.Type, dimensions: int) -> types.Array:
     """Any array: a broadcast one, or one that may be written to, would be compiled anew."""
     return types.Array(dtype, dimensions, 'A', readonly=True)
+
+
+@numba.njit(cache=True, error_model='numpy')
+def integrate_direction(rows, delay, times, heading, rolling):  # type: ignore[no-untyped-def]
+    """∫u dt [s] over T−1 frame intervals, ∫f u dt if `rolling`, and e^{iχ} at `times` (T,) [s].
+
+    For headings that follow the field at once, where no effect acts: u is its direction, or the
+    last before where there is none. `rows` (K, 4) are the commands: time [s], field [T] and
+    frequency [Hz], `delay` [s] late. `heading` is e^{iχ} at the first time, 0 where the commands
+    before decide.
+    """
+    count, u, acting = len(rows), heading, -1
+    path, course = np.zeros(len(times) - 1, np.complex128), np.zeros(len(times), np.complex128)
+    k = np.searchsorted(rows[:, 0], times[0] - delay, side='right') - 1
+    last = k
+    while last >= 0 and u == 0:
+        # A command that another replaced at once never acted.
+        if last == k or rows[last + 1, 0] > rows[last, 0]:
+            u = _along(rows[last], u)
+        last -= 1
+    for frame in range(len(path)):
+        now, end = times[frame], times[frame + 1]
+        while True:
+            until = min(rows[k + 1, 0] + delay, end) if k + 1 < count else end
+            if until > now:
+                if k != acting:
+                    u, acting = _along(rows[k], u), k
+                if now == times[frame]:
+                    course[frame] = u
+                path[frame] += u * (until - now) * (
+                    (rows[k, 3] if k >= 0 else 0.0) if rolling else 1.0)
+                now = until
+            if not until < end:
+                break
+            k += 1
+    course[-1] = u
+    return path, course
+
+
+@numba.njit(cache=True)
+def _along(row, before):  # type: ignore[no-untyped-def]
+    """The direction of a command's field; without one, that of before."""
+    field = complex(row[1], row[2])
+    return field / abs(field) if field != 0 else before
 
 
 @numba.njit(cache=True)

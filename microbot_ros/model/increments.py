@@ -53,6 +53,8 @@ def respond(model: Model, timeline: Timeline, start: np.ndarray | None = None) -
     in closed form; terms that depend on position are taken at the timeline's positions. `start`
     (N,) is e^{i(θ−φ)} at the first frame; without it the heading follows from the commands.
     """
+    if not model.effects and (start is None or len(start) == 1):
+        return _directly(model, timeline, 0j if start is None else complex(start[0]))
     segments, course, context = integrate_heading(model, timeline, start)
     propulsion = segments.sum(course.path * model.speed_factor(context))
     drift = model.drift(context)
@@ -61,6 +63,18 @@ def respond(model: Model, timeline: Timeline, start: np.ndarray | None = None) -
     else:
         moved = segments.sum(drift * context.span[..., None])
     return Response(model, propulsion, moved, course.heading[segments.frames])
+
+
+def _directly(model: Model, timeline: Timeline, start: complex) -> Response:
+    """The same where no effect acts, in a fraction of the time."""
+    from microbot_ros.model.alignment_kernel import integrate_direction
+
+    commands, times = timeline.commands, timeline.times
+    turns = np.zeros(len(commands.t)) if commands.frequency is None else commands.frequency
+    path, heading = integrate_direction(
+        np.column_stack([commands.t, commands.field, turns]), model.delay, times, start,
+        model.propulsion == 'rolling')
+    return Response(model, path[:, None], np.zeros((len(path), 1, 2)), heading[:, None])
 
 
 def increments(model: Model, particles: ParticleParameters, timeline: Timeline) -> np.ndarray:

@@ -158,11 +158,11 @@ class Model:
 
     def gain_change_since_start(self, t: float) -> complex:
         """What v e^{iφ} of the beginning has become at `t` [s], by what counts time alone."""
-        now, zero = np.full(1, t), np.zeros(1)
-        context = EffectContext(now, zero, np.zeros((1, 2)), zero, self.reference_field)
-        changed = 1.0 + 0j
+        changed, zero = 1.0 + 0j, np.zeros(1)
         for effect in self.effects:
             if not effect.time_invariant:
+                context = EffectContext(
+                    np.full(1, t), zero, np.zeros((1, 2)), zero, self.reference_field)
                 turn = np.exp(1j * effect.heading_offset(context))
                 changed *= complex(np.squeeze(effect.speed_factor(context) * turn))
         return changed

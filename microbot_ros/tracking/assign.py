@@ -23,25 +23,27 @@ def assign(
     whole picture: displacements follow Student's t, and `stranger` [1/px²] is the likelihood that
     a particle goes unseen and a new one turns up instead.
     """
-    limit = -np.log(stranger)
-    pairs = _pairs(predicted, variance, reach, looks, found, noise, found_looks, spread, limit)
-    if len(pairs) == 0:
-        return np.empty(0, int), np.empty(0, int)
-    track, detection = pairs[:, 0].astype(int), pairs[:, 1].astype(int)
-    alone = (np.bincount(track)[track] == 1) & (np.bincount(detection)[detection] == 1)
-    matched = [np.column_stack([track[alone], detection[alone]])]
+    limit = -math.log(stranger)
+    track, detection, cost, alone = _pairs(
+        predicted, variance, reach, looks, found, noise, found_looks, spread, limit)
+    if alone.all():
+        return track, detection
     rest = ~alone
-    if np.any(rest):
-        # Costs are relative to `limit`, so that leaving both alone costs nothing.
-        matched += _clusters(track[rest], detection[rest], pairs[rest, 2] - limit)
-    both = np.concatenate(matched)
-    return both[:, 0], both[:, 1]
+    # Costs are relative to `limit`, so that leaving both alone costs nothing.
+    both = np.concatenate([
+        np.column_stack([track[alone], detection[alone]]),
+        *_clusters(track[rest], detection[rest], cost[rest] - limit)])
+    return both[:, 0].copy(), both[:, 1].copy()
 
 
 @numba.njit(cache=True)
 def _pairs(predicted, variance, reach, looks, found, noise, found_looks, spread, limit):  # type: ignore[no-untyped-def]
-    """Rows (K, 3): prediction, detection, cost of all pairs likelier than strangers."""
+    """Prediction, detection and cost (K,) of all pairs likelier than strangers.
+
+    And whether neither of the two is in another pair.
+    """
     pairs = []
+    rivals, found_rivals = np.zeros(len(predicted), np.int64), np.zeros(len(found), np.int64)
     for i in range(len(predicted)):
         for k in range(len(found)):
             dx, dy = found[k, 0] - predicted[i, 0], found[k, 1] - predicted[i, 1]
@@ -56,11 +58,15 @@ def _pairs(predicted, variance, reach, looks, found, noise, found_looks, spread,
             for f in range(looks.shape[1]):
                 cost += 0.5 * ((found_looks[k, f] - looks[i, f]) / spread) ** 2
             if cost < limit:
-                pairs.append((float(i), float(k), cost))
-    rows = np.empty((len(pairs), 3))
+                pairs.append((i, k, cost))
+                rivals[i] += 1
+                found_rivals[k] += 1
+    track, detection = np.empty(len(pairs), np.int64), np.empty(len(pairs), np.int64)
+    costs, alone = np.empty(len(pairs)), np.empty(len(pairs), np.bool_)
     for n in range(len(pairs)):
-        rows[n, 0], rows[n, 1], rows[n, 2] = pairs[n]
-    return rows
+        track[n], detection[n], costs[n] = pairs[n]
+        alone[n] = rivals[track[n]] == 1 and found_rivals[detection[n]] == 1
+    return track, detection, costs, alone
 
 
 def _clusters(track: np.ndarray, detection: np.ndarray, cost: np.ndarray) -> list[np.ndarray]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -36,16 +37,21 @@ class ImageToWorkspace:
                 f'the image must have pixels; received {self.width}×{self.height}'
             )
 
-    @property
+    @cached_property
     def _centre(self) -> np.ndarray:
         return np.array([(self.width - 1) / 2, (self.height - 1) / 2])
 
-    @property
+    @cached_property
     def _matrix(self) -> np.ndarray:
         """Metres per pixel: the y flip first, then the rotation."""
         c, s = math.cos(self.rotation), math.sin(self.rotation)
         flip = 1.0 if self.mirrored else -1.0
         return self.pixel_size * np.array([[c, -s * flip], [s, c * flip]])
+
+    @cached_property
+    def _inverse(self) -> np.ndarray:
+        """Pixels per metre."""
+        return np.linalg.inv(self._matrix)
 
     def position(self, pixels: np.ndarray) -> np.ndarray:
         """Workspace positions [m] of image points [px], both (..., 2)."""
@@ -53,7 +59,7 @@ class ImageToWorkspace:
 
     def pixels(self, position: np.ndarray) -> np.ndarray:
         """Image points [px] of workspace positions [m], both (..., 2)."""
-        return np.asarray(position, float) @ np.linalg.inv(self._matrix).T + self._centre
+        return np.asarray(position, float) @ self._inverse.T + self._centre
 
     def vector(self, pixels: np.ndarray) -> np.ndarray:
         """Displacements or velocities [px, px/s] as [m, m/s], both (..., 2)."""
@@ -61,7 +67,7 @@ class ImageToWorkspace:
 
     def vector_pixels(self, vector: np.ndarray) -> np.ndarray:
         """Displacements or velocities [m, m/s] as [px, px/s], both (..., 2)."""
-        return np.asarray(vector, float) @ np.linalg.inv(self._matrix).T
+        return np.asarray(vector, float) @ self._inverse.T
 
     def image_axes(self, vector: np.ndarray) -> np.ndarray:
         """Vectors (..., 2) of the workspace in the image's axes, their length as it is."""

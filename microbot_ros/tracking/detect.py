@@ -113,8 +113,8 @@ class RoundDetector:
         rows = _starts(found, hidden)
         errors = self._fit(image, grid, rows, np.ones(len(rows), bool))
         quality, good = self._judge(rows, errors)
-        wrong = np.flatnonzero(~good[len(found):]) + len(found)
-        if len(wrong):
+        if len(hidden) and not good[len(found):].all():
+            wrong = np.flatnonzero(~good[len(found):]) + len(found)
             self._without(wrong, peaks, image, grid, rows, errors)
             quality, good = self._judge(rows, errors)
         known = np.pi * (self.appearance.reach_px + self._filter.shrink) ** 2
@@ -131,10 +131,8 @@ class RoundDetector:
         found, hidden = peaks.copy(), _NONE
         if len(peaks) == 0 or len(expected) == 0:
             return found, hidden
-        from scipy.spatial import cKDTree
-
-        distance, nearest = cKDTree(peaks[:, :2]).query(expected, k=4)
         diameter = self.appearance.diameter_px
+        distance, nearest = _nearest(peaks, expected, _TOUCHING * diameter)
         owner, homeless = _claim(
             distance, nearest, np.argsort(distance[:, 0]), _OWN_PEAK * diameter, len(peaks))
         touching = homeless[distance[homeless, 0] < _TOUCHING * diameter]
@@ -176,18 +174,20 @@ class RoundDetector:
     def _detections(
         self, rows: np.ndarray, errors: np.ndarray, quality: np.ndarray
     ) -> Detections:
-        theta = np.full(len(rows), np.nan)
-        if self.appearance.capped:
-            known = errors[:, THETA] < _THETA_KNOWN
-            theta[known] = np.pi - np.mod(np.pi - rows[known, THETA], 2 * np.pi)
-        return Detections(
-            xy=rows[:, [X, Y]].copy('C'),  # another order in memory would be compiled for anew
-            sigma=_sigma(errors, self._filter.noise),
-            theta=theta,
-            contrast=rows[:, CONTRAST],
-            radius=rows[:, SIZE] * self.appearance.diameter_px / 2,
-            quality=quality,
-        )
+        return Detections(*_described(
+            rows, errors, self._filter.noise, self.appearance.capped,
+            self.appearance.diameter_px / 2), quality)
+
+
+@numba.njit(cache=True, error_model='numpy')
+def _described(rows, errors, noise, capped, radius):  # type: ignore[no-untyped-def]
+    """The fields of `Detections` but for the quality."""
+    theta = np.full(len(rows), np.nan)
+    for n in range(len(rows)):
+        if capped and errors[n, THETA] < _THETA_KNOWN:
+            theta[n] = math.pi - (math.pi - rows[n, THETA]) % (2 * math.pi)
+    return (rows[:, X:Y + 1].copy(), _sigma(errors, noise), theta, rows[:, CONTRAST].copy(),
+            rows[:, SIZE] * radius)
 
 
 @numba.njit(cache=True, error_model='numpy')
@@ -231,6 +231,30 @@ def _judge(rows, errors, noise, energy, contrast, sigma, tolerance, least, close
         good[n] = (a >= contrast and a >= sigma * errors[n, CONTRAST]
                    and 1 / tolerance <= size <= tolerance and quality[n] >= least)
     return quality, good & ~doubled(rows, good, closest)
+
+
+@numba.njit(cache=True)
+def _nearest(peaks, expected, reach):  # type: ignore[no-untyped-def]
+    """Distance (M, 4), infinite beyond the reach [px], and number of the nearest peaks."""
+    order = np.argsort(peaks[:, 1])
+    heights = peaks[order, 1]
+    distance = np.full((len(expected), 4), np.inf)
+    nearest = np.zeros((len(expected), 4), np.int64)
+    for m in range(len(expected)):
+        first = np.searchsorted(heights, expected[m, 1] - reach)
+        for i in order[first:]:
+            down, right = peaks[i, 1] - expected[m, 1], peaks[i, 0] - expected[m, 0]
+            if down > reach:
+                break
+            off = math.sqrt(right * right + down * down)
+            k = 4
+            while k > 0 and off < distance[m, k - 1]:
+                if k < 4:
+                    distance[m, k], nearest[m, k] = distance[m, k - 1], nearest[m, k - 1]
+                k -= 1
+            if k < 4:
+                distance[m, k], nearest[m, k] = off, i
+    return distance, nearest
 
 
 @numba.njit(cache=True)

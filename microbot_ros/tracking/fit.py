@@ -73,7 +73,7 @@ def background_at(grid, spacing, x, y):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, fastmath=FAST)
 def _window(image, grid, spacing, parameters, i, neighbours, table, reach, pixels):  # type: ignore[no-untyped-def]
-    """Fill `pixels` (·, 3) with x, y and the grey that background and neighbours leave."""
+    """Fill `pixels` (3, ·) with x, y and the grey that background and neighbours leave."""
     row = parameters[i]
     x0, y0 = math.floor(row[X] + 0.5), math.floor(row[Y] + 0.5)
     span = int(reach) + 1
@@ -86,29 +86,27 @@ def _window(image, grid, spacing, parameters, i, neighbours, table, reach, pixel
             for j in neighbours:
                 other = parameters[j]
                 grey -= _model(other, table, x - other[X], y - other[Y])
-            pixels[count, 0], pixels[count, 1], pixels[count, 2] = x, y, grey
+            pixels[0, count], pixels[1, count], pixels[2, count] = x, y, grey
             count += 1
     return count
 
 
 @numba.njit(cache=True, fastmath=FAST)
-def _accumulate(row, table, pixels, count, free, normal, gradient, jacobian):  # type: ignore[no-untyped-def]
-    """Normal equations of one Gauss–Newton step; returns the sum of squared residuals."""
-    normal[:] = 0.0
-    gradient[:] = 0.0
-    total = 0.0
+def _accumulate(row, table, pixels, count, free, normal, gradient, columns):  # type: ignore[no-untyped-def]
+    """Normal equations of one Gauss–Newton step; returns the sum of squared residuals.
+
+    `columns` (7, ·) is room for the derivatives of the picture and the residual at each pixel.
+    """
     a, s = row[CONTRAST], row[SIZE]
     cos_theta, sin_theta = math.cos(row[THETA]), math.sin(row[THETA])
     for k in range(count):
-        u, v = pixels[k, 0] - row[X], pixels[k, 1] - row[Y]
+        u, v = pixels[0, k] - row[X], pixels[1, k] - row[Y]
         distance = math.sqrt(u * u + v * v)
+        scale = 1 / max(distance, 1e-9)
+        ex, ey = u * scale, v * scale
         r = distance / s
         value, slope = _profile(table, 0, r)
         turn = 0.0
-        if distance > 1e-9:
-            ex, ey = u / distance, v / distance
-        else:
-            ex, ey = 0.0, 0.0
         if free > THETA:
             c1 = ex * cos_theta + ey * sin_theta
             s1 = ey * cos_theta - ex * sin_theta
@@ -117,21 +115,28 @@ def _accumulate(row, table, pixels, count, free, normal, gradient, jacobian):  #
             two, two_slope = _profile(table, 2, r)
             value += one * c1 + two * c2
             slope += one_slope * c1 + two_slope * c2
-            turn = one * s1 + 2 * two * s2
-        radial = a * slope / s
-        tangential = -a * turn / max(distance, 1e-9)
-        jacobian[X] = -(radial * ex - tangential * ey)
-        jacobian[Y] = -(radial * ey + tangential * ex)
-        jacobian[CONTRAST] = value
-        jacobian[OFFSET] = 1.0
-        jacobian[SIZE] = -radial * r
-        jacobian[THETA] = a * turn
-        residual = pixels[k, 2] - row[OFFSET] - a * value
-        total += residual * residual
-        for m in range(free):
-            gradient[m] += jacobian[m] * residual
-            for n in range(m + 1):
-                normal[m, n] += jacobian[m] * jacobian[n]
+            turn = a * (one * s1 + 2 * two * s2)
+        radial, tangential = a * slope / s, -turn * scale
+        columns[X, k] = tangential * ey - radial * ex
+        columns[Y, k] = -(radial * ey + tangential * ex)
+        columns[CONTRAST, k] = value
+        columns[OFFSET, k] = 1.0
+        columns[SIZE, k] = -radial * r
+        columns[THETA, k] = turn
+        columns[PARAMETERS, k] = pixels[2, k] - row[OFFSET] - a * value
+    residual = columns[PARAMETERS, :count]
+    for m in range(free):
+        gradient[m] = _dot(columns[m, :count], residual)
+        for n in range(m + 1):
+            normal[m, n] = _dot(columns[m, :count], columns[n, :count])
+    return _dot(residual, residual)
+
+
+@numba.njit(cache=True, fastmath=FAST)
+def _dot(one, other):  # type: ignore[no-untyped-def]
+    total = 0.0
+    for k in range(one.size):
+        total += one[k] * other[k]
     return total
 
 
@@ -169,10 +174,10 @@ def _point_cap(row, table, pixels, count):  # type: ignore[no-untyped-def]
     """A first cap direction: where the residual of the round part leans."""
     along, across = 0.0, 0.0
     for k in range(count):
-        u, v = pixels[k, 0] - row[X], pixels[k, 1] - row[Y]
+        u, v = pixels[0, k] - row[X], pixels[1, k] - row[Y]
         distance = max(math.sqrt(u * u + v * v), 1e-9)
         r = distance / row[SIZE]
-        residual = pixels[k, 2] - row[OFFSET] - row[CONTRAST] * _profile(table, 0, r)[0]
+        residual = pixels[2, k] - row[OFFSET] - row[CONTRAST] * _profile(table, 0, r)[0]
         weight = residual * _profile(table, 1, r)[0] * row[CONTRAST] / distance
         along += weight * u
         across += weight * v
@@ -192,21 +197,22 @@ def _step(row, change, free):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, fastmath=FAST)
-def _fit_one(row, table, pixels, count, iterations, capped, errors, work):  # type: ignore[no-untyped-def]
+def _fit_one(  # type: ignore[no-untyped-def]
+        row, table, pixels, count, iterations, capped, errors, columns, work):
     """Fit one particle; `errors` gets σ of each parameter [its unit] and the residual variance."""
-    normal, gradient, jacobian = work[:PARAMETERS], work[PARAMETERS], work[PARAMETERS + 1]
+    normal, gradient = work[:PARAMETERS], work[PARAMETERS]
     errors[:] = np.nan
     for turn in range(iterations):
         free = PARAMETERS if capped and turn >= 1 else THETA
         if free == PARAMETERS and turn == 1 and not math.isfinite(row[THETA]):
             _point_cap(row, table, pixels, count)
-        total = _accumulate(row, table, pixels, count, free, normal, gradient, jacobian)
+        total = _accumulate(row, table, pixels, count, free, normal, gradient, columns)
         if not _factor(normal, free):
             return False
         _solve(normal, free, gradient)
         _step(row, gradient, free)
     free = PARAMETERS if capped else THETA
-    total = _accumulate(row, table, pixels, count, free, normal, gradient, jacobian)
+    total = _accumulate(row, table, pixels, count, free, normal, gradient, columns)
     if not _factor(normal, free):
         return False
     variance = total / max(count - free, 1)
@@ -237,8 +243,9 @@ def fit(image, grid, spacing, parameters, active, table, reach, iterations, swee
     count = parameters.shape[0]
     errors = np.full((count, PARAMETERS + 2), np.nan)
     width = 2 * int(reach) + 3
-    pixels = np.empty((width * width, 3))
-    work = np.empty((PARAMETERS + 2, PARAMETERS))
+    pixels = np.empty((3, width * width))
+    columns = np.empty((PARAMETERS + 1, width * width))
+    work = np.empty((PARAMETERS + 1, PARAMETERS))
     capped = table.shape[0] > 1
     neighbours = np.empty(count, np.int64)
     for sweep in range(sweeps):
@@ -262,7 +269,7 @@ def fit(image, grid, spacing, parameters, active, table, reach, iterations, swee
             filled = _window(
                 image, grid, spacing, parameters, i, neighbours[:near], table, reach, pixels)
             if filled < 0.4 * math.pi * reach * reach or not _fit_one(
-                    row, table, pixels, filled, iterations, capped, errors[i], work):
+                    row, table, pixels, filled, iterations, capped, errors[i], columns, work):
                 errors[i] = np.nan
                 row[CONTRAST] = 0.0
     return errors

@@ -47,12 +47,14 @@ class FrameQuality:
     def _see(self, image: np.ndarray) -> dict[str, str]:
         spacing = max(1, min(image.shape) // _SAMPLES)
         sample = image[::spacing, ::spacing].ravel()
-        full = np.mean(sample == np.iinfo(image.dtype).max)
-        light = float(np.partition(sample, sample.size // 2)[sample.size // 2])
+        middle = sample.size // 2
+        sample.partition((0, middle, sample.size - 1))
+        light, top = float(sample[middle]), np.iinfo(image.dtype).max
+        full = 0.0 if sample[-1] < top else np.mean(sample == top)
         said = {}
         if full > _SATURATED:
             said['saturated'] = f'{100 * full:.0f} % of the picture are saturated'
-        if sample.max() == sample.min():
+        if sample[0] == sample[-1]:
             said['blank'] = 'the picture is blank'
         change = light / self._light - 1 if self._light else 0.0
         if abs(change) > _FLICKER:

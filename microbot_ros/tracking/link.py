@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
+import numba
 import numpy as np
 
 from microbot_ros.tracking.appearance import Appearance
@@ -121,26 +123,27 @@ class Linker:
         track, detection = self._associate(found, noise, offset)
         if self._merging:
             track = self._merge(track, found, detection)
-        self._learn(track, found, detection)
+        alone = np.ones(len(track), bool)
+        if self._merging:
+            # What a clump looks like says nothing about its parts, once they part.
+            alone = ~np.isin(states.id[track], states.host[states.host >= 0])
+        self._motion.learn(*_take_over(
+            track, detection, found.xy, found.sigma, found.theta, found.contrast, found.radius,
+            alone, self._expected_step, _TOUCHED * self._diameter, states.measured, states.step,
+            states.sigma, states.theta, states.contrast, states.radius, states.hits,
+            states.missed, states.early))
         states.correct(track, found.xy[detection], noise[detection])
-        self._describe(track, found, detection)
-        states.missed = states.missed + 1
-        states.missed[track] = 0
-        states.hits[track] += 1
-        young = track[states.hits[track] <= self._early_frames]
-        states.early[young, states.hits[young] - 1] = states.measured[young]
-        unseen = states.missed > 0
-        states.step[unseen] = np.nan
-        states.theta[unseen] = np.nan
-        self._follow_hosts()
+        if self._merging:
+            self._follow_hosts()
         self._delete_tracks()
         self._confirm_tracks()
-        fresh = np.ones(len(found), bool)
-        fresh[detection] = False
+        births = len(found) - len(detection)
         if len(track) and everywhere:
-            self._birth_rate += 0.02 * (int(fresh.sum()) - self._birth_rate)
+            self._birth_rate += 0.02 * (births - self._birth_rate)
             self._birth_rate = max(self._birth_rate, _BIRTHS[1])
-        if np.any(fresh):
+        if births:
+            fresh = np.ones(len(found), bool)
+            fresh[detection] = False
             self.states = self.states.join(self._initiate_tracks(found[fresh]))
 
     def _jumped(self, found: Detections) -> np.ndarray:
@@ -179,24 +182,18 @@ class Linker:
         if self._merging or len(found) == 0:
             return found, found.sigma**2 + LEAST_SIGMA**2
         named = self.states.xy[self.states.id != UNNAMED]
-        detections = count_within(found.xy, found.xy, _OVERLAP * self._diameter)
-        expected = count_within(found.xy, named, _OVERLAP * self._diameter)
-        hidden = np.where(expected > detections, _HIDDEN * self._diameter, 0.0)
-        touched = np.where(detections > 1, _TOUCHED * self._diameter, 0.0)
-        found = replace(found, sigma=np.hypot(found.sigma, hidden))
-        return found, found.sigma**2 + touched**2 + LEAST_SIGMA**2
+        sigma, noise = _overlapping(found.xy, found.sigma, named, self._diameter)
+        return replace(found, sigma=sigma), noise
 
     def _associate(
         self, found: Detections, noise: np.ndarray, offset: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         states = self.states
-        alone = states.host < 0
-        wider = np.where(alone, np.sqrt(1.0 + states.missed), 1.0)
-        reach = self.max_step_px * wider + np.where(alone, 0.0, np.sqrt(states.variance))
+        variance, reach = _search(states.covariance, states.missed, states.host, self.max_step_px)
         rate = _MISS_RATE * self._birth_rate / (self._size[0] * self._size[1])
         return assign(
-            states.xy + offset, states.variance, reach, _looks(states),
-            found.xy, noise, _looks(found), _LOOKS_SPREAD, rate)
+            states.xy + offset, variance, reach, _looks(states.contrast, states.radius),
+            found.xy, noise, _looks(found.contrast, found.radius), _LOOKS_SPREAD, rate)
 
     def _merge(
         self, track: np.ndarray, found: Detections, detection: np.ndarray
@@ -239,44 +236,21 @@ class Linker:
             states.covariance[i, PLACE] = states.covariance[i, :, PLACE] = 0.0
             states.covariance[i, PLACE, PLACE] = states.radius[host] ** 2
 
-    def _learn(self, track: np.ndarray, found: Detections, detection: np.ndarray) -> None:
-        states = self.states
-        step = found.xy[detection] - states.measured[track] - self._expected_step[track]
-        again = (states.missed[track] == 0) & np.isfinite(states.step[track, 0])
-        again &= found.sigma[detection] < _TOUCHED * self._diameter
-        self._motion.learn(step[again], states.step[track][again], found.sigma[detection][again])
-        states.step[track] = np.where((states.missed[track] == 0)[:, None], step, np.nan)
-
-    def _describe(self, track: np.ndarray, found: Detections, detection: np.ndarray) -> None:
-        """Take over how the particles look; what is published is the measurement itself."""
-        states = self.states
-        states.measured[track] = found.xy[detection]
-        states.sigma[track] = found.sigma[detection]
-        states.theta[track] = found.theta[detection]
-        # What a clump looks like says nothing about its parts, once they part.
-        alone = ~np.isin(states.id[track], states.host[states.host >= 0])
-        for name in ('contrast', 'radius'):
-            value, now = getattr(states, name), getattr(found, name)[detection]
-            value[track[alone]] *= (now[alone] / value[track[alone]]) ** 0.2
-
     def _delete_tracks(self) -> None:
         states = self.states
-        patience = np.where(states.id == UNNAMED, 0, self._settings.coast_frames)
-        height, width = self._size
-        x, y = states.xy.T
-        inside = (x > -0.5) & (y > -0.5) & (x < width - 0.5) & (y < height - 0.5)
-        living = (states.missed <= patience) | (states.host >= 0)
-        stay = living & (inside | (states.missed == 0))
-        if not np.all(stay):
+        stay = _staying(states.id, states.motion, states.missed, states.host,
+                        self._settings.coast_frames, self._size)
+        if not stay.all():
             self.states = states.take(stay)
 
     def _confirm_tracks(self) -> None:
         states = self.states
-        often = states.hits >= self._settings.confirm_frames
-        due = np.flatnonzero((states.id == UNNAMED) & often)
-        states.id[due] = self._next_id + np.arange(len(due))
-        self._next_id += len(due)
-        self.named = states.take(due)
+        due = (states.id == UNNAMED) & (states.hits >= self._settings.confirm_frames)
+        if due.any() or len(self.named):
+            count = int(due.sum())
+            states.id[due] = self._next_id + np.arange(count)
+            self._next_id += count
+            self.named = states.take(due)
 
     def _initiate_tracks(self, found: Detections) -> TrackStates:
         speed = max(self._motion.velocity_step, (self.max_step_px / 4) ** 2)
@@ -291,6 +265,84 @@ def _goes_on(before: np.ndarray, now: np.ndarray) -> bool:
     return bool(np.linalg.norm(now - share * before) < _GOES_ON * np.linalg.norm(now))
 
 
-def _looks(of: TrackStates | Detections) -> np.ndarray:
+@numba.njit(cache=True)
+def _looks(contrast, radius):  # type: ignore[no-untyped-def]
     """Traits (N, 2) that tell particles apart: logarithms of contrast and radius."""
-    return np.log(np.column_stack([of.contrast, of.radius]))
+    looks = np.empty((len(contrast), 2))
+    looks[:, 0], looks[:, 1] = np.log(contrast), np.log(radius)
+    return looks
+
+
+@numba.njit(cache=True)
+def _search(covariance, missed, host, max_step):  # type: ignore[no-untyped-def]
+    """Variance [px²] of every particle's place, and how far [px] it is looked for: (N,)."""
+    variance, reach = np.empty(len(missed)), np.empty(len(missed))
+    for n in range(len(missed)):
+        variance[n] = covariance[n, PLACE, PLACE].real
+        if host[n] < 0:
+            reach[n] = max_step * math.sqrt(1.0 + missed[n])
+        else:
+            reach[n] = max_step + math.sqrt(variance[n])
+    return variance, reach
+
+
+@numba.njit(cache=True)
+def _overlapping(xy, sigma, named, diameter):  # type: ignore[no-untyped-def]
+    """σ (N,) of detections, larger where one is seen for two, and the variance to link with."""
+    wide, noise = np.empty(len(sigma)), np.empty(len(sigma))
+    detections = count_within(xy, xy, _OVERLAP * diameter)
+    expected = count_within(xy, named, _OVERLAP * diameter)
+    for n in range(len(sigma)):
+        hidden = _HIDDEN * diameter if expected[n] > detections[n] else 0.0
+        touched = _TOUCHED * diameter if detections[n] > 1 else 0.0
+        wide[n] = math.hypot(sigma[n], hidden)
+        noise[n] = wide[n]**2 + touched**2 + LEAST_SIGMA**2
+    return wide, noise
+
+
+@numba.njit(cache=True)
+def _take_over(  # type: ignore[no-untyped-def]
+        track, detection, xy, found_sigma, found_theta, found_contrast, found_radius, alone,
+        expected_step, certain, measured, step, sigma, theta, contrast, radius, hits, missed,
+        early):
+    """Note in the states how the particles look; what is published is the measurement itself.
+
+    The displacements (M, 2) of those followed through, in the frame before too, and σ (M,).
+    """
+    steps, previous = np.empty((len(track), 2)), np.empty((len(track), 2))
+    spread, count = np.empty(len(track)), 0
+    missed += 1
+    for j, i in enumerate(track):
+        k = detection[j]
+        x = xy[k, 0] - measured[i, 0] - expected_step[i, 0]
+        y = xy[k, 1] - measured[i, 1] - expected_step[i, 1]
+        followed = missed[i] == 1
+        if followed and math.isfinite(step[i, 0]) and found_sigma[k] < certain:
+            steps[count, 0], steps[count, 1], spread[count] = x, y, found_sigma[k]
+            previous[count] = step[i]
+            count += 1
+        step[i, 0], step[i, 1] = (x, y) if followed else (np.nan, np.nan)
+        measured[i], sigma[i], theta[i] = xy[k], found_sigma[k], found_theta[k]
+        if alone[j]:
+            contrast[i] *= (found_contrast[k] / contrast[i]) ** 0.2
+            radius[i] *= (found_radius[k] / radius[i]) ** 0.2
+        missed[i] = 0
+        hits[i] += 1
+        if hits[i] <= early.shape[1]:
+            early[i, hits[i] - 1] = measured[i]
+    for i in range(len(missed)):
+        if missed[i] > 0:
+            step[i], theta[i] = np.nan, np.nan
+    return steps[:count], previous[:count], spread[:count]
+
+
+@numba.njit(cache=True)
+def _staying(ids, motion, missed, host, coasting, size):  # type: ignore[no-untyped-def]
+    """Which particles (N,) are still followed."""
+    stay = np.empty(len(ids), np.bool_)
+    for n in range(len(ids)):
+        x, y = motion[n, PLACE].real, motion[n, PLACE].imag
+        inside = -0.5 < x < size[1] - 0.5 and -0.5 < y < size[0] - 0.5
+        patience = 0 if ids[n] == UNNAMED else coasting
+        stay[n] = (missed[n] <= patience or host[n] >= 0) and (inside or missed[n] == 0)
+    return stay

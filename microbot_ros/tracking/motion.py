@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numba
 import numpy as np
 
 _MEMORY = 2000.0
@@ -41,14 +42,12 @@ class Motion:
         if len(step) == 0:
             return
         # One wrong link must not widen the gate for all: long steps count as three usual ones.
-        bound = 9 * self._same
-        same = np.minimum(np.mean(step**2, axis=1), bound)
-        following = np.clip(np.mean(step * previous, axis=1), -bound, bound)
+        same, following, noise = _means(step, previous, sigma, 9 * self._same)
         self._weight = min(self._weight + len(step), _MEMORY)
         share = min(len(step) / self._weight, 1.0)
-        self._same += share * (float(np.mean(same)) - self._same)
-        self._next += share * (float(np.mean(following)) - self._next)
-        self._noise += share * (float(np.mean(sigma**2)) - self._noise)
+        self._same += share * (same - self._same)
+        self._next += share * (following - self._next)
+        self._noise += share * (noise - self._noise)
 
     @property
     def velocity_step(self) -> float:
@@ -63,3 +62,15 @@ class Motion:
     def keep(self, frames: float) -> float:
         """Share of a velocity that persists over so many usual frame intervals."""
         return math.exp(-frames / _PERSISTENCE)
+
+
+@numba.njit(cache=True)
+def _means(step, previous, sigma, bound):  # type: ignore[no-untyped-def]
+    """⟨d²⟩ and ⟨d d′⟩ per coordinate, each within the bound, and ⟨σ²⟩."""
+    same = following = noise = 0.0
+    for n in range(len(step)):
+        same += min((step[n, 0]**2 + step[n, 1]**2) / 2, bound)
+        both = (step[n, 0] * previous[n, 0] + step[n, 1] * previous[n, 1]) / 2
+        following += min(max(both, -bound), bound)
+        noise += sigma[n]**2
+    return same / len(step), following / len(step), noise / len(step)

@@ -7,7 +7,7 @@ import math
 import numba
 import numpy as np
 
-from microbot_ros.tracking.states import UNNAMED, TrackStates
+from microbot_ros.tracking.states import PLACE, UNNAMED, TrackStates
 
 _WORTH = 0.5
 """Share of the picture from which on windows save nothing."""
@@ -35,21 +35,35 @@ class SearchWindows:
         """Boxes (n, 4) to look at in a picture of `size` (height, width) at time `t` [s]; None for
         all.
         """
-        since = t - self._everywhere
-        steady = (states.id != UNNAMED) & (states.missed == 0) & (states.host < 0)
-        steady &= np.all((states.xy >= 0) & (states.xy < size[::-1]), axis=1)
-        if not 0 <= since < self._interval or len(states) == 0 or not np.all(steady):
+        if not 0 <= t - self._everywhere < self._interval or len(states) == 0:
             return None
-        half = (self._reach + states.radius)[:, None]
-        yx = states.xy[:, ::-1]
-        corners = np.hstack([(yx - half) // self._grain, -(-(yx + half) // self._grain)])
-        boxes = np.clip(corners * self._grain, 0, np.array(size * 2)).astype(np.int64)
-        area = np.prod(boxes[:, 2:] - boxes[:, :2], axis=1)
-        return None if np.sum(area) > _WORTH * size[0] * size[1] else _apart(boxes)
+        boxes, area = _around(states.id, states.missed, states.host, states.motion, states.radius,
+                              self._reach, self._grain, size)
+        return None if area > _WORTH * size[0] * size[1] else _apart(boxes)
 
     def looked_everywhere(self, t: float) -> None:
         """Remember that the whole picture was searched at time `t` [s]."""
         self._everywhere = t
+
+
+@numba.njit(cache=True)
+def _around(ids, missed, host, motion, radius, reach, grain, size):  # type: ignore[no-untyped-def]
+    """A box (N, 4) of whole cells around each particle, and their area; that of an infinite one
+    where they are not enough.
+    """
+    boxes, area = np.empty((len(ids), 4), np.int64), 0.0
+    for n in range(len(ids)):
+        y, x, half = motion[n, PLACE].imag, motion[n, PLACE].real, reach + radius[n]
+        if (ids[n] == UNNAMED or missed[n] > 0 or host[n] >= 0
+                or not (0 <= x < size[1] and 0 <= y < size[0])):
+            return boxes, math.inf
+        for axis, at in enumerate((y, x)):
+            first = math.floor((at - half) / grain) * grain
+            last = math.ceil((at + half) / grain) * grain
+            boxes[n, axis] = min(max(first, 0), size[axis])
+            boxes[n, axis + 2] = min(max(last, 0), size[axis])
+        area += (boxes[n, 2] - boxes[n, 0]) * (boxes[n, 3] - boxes[n, 1])
+    return boxes, area
 
 
 @numba.njit(cache=True)

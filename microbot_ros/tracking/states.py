@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
+import numba
 import numpy as np
 
 from microbot_ros.tracking.motion import Motion
@@ -93,30 +94,60 @@ class TrackStates:
         """
         frames = dt / interval
         keep = motion.keep(frames)
-        step = np.array([[1, dt, drive], [0, keep, 0], [0, 0, 1]])
-        self.motion = self.motion @ step.T
-        self.covariance = step @ self.covariance @ step.conj().T
-        self.covariance += np.diag([
+        _predict(self.motion, self.covariance, dt, drive, keep, np.array([
             motion.random_step * frames,
             motion.velocity_step / interval**2 * (1 - keep**2),
-            phasor_variance * frames / _PHASOR_LASTS])
+            phasor_variance * frames / _PHASOR_LASTS]))
 
     def correct(self, rows: np.ndarray, found: np.ndarray, noise: np.ndarray) -> None:
         """Kalman update of some `rows` (K,) by the places `found` (K, 2) of variance `noise` (K,).
 
         In Joseph's form: the short one lets rounding errors of a covariance grow.
         """
-        innovation = phasor(found) - self.motion[rows, PLACE]
-        covariance = self.covariance[rows]
-        surprise = np.abs(innovation) ** 2 / 2 / (covariance[:, PLACE, PLACE].real + noise)
+        _correct(self.motion, self.covariance, rows, found, noise)
+
+
+@numba.njit(cache=True)
+def _predict(motion, covariance, dt, drive, keep, added):  # type: ignore[no-untyped-def]
+    """Both after a step, in place; `added` (3,) is what chance adds to the variances."""
+    for n in range(len(motion)):
+        motion[n, 0] += dt * motion[n, 1] + drive * motion[n, 2]
+        motion[n, 1] *= keep
+        for k in range(3):
+            covariance[n, 0, k] += dt * covariance[n, 1, k] + drive * covariance[n, 2, k]
+            covariance[n, 1, k] *= keep
+        for k in range(3):
+            covariance[n, k, 0] += (
+                dt * covariance[n, k, 1] + drive.conjugate() * covariance[n, k, 2])
+            covariance[n, k, 1] *= keep
+            covariance[n, k, k] += added[k]
+
+
+@numba.njit(cache=True)
+def _correct(motion, covariance, rows, found, noise):  # type: ignore[no-untyped-def]
+    """`TrackStates.correct`, in place."""
+    left, turned = np.empty((3, 3), np.complex128), np.empty((3, 3), np.complex128)
+    for j, n in enumerate(rows):
+        innovation = complex(found[j, 0], found[j, 1]) - motion[n, PLACE]
+        square = innovation.real**2 + innovation.imag**2
+        surprise = square / 2 / (covariance[n, PLACE, PLACE].real + noise[j])
         # A particle that starts, stops or turns has outrun its covariance; let that catch up.
-        covariance = covariance * np.maximum(surprise / _SURPRISE, 1.0)[:, None, None]
-        gain = covariance[:, :, PLACE] / (covariance[:, PLACE, PLACE].real + noise)[:, None]
-        self.motion[rows] += gain * innovation[:, None]
-        left = np.broadcast_to(np.eye(3, dtype=complex), covariance.shape).copy()
-        left[:, :, PLACE] -= gain
-        measured = noise[:, None, None] * gain[:, :, None] * gain[:, None].conj()
-        self.covariance[rows] = left @ covariance @ left.conj().swapaxes(1, 2) + measured
+        before = covariance[n] * max(surprise / _SURPRISE, 1.0)
+        gain = before[:, PLACE] / (before[PLACE, PLACE].real + noise[j])
+        left[:] = np.eye(3)
+        for k in range(3):
+            motion[n, k] += gain[k] * innovation
+            left[k, PLACE] -= gain[k]
+        for k in range(3):
+            for m in range(3):
+                turned[k, m] = (left[k, 0] * before[0, m] + left[k, 1] * before[1, m]
+                                + left[k, 2] * before[2, m])
+        for k in range(3):
+            for m in range(3):
+                covariance[n, k, m] = (
+                    turned[k, 0] * left[m, 0].conjugate() + turned[k, 1] * left[m, 1].conjugate()
+                    + turned[k, 2] * left[m, 2].conjugate()
+                    + noise[j] * gain[k] * gain[m].conjugate())
 
 
 def initiate_tracks(

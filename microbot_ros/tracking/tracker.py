@@ -6,6 +6,7 @@ import math
 from collections.abc import Generator
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 
 from microbot_ros.errors import InputError
@@ -17,7 +18,7 @@ from microbot_ros.tracking.link import Linker
 from microbot_ros.tracking.outline import OutlineDetector
 from microbot_ros.tracking.search_windows import SearchWindows
 from microbot_ros.tracking.settings import TrackerSettings
-from microbot_ros.tracking.states import TrackStates
+from microbot_ros.tracking.states import PLACE, VELOCITY, VELOCITY_PHASOR, TrackStates
 
 
 class FrameError(InputError):
@@ -227,11 +228,22 @@ def _poses(t: float, states: TrackStates | None, drive_rate: complex) -> Poses:
         none = np.empty(0)
         return Poses(
             t, np.empty(0, int), none, none, none, none, none, none, np.empty(0, bool))
-    states = states.take(states.id >= 0)
-    seen = states.missed == 0
-    xy = np.where(seen[:, None], states.measured, states.xy)
-    velocity = states.velocity(drive_rate)
-    sigma = np.where(seen, states.sigma, np.sqrt(states.variance))
-    return Poses(
-        t, states.id, xy[:, 0], xy[:, 1], states.theta, velocity[:, 0], velocity[:, 1], sigma,
-        seen)
+    return Poses(t, *_told(
+        states.id, states.missed, states.measured, states.motion, states.covariance, states.sigma,
+        states.theta, drive_rate))
+
+
+@numba.njit(cache=True)
+def _told(ids, missed, measured, motion, covariance, sigma, theta, drive_rate):  # type: ignore[no-untyped-def]
+    """The fields of `Poses` after the time, of the particles that have an identity."""
+    rows = np.flatnonzero(ids >= 0)
+    x, y, spread = np.empty(len(rows)), np.empty(len(rows)), np.empty(len(rows))
+    vx, vy, seen = np.empty(len(rows)), np.empty(len(rows)), missed[rows] == 0
+    for k, n in enumerate(rows):
+        x[k], y[k], spread[k] = measured[n, 0], measured[n, 1], sigma[n]
+        if not seen[k]:
+            x[k], y[k] = motion[n, PLACE].real, motion[n, PLACE].imag
+            spread[k] = math.sqrt(covariance[n, PLACE, PLACE].real)
+        velocity = motion[n, VELOCITY] + drive_rate * motion[n, VELOCITY_PHASOR]
+        vx[k], vy[k] = velocity.real, velocity.imag
+    return ids[rows], x, y, theta[rows], vx, vy, spread, seen

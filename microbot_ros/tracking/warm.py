@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from microbot_ros.tracking.settings import TrackerSettings
 from microbot_ros.tracking.tracker import Tracker
 
 
+@cache
 def warm_up(dtype: type[np.uint8] | type[np.uint16] = np.uint8) -> None:
     """Run every path of the tracker once on small pictures of that `dtype`.
 

@@ -17,8 +17,6 @@ from microbot_ros.virtual_rig.world import FieldHistory, World
 Feedback = Callable[[float, np.ndarray], np.ndarray]
 """From the time [s] and the positions seen (N, 2) [m] to the field wanted (2,) [T]."""
 
-_NOTHING = Commands(np.empty(0), np.empty((0, 2)))
-
 
 @dataclass(frozen=True)
 class Camera:
@@ -60,21 +58,22 @@ def record_session(
     errors = detection_errors(camera, count, len(world.bodies), rng)
     path = Path(opens + shutter / 2, *_empty(count, len(world.bodies)))
     seen = np.empty_like(path.position)
-    commands = control if isinstance(control, Commands) else _NOTHING
-    history = FieldHistory.uniform(commands)
-    for k, begin in enumerate(opens):
+    if isinstance(control, Commands):
+        told, rows = control, len(control.t)
+    else:
+        told, rows = Commands(np.empty(count), np.empty((count, 2))), 0
+    for k, begin in enumerate(opens.tolist()):
+        history = FieldHistory.uniform(told if rows == len(told.t) else Commands(
+            told.t[:rows], told.field[:rows]))
         world.advance(begin, history)
         first = world.advance(path.t[k], history)
         path.position[k], path.heading[k] = world.position, world.heading
-        second = world.advance(begin + shutter, history)
+        second = world.advance(begin + shutter, history) if shutter else first
         seen[k] = picture(world.bodies, (first + second) / 2, path.t[k]) + errors[k]
         if not isinstance(control, Commands):
-            wanted = control(world.t, seen[k])
-            commands = Commands(
-                np.append(commands.t, world.t), np.vstack((commands.field, wanted)))
-            history = FieldHistory.uniform(commands)
+            told.t[k], told.field[k], rows = world.t, control(world.t, seen[k]), k + 1
     recorded = replace(conditions or Conditions(), frame_rate=camera.frame_rate)
-    return Session(as_tracks(path.t, seen), commands, recorded), path
+    return Session(as_tracks(path.t, seen), told, recorded), path
 
 
 def _empty(frames: int, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -44,12 +44,12 @@ def test_one_hypothesis_is_the_textbook_filter():
         found = bank.combined()
         np.testing.assert_allclose(
             np.concatenate([[z[0].real, z[0].imag] for z in (
-                found['p'], found['velocity_phasor'])]), book.state, rtol=1e-8, atol=1e-10,
+                found.p, found.velocity_phasor)]), book.state, rtol=1e-8, atol=1e-10,
         )
-        assert found['p_var'][0] == pytest.approx(book.cov[0, 0], rel=1e-8)
-        assert found['phasor_var'][0] == pytest.approx(book.cov[2, 2], rel=1e-8)
+        assert found.p_var[0] == pytest.approx(book.cov[0, 0], rel=1e-8)
+        assert found.phasor_var[0] == pytest.approx(book.cov[2, 2], rel=1e-8)
         # E p̃ c̃* of a circular pair: twice (cov(x, a) + i cov(y, a)).
-        assert found['cross'][0] == pytest.approx(
+        assert found.cross[0] == pytest.approx(
             complex(book.cov[0, 2], book.cov[1, 2]), rel=1e-7, abs=1e-12)
 
 
@@ -73,11 +73,11 @@ def test_headings_that_stray_are_a_third_state_of_the_textbook_filter():
         state = state + gain * (z - state[0])
         cov = cov - np.outer(gain, cov[0])
         found = bank.combined()
-        assert found['p'][0] == pytest.approx(state[0], rel=1e-7)
-        assert found['velocity_phasor'][0] == pytest.approx(state[2], rel=1e-7)
+        assert found.p[0] == pytest.approx(state[0], rel=1e-7)
+        assert found.velocity_phasor[0] == pytest.approx(state[2], rel=1e-7)
         assert bank.s[0, 0] == pytest.approx(state[1], rel=1e-6, abs=1e-9)
-        assert found['p_var'][0] == pytest.approx(cov[0, 0].real, rel=1e-7)
-        assert found['phasor_var'][0] == pytest.approx(cov[2, 2].real, rel=1e-7)
+        assert found.p_var[0] == pytest.approx(cov[0, 0].real, rel=1e-7)
+        assert found.phasor_var[0] == pytest.approx(cov[2, 2].real, rel=1e-7)
 
 
 def simulate(rng, bank, change_at=None, factor=1.0, seconds=20.0, step=0.05):
@@ -107,8 +107,8 @@ def test_a_change_is_followed_within_seconds(factor):
     for _ in range(10):
         c, seen = simulate(rng, PhasorBank(7), 15.0, factor)
         late = seen[int(18.0 / 0.05)]
-        errors.append(abs(late['velocity_phasor'][0] - c))
-        assert abs(seen[int(14.9 / 0.05)]['velocity_phasor'][0] - 4) < 0.5
+        errors.append(abs(late.velocity_phasor[0] - c))
+        assert abs(seen[int(14.9 / 0.05)].velocity_phasor[0] - 4) < 0.5
     # Three seconds of diffusion alone leave √(2·2D/T) = 0.23.
     assert np.sqrt(np.mean(np.square(errors))) < 0.35
 
@@ -118,9 +118,9 @@ def test_without_a_change_nothing_is_lost():
     several, single = [], []
     for _ in range(12):
         state = rng.bit_generator.state
-        several.append(abs(simulate(rng, PhasorBank(7))[1][-1]['velocity_phasor'][0] - 4))
+        several.append(abs(simulate(rng, PhasorBank(7))[1][-1].velocity_phasor[0] - 4))
         rng.bit_generator.state = state
-        single.append(abs(simulate(rng, Single())[1][-1]['velocity_phasor'][0] - 4))
+        single.append(abs(simulate(rng, Single())[1][-1].velocity_phasor[0] - 4))
     assert np.sqrt(np.mean(np.square(several))) < 1.05 * np.sqrt(np.mean(np.square(single)))
 
 
