@@ -174,7 +174,8 @@ class ControllerManager:
         field = _approach(self._field, command.field, inputs)
         self._field = field
         self._record.note(inputs.t + inputs.delay, field, command.frequency)
-        return Outcome(dataclasses.replace(command, field=field), result, message)
+        return Outcome(FieldCommand(field, command.frequency, command.progress, command.particles),
+                       result, message)
 
     def close(self) -> None:
         """Let the active controller go; nothing may be asked afterwards."""
@@ -229,7 +230,7 @@ def _checked(command: FieldCommand, limits: Limits) -> FieldCommand:
         raise ValueError(f'commanded {strength * 1e3:g} mT; the limit is {limits.field * 1e3:g}')
     if not 0 <= command.frequency <= limits.frequency:
         raise ValueError(f'commanded {command.frequency:g} Hz; expected 0 to {limits.frequency:g}')
-    return dataclasses.replace(command, field=field, frequency=float(command.frequency))
+    return FieldCommand(field, float(command.frequency), command.progress, command.particles)
 
 
 def _approach(now: np.ndarray, wanted: np.ndarray, inputs: ControllerInput) -> np.ndarray:

@@ -61,7 +61,7 @@ class DriftObserver:
         return complex(self._state[0] + self._state[1] * shared + self._state[2] * dt)
 
 
-@numba.njit(cache=True)
+@numba.njit('void(c16[::1], c16[:, ::1], c16, f8, c16, f8, f8[::1])', cache=True)
 def _update(state, covariance, shared, dt, measured, sigma, wander):  # type: ignore[no-untyped-def]
     """`DriftObserver.update`, in place."""
     state[0] += shared * state[1] + dt * state[2]

@@ -68,9 +68,9 @@ def whitened_products(times, seen, z, offset, along, noise_ratio):  # type: igno
     products, log_det, used = np.zeros((tracks, 3, 3)), 0.0, 0
     for n in range(tracks):
         o, a = min(n, offset.shape[1] - 1), min(n, along.shape[1] - 1)
-        data = column = 0j
-        last, variance = -1, noise_ratio
-        own, power, mixed = 0.0, 0.0, 0j
+        data = column = mixed = 0j
+        own = power = 0.0
+        last, variance, total_product = -1, noise_ratio, 1.0
         for k in range(frames):
             if not seen[k, n]:
                 continue
@@ -79,8 +79,8 @@ def whitened_products(times, seen, z, offset, along, noise_ratio):  # type: igno
                 data, column = new, way
             else:
                 ahead = variance + 2.0 * (times[k] - times[last])
-                total = ahead + noise_ratio
-                gain, weight = ahead / total, 1.0 / total
+                weight = 1.0 / (ahead + noise_ratio)
+                gain = ahead * weight
                 new, way = new - data, way - column
                 data += gain * new
                 column += gain * way
@@ -88,9 +88,14 @@ def whitened_products(times, seen, z, offset, along, noise_ratio):  # type: igno
                 power += (way.real * way.real + way.imag * way.imag) * weight
                 mixed += new * way.conjugate() * weight
                 variance = noise_ratio * gain
-                log_det += np.log(total)
+                # One logarithm for many, for it costs as much as all the rest.
+                total_product *= ahead + noise_ratio
+                if not 1e-250 < total_product < 1e250:
+                    log_det += math.log(total_product)
+                    total_product = 1.0
                 used += 1
             last = k
+        log_det += math.log(total_product)
         gram = products[n]
         gram[0, 0], gram[1, 1], gram[2, 2] = own, power, power
         gram[0, 1] = gram[1, 0] = mixed.real

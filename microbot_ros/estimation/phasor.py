@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cmath
 import math
 from dataclasses import dataclass
 
@@ -61,11 +60,12 @@ def polar(velocity_phasor: np.ndarray, std: np.ndarray) -> Polar:
     E v² = std² (1 + y + y I₁(y/2)/I₀(y/2)); the phase's mean resultant length is
     √(πy)/2 · e^{−y/2} (I₀(y/2) + I₁(y/2)).
     """
+    velocity_phasor = np.asarray(velocity_phasor, complex)
     half = _half_square(velocity_phasor, std)
     return Polar(*_moments(velocity_phasor, std, half, i0e(half), i1e(half)))
 
 
-@numba.njit(cache=True)
+@numba.njit('f8[::1](c16[:], f8[:])', cache=True)
 def _half_square(c, std):  # type: ignore[no-untyped-def]
     """y/2 (N,) of `polar`."""
     half = np.empty(len(c))
@@ -75,7 +75,8 @@ def _half_square(c, std):  # type: ignore[no-untyped-def]
     return half
 
 
-@numba.njit(cache=True, error_model='numpy')
+@numba.njit('UniTuple(f8[::1], 4)(c16[:], f8[:], f8[:], f8[:], f8[:])', cache=True,
+            error_model='numpy')
 def _moments(c, std, half, i0, i1):  # type: ignore[no-untyped-def]
     """The fields of `Polar` from c, its `std`, y/2 and e^{−y/2} I(y/2) of orders 0 and 1."""
     speed, spread, phase_std = np.empty(len(c)), np.empty(len(c)), np.empty(len(c))
@@ -91,7 +92,7 @@ def _moments(c, std, half, i0, i1):  # type: ignore[no-untyped-def]
             spread[n] = math.sqrt(max(square - speed[n] ** 2, 0.0))
             resultant = min(max(math.sqrt(math.pi * y) / 2 * (i0[n] + i1[n]), 1e-300), 1.0)
             phase_std[n] = min(math.sqrt(-2 * math.log(resultant)), math.pi / math.sqrt(3))
-        phase[n] = cmath.phase(c[n])
+        phase[n] = math.atan2(c[n].imag, c[n].real)
         if math.isnan(half[n]):
             speed[n] = spread[n] = phase_std[n] = np.nan
     return speed, spread, phase, phase_std

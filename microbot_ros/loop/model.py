@@ -130,13 +130,11 @@ def _warm_up() -> None:
 
 
 def _points(estimates: Estimates, theta: list[float]) -> np.ndarray:
-    points = np.empty(len(estimates.id), ESTIMATE)
-    points['id'] = estimates.id
-    points['x'], points['y'] = estimates.position.T
-    points['x_std'] = points['y_std'] = estimates.position_std
-    points['x_ahead'], points['y_ahead'] = estimates.prediction.T
-    points['ahead_std'] = estimates.prediction_std
-    for name in ('speed', 'phi', 'force', 'speed_std', 'phi_std', 'force_std'):
-        points[name] = getattr(estimates, name)
-    points['theta'] = theta
+    std, found = estimates.position_std, estimates
+    rows = np.empty((len(theta), ESTIMATE.itemsize // 4), '<f4')
+    rows[:, 1:] = np.array([
+        *found.position.T, found.speed, found.phi, found.force, std, std, found.speed_std,
+        found.phi_std, found.force_std, *found.prediction.T, found.prediction_std, theta]).T
+    points = rows.view(ESTIMATE)[:, 0]
+    points['id'] = found.id
     return points

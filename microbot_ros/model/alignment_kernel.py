@@ -61,8 +61,8 @@ def integrate_direction(rows, delay, times, heading, rolling):  # type: ignore[n
 @numba.njit(cache=True)
 def _along(row, before):  # type: ignore[no-untyped-def]
     """The direction of a command's field; without one, that of before."""
-    field = complex(row[1], row[2])
-    return field / abs(field) if field != 0 else before
+    size = math.hypot(row[1], row[2])
+    return complex(row[1] / size, row[2] / size) if size > 0 else before
 
 
 @numba.njit(cache=True)

@@ -57,7 +57,9 @@ class World:
     @property
     def position(self) -> np.ndarray:
         """Where the particles are now (N, 2) [m], a copy."""
-        return np.column_stack((self.bodies['x'], self.bodies['y']))
+        position = np.empty((len(self.bodies), 2))
+        position[:, 0], position[:, 1] = self.bodies['x'], self.bodies['y']
+        return position
 
     @property
     def heading(self) -> np.ndarray:
