@@ -12,8 +12,8 @@ import numpy as np
 
 from microbot_ros.session.accounts import Doubt, unjudgeable
 from microbot_ros.session.cloud import cloud_table, is_cloud
-from microbot_ros.session.lockstep import header_stamp_ns
-from microbot_ros.session.recording import Message, Recording
+from microbot_ros.session.from_recording import stamp_ns
+from microbot_ros.session.recording import Recording
 
 _Key = tuple[int, int]
 """What pairs two messages: their stamp [ns], and which of those with that stamp."""
@@ -68,7 +68,8 @@ def compare(
     unjudged.
 
     Messages with a header are paired by its stamp, others by their order; times of receipt do
-    not count, nor does the padding of serialised bytes. NaN equals NaN.
+    not count, and serialised bytes are never compared, since their padding is arbitrary. NaN
+    equals NaN.
     """
     names = sorted({*a.topics, *b.topics} if topics is None else topics)
     return [_compare_topic(a, b, name, stamps, tolerance, doubts) for name in names]
@@ -94,20 +95,15 @@ def _compare_topic(
     doubts: Sequence[Doubt],
 ) -> TopicDifference:
     frames: defaultdict[int, _Frame] = defaultdict(_Frame)
-    unpaired: list[dict[_Key, Message]] = [{}, {}]
-    for side, key, message in _keyed(a, b, topic):
+    unpaired: list[dict[_Key, tuple[int, dict[str, Any]]]] = [{}, {}]
+    for side, key, item in _keyed(a, b, topic):
         if stamps is not None and key[0] not in stamps:
             continue
-        unpaired[side][key] = message
+        unpaired[side][key] = item
         if key not in unpaired[1 - side]:
             continue
-        left, right = (entries.pop(key) for entries in unpaired)
-        frame = frames[key[0]]
-        frame.pairs += 1
-        # The same bytes say the same; others may, since their padding is arbitrary.
-        if (left.type, left.data) != (right.type, right.data):
-            _part(frame, (left.t_ns - a.start_ns) / 1e9, _fields(a, left), _fields(b, right),
-                  tolerance)
+        (t_ns, left), (_, right) = (entries.pop(key) for entries in unpaired)
+        _pair(frames[key[0]], (t_ns - a.start_ns) / 1e9, left, right, tolerance)
     for side, entries in enumerate(unpaired):
         for stamp, _ in entries:
             frames[stamp].only[side] += 1
@@ -116,9 +112,10 @@ def _compare_topic(
                 unjudged)
 
 
-def _part(frame: _Frame, t_s: float, left: dict[str, Any], right: dict[str, Any],
+def _pair(frame: _Frame, t_s: float, left: dict[str, Any], right: dict[str, Any],
           tolerance: float) -> None:
     partings = list(_partings(left, right, tolerance))
+    frame.pairs += 1
     frame.unequal += bool(partings)
     for field, place, x, y, size in partings:
         frame.largest[field] = max(frame.largest.get(field, 0.0), size)
@@ -138,8 +135,10 @@ def _sum(topic: str, frames: list[_Frame], unjudged: dict[int, str]) -> TopicDif
         largest, unjudged)
 
 
-def _keyed(a: Recording, b: Recording, topic: str) -> Iterator[tuple[int, _Key, Message]]:
-    """The messages of a topic of both in turn: 0 or 1, key to pair them, message."""
+def _keyed(
+    a: Recording, b: Recording, topic: str,
+) -> Iterator[tuple[int, _Key, tuple[int, dict[str, Any]]]]:
+    """The messages of a topic of both in turn: (0 or 1, key to pair them, (time, fields))."""
     streams = {0: _entries(a, topic), 1: _entries(b, topic)}
     while streams:
         for side in list(streams):
@@ -150,19 +149,17 @@ def _keyed(a: Recording, b: Recording, topic: str) -> Iterator[tuple[int, _Key, 
                 yield side, *entry
 
 
-def _entries(recording: Recording, topic: str) -> Iterator[tuple[_Key, Message]]:
+def _entries(
+    recording: Recording, topic: str,
+) -> Iterator[tuple[_Key, tuple[int, dict[str, Any]]]]:
     seen: Counter[int] = Counter()
-    stamped: bool | None = None
-    for message in recording.messages([topic]) if topic in recording.topics else ():
-        if stamped is None:
-            stamped = hasattr(recording.decode(message), 'header')
-        stamp = header_stamp_ns(message.data) if stamped else 0
+    if topic not in recording.topics:
+        return
+    for message in recording.messages([topic]):
+        content = recording.decode(message)
+        stamp = stamp_ns(content) if hasattr(content, 'header') else 0
         seen[stamp] += 1
-        yield (stamp, seen[stamp]), message
-
-
-def _fields(recording: Recording, message: Message) -> dict[str, Any]:
-    return dict(_leaves(recording.decode(message), ''))
+        yield (stamp, seen[stamp]), (message.t_ns, dict(_leaves(content, '')))
 
 
 def _leaves(value: Any, path: str) -> Iterator[tuple[str, Any]]:
@@ -189,6 +186,8 @@ def _partings(
     is infinite where it is no matter of numbers."""
     for field in dict.fromkeys([*left, *right]):
         a, b = left.get(field), right.get(field)
+        if _identical(a, b):
+            continue
         x, y = np.asarray(a), np.asarray(b)
         if x.shape != y.shape or not {x.dtype.kind, y.dtype.kind} <= set('iuf'):
             if not np.array_equal(x, y):
@@ -202,3 +201,10 @@ def _partings(
             size = apart[unequal].max()
             where = f'[{", ".join(map(str, place))}]' if place else ''
             yield field, where, str(x[place]), str(y[place]), float(size)
+
+
+def _identical(a: Any, b: Any) -> bool:
+    """Whether two fields are the same beyond doubt; most are, and this takes no time."""
+    if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
+        return a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
+    return type(a) is type(b) and isinstance(a, (int, float, str)) and bool(a == b)
