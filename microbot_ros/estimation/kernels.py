@@ -62,7 +62,8 @@ def whiten_columns(times, seen, columns, noise_ratio):  # type: ignore[no-untype
 def whitened_products(times, seen, z, offset, along, noise_ratio):  # type: ignore[no-untyped-def]
     """Real inner products (N, 3, 3) of `z` − `offset`, `along` and i·`along` (T, 1 or N), white.
 
-    All else as in `whiten_columns`, whose columns need not be kept for these.
+    `times`, `seen` and `noise_ratio`, ½ log det and the rows used as in `whiten_columns`, whose
+    columns need not be kept for these.
     """
     frames, tracks = z.shape
     products, log_det, used = np.zeros((tracks, 3, 3)), 0.0, 0

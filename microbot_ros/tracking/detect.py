@@ -175,19 +175,19 @@ class RoundDetector:
         self, rows: np.ndarray, errors: np.ndarray, quality: np.ndarray
     ) -> Detections:
         return Detections(*_described(
-            rows, errors, self._filter.noise, self.appearance.capped,
-            self.appearance.diameter_px / 2), quality)
+            rows, errors, quality, self._filter.noise, self.appearance.capped,
+            self.appearance.diameter_px / 2))
 
 
 @numba.njit(cache=True, error_model='numpy')
-def _described(rows, errors, noise, capped, radius):  # type: ignore[no-untyped-def]
-    """The fields of `Detections` but for the quality."""
+def _described(rows, errors, quality, noise, capped, radius):  # type: ignore[no-untyped-def]
+    """The fields of `Detections`."""
     theta = np.full(len(rows), np.nan)
     for n in range(len(rows)):
         if capped and errors[n, THETA] < _THETA_KNOWN:
             theta[n] = math.pi - (math.pi - rows[n, THETA]) % (2 * math.pi)
     return (rows[:, X:Y + 1].copy(), _sigma(errors, noise), theta, rows[:, CONTRAST].copy(),
-            rows[:, SIZE] * radius)
+            rows[:, SIZE] * radius, quality)
 
 
 @numba.njit(cache=True, error_model='numpy')
