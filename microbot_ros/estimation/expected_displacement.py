@@ -31,7 +31,9 @@ class ExpectedDisplacement:
         response = respond(model, timeline)
         if not any(effect.stage == 'observation' for effect in model.effects):
             along = _accumulate(response.propulsion)
-            return cls(_accumulate(_complex(response.drift)), along, 1j * along, True)
+            still = not model.effects
+            offset = np.zeros_like(along) if still else _accumulate(_complex(response.drift))
+            return cls(offset, along, 1j * along, True)
         columns = response.columns()
         along, across = (_accumulate(_complex(columns[..., k])) for k in (0, 1))
         return cls(_accumulate(_complex(response.offset())), along, across, False)

@@ -60,11 +60,6 @@ class TrackStates:
         """Where the particles are taken to be, (N, 2) [px]."""
         return planar(self.motion[:, PLACE])
 
-    @property
-    def variance(self) -> np.ndarray:
-        """Variance (N,) of each coordinate of the place [px²]."""
-        return self.covariance[:, PLACE, PLACE].real
-
     def velocity(self, drive_rate: complex) -> np.ndarray:
         """Velocity (N, 2) [px/s] under a drive of `drive_rate` per second."""
         return planar(self.motion[:, VELOCITY] + drive_rate * self.motion[:, VELOCITY_PHASOR])
