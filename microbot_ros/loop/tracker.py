@@ -113,11 +113,12 @@ class TrackerStage:
 
 
 def _particles(poses: Poses, camera: ImageToWorkspace) -> np.ndarray:
-    points = np.empty(len(poses), PARTICLE)
-    points['id'] = poses.id
-    points['x'], points['y'] = camera.position(poses.xy).T
-    points['vx'], points['vy'] = camera.vector(poses.velocity).T
+    rows = np.empty((len(poses), PARTICLE.itemsize // 4), '<f4')
+    rows[:, 1:3] = camera.position(poses.xy)
     # A Janus particle swims with its cap behind.
-    points['theta'] = camera.angle(poses.theta_rad + math.pi)
-    points['sigma'] = poses.sigma_px * camera.pixel_size
+    rows[:, 3] = camera.angle(poses.theta_rad + math.pi)
+    rows[:, 4:6] = camera.vector(poses.velocity)
+    rows[:, 6] = poses.sigma_px * camera.pixel_size
+    points = rows.view(PARTICLE)[:, 0]
+    points['id'] = poses.id
     return points

@@ -133,8 +133,9 @@ class RoundDetector:
             return found, hidden
         diameter = self.appearance.diameter_px
         distance, nearest = _nearest(peaks, expected, _TOUCHING * diameter)
-        owner, homeless = _claim(
-            distance, nearest, np.argsort(distance[:, 0]), _OWN_PEAK * diameter, len(peaks))
+        owner, homeless = _claim(distance, nearest, _OWN_PEAK * diameter, len(peaks))
+        if len(homeless) == 0:
+            return found, hidden
         touching = homeless[distance[homeless, 0] < _TOUCHING * diameter]
         touching = touching[owner[nearest[touching, 0]] >= 0]
         shared = nearest[touching, 0]
@@ -258,13 +259,13 @@ def _nearest(peaks, expected, reach):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _claim(distance, nearest, order, farthest, peaks):  # type: ignore[no-untyped-def]
+def _claim(distance, nearest, farthest, peaks):  # type: ignore[no-untyped-def]
     """Who has each peak, −1 nobody, and who has none: in turn, the nearest that is free.
 
     `nearest` (M, K) are the peaks nearest to each expected particle, at `distance` (M, K).
     """
-    owner, homeless = np.full(peaks, -1), np.ones(len(order), np.bool_)
-    for i in order:
+    owner, homeless = np.full(peaks, -1), np.ones(len(distance), np.bool_)
+    for i in np.argsort(distance[:, 0]):
         for n in range(distance.shape[1]):
             if distance[i, n] < farthest and owner[nearest[i, n]] < 0:
                 owner[nearest[i, n]] = i

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numba
 import numpy as np
@@ -183,7 +182,9 @@ class Linker:
             return found, found.sigma**2 + LEAST_SIGMA**2
         named = self.states.xy[self.states.id != UNNAMED]
         sigma, noise = _overlapping(found.xy, found.sigma, named, self._diameter)
-        return replace(found, sigma=sigma), noise
+        found = Detections(found.xy, sigma, found.theta, found.contrast, found.radius,
+                           found.quality)
+        return found, noise
 
     def _associate(
         self, found: Detections, noise: np.ndarray, offset: np.ndarray

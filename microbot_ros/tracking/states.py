@@ -178,5 +178,5 @@ def phasor(xy: np.ndarray) -> np.ndarray:
 
 def planar(z: np.ndarray) -> np.ndarray:
     """Complex `z` = x + iy (...) as vectors (..., 2)."""
-    parts: np.ndarray = np.ascontiguousarray(z).view(float).reshape(*np.shape(z), 2)
+    parts: np.ndarray = np.ascontiguousarray(z).view(float).reshape(*z.shape, 2)
     return parts

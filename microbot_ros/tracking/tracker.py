@@ -59,12 +59,12 @@ class Poses:
     @property
     def xy(self) -> np.ndarray:
         """Positions (N, 2) [px]."""
-        return np.column_stack([self.x_px, self.y_px])
+        return np.array([self.x_px, self.y_px]).T.copy()
 
     @property
     def velocity(self) -> np.ndarray:
         """Velocities (N, 2) [px/s]."""
-        return np.column_stack([self.vx_px_s, self.vy_px_s])
+        return np.array([self.vx_px_s, self.vy_px_s]).T.copy()
 
 
 class Tracker:
@@ -157,7 +157,8 @@ class Tracker:
             raise FrameError(
                 f'expected {self.size[1]}×{self.size[0]} {self._dtype} as before, '
                 f'got {image.shape[1]}×{image.shape[0]} {image.dtype}')
-        if drive is not None and not (np.shape(drive) == (2,) and np.all(np.isfinite(drive))):
+        if drive is not None and not (
+                np.shape(drive) == (2,) and all(map(math.isfinite, drive))):
             raise FrameError(f'expected a finite drive (2,), got {drive}')
 
     def _interval(self, t: float) -> float | None:
