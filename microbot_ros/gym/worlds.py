@@ -23,6 +23,7 @@ from microbot_ros.drive.gate import Gate
 from microbot_ros.errors import InputError
 from microbot_ros.loop.allocation import AllocationStage, GateParameters, limits
 from microbot_ros.loop.controller import ControllerParameters
+from microbot_ros.magnetics import Allocator
 from microbot_ros.model.model import ParticleParameters
 from microbot_ros.virtual_rig.body import BODY
 from microbot_ros.virtual_rig.dynamics import advance_worlds
@@ -111,7 +112,8 @@ class SteeredWorlds:
         """Those of the scenario (N) or none."""
         self._values = values = ControllerParameters(max_field_mT=wanted.max_field_mT)
         gate = GateParameters(full_field_mT=wanted.max_field_mT)
-        self._allocation, self._gate_limits = AllocationStage(gate), limits(gate)
+        self._coils, self._gate_limits = AllocationStage(gate).coils, limits(gate)
+        self._allocator = Allocator(self._coils)
         slowest = 1 / self._gate_limits.command_timeout_s
         if not rate > slowest:
             raise InputError(self._source, "'camera.frame_rate_hz': expected more than "
@@ -172,14 +174,16 @@ class SteeredWorlds:
         # A view of all is taken in a fraction of the time that a copy of some takes.
         rows = slice(None) if len(which) == len(self.t) else which
         self._command(which, rows, actions)
-        for m, t, wanted in zip(
-                which.tolist(), self.t[rows].tolist(), self.commanded[rows], strict=True):
+        wanted = self._allocator.currents(self.commanded[rows])
+        affirmed = np.empty_like(wanted)
+        for k, (m, t, currents) in enumerate(zip(
+                which.tolist(), self.t[rows].tolist(), wanted.tolist(), strict=True)):
             gate = self.gates[m]
-            currents = gate.command(self._allocation.step(wanted).tolist(), t)
-            gate.measured(currents, t)
-            self._field[m, self.frame[m], 0] = self._allocation.field(np.array(currents))
+            affirmed[k] = gate.measured(gate.command(currents, t), t)
             if gate.fault:
                 self.reasons[m] = f'{gate.fault.reason.value}: {gate.fault.detail}'
+        self._field[which, self.frame[rows], 0] = (
+            affirmed @ self._allocator.matrix.T + self._coils.background)
         self.frame[rows] += 1
         if self._camera.exposure < 1:
             self._advance(which, (1 - self._camera.exposure) / self._camera.frame_rate, rng)

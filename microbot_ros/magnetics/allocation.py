@@ -100,6 +100,16 @@ class Allocator:
         field = self.matrix @ currents + self._background
         return Allocation(currents, field, float(currents**2 @ self._resistance), saturated)
 
+    def currents(self, wanted: np.ndarray) -> np.ndarray:
+        """The currents (K, 4) [A] that `allocate` gives for each field `wanted` (K, 2) [T].
+
+        ValueError as there.
+        """
+        found = (wanted - self._background) @ self._unlimited.T
+        for row in np.flatnonzero(~(np.abs(found) <= self._limits).all(axis=1)).tolist():
+            found[row] = self.allocate(wanted[row]).currents
+        return np.asarray(found)
+
     def largest(self, direction: ArrayLike) -> float:
         """The largest field [T] within the limits along a direction (2,) of any length.
 

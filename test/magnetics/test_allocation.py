@@ -187,3 +187,14 @@ def test_background_beyond_the_coils_and_coils_in_line_are_refused():
     for cancel in (False, True):
         with pytest.raises(InputError, match='every field direction'):
             Allocator(CoilSet(), (30e-3, 20e-3, 0), cancel_gradient=cancel)  # on a wire
+
+
+def test_many_fields_at_once_get_the_currents_of_each() -> None:
+    allocator = Allocator(rig(3))
+    wanted = np.random.default_rng(1).normal(0, 10e-3, (200, 2))  # some of them out of reach
+    each = [allocator.allocate(field) for field in wanted]
+    assert 20 < sum(one.saturated for one in each) < 180
+    np.testing.assert_allclose(
+        allocator.currents(wanted), [one.currents for one in each], rtol=1e-12, atol=1e-15)
+    with pytest.raises(ValueError, match='finite'):
+        allocator.currents(np.array([[0.0, np.nan]]))
