@@ -8,7 +8,6 @@ import time
 from collections import Counter, deque
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 
 from mcap.records import Attachment, Channel, Metadata, Schema
 
@@ -120,10 +119,7 @@ class RecordingWriter:
     def __enter__(self) -> RecordingWriter:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _declare(self, topic: str, msgtype: str) -> RecordedTopic:
