@@ -74,7 +74,6 @@ class Ros:
 
     def __init__(self, folder: Path, parameters: dict[str, dict[str, Any]]) -> None:
         stay_local()
-        gc.freeze()  # what there is before: the collection at the end need not look at it
         os.environ['ROS_DOMAIN_ID'] = next(_DOMAINS)
         file = folder / 'parameters.yaml'
         file.write_text(yaml.safe_dump(
