@@ -3,11 +3,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := PIP_DISABLE_PIP_VERSION_CHECK=1 $(BIN)/pip install --quiet --constraint constraints.txt
 
-SIDE_BY_SIDE := $(MAKE) --no-print-directory --jobs 2 --output-sync=target
 # A rig is eight processes, and the tests start hundreds: none is to translate the package anew.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: setup demo test test-graph test-others compiled bench lint clean
+.PHONY: setup demo test compiled bench lint clean
 
 # The first of these that is Python 3.12 or 3.11 and can make environments.
 PYTHON := $(shell for p in python3.12 python3.11 python3; do \
@@ -33,18 +32,11 @@ $(VENV)/.development: $(VENV)/.runtime
 demo: $(VENV)/.runtime
 	@$(BIN)/microbot demo --out out/demo
 
-# Tests of the graph wait most of the time: others compute meanwhile, where it leaves them the
-# processors. What needs the whole machine comes last.
+# The graph's tests have the machine to themselves: the loop is a matter of milliseconds.
 test: $(VENV)/.development
-	@$(SIDE_BY_SIDE) lint compiled
-	@$(SIDE_BY_SIDE) test-graph test-others
-	@$(BIN)/python -m pytest -m timed test/nodes
-
-test-graph:
-	@$(BIN)/python -m pytest -m 'graph and not timed' test/nodes --numprocesses 2
-
-test-others:
-	@nice $(BIN)/python -m pytest -m 'not graph' --numprocesses 2 --timeout 600
+	@$(MAKE) --no-print-directory --jobs 2 --output-sync=target lint compiled
+	@$(BIN)/python -m pytest -m 'not graph' --numprocesses 3
+	@$(BIN)/python -m pytest -m graph
 
 # Whoever needs compiled code that is not there yet makes it: once, not in every process at once.
 compiled: $(VENV)/.development

@@ -54,13 +54,11 @@ def summary(demo: Path) -> dict[str, Any]:
     return read
 
 
-@pytest.mark.timed
 def test_the_steered_particle_is_at_its_goal(summary: dict[str, Any]) -> None:
     assert summary['goals_reached'] == summary['goals']
     assert 0 < summary['goal_error_um'] <= 5
 
 
-@pytest.mark.timed
 def test_every_estimate_is_near_the_truth(summary: dict[str, Any]) -> None:
     assert len(summary['estimate']) == 4
     for found in summary['estimate'].values():
@@ -69,7 +67,6 @@ def test_every_estimate_is_near_the_truth(summary: dict[str, Any]) -> None:
         assert abs(apart) <= 0.1
 
 
-@pytest.mark.timed
 def test_the_line_was_clean_and_the_controller_swapped(summary: dict[str, Any]) -> None:
     assert summary['amplifier']['crc_errors'] == 0
     assert summary['amplifier']['frames'] > 1000
@@ -80,7 +77,6 @@ def test_the_line_was_clean_and_the_controller_swapped(summary: dict[str, Any]) 
             'recorder'} <= set(summary['nodes'])
 
 
-@pytest.mark.timed
 def test_currents_flowed_and_ended_at_zero(demo: Path) -> None:
     entries = [json.loads(line) for line in (demo / 'amplifier.jsonl').read_text().splitlines()]
     assert any(any(entry['currents_A']) for entry in entries)
@@ -88,7 +84,6 @@ def test_currents_flowed_and_ended_at_zero(demo: Path) -> None:
     assert watchdogs(demo) == 1  # when arming tried it out
 
 
-@pytest.mark.timed
 def test_another_reader_opens_the_recording(demo: Path) -> None:
     files = sorted((demo / 'recording').glob('*.mcap'))
     with files[0].open('rb') as stream:
@@ -100,7 +95,6 @@ def test_another_reader_opens_the_recording(demo: Path) -> None:
             '/diagnostics'} <= topics
 
 
-@pytest.mark.timed
 def test_the_film_and_the_figure_show_something(demo: Path) -> None:
     film = cv2.VideoCapture(str(demo / 'demo.mp4'))
     pictures = []
