@@ -169,7 +169,7 @@ class Outlet:
         self._rig, self._publisher = rig, publisher
 
     def publish(self, message: Any) -> None:
-        """As `Publisher.publish`."""
+        """Publish a `message` as a publisher of rclpy does, to the joined nodes first."""
         self._rig.say(self, message)
 
     def broadcast(self, message: Any) -> None:
