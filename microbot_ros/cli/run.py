@@ -17,9 +17,9 @@ from microbot_ros.nodes.graph import Graph
 @click.option('--config', type=click.Path(path_type=Path), required=True,
               help='ROS parameter file with a section per node; see config/rig.yaml.')
 @click.option('--arm', is_flag=True, help='Arm the gate once everything runs.')
-@click.option('--one-process/--process-per-node', default=True, show_default=True,
-              help='The loop in one process answers sooner; in a process per node a crash of one '
-              'leaves the others.')
+@click.option('--one-process/--process-per-node', default=False, show_default=True,
+              help='The loop in one process answers 2 ms sooner where nothing is recorded; in a '
+              'process per node a crash of one leaves the others.')
 def command(config: Path, arm: bool, one_process: bool) -> None:
     """Run the nodes beside a rig until Ctrl-C, SIGTERM or SIGHUP: the coils go to zero at once.
 
