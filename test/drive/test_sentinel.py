@@ -96,6 +96,7 @@ def test_the_sentinel_is_as_quick_as_the_watchdogs_of_devices():
     last = last_resort.LastResort([])
     assert float(last._process.args[4]) <= roboclaw._WATCHDOG_S
     last.dismiss()
+    assert last_resort._FEED_S <= last_resort._SILENCE_S / 4  # three that are lost are no end
 
 
 def test_a_sentinel_that_hangs_holds_nobody_up(monkeypatch):
