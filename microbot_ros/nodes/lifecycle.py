@@ -148,16 +148,16 @@ class RigNode(LifecycleNode):
         """
         if self.accounts_for and not raw:
             callback = self.account.keeping(topic, callback)
+        take = self._guarded(callback)
         if self.rig and self.rig.joins(topic):
-            leave = self.rig.listen(topic, self._guarded(callback))
+            leave = self.rig.listen(topic, take)
             self._created.append((lambda _: leave(), None))
             if not on_matched:
                 return
-            callback, raw = _ignore, True
+            take, raw = _ignore, True
         events = SubscriptionEventCallbacks(
             matched=self._guarded(on_matched) if on_matched else None)
-        made = self.create_subscription(kind, topic, self._guarded(callback), qos, raw=raw,
-                                        event_callbacks=events)
+        made = self.create_subscription(kind, topic, take, qos, raw=raw, event_callbacks=events)
         self._created.append((self.destroy_subscription, made))
 
     def every(self, seconds: float, callback: Callable[[], None], steady: bool = True) -> None:

@@ -56,14 +56,10 @@ def chunk_records(data: bytes) -> Iterator[RecordPlace]:
 def chunk_messages(data: bytes) -> Iterator[tuple[int, int, int, int, int]]:
     """Of every message in a chunk's data: channel, time [ns], start of its record, start and end
     of what was sent."""
-    position = 0
-    while position < len(data):
-        opcode, length = _HEAD.unpack_from(data, position)
-        start, content = position, position + _HEAD.size
-        position = content + length
+    for opcode, start, content, end in chunk_records(data):
         if opcode == Opcode.MESSAGE:
             channel, _, t_ns, _ = _MESSAGE.unpack_from(data, content)
-            yield channel, t_ns, start, content + _MESSAGE.size, position
+            yield channel, t_ns, start, content + _MESSAGE.size, end
 
 
 def stream_at(file: BinaryIO, start: int) -> ReadDataStream:
