@@ -113,9 +113,9 @@ class Monitor:
     ) -> None:
         """A frame at `t` [s]: whitened `innovation` (N,), NaN where none, of particles `ids` (N,).
 
-        All else was known before it. `place` (N,) complex [m]; `heading` (1 or N,)
-    e^{i(θ−φ)}; `swimming` (N,) unit phasors of the direction in which each particle moves, 0
-    where it is not known.
+        All else was known before it. `place` (N,) complex [m]; `heading` (1 or N,) e^{i(θ−φ)};
+        `swimming` (N,) unit phasors of the direction in which each particle moves, 0 where it is
+        not known.
         """
         squares, count = _add(
             self._score, self._power, innovation, place, heading, self._heading, swimming, ids,

@@ -14,8 +14,6 @@ from microbot_ros.model.timeline import Timeline
 
 HEADING_MEMORY = 10.0
 """Seconds of commands from which the course of a lagging heading is followed anew."""
-
-
 _NO_DRIFT = np.zeros(1, complex)
 
 
@@ -88,4 +86,3 @@ class Propagator:
         response = respond(self.model, timeline, self.heading if known else None)
         moved = response.drift[0, :, 0] + 1j * response.drift[0, :, 1]
         return Step(response.propulsion[0], moved, end - start), response.heading[1]
-
