@@ -98,7 +98,7 @@ def told_of_change(run: Run, begin: float, end: float) -> np.ndarray:
 
 def _known_noise(run: Run, begin: float, end: float) -> SessionFit:
     session = PreparedSession.of(run.session)
-    kept = session.seen_only_in((session.times >= begin) & (session.times <= end))
+    kept = session.only((session.times >= begin) & (session.times <= end))
     model = Model.baseline(run.session.conditions, run.session.commands)
     whitening = Whitening(run.sigma**2 / DIFFUSION - run.exposure / 3)
     return SessionFit.of(kept, whitening, ExpectedDisplacement.of(model, kept.timeline))

@@ -169,7 +169,7 @@ def _deviations(fit: ModelFit) -> Deviations:
     field = e.commands.field_at(e.times)
     angle = np.arctan2(field[:-1, 1], field[:-1, 0])
     steady = np.all(field[1:] == field[:-1], axis=1) & np.any(field[1:] != 0, axis=1)
-    used = e.seen[1:] & e.seen[:-1] & steady[:, None]
+    used = e.joined() & steady[:, None]
     steps = np.where(used, np.diff(e.z - p.expected.offset, axis=0), 0.0)
     along = (steps * np.conj(p.velocity_phasor)).sum(axis=1) * np.exp(-1j * angle)
     power = (used * np.abs(p.velocity_phasor) ** 2 * np.diff(e.times)[:, None]).sum(axis=1)

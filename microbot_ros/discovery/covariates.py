@@ -66,7 +66,7 @@ class Covariates:
         yield from self._angles()
         yield from self._position()
         yield from self._strength_and_frequency()
-        if self.session.owner[-1] > 0:
+        if len(self.session.ids) > 1:
             yield self._neighbours()
             yield self._particles()
 
@@ -159,8 +159,7 @@ class Covariates:
         T, N = self.shape
         times = self.session.times
         t = (self.middle - times.mean()) / np.ptp(times)
-        owner = self.session.owner
-        own = np.eye(owner[-1] + 1)[owner][None]
+        own = np.eye(N)[None]
         drift = np.broadcast_to(own, (T, *own.shape[1:])).astype(complex)
         change = (t * self.body)[:, :, None] * own
         fields = np.concatenate([drift, 1j * drift, change, 1j * change], axis=-1)

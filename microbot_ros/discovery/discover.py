@@ -87,7 +87,7 @@ def _discover(selection: StepwiseSelection, remarks: tuple[str, ...],
         _Assessment.of(selection, effect.id) for effect in selection.current.model.effects]
     doubts = [m for one in assessments for m in one.doubts]
     unexplained = _worst([m for m in after if m.fires] + doubts)
-    effects = [one.entry(bool(unexplained)) for one in assessments or _suggestions(selection.open)]
+    effects = [one.entry(bool(unexplained)) for one in assessments or _suggestions(selection)]
     rivals = [rival.fit.model for one in assessments for rival in one.rivals]
     report('predicting what was held out')
     fit = selection.current
@@ -96,7 +96,7 @@ def _discover(selection: StepwiseSelection, remarks: tuple[str, ...],
     return Discovery(
         verdict=_verdict(effects, unexplained),
         effects=tuple(sorted(effects, key=lambda e: (e.p_value, -e.delta_bic))),
-        gap=held_out_gap(start, fit, truth),
+        gap=held_out_gap(fit, selection.sessions, truth),
         maps_before=before, maps_after=after, unexplained=unexplained,
         selection=tuple(selection.steps),
         limits=tuple(limit for found in selection.open for limit in _limits(found)),
@@ -121,7 +121,7 @@ class _Assessment:
     """Whether an effect of the selected model is established.
 
     `own`: its comparison with the model without it; `log_e_value`: its gain in log likelihood on
-    data that it was not fitted to. `sure`: both pass and no other effect cancels it. `rivals`
+    data that it was not fitted to, less what the choice among the library costs. `sure`: both pass and no other effect cancels it. `rivals`
     explain as much in its place; none can where it is `alone`: a drive response whose curve the
     gains at the levels of the drive follow. `doubts`: of the maps of the residual without it,
     those that are less likely by chance than it is, since something smooth that is in no library
@@ -140,7 +140,7 @@ class _Assessment:
         """Of the effect `name` of the model selected so far."""
         rest = without(selection.current, name)
         own = compare(selection.current, rest, name)
-        gain = log_e_value(selection.current, name)
+        gain = _paid_log_e_value(selection, selection.current.model, name)
         # Halves of a recording in which the frequency was stepped once predict nothing.
         alone = name == 'drive_response' and curve_p_value(selection.current) < BACKWARD
         sure = own.shape_seen and own.delta_bic > CLOSE and not is_cancelled(
@@ -170,8 +170,14 @@ def _worst(maps: Iterable[ResidualMap]) -> tuple[ResidualMap, ...]:
     return tuple(found.values())
 
 
-def _suggestions(found: Sequence[CandidateFit]) -> list[_Assessment]:
+def _paid_log_e_value(selection: StepwiseSelection, model: Model, name: str) -> float:
+    """The e-value of an effect that was the best of the library: each could have been it."""
+    return log_e_value(model, selection.sessions, name) - float(np.log(len(EFFECTS)))
+
+
+def _suggestions(selection: StepwiseSelection) -> list[_Assessment]:
     """The best of what is too weak for a model that has none yet, or seen from one side only."""
+    found = selection.open
     likely = [c for c in found if c.p_value * len(found) < SUGGESTED]
     if not likely:
         return []
@@ -179,7 +185,8 @@ def _suggestions(found: Sequence[CandidateFit]) -> list[_Assessment]:
     first = likely[0]
     best = next((c for c in likely if c.shape_seen and not clearly_better(first, c)), first)
     rivals = [c for c in found if c is not best and _close(c, best)]
-    return [_Assessment(best, log_e_value(best.fit, best.id), False, False, rivals, [])]
+    gain = _paid_log_e_value(selection, best.fit.model, best.id)
+    return [_Assessment(best, gain, False, False, rivals, [])]
 
 
 def _close(rival: CandidateFit, own: CandidateFit) -> bool:
@@ -240,7 +247,7 @@ def _particles(fit: ModelFit) -> tuple[Particle, ...]:
         e, speeds = p.session, p.polar()
         known = ((speeds.speed, speeds.speed_std), (speeds.phi, speeds.phi_std),
                  speeds.force(e.conditions))
-        for n, name in enumerate(e.ids[e.first_track]):
+        for n, name in enumerate(e.ids):
             label = str(name) if len(fit.session_fits) == 1 else f'{e.name}:{name}'
             result.append(Particle(
                 label, *(Estimate(float(value[n]), float(std[n])) for value, std in known)))
@@ -250,9 +257,7 @@ def _particles(fit: ModelFit) -> tuple[Particle, ...]:
 def _particle_parameters(fit: ModelFit) -> ParticleParameters:
     """The particles of the last session."""
     last = fit.session_fits[-1]
-    first = last.session.first_track
-    return ParticleParameters.from_velocity_phasor(
-        last.session.ids[first], last.velocity_phasor[first])
+    return ParticleParameters.from_velocity_phasor(last.session.ids, last.velocity_phasor)
 
 
 def _mean(values: list[Estimate]) -> Estimate:

@@ -1,14 +1,28 @@
-"""Proof on data that a fit did not see: the gap in prediction, and the gain in likelihood."""
+"""Proof on data that a fit did not see: the gap in prediction, and the gain in likelihood.
+
+Recordings are cut: neither a displacement across hidden frames nor a place in them is used, and
+every fit begins anew from the frames that it may see.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from microbot_ros.discovery.result import Gap
-from microbot_ros.discovery.search import compare
-from microbot_ros.discovery.stepwise_selection import without
-from microbot_ros.estimation.likelihood import SessionFit
-from microbot_ros.estimation.model_fit import ModelFit, evaluate, maximise
+from microbot_ros.discovery.search import fit_candidate
+from microbot_ros.estimation.expected_displacement import ExpectedDisplacement
+from microbot_ros.estimation.likelihood import SessionFit, eliminate, inner
+from microbot_ros.estimation.model_fit import (
+    ModelFit,
+    evaluate,
+    fit_noise,
+    fit_sessions,
+    whitening_on,
+)
+from microbot_ros.estimation.prepared_session import PreparedSession
 from microbot_ros.model.model import Model
 
 HORIZON = 1.0
@@ -21,95 +35,156 @@ HALVES = 4
 """Blocks of time that make the two halves of a split likelihood, every other one."""
 
 
-def _block(p: SessionFit, blocks: int) -> np.ndarray:
+def block_of(session: PreparedSession, blocks: int) -> np.ndarray:
     """The block (T,) of every frame."""
-    times = p.session.times
+    times = session.times
     return np.minimum((times - times[0]) / np.ptp(times) * blocks, blocks - 1).astype(int)
 
 
-def _on(fit: ModelFit, model: Model, frames: list[np.ndarray]) -> ModelFit:
-    """Another model, with the same noise, on some frames of the same sessions; not fitted."""
-    sessions = [
-        p.session.seen_only_in(chosen) for p, chosen in zip(fit.session_fits, frames, strict=True)]
-    return evaluate(model, sessions, [p.whitening for p in fit.session_fits])
+def _only(sessions: Sequence[PreparedSession],
+          chosen: Callable[[PreparedSession], np.ndarray]) -> list[PreparedSession]:
+    return [session.only(chosen(session)) for session in sessions]
 
 
-def log_e_value(fit: ModelFit, effect: str) -> float:
-    """Log split-likelihood ratio for an `effect` of a `fit` (Wasserman et al. 2020), natural.
+def learn(model: Model, sessions: Sequence[PreparedSession], names: Iterable[str]) -> ModelFit:
+    """The effects `names` fitted to `sessions` in their order, beside a `model` without them.
 
-    Each half of the recording is judged with the effects as fitted to the other half, against the
-    best that the model without this one can do; the mean of both ratios exceeds 20 by chance at
-    most one time in 20. v and φ are fitted to each half: they belong to both models.
+    From starting points of their own, so that no other fit leaves a trace. An effect with a shape
+    that these sessions don't show is left out: it would be made up.
     """
-    logs = []
+    fit = fit_sessions(model, sessions)
+    for name in names:
+        found = fit_candidate(fit, name)
+        if found is not None and (found.shape_seen and found.delta_bic > 0 or not found.has_shape):
+            fit = fit_sessions(found.fit.model, sessions)
+    return fit
+
+
+# The gain in likelihood -------------------------------------------------------------------------
+
+def log_e_value(model: Model, sessions: Sequence[PreparedSession], effect: str) -> float:
+    """Natural log of an e-value for an `effect` of a `model`: its mean is at most 1 without it.
+
+    Half of each recording foretells, with effects, v and φ learned from it alone, by what m the
+    effect shifts the tracks of the other half. There both hypotheses, with the shift and without,
+    have v, φ, D and the other effects to be fitted, all of the same columns X, over which
+    likelihoods are averaged with the right Haar prior: that leaves
+
+        E = (|P y|² / |P (y − m)|²)^(f/2),
+
+    P projecting off X, f its degrees of freedom. The ratio of two densities of the maximal
+    invariant has mean 1 under the first (Pérez-Ortiz, Lardy, de Heide and Grünwald 2024). It is
+    exact where other effects are linear in their parameters and σ²/D is known; that one is
+    learned too. E is the mean of both ways to choose the half that foretells.
+    """
+    rest = [e.id for e in model.effects if e.id != effect]
+    bare, logs = replace(model, effects=()), []
     for half in (0, 1):
-        train = [_block(p, HALVES) % 2 == half for p in fit.session_fits]
-        test = [~chosen for chosen in train]
-        learned = maximise(_on(fit, fit.model, train)).model
-        rest = without(_on(fit, fit.model, test), effect)
-        logs.append((rest.cost - _on(fit, learned, test).cost) / 2)
-    return float(np.logaddexp(logs[0], logs[1]) - np.log(2))
+        learned = learn(bare, _only(sessions, lambda s: block_of(s, HALVES) % 2 == half), rest)
+        found = fit_candidate(learned, effect)
+        if found is not None:
+            judged = _only(sessions, lambda s: block_of(s, HALVES) % 2 != half)
+            logs.append(_log_ratio(learned, found.fit, judged))
+    return float(np.logaddexp.reduce([*logs, *[0.0] * (2 - len(logs))]) - np.log(2))
 
 
-def held_out_gap(before: ModelFit, after: ModelFit, truth: Model | None = None) -> Gap:
+def _log_ratio(without: ModelFit, other: ModelFit, sessions: Sequence[PreparedSession]) -> float:
+    """log E of what an `other` fit foretells for `sessions` that neither fit has seen."""
+    fitted = [_carried_over(without.model, known, session)
+              for known, session in zip(without.session_fits, sessions, strict=True)]
+    grams = [_gram(here, _shift(here, without.model, known, other.model, foretold), jacobian)
+             for here, known, foretold, jacobian in zip(
+                 fitted, without.session_fits, other.session_fits,
+                 ModelFit(without.model, tuple(fitted)).jacobian, strict=True)]
+    # Columns: the data, the other effects' parameters, the shift.
+    total = np.sum(grams, axis=0)
+    own = total[1:-1, 1:-1]
+    weights = np.linalg.pinv(own, rcond=1e-10, hermitian=True) @ total[1:-1][:, [0, -1]]
+    plain = np.concatenate([[1.0], -weights[:, 0], [0.0]])
+    shifted = plain + np.concatenate([[0.0], weights[:, 1], [-1.0]])
+    share = len(own) / len(grams)
+    return float(sum(
+        (here.degrees_of_freedom - share) / 2 * np.log(plain @ gram @ plain
+                                                       / (shifted @ gram @ shifted))
+        for here, gram in zip(fitted, grams, strict=True)))
+
+
+def _carried_over(model: Model, known: SessionFit, session: PreparedSession) -> SessionFit:
+    """A `model` on another `session` of the particles and the noise of a `known` one."""
+    expected = ExpectedDisplacement.of(model, session.timeline)
+    located = session.with_filtered_positions(expected.at(known.velocity_phasor), known.whitening.noise_ratio)
+    return SessionFit.of(located, whitening_on(model, known, located),
+                         ExpectedDisplacement.of(model, located.timeline))
+
+
+def _shift(here: SessionFit, without: Model, known: SessionFit, other: Model,
+           foretold: SessionFit) -> np.ndarray:
+    """By how much (T, N) [m] an `other` model moves the particles further than one without it."""
+    timeline = here.session.timeline
+    return ExpectedDisplacement.of(other, timeline).at(foretold.velocity_phasor) - (
+        ExpectedDisplacement.of(without, timeline).at(known.velocity_phasor))
+
+
+def _gram(here: SessionFit, shift: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
+    """Inner products of data, `jacobian` and `shift`, v and φ of every particle projected off."""
+    white = np.concatenate([
+        here.white / np.sqrt(here.diffusion), jacobian,
+        here.whiten(np.broadcast_to(shift, here.session.z.shape)[..., None])], axis=-1)
+    gram: np.ndarray = eliminate(inner(white)).sum(axis=0)
+    return gram
+
+
+# The gap in prediction --------------------------------------------------------------------------
+
+def held_out_gap(fit: ModelFit, sessions: Sequence[PreparedSession],
+                 truth: Model | None = None) -> Gap:
     """Open-loop prediction over a horizon, each block predicted from a fit to all others.
 
-    `before` and `after` are the fits without and with what was found. As the excess of one axis
-    over what diffusion and localisation alone give; both are those of `after`. The effects of
-    `truth`, where it is known, are not fitted. What depends on position is taken where the
-    particles were.
+    Of the first-order model and of that of a `fit`, as learned from the other blocks of prepared
+    `sessions`. As the excess of one axis over what diffusion and localisation alone give; both
+    are those of `fit`. The effects of `truth`, where it is known, are not fitted. What depends on
+    position is taken where the particles were.
     """
-    shortest = min(float(np.ptp(p.session.times)) for p in after.session_fits)
+    shortest = min(float(np.ptp(session.times)) for session in sessions)
     horizon = min(HORIZON, shortest / (2 * BLOCKS))
-    models = [before.model, after.model, *([truth] if truth else [])]
-    errors: list[list[np.ndarray]] = [[] for _ in models]
+    bare, names = replace(fit.model, effects=()), [e.id for e in fit.model.effects]
+    errors: list[list[np.ndarray]] = [[] for _ in range(3 if truth else 2)]
     for block in range(BLOCKS):
-        inside = [_block(p, BLOCKS) == block for p in after.session_fits]
-        for model, found in zip(models, errors, strict=True):
-            rest = _on(after, model, [~frames for frames in inside])
-            learned = rest if model is truth else _learned(rest)
-            found += [
-                _errors(p, whole, frames, horizon)
-                for p, whole, frames in zip(
-                    learned.session_fits, after.session_fits, inside, strict=True)
-            ]
-    floor = _floor(after, horizon)
+        rest = _only(sessions, lambda s: block_of(s, BLOCKS) != block)
+        before = learn(bare, rest, ())
+        learned = [before, learn(bare, rest, names) if names else before]
+        if truth:
+            known = [p.whitening for p in before.session_fits]
+            learned.append(fit_noise(evaluate(truth, rest, known)))
+        for one, found in zip(learned, errors, strict=True):
+            found += [_errors(one.model, p, session, block_of(session, BLOCKS) == block, horizon)
+                      for p, session in zip(one.session_fits, sessions, strict=True)]
+    floor = _floor(fit, horizon)
     excess = [_excess(np.concatenate(found), floor) for found in errors]
     return Gap(horizon, excess[0], excess[1], floor, excess[2] if truth else float('nan'))
-
-
-def _learned(fit: ModelFit) -> ModelFit:
-    """Fitted, without spots and swings that these frames do not show: they would be made up."""
-    learned = maximise(fit)
-    for effect in learned.model.effects:
-        if any(p.shape for p in effect.parameters()):
-            rest = maximise(learned.under(learned.model.without(effect.id)))
-            found = compare(learned, rest, effect.id)
-            learned = learned if found.delta_bic > 0 and found.shape_seen else rest
-    return learned
 
 
 def _excess(errors: np.ndarray, floor: float) -> float:
     return float(np.sqrt(max(np.mean(errors**2) - floor**2, 0.0))) if errors.size else float('nan')
 
 
-def _errors(learned: SessionFit, whole: SessionFit, frames: np.ndarray,
+def _errors(model: Model, learned: SessionFit, whole: PreparedSession, frames: np.ndarray,
             horizon: float) -> np.ndarray:
     """Of the displacements over the horizon within some frames (T,), both axes, flat."""
-    e = whole.session
-    ahead = max(round(horizon / e.interval), 1)
-    left = e.z - learned.expected.at(learned.velocity_phasor)
-    seen = e.seen & frames[:, None]
-    both = seen[ahead:] & seen[:-ahead] & _known(learned, horizon)
+    here = _carried_over(model, learned, whole)
+    ahead = max(round(horizon / whole.interval), 1)
+    left = whole.z - here.expected.at(learned.velocity_phasor)
+    inside = (frames[ahead:] & frames[:-ahead])[:, None]
+    both = whole.joined(ahead) & inside & _known(learned, here, horizon)
     error = (left[ahead:] - left[:-ahead])[both]
     return np.concatenate([error.real, error.imag])
 
 
-def _known(learned: SessionFit, horizon: float) -> np.ndarray:
-    """Tracks (N,) of particles that were seen enough elsewhere for their v and φ to be of use."""
-    std = np.minimum(learned.phasor_std, 1.0)[learned.session.owner]
-    step = np.diff(learned.session.times)[:, None]
-    own = np.abs(np.diff(learned.expected.along, axis=0)) / step
+def _known(learned: SessionFit, here: SessionFit, horizon: float) -> np.ndarray:
+    """Particles (N,) that were seen enough elsewhere for their v and φ to be of use."""
+    std = np.minimum(learned.phasor_std, 1.0)
+    step = np.diff(here.session.times)[:, None]
+    own = np.abs(np.diff(here.expected.along, axis=0)) / step
     travelled = horizon * np.sqrt((own**2).mean(axis=0))
     known: np.ndarray = std * travelled < 0.5 * np.sqrt(2 * learned.diffusion * horizon)
     return known

@@ -88,7 +88,7 @@ def _plausible(name: str, e: PreparedSession) -> None:
     if not FASTEST_FRAMES <= e.interval <= SLOWEST_FRAMES:
         raise InputError(name, f'expected times in s, found frames every {e.interval:.3g} s: '
                          'milliseconds, frame numbers or hours?')
-    steps = np.abs(np.diff(e.z, axis=0))[e.seen[1:] & e.seen[:-1]]
+    steps = np.abs(np.diff(e.z, axis=0))[e.joined()]
     if not steps.size:
         raise InputError(name, 'expected particles seen in consecutive frames, found none')
     speed = float(np.median(steps)) / e.interval
@@ -122,7 +122,7 @@ def _all_different(sessions: list[PreparedSession]) -> None:
 def _runs(e: PreparedSession) -> set[int]:
     """Hashes of stretches of steps, wherever they lie and whenever they were made."""
     steps = np.rint(np.diff(e.z, axis=0) * 1e13)
-    steps[~(e.seen[1:] & e.seen[:-1])] = np.nan
+    steps[~(e.joined())] = np.nan
     return {
         hash(run.tobytes()) for track in np.ascontiguousarray(steps.T)
         for run in np.lib.stride_tricks.sliding_window_view(track, min(ALIKE, len(track)))
@@ -210,7 +210,7 @@ def _follows(e: PreparedSession) -> np.ndarray:
     """Tracks (N,) bool with a speed, by regression on the first-order model, beyond doubt."""
     model = Model.baseline(e.conditions, e.commands)
     swum = respond(model, e.timeline).propulsion
-    use = e.seen[1:] & e.seen[:-1]
+    use = e.joined()
     moved, swum = np.where(use, np.diff(e.z, axis=0), 0), np.where(use, swum, 0)
     power = np.maximum((np.abs(swum) ** 2).sum(axis=0), 1e-300)
     speed = (np.conj(swum) * moved).sum(axis=0) / power

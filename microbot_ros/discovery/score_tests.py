@@ -67,7 +67,7 @@ def _score(p: SessionFit, jacobian: np.ndarray, fields: np.ndarray) -> tuple[flo
     columns = np.concatenate([np.zeros((1, *moved.shape[1:]), complex), moved.cumsum(axis=0)])
     white = p.whiten(columns)
     together = np.concatenate([p.white / np.sqrt(p.diffusion), jacobian, white], axis=-1)
-    gram = inner(together, p.session)
+    gram = inner(together)
     total = eliminate(gram).sum(axis=0)
     raw = np.diagonal(gram, axis1=1, axis2=2)[:, 3:].sum(axis=0)
     count = jacobian.shape[-1]
@@ -150,7 +150,7 @@ def _curves(
     e = p.session
     left = np.diff(e.z - p.expected.at(p.velocity_phasor), axis=0)
     length = np.abs(group.frame)
-    use = e.seen[1:] & e.seen[:-1] & np.isfinite(group.value) & (length > DIRECTED)
+    use = e.joined() & np.isfinite(group.value) & (length > DIRECTED)
     turned = left * np.conj(group.frame) / np.maximum(length, DIRECTED) / np.diff(e.times)[:, None]
     # Levels that differ by rounding are one.
     value, velocity = np.round(group.value[use], 6), turned[use]

@@ -62,6 +62,11 @@ class CandidateFit:
     shape_seen: bool
 
     @property
+    def has_shape(self) -> bool:
+        """Whether the effect has a place, a width or a frequency to be found."""
+        return any(p.shape for p in EFFECTS[self.id].parameters())
+
+    @property
     def log_p(self) -> float:
         """Logarithm of the chance of so much evidence where nothing is there, scan included."""
         return log_of_any(log_chi_square_tail(self.likelihood_ratio, self.dof), self.trials)
@@ -124,7 +129,7 @@ def _applies(fit: ModelFit, effect: type[Effect]) -> bool:
     if effect.id in OF_STRENGTH and all(_strength_unknown(p.session) for p in fit.session_fits):
         return False
     if effect.id in ('dipole_interaction', 'hydrodynamic_slowdown'):
-        return any(p.session.owner[-1] > 0 for p in fit.session_fits)
+        return any(len(p.session.ids) > 1 for p in fit.session_fits)
     return True
 
 

@@ -169,4 +169,4 @@ def _overlap(p: SessionFit, model: Model, names: list[str]) -> np.ndarray:
         columns.append(np.broadcast_to(moved - rest.at(c), p.session.z.shape))
     white = p.whiten(np.stack(columns, axis=-1))
     both = np.concatenate([p.white / np.sqrt(p.diffusion), white], axis=-1)
-    return eliminate(inner(both, p.session)).sum(axis=0)[1:, 1:]
+    return eliminate(inner(both)).sum(axis=0)[1:, 1:]

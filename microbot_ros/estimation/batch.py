@@ -50,9 +50,8 @@ class FitResult:
     delay's; NaN where nothing excited them. `force`, `force_std` [N] are NaN without radius or
     viscosity and for rollers. `delay` is the one used, `noise` and `log_likelihood` are those at
     it. `legs`: the paper's own recipe, for each particle. `bands` of rollers; `warnings`:
-    sentences. `measured` (T, N) complex [m]: the tracks that were fitted, NaN for gaps, with
-    `owner` (N,) counted among the particles, and `predicted`: the model from each one's first
-    sighting on. `rolling`: whether they are rollers.
+    sentences. `measured` (T, P) complex [m]: the tracks that were fitted, NaN for gaps, and
+    `predicted`: the model from the beginning of each of their pieces on. `rolling`: whether they are rollers.
     """
 
     ids: np.ndarray
@@ -66,7 +65,6 @@ class FitResult:
     bands: list[Band]
     warnings: list[str]
     measured: np.ndarray
-    owner: np.ndarray
     predicted: np.ndarray
     rolling: bool
 
@@ -99,11 +97,10 @@ def fit(session: Session, exposure: float = 0.0) -> FitResult:
     bands = _bands(best, noise) if model.propulsion == 'rolling' else []
     warnings += _uneven(bands)
     force, force_std = speeds.force(session.conditions)
-    track = np.where(best.session.seen, best.session.z, np.nan)
     return FitResult(
         np.unique(prepared.ids), speeds, force, force_std, noise, delay, best.log_likelihood,
-        one_leg(session), bands, warnings, track, best.session.owner,
-        _predicted(track, best.expected.at(best.velocity_phasor)), model.propulsion == 'rolling',
+        one_leg(session), bands, warnings, np.where(best.session.seen, best.session.z, np.nan),
+        _predicted(best), model.propulsion == 'rolling',
     )
 
 
@@ -135,14 +132,13 @@ def _with_delay(model: Model, fits: DelayedFits, plain: SessionFit) -> tuple[Ses
 def _steps(fit: SessionFit) -> list[str]:
     """A sentence on each particle that jumped, or moved by more than diffusion explains."""
     session = fit.session
-    large = np.bincount(session.owner, (np.abs(fit.residual) ** 2 > GATE).sum(axis=0))
-    ids = session.ids[session.first_track]
+    large = (np.abs(fit.residual) ** 2 > GATE).sum(axis=0)
     return [
         f'particle {name}: {count:.0f} steps are too large for diffusion {what}'
         for counts, what in (
             (session.jumps, 'and were left out: the stage moved, or tracking was lost'),
             (large, 'but were kept: tracking was lost, or the speed is not constant'))
-        for name, count in zip(ids, counts, strict=True) if count
+        for name, count in zip(session.ids, counts, strict=True) if count
     ]
 
 
@@ -159,7 +155,7 @@ def _bands(fit: SessionFit, noise: Noise) -> list[Band]:
     columns = [np.append(0, np.cumsum(np.where(inside[k], path, 0))) for k in used]
     together = np.stack(
         [session.z, *(np.broadcast_to(c[:, None], session.z.shape) for c in columns)], axis=-1)
-    white = whiten(together, session.times, noise, session.seen)
+    white = whiten(together, session.times, noise, session.pieces)
     white = white.reshape(-1, white.shape[-1])
     gains = np.linalg.lstsq(white[:, 1:], white[:, 0], rcond=None)[0]
     spread = np.linalg.inv(np.conj(white[:, 1:]).T @ white[:, 1:]).diagonal().real
@@ -195,7 +191,13 @@ def _against_stokes_einstein(session: Session, noise: Noise) -> list[str]:
     ]
 
 
-def _predicted(z: np.ndarray, moved: np.ndarray) -> np.ndarray:
-    """The model's tracks (T, N) from every particle's first sighting on."""
-    first = np.isfinite(z).argmax(axis=0), np.arange(z.shape[1])
-    return z[first] + moved - moved[first]
+def _predicted(fit: SessionFit) -> np.ndarray:
+    """The model's tracks (T, P), each piece from where it begins."""
+    pieces, moved = fit.session.pieces, fit.expected.at(fit.velocity_phasor)
+    predicted = np.full(pieces.shape, np.nan + 0j)
+    for n, piece in enumerate(pieces.T):
+        for name in np.unique(piece[piece > 0]):
+            rows = np.flatnonzero(piece == name)
+            own = slice(rows[0], rows[-1] + 1)
+            predicted[own, n] = fit.session.z[rows[0], n] + moved[own, n] - moved[rows[0], n]
+    return predicted

@@ -110,8 +110,7 @@ class DelayedFits:
         Averaged over particles by what each knows; 0 where none is driven.
         """
         early, late = (self.at(delay + s, noise_ratio) for s in (-self._step, self._step))
-        first = self._session.first_track
-        before, after = early.velocity_phasor[first], late.velocity_phasor[first]
+        before, after = early.velocity_phasor, late.velocity_phasor
         weight = early.power * np.abs(before) ** 2
         usable = weight > 0
         if not usable.any():

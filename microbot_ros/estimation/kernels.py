@@ -17,16 +17,16 @@ def _given(dtype: types.Type, dimensions: int) -> types.Array:
     return types.Array(dtype, dimensions, 'C', readonly=True)
 
 
-_SEEN = (_given(types.float64, 1), _given(types.boolean, 2))
+_ROWS = (_given(types.float64, 1), _given(types.int64, 2))
 
 
-@njit([(*_SEEN, _given(kind, 3), types.float64) for kind in (types.complex128, types.float64)],
+@njit([(*_ROWS, _given(kind, 3), types.float64) for kind in (types.complex128, types.float64)],
       cache=True)
-def whiten_columns(times, seen, columns, noise_ratio):  # type: ignore[no-untyped-def]
+def whiten_columns(times, pieces, columns, noise_ratio):  # type: ignore[no-untyped-def]
     """White increments of `columns` (T, N, M), of unit variance per axis, by the local-level gain.
 
-    `times` (T,) [s], `seen` (T, N) bool, `noise_ratio` [s]. Rows that are unseen, or the first of
-    their track, come out as zeros. Also Σ log variance of one axis, which for complex columns is
+    `times` (T,) [s], `noise_ratio` [s]; `pieces` (T, N): the piece of a track that each row belongs
+    to, 0 where it is not used. Such rows, and the first of every piece, come out as zeros. Also Σ log variance of one axis, which for complex columns is
     ½ log det over both, and the number of rows used.
     """
     frames, tracks, count = columns.shape
@@ -34,12 +34,13 @@ def whiten_columns(times, seen, columns, noise_ratio):  # type: ignore[no-untype
     filtered = np.zeros(count, columns.dtype)
     log_det, used = 0.0, 0
     for n in range(tracks):
-        last = -1
+        last, piece = -1, 0
         variance = noise_ratio
         for k in range(frames):
-            if not seen[k, n]:
+            if not pieces[k, n]:
                 continue
-            if last < 0:
+            if pieces[k, n] != piece:
+                piece, variance = pieces[k, n], noise_ratio
                 for m in range(count):
                     filtered[m] = columns[k, n, m]
             else:
@@ -59,10 +60,10 @@ def whiten_columns(times, seen, columns, noise_ratio):  # type: ignore[no-untype
 
 
 @njit(cache=True)
-def whitened_products(times, seen, z, offset, along, noise_ratio):  # type: ignore[no-untyped-def]
+def whitened_products(times, pieces, z, offset, along, noise_ratio):  # type: ignore[no-untyped-def]
     """Real inner products (N, 3, 3) of `z` − `offset`, `along` and i·`along` (T, 1 or N), white.
 
-    `times`, `seen` and `noise_ratio`, ½ log det and the rows used as in `whiten_columns`, whose
+    `times`, `pieces` and `noise_ratio`, ½ log det and the rows used as in `whiten_columns`, whose
     columns need not be kept for these.
     """
     frames, tracks = z.shape
@@ -71,12 +72,13 @@ def whitened_products(times, seen, z, offset, along, noise_ratio):  # type: igno
         o, a = min(n, offset.shape[1] - 1), min(n, along.shape[1] - 1)
         data = column = mixed = 0j
         own = power = 0.0
-        last, variance, total_product = -1, noise_ratio, 1.0
+        last, piece, variance, total_product = -1, 0, noise_ratio, 1.0
         for k in range(frames):
-            if not seen[k, n]:
+            if not pieces[k, n]:
                 continue
             new, way = z[k, n] - offset[k, o], along[k, a]
-            if last < 0:
+            if pieces[k, n] != piece:
+                piece, variance = pieces[k, n], noise_ratio
                 data, column = new, way
             else:
                 ahead = variance + 2.0 * (times[k] - times[last])
@@ -105,19 +107,20 @@ def whitened_products(times, seen, z, offset, along, noise_ratio):  # type: igno
 
 
 @njit(cache=True)
-def filter_positions(times, seen, positions, noise_ratio):  # type: ignore[no-untyped-def]
+def filter_positions(times, pieces, positions, noise_ratio):  # type: ignore[no-untyped-def]
     """Means (T, N) of the local-level filter of `positions` (T, N) complex after every frame.
 
-    `times` (T,) [s], `seen` (T, N) bool, `noise_ratio` [s]. Rows before a track is first seen are
-    NaN; unseen ones keep the last mean.
+    `times` (T,) [s], `pieces` (T, N), with each of which it begins anew, `noise_ratio` [s]. Rows
+    before the first piece are NaN; unused ones keep the last mean.
     """
     out = np.full(positions.shape, np.nan + 0j)
     for n in range(positions.shape[1]):
-        variance, last = noise_ratio, -1
+        variance, last, piece = noise_ratio, -1, 0
         mean = 0j
         for k in range(len(times)):
-            if seen[k, n]:
-                if last < 0:
+            if pieces[k, n]:
+                if pieces[k, n] != piece:
+                    piece, variance = pieces[k, n], noise_ratio
                     mean = positions[k, n]
                 else:
                     ahead = variance + 2.0 * (times[k] - times[last])
@@ -160,13 +163,13 @@ def _heading_noise(h, diffusion_ratio, sensitivity, retention):  # type: ignore[
             diffusion_ratio * (1 - retention**2) / rate)
 
 
-@njit([(*_SEEN, _given(types.complex128, 3), types.float64, types.float64,
+@njit([(*_ROWS, _given(types.complex128, 3), types.float64, types.float64,
         _given(types.complex128, 2), _given(types.float64, 2))], cache=True)
 def whiten_with_heading(  # type: ignore[no-untyped-def]
-        times, seen, columns, noise_ratio, diffusion_ratio, sensitivity, retention):
+        times, pieces, columns, noise_ratio, diffusion_ratio, sensitivity, retention):
     """White increments of complex `columns` (T, N, M) where headings are noisy as well.
 
-    `times`, `seen` and `noise_ratio` as in `whiten_columns`; `diffusion_ratio` = D_r/D [rad²/m²];
+    `times`, `pieces` and `noise_ratio` as in `whiten_columns`; `diffusion_ratio` = D_r/D [rad²/m²];
     `sensitivity` (T−1, N) complex: displacement over a frame interval per radian at its start;
     `retention` (T−1, N): the part of a deviation left at its end. A Kalman filter over place
     (x, y) and heading (a), whose covariance is kept as six scalars; real and imaginary parts of
@@ -177,10 +180,10 @@ def whiten_with_heading(  # type: ignore[no-untyped-def]
     log_det, used = 0.0, 0
     place, turn = np.zeros(M, np.complex128), np.zeros(M)
     for n in range(N):
-        started = False
+        piece = 0
         xx = xy = yy = xa = ya = aa = 0.0
         for k in range(T):
-            if started:
+            if piece:
                 b, q = sensitivity[k - 1, n], retention[k - 1, n]
                 h = times[k] - times[k - 1]
                 side, spread, mixed, turned = _heading_noise(h, diffusion_ratio, b, q)
@@ -194,10 +197,10 @@ def whiten_with_heading(  # type: ignore[no-untyped-def]
                 for m in range(M):
                     place[m] += b * turn[m]
                     turn[m] *= q
-            if not seen[k, n]:
+            if not pieces[k, n]:
                 continue
-            if not started:
-                started = True
+            if pieces[k, n] != piece:
+                piece = pieces[k, n]
                 xx = yy = noise_ratio
                 xy = xa = ya = 0.0
                 aa = _stationary_variance(diffusion_ratio, times, retention, k, n)

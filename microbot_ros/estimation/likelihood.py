@@ -61,9 +61,9 @@ class Whitening:
         from microbot_ros.estimation.kernels import whiten_columns, whiten_with_heading
 
         if self.sensitivity is None:
-            return whiten_columns(session.times, session.seen, columns, self.noise_ratio)
+            return whiten_columns(session.times, session.pieces, columns, self.noise_ratio)
         return whiten_with_heading(
-            session.times, session.seen, columns, self.noise_ratio, self.diffusion_ratio,
+            session.times, session.pieces, columns, self.noise_ratio, self.diffusion_ratio,
             self.sensitivity, self.retention)
 
 
@@ -71,8 +71,8 @@ class Whitening:
 class SessionFit:
     """One session under a model of given effects and noise ratio: all that follows in closed form.
 
-    `session` and `whitening` as given, `expected` by the model. `gram` (P, 3, 3): real inner
-    products of `white` by particle, since pieces of one share v and φ; `log_det` = ½ log|V|;
+    `session` and `whitening` as given, `expected` by the model. `gram` (N, 3, 3): real inner
+    products of `white` by particle, ; `log_det` = ½ log|V|;
     `count` of the increments used, of two numbers.
     """
 
@@ -90,13 +90,12 @@ class SessionFit:
         if expected.isotropic and whitening.sensitivity is None:
             from microbot_ros.estimation.kernels import whitened_products
 
-            products, log_det, count = whitened_products(
-                session.times, session.seen, session.z, expected.offset, expected.along,
+            gram, log_det, count = whitened_products(
+                session.times, session.pieces, session.z, expected.offset, expected.along,
                 whitening.noise_ratio)
-            gram = np.add.reduceat(products, session.first_track)
             return cls(session, whitening, expected, gram, log_det, count)
         white, log_det, count = whitening.apply(session, _columns(session, expected))
-        fit = cls(session, whitening, expected, inner(white, session), log_det, count)
+        fit = cls(session, whitening, expected, inner(white), log_det, count)
         vars(fit)['white'] = white
         return fit
 
@@ -110,9 +109,9 @@ class SessionFit:
 
     @cached_property
     def velocity_phasor(self) -> np.ndarray:
-        """v e^{iφ} (N,) of every track [m/s, for rollers m/s/Hz]; 0 where nothing drove it."""
+        """v e^{iφ} (N,) of every particle [m/s, for rollers m/s/Hz]; 0 where nothing drove it."""
         solved = _solve(self.gram[:, 1:, 1:], self.gram[:, 1:, :1])[..., 0]
-        own: np.ndarray = (solved[:, 0] + 1j * solved[:, 1])[self.session.owner]
+        own: np.ndarray = solved[:, 0] + 1j * solved[:, 1]
         return own
 
     @cached_property
@@ -131,8 +130,7 @@ class SessionFit:
     def polar(self) -> Polar:
         """Speed and φ of every particle (P,), with their spreads; NaN where nothing drove it."""
         std = self.phasor_std
-        return polar(self.velocity_phasor[self.session.first_track],
-                     np.where(np.isfinite(std), std, np.nan))
+        return polar(self.velocity_phasor, np.where(np.isfinite(std), std, np.nan))
 
     @cached_property
     def residual_sum_of_squares(self) -> float:
@@ -246,11 +244,10 @@ def _columns(session: PreparedSession, expected: ExpectedDisplacement) -> np.nda
         axis=-1)
 
 
-def inner(columns: np.ndarray, session: PreparedSession) -> np.ndarray:
-    """Real inner products (P, M, M) of complex `columns` (T, N, M) of a `session`, by particle."""
+def inner(columns: np.ndarray) -> np.ndarray:
+    """Real inner products (N, M, M) of complex `columns` (T, N, M), by particle."""
     real = np.ascontiguousarray(columns.transpose(1, 2, 0)).view(float)
-    of_tracks: np.ndarray = real @ real.transpose(0, 2, 1)
-    product: np.ndarray = np.add.reduceat(of_tracks, session.first_track)
+    product: np.ndarray = real @ real.transpose(0, 2, 1)
     return product
 
 

@@ -86,7 +86,7 @@ class ModelFit:
         raw = np.zeros(len(total))
         for p, jacobian in zip(self.session_fits, self.jacobian, strict=True):
             all_columns = np.concatenate([p.white / np.sqrt(p.diffusion), jacobian], axis=-1)
-            gram = inner(all_columns, p.session)
+            gram = inner(all_columns)
             total += eliminate(gram).sum(axis=0)
             raw[1:] += np.diagonal(gram, axis1=1, axis2=2)[:, 3:].sum(axis=0)
         visible = np.diag(total)[1:] > COLLINEAR * raw[1:]
@@ -174,7 +174,8 @@ def _fit_noise(model: Model, fit: SessionFit) -> SessionFit:
     from scipy.optimize import minimize_scalar
 
     session, ratio = fit.session, fit.whitening.noise_ratio
-    heading = _heading_noise(model, fit) if remembers(model, session) else None
+    heading = (_heading_noise(model, session, fit.velocity_phasor)
+               if remembers(model, session) else None)
 
     def at(turning: float) -> SessionFit:
         whitening = Whitening(ratio, turning / fit.diffusion, *heading) if heading else (
@@ -203,10 +204,18 @@ def remembers(model: Model, session: PreparedSession) -> bool:
     return not on[later].all()
 
 
-def _heading_noise(model: Model, fit: SessionFit) -> tuple[np.ndarray, np.ndarray]:
+def whitening_on(model: Model, known: SessionFit, session: PreparedSession) -> Whitening:
+    """The noise of a `known` fit of a `model`, for another `session` of the same particles."""
+    if known.whitening.sensitivity is None:
+        return known.whitening
+    heading = _heading_noise(model, session, known.velocity_phasor)
+    return Whitening(known.whitening.noise_ratio, known.whitening.diffusion_ratio, *heading)
+
+
+def _heading_noise(model: Model, session: PreparedSession,
+                   velocity_phasor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Sensitivity and retention of headings over every frame interval: (T−1, N) each."""
-    session = fit.session
-    particles = ParticleParameters.from_velocity_phasor(session.ids, fit.velocity_phasor)
+    particles = ParticleParameters.from_velocity_phasor(session.ids, velocity_phasor)
     response = heading_response(model, particles, session.timeline)
     x, y = np.moveaxis(response.heading_sensitivity, -1, 0)
     sensitivity = np.nan_to_num(x + 1j * y)

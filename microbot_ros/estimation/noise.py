@@ -54,20 +54,20 @@ def stokes_einstein(conditions: Conditions) -> tuple[float, float] | None:
 
 
 def whiten(
-    columns: np.ndarray, times: np.ndarray, noise: Noise, seen: np.ndarray | None = None,
+    columns: np.ndarray, times: np.ndarray, noise: Noise, pieces: np.ndarray | None = None,
 ) -> np.ndarray:
     """Independent columns (T, N, M) of unit variance per axis under `noise`; unused rows are 0.
 
-    From `columns` (T, N, M) [m], real or complex, at `times` (T,) [s]. `seen` (T, N) says which
-    rows exist, by default those whose columns are all finite: positions and model columns must go
-    through the same filter. ValueError unless times ascend strictly.
+    From `columns` (T, N, M) [m], real or complex, at `times` (T,) [s]. `pieces` (T, N) says to
+    which piece of a track rows belong, 0 to none, by default all whose columns are finite to one:
+    positions and model columns must go through the same filter. ValueError unless times ascend strictly.
     """
     from microbot_ros.estimation.kernels import whiten_columns
 
     if not (np.diff(times) > 0).all():
         raise ValueError('frame times must ascend strictly')
-    seen = np.isfinite(columns).all(axis=2) if seen is None else seen
+    pieces = np.isfinite(columns).all(axis=2) if pieces is None else pieces
     white: np.ndarray = whiten_columns(
-        np.ascontiguousarray(times, float), np.ascontiguousarray(seen),
+        np.ascontiguousarray(times, float), np.ascontiguousarray(pieces, int),
         np.ascontiguousarray(columns), noise.ratio)[0]
     return white / np.sqrt(noise.diffusion)

@@ -53,21 +53,23 @@ def first_field(commands: Commands) -> float:
 
 @dataclass(frozen=True)
 class PreparedSession:
-    """One session as arrays of T frames and N tracks of P ≤ N particles.
+    """One session as arrays of T frames and N particles.
 
-    `name` of the session; `ids` (N,): the particle of each track, ascending; `times` (T,) [s]
-    from the first frame of the session; `z` (T, N) complex positions [m], 0 where `seen` (T, N)
-    is False; `causal_positions` (T, N, 2) [m]: positions as known from earlier and present frames
-    only, for terms that depend on position (raw ones would bias them), NaN while a particle is
-    not in view; `commands` on the same clock; `conditions` of the rig; `jumps` (P,): how often
-    each particle's track was split at a step too large for any motion.
+    `name` of the session; `ids` (N,) of the particles, ascending; `times` (T,) [s] from the first
+    frame of the session; `z` (T, N) complex positions [m], 0 where not finite; `pieces` (T, N):
+    which piece of its particle's track a row belongs to, a number of its own for each, 0 where
+    the row is not used; nothing is learned from the displacement between two pieces;
+    `causal_positions` (T, N, 2) [m]: positions as known from earlier and present frames only, for
+    terms that depend on position (raw ones would bias them), NaN while a particle is not in view;
+    `commands` on the same clock; `conditions` of the rig; `jumps` (N,): how often each particle's
+    track was split at a step too large for any motion.
     """
 
     name: str
     ids: np.ndarray
     times: np.ndarray
     z: np.ndarray
-    seen: np.ndarray
+    pieces: np.ndarray
     causal_positions: np.ndarray
     commands: Commands
     conditions: Conditions
@@ -87,19 +89,20 @@ class PreparedSession:
         times, positions = times[keep], positions[keep]
         z = positions[..., 0] + 1j * positions[..., 1]
         return cls(
-            session.name, session.tracks.particles, times, np.nan_to_num(z), np.isfinite(z),
+            session.name, session.tracks.particles, times, np.nan_to_num(z),
+            np.isfinite(z).astype(int),
             positions, commands, session.conditions)
 
     @cached_property
-    def owner(self) -> np.ndarray:
-        """The particle (N,) that each track belongs to, counted from 0, ascending."""
-        owner: np.ndarray = np.unique(self.ids, return_inverse=True)[1]
-        return owner
+    def seen(self) -> np.ndarray:
+        """Which rows (T, N) are used."""
+        seen: np.ndarray = self.pieces > 0
+        return seen
 
-    @cached_property
-    def first_track(self) -> np.ndarray:
-        """The first track (P,) of every particle."""
-        return np.unique(self.ids, return_index=True)[1]
+    def joined(self, ahead: int = 1) -> np.ndarray:
+        """Whether each row (T − ahead, N) and the one `ahead` of it lie in one piece."""
+        joined: np.ndarray = self.seen[ahead:] & (self.pieces[ahead:] == self.pieces[:-ahead])
+        return joined
 
     @cached_property
     def timeline(self) -> Timeline:
@@ -121,24 +124,26 @@ class PreparedSession:
         """Without the frames in the first `seconds` [s] after the field came on."""
         keep = self.times >= first_field(self.commands) + seconds
         return replace(
-            self, times=self.times[keep], z=self.z[keep], seen=self.seen[keep],
+            self, times=self.times[keep], z=self.z[keep], pieces=self.pieces[keep],
             causal_positions=self.causal_positions[keep])
 
-    def seen_only_in(self, frames: np.ndarray) -> PreparedSession:
-        """With positions only in some `frames` (T,) bool; in the others time passes unseen.
+    def only(self, frames: np.ndarray) -> PreparedSession:
+        """The session as if nothing had been recorded but `frames` (T,) bool, commands apart.
 
-        Displacements across unseen frames are still measured, from their two ends.
+        Tracks are cut there: nothing is learned from a displacement across other frames, nor from
+        any place in them.
         """
-        return replace(self, seen=self.seen & frames[:, None])
+        places = np.where(frames[:, None, None], self.causal_positions, np.nan)
+        hidden = np.broadcast_to(~frames[:, None], self.seen.shape)
+        return replace(self, causal_positions=places).split_tracks(hidden)
 
     def split_at_jumps(self) -> PreparedSession:
         """Tracks split at steps beyond any motion: the stage moved, or two were confused."""
-        both = self.seen[1:] & self.seen[:-1]
+        both = self.joined()
         steps = np.where(both, np.abs(np.diff(self.z, axis=0)), 0.0)
         usual = np.quantile(steps[both], 0.99) if both.any() else 0.0
         jumped = np.concatenate([np.zeros((1, self.z.shape[1]), bool), steps > JUMP * usual])
-        counts = np.bincount(self.owner, jumped.sum(axis=0)).astype(int)
-        return replace(self.split_tracks(jumped), jumps=counts)
+        return replace(self.split_tracks(jumped), jumps=jumped.sum(axis=0))
 
     def split_at_contacts(self) -> PreparedSession:
         """Tracks split where spheres may touch: there they push each other.
@@ -161,33 +166,20 @@ class PreparedSession:
         return self.split_tracks(touching)
 
     def split_tracks(self, out: np.ndarray) -> PreparedSession:
-        """Each track as its pieces between the rows `out` (T, N) bool, which are left out.
+        """Each track in pieces between the rows `out` (T, N) bool, which are not used.
 
-        A piece is a track of its own, of the same particle: nothing is learned from the
-        displacement between two pieces. Of a track that is split, pieces of fewer than FEWEST
-        rows are dropped, but for its longest. A piece's `causal_positions` go on until the next
-        piece begins, since others feel where the particle is meanwhile.
+        Of a track that is split, pieces of fewer than FEWEST rows are not used either, but for
+        its longest.
         """
         if not out.any():
             return self
         number = np.cumsum(np.diff(out, axis=0, prepend=False) & out, axis=0)
-        used = self.seen & ~out
-        row = np.arange(len(used))
-        columns, seen, own = [], [], []
-        for n in range(used.shape[1]):
-            pieces = [used[:, n] & (number[:, n] == k) for k in range(number[-1, n] + 1)]
-            longest = max(pieces, key=np.sum)
-            pieces = [p for p in pieces if p.sum() >= FEWEST] or [longest]
-            begins = [0, *(int(piece.argmax()) for piece in pieces[1:]), len(used)]
-            for piece, begin, end in zip(pieces, begins, begins[1:], strict=False):
-                columns.append(n)
-                seen.append(piece)
-                own.append((row >= begin) & (row < end))
-        kept, place = np.stack(seen, axis=1), np.stack(own, axis=1)
-        return replace(
-            self, ids=self.ids[columns], z=np.where(kept, self.z[:, columns], 0), seen=kept,
-            causal_positions=np.where(
-                place[..., None], self.causal_positions[:, columns], np.nan))
+        pieces = np.where(self.seen & ~out, self.pieces * (number.max() + 1) + number, 0)
+        for piece in pieces.T:
+            names, counts = np.unique(piece[piece > 0], return_counts=True)
+            small = counts < min(FEWEST, counts.max(initial=0))
+            piece[np.isin(piece, names[small])] = 0
+        return replace(self, pieces=pieces)
 
     def with_filtered_positions(
         self, displacement: np.ndarray, noise_ratio: float,
@@ -198,7 +190,7 @@ class PreparedSession:
         """
         from microbot_ros.estimation.kernels import filter_positions
 
-        left = filter_positions(self.times, self.seen, self.z - displacement, noise_ratio)
+        left = filter_positions(self.times, self.pieces, self.z - displacement, noise_ratio)
         mean = left + displacement
         last = len(self.times) - 1 - self.seen[::-1].argmax(axis=0)
         mean[np.arange(len(self.times))[:, None] > last] = np.nan
@@ -231,7 +223,7 @@ def predictable_part(
     lost = _lost(kept, model, assumed)
     if lost.mean() > 0.5:
         return kept
-    return kept.split_tracks(lost[:, None] & np.ones_like(kept.seen))
+    return kept.split_tracks(np.broadcast_to(lost[:, None], kept.seen.shape))
 
 
 def _lost(session: PreparedSession, model: Model, assumed: float) -> np.ndarray:

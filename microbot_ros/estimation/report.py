@@ -115,11 +115,9 @@ def figure(fit: FitResult, path: Path) -> None:
     _compare(middle, fit, 'φ [°]', np.degrees(speeds.phi), np.degrees(speeds.phi_std),
              [np.degrees(leg.phi) for leg in legs], [np.degrees(leg.phi_std) for leg in legs])
     left.legend(frameon=False, fontsize='small', title='95 % intervals')
-    first = np.unique(fit.owner, return_index=True)[1]
-    for n, own in enumerate(fit.owner):
+    for n, name in enumerate(fit.ids):
         measured, predicted = fit.measured[:, n] * 1e6, fit.predicted[:, n] * 1e6
-        right.plot(measured.real, measured.imag, lw=1.2, color=f'C{own % 10}',
-                   label=f'{fit.ids[own]}' if n in first else None)
+        right.plot(measured.real, measured.imag, lw=1.2, color=f'C{n % 10}', label=f'{name}')
         right.plot(predicted.real, predicted.imag, '--', color='0.25', lw=0.8)
     right.set(xlabel='x [µm]', ylabel='y [µm]', aspect='equal',
               title='tracks; dashed: the fitted model from the start')

@@ -1,13 +1,19 @@
 """The gap is measured on data that the fit did not see, and so is the gain."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from microbot_ros.discovery.held_out import held_out_gap, log_e_value
+from microbot_ros.discovery.held_out import block_of, held_out_gap, learn, log_e_value
 from microbot_ros.discovery.input_checks import check_sessions
 from microbot_ros.discovery.next_experiment import next_experiment
 from microbot_ros.discovery.stepwise_selection import StepwiseSelection, contribution
 from microbot_ros.model.effects import EFFECTS
+from microbot_ros.model.model import Model
+from microbot_ros.model.vectors import as_vectors
 
 
 @pytest.fixture(scope='module')
@@ -19,7 +25,7 @@ def drifting(film):
 def test_gap_is_the_distance_that_the_drift_carries(drifting):
     """In one second 0.8 µm along one axis of two, less what v and φ absorb."""
     truth = drifting.current.model.with_effect(EFFECTS['uniform_drift'](0.8e-6, 0.0))
-    gap = held_out_gap(drifting.current, drifting.fit(truth), truth)
+    gap = held_out_gap(drifting.fit(truth), drifting.sessions, truth)
     assert gap.horizon == 1.0
     assert gap.before == pytest.approx(0.8e-6 / np.sqrt(2), rel=0.25)
     assert gap.after < 0.2e-6
@@ -29,11 +35,48 @@ def test_gap_is_the_distance_that_the_drift_carries(drifting):
 
 
 def test_e_value_grows_for_what_is_there_and_not_for_what_is_not(drifting):
-    model = drifting.current.model
-    there = drifting.fit(model.with_effect(EFFECTS['uniform_drift'](0.5e-6, 0.0)))
-    assert log_e_value(there, 'uniform_drift') > 20
-    absent = drifting.fit(there.model.with_effect(EFFECTS['coil_misalignment'](0.01)))
-    assert log_e_value(absent, 'coil_misalignment') < 3
+    there = drifting.current.model.with_effect(EFFECTS['uniform_drift'](0.5e-6, 0.0))
+    assert log_e_value(there, drifting.sessions, 'uniform_drift') > 20
+    both = there.with_effect(EFFECTS['coil_misalignment'](0.01))
+    assert log_e_value(both, drifting.sessions, 'coil_misalignment') < 3
+
+
+@given(block=st.integers(0, 3), strength=st.floats(0.1, 100.0), seed=st.integers(0, 99))
+@settings(max_examples=10, deadline=None)
+def test_no_change_of_a_hidden_block_moves_a_fit_by_a_bit(drifting, block, strength, seed):
+    session, = drifting.sessions
+    hidden = block_of(session, 4) == block
+    moved = np.random.default_rng(seed).normal(size=(hidden.sum(), len(session.ids), 2))
+    places = session.causal_positions.copy()
+    places[hidden] += np.cumsum(strength * 1e-6 * moved, axis=0)
+    other = replace(session, causal_positions=places, z=places @ [1, 1j])
+    names = ('uniform_drift', 'linear_flow')
+    here, there = (learn(drifting.current.model, [s.only(~hidden)], names)
+                   for s in (session, other))
+    assert (here.model.vector() == there.model.vector()).all()
+    known, found = here.session_fits[0], there.session_fits[0]
+    assert (known.velocity_phasor == found.velocity_phasor).all()
+    assert (known.diffusion, known.whitening) == (found.diffusion, found.whitening)
+    assert here.cost == there.cost
+    assert known.count < drifting.current.session_fits[0].count
+
+
+def test_what_happens_in_a_hidden_block_is_not_found_in_the_others(film):
+    """Drift in the second of four blocks alone: the rest says nothing of it."""
+    session, _ = film(32, duration=60.0)
+    whole, = check_sessions([session])[0]
+    pushed = np.cumsum(np.where(block_of(whole, 4) == 1, 2e-6 * whole.interval, 0))[:, None]
+    z = whole.z + pushed
+    moved = replace(whole, z=z, causal_positions=as_vectors(z))
+    shown = block_of(whole, 4) != 1
+    model = Model.baseline(whole.conditions, whole.commands)
+    found = learn(model, [moved.only(shown)], ['uniform_drift'])
+    drift = found.model.effect('uniform_drift')
+    std = np.sqrt(np.diag(found.covariance)) * 1e-6
+    assert abs(drift.wx) < 3 * std[0]
+    assert abs(drift.wy) < 3 * std[1]
+    seen_all = learn(model, [moved], ['uniform_drift']).model.effect('uniform_drift')
+    assert seen_all.wx > 5 * std[0]
 
 
 def test_contribution_is_the_likelihood_ratio_beside_the_rest(drifting):

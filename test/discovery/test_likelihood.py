@@ -37,7 +37,7 @@ def test_likelihood_is_that_of_the_dense_gaussian(film):
     e = PreparedSession.of(session)
     seen = e.seen.copy()
     seen[10:14, 0] = seen[30, 1] = False
-    e = replace(e, seen=seen)
+    e = replace(e, pieces=seen.astype(int))
     model = Model.baseline(session.conditions, session.commands)
     path = evaluate(model, [e], [Whitening(0.1)]).session_fits[0].expected.along[:, 0]
     values = []
@@ -69,7 +69,7 @@ def test_exposure_may_make_the_noise_ratio_negative():
     noise_ratio = -1 / 30 / 3
 
     def whiten(columns):
-        return whiten_columns(times, np.ones((12, 1), bool), columns, noise_ratio)[0]
+        return whiten_columns(times, np.ones((12, 1), int), columns, noise_ratio)[0]
 
     white = matrix_of(whiten, 12)
     covariance = white @ brownian(times, noise_ratio) @ white.T
@@ -80,10 +80,10 @@ def test_the_filter_without_heading_noise_is_the_plain_one():
     rng = np.random.default_rng(0)
     times = np.cumsum(rng.uniform(0.02, 0.05, 40))
     columns = rng.normal(size=(40, 2, 3)) + 1j * rng.normal(size=(40, 2, 3))
-    seen = rng.random((40, 2)) < 0.8
+    pieces = (rng.random((40, 2)) < 0.8).astype(int)
     sensitivity, retention = np.zeros((39, 2), complex), np.zeros((39, 2))
-    plain = whiten_columns(times, seen, columns, 0.05)
-    noisy = whiten_with_heading(times, seen, columns, 0.05, 0.3, sensitivity, retention)
+    plain = whiten_columns(times, pieces, columns, 0.05)
+    noisy = whiten_with_heading(times, pieces, columns, 0.05, 0.3, sensitivity, retention)
     assert noisy[0] == pytest.approx(plain[0])
     assert noisy[1:] == pytest.approx(plain[1:])
 
@@ -96,9 +96,9 @@ def test_the_filter_whitens_heading_noise():
     sensitivity = np.full((count - 1, 1), speed * (1 - np.exp(-rate * h)) / rate)
 
     def whiten(columns):
-        seen = np.ones((count, 1), bool)
+        pieces = np.ones((count, 1), int)
         return whiten_with_heading(
-            times, seen, columns, noise_ratio, ratio, sensitivity, retention)[0]
+            times, pieces, columns, noise_ratio, ratio, sensitivity, retention)[0]
 
     # ∫∫ (D_r/κ) e^{−κ|s−u|} from 0 to t and t': the covariance of the integrated heading.
     t, u = np.minimum(times[:, None], times), np.maximum(times[:, None], times)
@@ -115,11 +115,11 @@ def test_the_filter_whitens_heading_noise():
 
 def test_belief_is_the_kalman_filter_of_a_random_walk():
     times, z = np.arange(3) * 0.5, np.array([[1.0], [2.0], [9.0]], complex)
-    seen = np.array([[True], [True], [False]])
-    belief = filter_positions(times, seen, z, 1.0)
+    pieces = np.array([[1], [1], [0]])
+    belief = filter_positions(times, pieces, z, 1.0)
     # Variance 1 before, 1 + 2·½ ahead, gain 2/3.
     assert belief[:, 0] == pytest.approx([1.0, 1 + 2 / 3, 1 + 2 / 3])
-    assert np.isnan(filter_positions(times, seen[::-1], z, 1.0)[0, 0])
+    assert np.isnan(filter_positions(times, pieces[::-1].copy(), z, 1.0)[0, 0])
 
 
 @pytest.mark.parametrize(('name', 'parameters'), [

@@ -63,7 +63,7 @@ def test_whitening_is_the_inverse_root_of_the_dense_covariance(sigma, exposure):
     steps = np.diff(columns[:, 0], axis=0)
     np.testing.assert_allclose(rows.T @ rows, steps.T @ np.linalg.solve(cov, steps), rtol=1e-9)
     assert not white[0].any()
-    _, log_det, count = whiten_columns(times, np.ones((40, 1), bool), columns, noise.ratio)
+    _, log_det, count = whiten_columns(times, np.ones((40, 1), int), columns, noise.ratio)
     assert count == 39
     assert log_det + 39 * np.log(noise.diffusion) == pytest.approx(
         np.linalg.slogdet(cov)[1], rel=1e-12)
@@ -80,8 +80,8 @@ def test_rows_that_are_missing_are_rows_not_used():
     whole = whiten(z[kept], times[kept], noise)
     np.testing.assert_allclose(gappy[kept], whole)
     assert not gappy[~kept].any()
-    of_all = whiten_columns(times, seen, z, noise.ratio)
-    of_kept = whiten_columns(times[kept], np.ones((kept.sum(), 1), bool), z[kept], noise.ratio)
+    of_all = whiten_columns(times, seen.astype(int), z, noise.ratio)
+    of_kept = whiten_columns(times[kept], np.ones((kept.sum(), 1), int), z[kept], noise.ratio)
     assert of_all[1:] == pytest.approx(of_kept[1:])
 
 
