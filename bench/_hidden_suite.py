@@ -36,7 +36,7 @@ FLUID = Fluid(1.245e-3)
 CLOSE = 0.15
 """How near to the wanted evidence a filmed session must come."""
 
-_ROLLS_ALWAYS = {'cut_in_hz': 0.0, 'step_out_hz': math.inf}
+_ROLLS_ALWAYS = {'cut_in_hz': 0.0, 'step_out_hz': 1e9}
 COMMANDS = ('paper', 'fast', 'closed_loop', 'narrow')
 """Legs of 2 to 6 s; of 0.3 to 1 s; feedback from every frame; legs within ±20°."""
 
@@ -45,7 +45,8 @@ COMMANDS = ('paper', 'fast', 'closed_loop', 'narrow')
 class Blind:
     """A session, and what was hidden in it: parameters as people write them, and evidence λ.
 
-    `path` is where the particles really were and headed.
+    `path` is where the particles really were and headed, `swarm` what they are, filmed by a
+    `camera`.
     """
 
     session: Session
@@ -54,6 +55,8 @@ class Blind:
     commands: str
     hidden: dict[str, Parameters]
     evidence: float
+    swarm: np.ndarray
+    camera: Camera
 
     def __str__(self) -> str:
         what = f'{" + ".join(self.hidden)} at λ {self.evidence:.0f}' if self.hidden else 'nothing'
@@ -121,7 +124,8 @@ def blind(
         if filmed is not None and experiment.apart(filmed[1]):
             session, path, hidden = filmed
             named = replace(session, name=f'blind-{seed}')
-            return Blind(named, path, seed, commands, hidden, evidence)
+            return Blind(named, path, seed, commands, hidden, evidence, experiment.swarm,
+                         experiment.camera)
     raise RuntimeError(f'seed {seed}: {effects} under {commands} commands always ends in contact')
 
 

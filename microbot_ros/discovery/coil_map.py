@@ -136,7 +136,7 @@ def _covariance(fit: ModelFit) -> np.ndarray:
 
 def _estimate(fit: ModelFit, covariance: np.ndarray, effect: str) -> Estimate:
     std = np.sqrt(np.diag(covariance))
-    return next(Estimate(parameter.from_fit(x), float(parameter.scale * s))
+    return next(Estimate.normal(parameter.from_fit(x), float(parameter.scale * s))
                 for (name, parameter), x, s in zip(
                     fit.model.parameters, fit.model.vector(), std, strict=True) if name == effect)
 

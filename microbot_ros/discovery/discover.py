@@ -13,13 +13,12 @@ import numpy as np
 from microbot_ros.discovery.drive_levels import curve_p_value
 from microbot_ros.discovery.held_out import held_out_gap, log_e_value
 from microbot_ros.discovery.input_checks import check_sessions
+from microbot_ros.discovery.intervals import Intervals
 from microbot_ros.discovery.next_experiment import next_experiment
 from microbot_ros.discovery.result import (
     Discovery,
-    Estimate,
     Limit,
     NamedEffect,
-    Particle,
     ResidualMap,
     Status,
     Verdict,
@@ -91,8 +90,7 @@ def _discover(selection: StepwiseSelection, remarks: tuple[str, ...],
     rivals = [rival.fit.model for one in assessments for rival in one.rivals]
     report('predicting what was held out')
     fit = selection.current
-    # As for a strobe: an exposure would add a third of D times its length to σ².
-    noise = [p.noise() for p in fit.session_fits]
+    known = Intervals(fit)
     return Discovery(
         verdict=_verdict(effects, unexplained),
         effects=tuple(sorted(effects, key=lambda e: (e.p_value, -e.delta_bic))),
@@ -100,9 +98,9 @@ def _discover(selection: StepwiseSelection, remarks: tuple[str, ...],
         maps_before=before, maps_after=after, unexplained=unexplained,
         selection=tuple(selection.steps),
         limits=tuple(limit for found in selection.open for limit in _limits(found)),
-        baseline=_particles(fit),
-        diffusion=_mean([Estimate(n.diffusion, n.diffusion_std) for n in noise]),
-        localisation=_mean([Estimate(n.localisation, n.localisation_std) for n in noise]),
+        baseline=known.particles(),
+        diffusion=known.diffusion(),
+        localisation=known.localisation(),
         next_experiment=next_experiment(fit, rivals),
         model=fit.model,
         particles=_particle_parameters(fit),
@@ -121,11 +119,12 @@ class _Assessment:
     """Whether an effect of the selected model is established.
 
     `own`: its comparison with the model without it; `log_e_value`: its gain in log likelihood on
-    data that it was not fitted to, less what the choice among the library costs. `sure`: both pass and no other effect cancels it. `rivals`
-    explain as much in its place; none can where it is `alone`: a drive response whose curve the
-    gains at the levels of the drive follow. `doubts`: of the maps of the residual without it,
-    those that are less likely by chance than it is, since something smooth that is in no library
-    explains it better; all that fire, where it is not sure.
+    data that it was not fitted to, less what the choice among the library costs. `sure`: both
+    pass and no other effect cancels it. `rivals` explain as much in its place; none can where it
+    is `alone`: a drive response whose curve the gains at the levels of the drive follow.
+    `doubts`: of the maps of the residual without it, those that are less likely by chance than it
+    is, since something smooth that is in no library explains it better; all that fire, where it
+    is not sure.
     """
 
     own: CandidateFit
@@ -157,7 +156,7 @@ class _Assessment:
         if incomplete and not self.alone:
             status = 'proxy'
         return NamedEffect(
-            self.own.id, status, _estimates(self.own.fit, self.own.id), self.own.delta_bic,
+            self.own.id, status, Intervals(self.own.fit).effect(self.own.id), self.own.delta_bic,
             self.own.p_value, float(np.exp(min(self.log_e_value, 700.0))),
             tuple(rival.id for rival in self.rivals))
 
@@ -219,15 +218,6 @@ def _deviations(fit: ModelFit, name: str) -> list[tuple[Parameter, float, float]
     ]
 
 
-def _estimates(fit: ModelFit, name: str) -> dict[str, Estimate]:
-    """Parameters in SI; of a reciprocal coordinate by the delta method."""
-    result = {}
-    for parameter, x, std in _deviations(fit, name):
-        slope = parameter.scale / x**2 if parameter.inverse and x else parameter.scale
-        result[parameter.name] = Estimate(parameter.from_fit(x), std * slope)
-    return result
-
-
 def _limits(found: CandidateFit) -> list[Limit]:
     """How large the strengths of an effect that is not supported may still be."""
     limits = []
@@ -240,26 +230,8 @@ def _limits(found: CandidateFit) -> list[Limit]:
     return limits
 
 
-def _particles(fit: ModelFit) -> tuple[Particle, ...]:
-    """Speed, φ and force of every particle under the final model."""
-    result = []
-    for p in fit.session_fits:
-        e, speeds = p.session, p.polar()
-        known = ((speeds.speed, speeds.speed_std), (speeds.phi, speeds.phi_std),
-                 speeds.force(e.conditions))
-        for n, name in enumerate(e.ids):
-            label = str(name) if len(fit.session_fits) == 1 else f'{e.name}:{name}'
-            result.append(Particle(
-                label, *(Estimate(float(value[n]), float(std[n])) for value, std in known)))
-    return tuple(result)
-
-
 def _particle_parameters(fit: ModelFit) -> ParticleParameters:
     """The particles of the last session."""
     last = fit.session_fits[-1]
     return ParticleParameters.from_velocity_phasor(last.session.ids, last.velocity_phasor)
 
-
-def _mean(values: list[Estimate]) -> Estimate:
-    value, std = (np.array([getattr(e, part) for e in values]) for part in ('value', 'std'))
-    return Estimate(float(value.mean()), float(np.sqrt((std**2).sum()) / len(values)))

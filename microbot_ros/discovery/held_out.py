@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -41,9 +42,12 @@ def block_of(session: PreparedSession, blocks: int) -> np.ndarray:
     return np.minimum((times - times[0]) / np.ptp(times) * blocks, blocks - 1).astype(int)
 
 
-def _only(sessions: Sequence[PreparedSession],
-          chosen: Callable[[PreparedSession], np.ndarray]) -> list[PreparedSession]:
-    return [session.only(chosen(session)) for session in sessions]
+def _parts(sessions: Sequence[PreparedSession], blocks: int, chosen: Callable[[np.ndarray],
+           np.ndarray]) -> tuple[list[PreparedSession], list[PreparedSession]]:
+    """Sessions with nothing but the blocks that are `chosen`, and with nothing but the others."""
+    inside = [chosen(block_of(session, blocks)) for session in sessions]
+    return ([s.only(frames) for s, frames in zip(sessions, inside, strict=True)],
+            [s.only(~frames) for s, frames in zip(sessions, inside, strict=True)])
 
 
 def learn(model: Model, sessions: Sequence[PreparedSession], names: Iterable[str]) -> ModelFit:
@@ -55,7 +59,7 @@ def learn(model: Model, sessions: Sequence[PreparedSession], names: Iterable[str
     fit = fit_sessions(model, sessions)
     for name in names:
         found = fit_candidate(fit, name)
-        if found is not None and (found.shape_seen and found.delta_bic > 0 or not found.has_shape):
+        if found and (not found.has_shape or (found.shape_seen and found.delta_bic > 0)):
             fit = fit_sessions(found.fit.model, sessions)
     return fit
 
@@ -79,11 +83,11 @@ def log_e_value(model: Model, sessions: Sequence[PreparedSession], effect: str) 
     """
     rest = [e.id for e in model.effects if e.id != effect]
     bare, logs = replace(model, effects=()), []
-    for half in (0, 1):
-        learned = learn(bare, _only(sessions, lambda s: block_of(s, HALVES) % 2 == half), rest)
+    even, odd = _parts(sessions, HALVES, lambda block: block % 2 == 0)
+    for known, judged in ((even, odd), (odd, even)):
+        learned = learn(bare, known, rest)
         found = fit_candidate(learned, effect)
         if found is not None:
-            judged = _only(sessions, lambda s: block_of(s, HALVES) % 2 != half)
             logs.append(_log_ratio(learned, found.fit, judged))
     return float(np.logaddexp.reduce([*logs, *[0.0] * (2 - len(logs))]) - np.log(2))
 
@@ -112,7 +116,8 @@ def _log_ratio(without: ModelFit, other: ModelFit, sessions: Sequence[PreparedSe
 def _carried_over(model: Model, known: SessionFit, session: PreparedSession) -> SessionFit:
     """A `model` on another `session` of the particles and the noise of a `known` one."""
     expected = ExpectedDisplacement.of(model, session.timeline)
-    located = session.with_filtered_positions(expected.at(known.velocity_phasor), known.whitening.noise_ratio)
+    located = session.with_filtered_positions(
+        expected.at(known.velocity_phasor), known.whitening.noise_ratio)
     return SessionFit.of(located, whitening_on(model, known, located),
                          ExpectedDisplacement.of(model, located.timeline))
 
@@ -150,7 +155,7 @@ def held_out_gap(fit: ModelFit, sessions: Sequence[PreparedSession],
     bare, names = replace(fit.model, effects=()), [e.id for e in fit.model.effects]
     errors: list[list[np.ndarray]] = [[] for _ in range(3 if truth else 2)]
     for block in range(BLOCKS):
-        rest = _only(sessions, lambda s: block_of(s, BLOCKS) != block)
+        _, rest = _parts(sessions, BLOCKS, partial(np.equal, block))
         before = learn(bare, rest, ())
         learned = [before, learn(bare, rest, names) if names else before]
         if truth:

@@ -35,10 +35,18 @@ def _power(exponent: int) -> str:
 
 
 def interval(name: str, estimate: Estimate) -> str:
-    """An `estimate` with its 95 % interval in the unit of its `name`: `0.41 ± 0.06 µm/s`."""
-    value, half = (float(from_si(name, x)) for x in (estimate.value, 1.96 * estimate.std))
+    """An `estimate` with its 95 % interval in the unit of its `name`: `0.41 ± 0.06 µm/s`.
+
+    Where that would mislead, with its ends: `2.2 (1.5 to 4.3) mT`.
+    """
+    value, low, high = (
+        float(from_si(name, x)) for x in (estimate.value, estimate.low, estimate.high))
+    half = (high - low) / 2
     if not np.isfinite(value):
         return '–'
+    if not estimate.is_even:
+        ends = ' to '.join(number(end) if np.isfinite(end) else '∞' for end in (low, high))
+        return f'{number(value)} ({ends}) {symbol(name)}'.strip()
     if not (np.isfinite(half) and half > 0):
         return f'{number(value)} {symbol(name)}'.strip()
     text = _within(value, half)

@@ -15,19 +15,44 @@ Verdict = Literal['consistent', 'named', 'unnamed']
 FIRES = 0.003
 """Adjusted p-value below which a map says that something is left."""
 
+UNEVEN = 0.1
+"""Difference of an interval's two sides, of its width, from which ± would mislead."""
+
 Status = Literal['established', 'suggested', 'proxy']
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A `value` with its standard deviation `std`, SI; NaN where unknown."""
+    """A `value` with its standard deviation `std`, SI; NaN where unknown.
+
+    The 95 % interval is from `low` to `high`, infinite where the data set no bound.
+    """
 
     value: float
     std: float
+    low: float
+    high: float
+
+    @classmethod
+    def normal(cls, value: float, std: float) -> Estimate:
+        """With the interval of a normal distribution."""
+        return cls(value, std, value - 1.96 * std, value + 1.96 * std)
+
+    @property
+    def is_even(self) -> bool:
+        """Whether the interval lies about the value as ± tells it."""
+        below, above = self.value - self.low, self.high - self.value
+        return not abs(above - below) > UNEVEN * abs(above + below)
+
+    @classmethod
+    def of(cls, value: float, std: float, ends: np.ndarray) -> Estimate:
+        """From numbers of any kind; `ends` (2,) of the interval."""
+        return cls(float(value), float(std), float(ends[0]), float(ends[1]))
 
     def as_json(self, name: str) -> dict[str, float | None]:
-        """Both in the unit that `name` carries; null where not finite."""
-        return {'value': _edge(name, self.value), 'std': _edge(name, self.std)}
+        """All in the unit that `name` carries; null where not finite."""
+        return {'value': _edge(name, self.value), 'std': _edge(name, self.std),
+                'low_95': _edge(name, self.low), 'high_95': _edge(name, self.high)}
 
 
 @dataclass(frozen=True)
@@ -51,8 +76,7 @@ class NamedEffect:
     def sentence(self) -> str:
         """With its parameters and 95 % intervals."""
         values = ', '.join(
-            f'{name.removesuffix(suffix(name))} = {from_si(name, e.value):.3g} ± '
-            f'{from_si(name, 1.96 * e.std):.2g} {symbol(name)}'.strip()
+            f'{name.removesuffix(suffix(name))} = {_told(name, e)} {symbol(name)}'.strip()
             for name, e in self.parameters.items())
         alias = ', '.join(self.indistinguishable_from)
         doubt = f'; cannot be told from {alias}' if alias else ''
@@ -244,6 +268,12 @@ class Discovery:
             'next_experiment': self.next_experiment.sentence if self.next_experiment else '',
             'remarks': list(self.remarks),
         }
+
+
+def _told(name: str, estimate: Estimate) -> str:
+    value, low, high = (from_si(name, x) for x in (estimate.value, estimate.low, estimate.high))
+    return f'{value:.3g} ± {(high - low) / 2:.2g}' if estimate.is_even else (
+        f'{value:.3g} ({low:.3g} to {high:.3g})')
 
 
 def _edge(name: str, value: float) -> float | None:

@@ -51,7 +51,8 @@ class FitResult:
     viscosity and for rollers. `delay` is the one used, `noise` and `log_likelihood` are those at
     it. `legs`: the paper's own recipe, for each particle. `bands` of rollers; `warnings`:
     sentences. `measured` (T, P) complex [m]: the tracks that were fitted, NaN for gaps, and
-    `predicted`: the model from the beginning of each of their pieces on. `rolling`: whether they are rollers.
+    `predicted`: the model from the beginning of each of their pieces on. `rolling`: whether they
+    are rollers.
     """
 
     ids: np.ndarray
@@ -86,7 +87,7 @@ def fit(session: Session, exposure: float = 0.0) -> FitResult:
     slope = fits.log_phasor_slope(delay.value, best.whitening.noise_ratio)
     if best is not plain:
         noise = best.noise(exposure)
-    speeds = best.polar().widened(slope, delay.std)
+    speeds = best.polar().widened(delay.felt(slope))
     warnings = [*_steps(best), *excited.sentences]
     if ('φ', 'delay') in excited.pairs:
         warnings.append(

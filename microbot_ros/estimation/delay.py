@@ -34,6 +34,13 @@ class Delay:
         """Whether the data determine it."""
         return bool(np.isfinite(self.std))
 
+    def felt(self, slope: complex) -> complex:
+        """What its spread does to a quantity with that `slope` [1/s]; nothing where undetermined.
+
+        Then it is said that φ hangs on it.
+        """
+        return slope * self.std if self.determined else 0j
+
 
 def delay_posterior(log_likelihood: Callable[[float], float]) -> Iterator[Delay | None]:
     """Evaluate the profile `log_likelihood` of a delay [s] a little at a time; last, the Delay.

@@ -95,7 +95,7 @@ def answer(
     """
     std = np.sqrt(state.phasor_var)
     speeds = polar(state.velocity_phasor * aging, std * abs(aging)).widened(
-        shared.log_phasor_slope, shared.delay.std)
+        shared.delay.felt(shared.log_phasor_slope))
     told = (speeds.speed, speeds.speed_std, speeds.phi, speeds.phi_std, *speeds.force(conditions))
     known, prediction, prediction_std = _look_ahead(
         std, *told, state.p, state.velocity_phasor, state.p_var, state.phasor_var, state.cross,

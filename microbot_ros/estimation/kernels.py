@@ -25,9 +25,10 @@ _ROWS = (_given(types.float64, 1), _given(types.int64, 2))
 def whiten_columns(times, pieces, columns, noise_ratio):  # type: ignore[no-untyped-def]
     """White increments of `columns` (T, N, M), of unit variance per axis, by the local-level gain.
 
-    `times` (T,) [s], `noise_ratio` [s]; `pieces` (T, N): the piece of a track that each row belongs
-    to, 0 where it is not used. Such rows, and the first of every piece, come out as zeros. Also Σ log variance of one axis, which for complex columns is
-    ½ log det over both, and the number of rows used.
+    `times` (T,) [s], `noise_ratio` [s]; `pieces` (T, N): the piece of a track that each row
+    belongs to, 0 where it is not used. Such rows, and the first of every piece, come out as
+    zeros. Also Σ log variance of one axis, which for complex columns is ½ log det over both, and
+    the number of rows used.
     """
     frames, tracks, count = columns.shape
     out = np.zeros_like(columns)
@@ -169,11 +170,11 @@ def whiten_with_heading(  # type: ignore[no-untyped-def]
         times, pieces, columns, noise_ratio, diffusion_ratio, sensitivity, retention):
     """White increments of complex `columns` (T, N, M) where headings are noisy as well.
 
-    `times`, `pieces` and `noise_ratio` as in `whiten_columns`; `diffusion_ratio` = D_r/D [rad²/m²];
-    `sensitivity` (T−1, N) complex: displacement over a frame interval per radian at its start;
-    `retention` (T−1, N): the part of a deviation left at its end. A Kalman filter over place
-    (x, y) and heading (a), whose covariance is kept as six scalars; real and imaginary parts of
-    the result are independent. Also ½ log det of the innovations over both axes, and rows used.
+    `times`, `pieces` and `noise_ratio` as in `whiten_columns`; `diffusion_ratio` = D_r/D
+    [rad²/m²]; `sensitivity` (T−1, N) complex: displacement over a frame interval per radian at
+    its start; `retention` (T−1, N): the part of a deviation left at its end. A Kalman filter over
+    place (x, y) and heading (a), whose covariance is kept as six scalars; real and imaginary
+    parts of the result are independent. Also ½ log det of the innovations over both axes, and rows used.
     """
     T, N, M = columns.shape
     out = np.zeros((T, N, M), np.complex128)

@@ -110,7 +110,7 @@ class SessionFit:
     @cached_property
     def velocity_phasor(self) -> np.ndarray:
         """v e^{iφ} (N,) of every particle [m/s, for rollers m/s/Hz]; 0 where nothing drove it."""
-        solved = _solve(self.gram[:, 1:, 1:], self.gram[:, 1:, :1])[..., 0]
+        solved = solve(self.gram[:, 1:, 1:], self.gram[:, 1:, :1])[..., 0]
         own: np.ndarray = solved[:, 0] + 1j * solved[:, 1]
         return own
 
@@ -258,12 +258,12 @@ def eliminate(gram: np.ndarray) -> np.ndarray:
     """
     rest = [0, *range(3, gram.shape[-1])]
     mixed = gram[:, 1:3, rest]
-    left: np.ndarray = gram[:, rest][:, :, rest] - np.swapaxes(mixed, 1, 2) @ _solve(
+    left: np.ndarray = gram[:, rest][:, :, rest] - np.swapaxes(mixed, 1, 2) @ solve(
         gram[:, 1:3, 1:3], mixed)
     return left
 
 
-def _solve(square: np.ndarray, right: np.ndarray) -> np.ndarray:
+def solve(square: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Solutions for (N, 2, 2) matrices; zero where there is nothing to solve for."""
     power = np.trace(square, axis1=1, axis2=2)[:, None, None]
     safe = square + np.where(power > 0, 1e-12 * power, 1.0) * np.eye(2)

@@ -16,7 +16,10 @@ from microbot_ros.estimation.likelihood import (
     eliminate,
     inner,
     search_noise_ratio,
+    solve,
 )
+from microbot_ros.estimation.noise import Noise
+from microbot_ros.estimation.phasor import Polar
 from microbot_ros.estimation.prepared_session import (
     ROTATIONAL_DIFFUSION,
     PreparedSession,
@@ -80,17 +83,44 @@ class ModelFit:
         return tuple(white)
 
     @cached_property
+    def _grams(self) -> tuple[np.ndarray, ...]:
+        """For each session, inner products (N, 3 + P, 3 + P) of data, v and φ, parameters."""
+        return tuple(
+            inner(np.concatenate([p.white / np.sqrt(p.diffusion), jacobian], axis=-1))
+            for p, jacobian in zip(self.session_fits, self.jacobian, strict=True))
+
+    def polars(self, held: int | None = None) -> list[Polar]:
+        """Speed and φ of the particles of every session, as `SessionFit.polar` has them.
+
+        With what is not known of the effects: v e^{iφ} follows their parameters as least squares
+        has it. All but one that is `held`, by its place in the vector.
+        """
+        free = self.normal[2] & (np.arange(len(self.normal[2])) != held)
+        covariance = np.linalg.pinv(self.normal[0][np.ix_(free, free)], hermitian=True)
+        result = []
+        for p, gram in zip(self.session_fits, self._grams, strict=True):
+            followed = solve(gram[:, 1:3, 1:3], gram[:, 1:3, 3:][..., free])
+            phasor = np.where(p.velocity_phasor == 0, np.nan, p.velocity_phasor)
+            moved = (followed[:, 0] + 1j * followed[:, 1]) / phasor[:, None]
+            real, imag = (np.einsum('np,pq,nq->n', part, covariance, part)
+                          for part in (moved.real, moved.imag))
+            result.append(p.polar().widened(np.sqrt(real) + 1j * np.sqrt(imag)))
+        return result
+
+    @cached_property
     def normal(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """JᵀJ (P, P), Jᵀr (P,) with v and φ taken out, and which parameters they leave visible."""
         total = np.zeros((1 + len(self.model.vector()),) * 2)
         raw = np.zeros(len(total))
-        for p, jacobian in zip(self.session_fits, self.jacobian, strict=True):
-            all_columns = np.concatenate([p.white / np.sqrt(p.diffusion), jacobian], axis=-1)
-            gram = inner(all_columns)
+        for gram in self._grams:
             total += eliminate(gram).sum(axis=0)
             raw[1:] += np.diagonal(gram, axis1=1, axis2=2)[:, 3:].sum(axis=0)
         visible = np.diag(total)[1:] > COLLINEAR * raw[1:]
         return total[1:, 1:], total[1:, 0], visible
+
+    def noises(self) -> list[Noise]:
+        """D and σ of every session, as for a strobe: an exposure would add DE/3 to σ²."""
+        return [p.noise() for p in self.session_fits]
 
     @cached_property
     def covariance(self) -> np.ndarray:
@@ -122,16 +152,19 @@ def evaluate(model: Model, sessions: Sequence[PreparedSession],
         for session, whitening in zip(sessions, whitenings, strict=True)))
 
 
-def maximise(fit: ModelFit, iterations: int = 20) -> ModelFit:
+def maximise(fit: ModelFit, iterations: int = 20, held: int | None = None) -> ModelFit:
     """Improve a `fit` in its effects' parameters, by Levenberg and Marquardt's method.
 
-    Within their bounds, in at most that many `iterations`. The noise filters stay as they are.
+    Within their bounds, in at most that many `iterations`. The noise filters stay as they are,
+    and so does the parameter `held`, by its place in the vector.
     """
     if not fit.model.effects:
         return fit
     low, high = np.array([p.fit_bounds for _, p in fit.model.parameters]).T
     angle = np.array([p.shape and p.name.endswith('_rad') for _, p in fit.model.parameters])
     low, high = np.where(angle, -np.inf, low), np.where(angle, np.inf, high)
+    if held is not None:
+        low[held] = high[held] = fit.model.vector()[held]
     damping = 1e-3
     for _ in range(iterations):
         better, damping = _improve(fit, low, high, angle, damping)
@@ -148,7 +181,7 @@ def _improve(fit: ModelFit, low: np.ndarray, high: np.ndarray, angle: np.ndarray
     """One step downhill, or None where there is none; and the damping to go on with."""
     information, slope, visible = fit.normal
     x = fit.model.vector()
-    free = visible & ~((x <= low) & (slope < 0)) & ~((x >= high) & (slope > 0))
+    free = visible & (low < high) & ~((x <= low) & (slope < 0)) & ~((x >= high) & (slope > 0))
     if not free.any():
         return None, damping
     chosen = np.ix_(free, free)

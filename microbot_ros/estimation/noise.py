@@ -60,7 +60,8 @@ def whiten(
 
     From `columns` (T, N, M) [m], real or complex, at `times` (T,) [s]. `pieces` (T, N) says to
     which piece of a track rows belong, 0 to none, by default all whose columns are finite to one:
-    positions and model columns must go through the same filter. ValueError unless times ascend strictly.
+    positions and model columns must go through the same filter. ValueError unless times ascend
+    strictly.
     """
     from microbot_ros.estimation.kernels import whiten_columns
 

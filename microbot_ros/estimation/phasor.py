@@ -15,6 +15,9 @@ from microbot_ros.records import Conditions
 DRAG_RELATIVE_STD = float(np.hypot(0.05, 0.05))
 """What is not known of 6πηr: 5 % of viscosity and 5 % of radius."""
 
+NO_ANGLE = math.pi / math.sqrt(3)
+"""Standard deviation [rad] of an angle of which nothing is known."""
+
 
 @dataclass(frozen=True)
 class Polar:
@@ -25,16 +28,15 @@ class Polar:
     phi: np.ndarray
     phi_std: np.ndarray
 
-    def widened(self, log_phasor_slope: complex, delay_std: float) -> Polar:
-        """With what a spread `delay_std` [s] of the delay does.
+    def widened(self, log_phasor: np.ndarray | complex) -> Polar:
+        """With what else moves log v e^{iφ}.
 
-        `log_phasor_slope` is d log(v e^{iφ}) / d delay [1/s]. Nothing where the delay is not
-        determined (NaN): then it is said that φ hangs on it.
+        `log_phasor` (N,) or one for all: by how much, as a standard deviation of either part. An
+        angle is never known worse than if all were alike.
         """
-        late = delay_std if math.isfinite(delay_std) else 0.0
-        speed, phi = late * abs(log_phasor_slope.real), late * abs(log_phasor_slope.imag)
+        speed, phi = np.abs(np.real(log_phasor)), np.abs(np.imag(log_phasor))
         return Polar(self.speed, np.hypot(self.speed_std, self.speed * speed),
-                     self.phi, np.hypot(self.phi_std, phi))
+                     self.phi, np.minimum(np.hypot(self.phi_std, phi), NO_ANGLE))
 
     def force(self, conditions: Conditions) -> tuple[np.ndarray, np.ndarray]:
         """F = 6πηr v [N] under some `conditions`, and its standard deviation, that of 6πηr in it.
@@ -91,7 +93,7 @@ def _moments(c, std, half, i0, i1):  # type: ignore[no-untyped-def]
             square = width**2 * (1 + y + y * i1[n] / i0[n])
             spread[n] = math.sqrt(max(square - speed[n] ** 2, 0.0))
             resultant = min(max(math.sqrt(math.pi * y) / 2 * (i0[n] + i1[n]), 1e-300), 1.0)
-            phase_std[n] = min(math.sqrt(-2 * math.log(resultant)), math.pi / math.sqrt(3))
+            phase_std[n] = min(math.sqrt(-2 * math.log(resultant)), NO_ANGLE)
         phase[n] = math.atan2(c[n].imag, c[n].real)
         if math.isnan(half[n]):
             speed[n] = spread[n] = phase_std[n] = np.nan

@@ -138,8 +138,8 @@ def test_the_band_holds_how_well_speed_and_phi_are_known(drifting):
     """Until the first switch a particle is as far off as its velocity times the time."""
     found, session = drifting
     certain = replace(
-        found, diffusion=Estimate(0.0, 0.0), localisation=Estimate(0.0, 0.0),
-        baseline=tuple(replace(p, speed=Estimate(p.speed.value, 1e-7 * (n + 1)))
+        found, diffusion=Estimate.normal(0.0, 0.0), localisation=Estimate.normal(0.0, 0.0),
+        baseline=tuple(replace(p, speed=Estimate.normal(p.speed.value, 1e-7 * (n + 1)))
                        for n, p in enumerate(found.baseline)))
     prediction = predict(certain, residual(found, session))
     straight = prediction.times < session.commands.t[1]
@@ -223,7 +223,14 @@ def test_a_chance_too_small_to_compute_is_bounded():
     ('phi_rad', 1.0, 0.0, '1 rad'), ('cut_in_hz', -2e-10, 2.6e-9, '(−0.2 ± 5.1)·10⁻⁹ Hz'),
 ])
 def test_intervals(name, value, std, said):
-    assert interval(name, Estimate(value, std)) == said
+    assert interval(name, Estimate.normal(value, std)) == said
+
+
+def test_interval_that_is_not_even_is_told_by_its_ends():
+    assert interval('field_scale_mT', Estimate(2.2e-3, 4e-4, 1.5e-3, 4.3e-3)) == (
+        '2.2 (1.5 to 4.3) mT')
+    assert interval('field_scale_mT', Estimate(2.2e-3, 4e-4, 1.5e-3, np.inf)) == (
+        '2.2 (1.5 to ∞) mT')
 
 
 @pytest.mark.parametrize(('effect', 'name', 'value', 'said'), [

@@ -1,0 +1,234 @@
+"""95 % intervals of everything that is published: by curvature, by profile where that is bent.
+
+An effect whose likelihood is no parabola, like a field scale far above the fields that were used,
+drags v and φ along. Then its interval ends where the profile likelihood has fallen by χ²/2
+(Venzon and Moolgavkar 1988), and that of v holds all that is within it of any point of the
+profile.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from microbot_ros.discovery.result import Estimate, Particle
+from microbot_ros.estimation.model_fit import ModelFit, maximise
+from microbot_ros.estimation.noise import Noise
+from microbot_ros.estimation.phasor import Polar
+from microbot_ros.model.parameter import Parameter
+
+ROOT = 1.96
+"""Square root of twice the fall in log likelihood at the ends of an interval."""
+
+BENT = 0.1
+"""Part of an interval's width by which its end may be off before the profile is followed."""
+
+FURTHEST, TRIED = 4.0, 8
+"""How far beyond the last point of a profile the next may lie, in its distance; and how many."""
+
+GRID = 200
+"""Points that a profile is interpolated at."""
+
+
+@dataclass(frozen=True)
+class _Profile:
+    """Fits with one parameter held, by ascending coordinate `x` (K,), `root` (K,) of the fall.
+
+    Signed, 0 at the maximum; `polars` of session s at point k are `polars[k][s]`, without what is
+    not known of the parameter itself.
+    """
+
+    x: np.ndarray
+    root: np.ndarray
+    polars: list[list[Polar]]
+
+    def ends(self) -> tuple[float, float]:
+        """Fit coordinates at both ends of the interval; infinite where it is not bounded."""
+        return tuple(  # type: ignore[return-value]
+            float(np.interp(end, self.root, self.x)) if abs(self.root[side]) >= abs(end)
+            else side_sign * np.inf
+            for side, side_sign, end in ((0, -1, -ROOT), (-1, 1, ROOT)))
+
+    def hull(self, session: int, quantity: str) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper end (N,) of `speed` or `phi` over the whole profile."""
+        fine = np.linspace(max(self.root[0], -ROOT), min(self.root[-1], ROOT), GRID)
+        value, std = (np.array([getattr(p[session], quantity + part) for p in self.polars])
+                      for part in ('', '_std'))
+        if quantity == 'phi':
+            value = np.unwrap(value, axis=0)
+        value, std = (_interpolated(fine, self.root, of) for of in (value, std))
+        left = std * np.sqrt(np.maximum(ROOT**2 - fine**2, 0.0))[:, None]
+        return (value - left).min(axis=0), (value + left).max(axis=0)
+
+
+def _interpolated(at: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return np.stack([np.interp(at, x, one) for one in y.T], axis=1)
+
+
+class Intervals:
+    """Estimates with 95 % intervals of all that a `fit` knows."""
+
+    def __init__(self, fit: ModelFit) -> None:
+        self._fit = fit
+        self._std = np.sqrt(np.diag(fit.covariance))
+
+    def effect(self, name: str) -> dict[str, Estimate]:
+        """The parameters of the effect `name`, SI; of a reciprocal by the delta method."""
+        result = {}
+        for k, (effect, parameter) in enumerate(self._fit.model.parameters):
+            if effect == name:
+                result[parameter.name] = self._parameter(k, parameter)
+        return result
+
+    def _parameter(self, k: int, parameter: Parameter) -> Estimate:
+        x, std = float(self._fit.model.vector()[k]), float(self._std[k])
+        slope = parameter.scale / x**2 if parameter.inverse and x else parameter.scale
+        low, high = parameter.fit_bounds
+        ends = self._profiles[k].ends() if k in self._profiles else (
+            max(x - ROOT * std, low), min(x + ROOT * std, high))
+        if _is_angle(parameter):
+            ends = x - ROOT * std, x + ROOT * std
+        low, high = sorted(parameter.from_fit(end) for end in ends)
+        return Estimate(parameter.from_fit(x), std * slope, low, high)
+
+    @cached_property
+    def _profiles(self) -> dict[int, _Profile]:
+        """Of the parameters whose likelihood is no parabola, by their place in the vector."""
+        return {k: found for k, (_, parameter) in enumerate(self._fit.model.parameters)
+                if np.isfinite(self._std[k]) and not _is_angle(parameter)
+                and (found := _follow(self._fit, k, float(self._std[k]), parameter))}
+
+    def particles(self) -> tuple[Particle, ...]:
+        """Speed, φ and force of every particle."""
+        return tuple(
+            particle for s, polar in enumerate(self._fit.polars())
+            for particle in self._of_session(s, polar))
+
+    def _of_session(self, s: int, polar: Polar) -> Iterator[Particle]:
+        session = self._fit.session_fits[s].session
+        speed, phi = (self._ends(s, polar, quantity) for quantity in ('speed', 'phi'))
+        speed = np.maximum(speed, 0.0)
+        force, force_std = polar.force(session.conditions)
+        drag = np.divide(force, polar.speed)
+        known = np.sqrt(np.maximum(force_std**2 - (drag * polar.speed_std) ** 2, 0.0))
+        off = np.hypot(ROOT * known, drag * (speed - polar.speed))
+        for n, name in enumerate(session.ids):
+            label = str(name) if len(self._fit.session_fits) == 1 else f'{session.name}:{name}'
+            yield Particle(
+                label, Estimate.of(polar.speed[n], polar.speed_std[n], speed[:, n]),
+                Estimate.of(polar.phi[n], polar.phi_std[n], phi[:, n]),
+                Estimate.of(force[n], force_std[n],
+                            force[n] + np.array([-1.0, 1.0]) * off[:, n]))
+
+    def _ends(self, s: int, polar: Polar, quantity: str) -> np.ndarray:
+        """Lower and upper ends (2, N): by curvature, or the widest of all profiles."""
+        value, std = getattr(polar, quantity), getattr(polar, quantity + '_std')
+        if not self._profiles:
+            return np.stack([value - ROOT * std, value + ROOT * std])
+        hulls = [profile.hull(s, quantity) for profile in self._profiles.values()]
+        return np.stack([np.min([low for low, _ in hulls], axis=0),
+                         np.max([high for _, high in hulls], axis=0)])
+
+    def diffusion(self) -> Estimate:
+        """D [m²/s], averaged over sessions."""
+        return _mean([_diffusion(n) for n in self._fit.noises()])
+
+    def localisation(self) -> Estimate:
+        """σ [m], averaged over sessions; its interval may begin at nothing."""
+        return _mean([_localisation(n) for n in self._fit.noises()])
+
+
+def _is_angle(parameter: Parameter) -> bool:
+    return parameter.shape and parameter.name.endswith('_rad')
+
+
+def _follow(fit: ModelFit, k: int, std: float, parameter: Parameter) -> _Profile | None:
+    """The profile of the `k`-th parameter; None where it is the parabola that `std` tells of."""
+    x, bounds = float(fit.model.vector()[k]), parameter.fit_bounds
+    ends = [_held(fit, k, float(np.clip(x + side * ROOT * std, *bounds)), fit)
+            for side in (-1, 1)]
+    expected = [abs(_at(end, k) - x) / std for end in ends]
+    if all(abs(_root(end, fit) - root) < BENT * ROOT
+           for end, root in zip(ends, expected, strict=True)):
+        return None
+    points = [fit]
+    for side, end in zip((-1, 1), ends, strict=True):
+        points += _walk(fit, k, side, end, bounds)
+    points = _rising(sorted(points, key=lambda one: _at(one, k)), fit)
+    at = np.array([_at(one, k) for one in points])
+    root = np.array([np.sign(one - x) * _root(point, fit)
+                     for one, point in zip(at, points, strict=True)])
+    return _Profile(at, root, [point.polars(held=k) for point in points])
+
+
+def _walk(fit: ModelFit, k: int, side: int, last: ModelFit,
+          bounds: tuple[float, float]) -> list[ModelFit]:
+    """Points on one side of the maximum, to the end of the interval or a bound."""
+    x = _at(fit, k)
+    points = [last]
+    for _ in range(TRIED):
+        root, distance = _root(last, fit), abs(_at(last, k) - x)
+        if abs(root - ROOT) < BENT or distance == 0:
+            break
+        further = distance * float(np.clip(ROOT / max(root, 1e-3), 1 / FURTHEST, FURTHEST))
+        at = float(np.clip(x + side * further, *bounds))
+        if at == _at(last, k):
+            break
+        last = _held(fit, k, at, last)
+        points.append(last)
+    middle = [_held(fit, k, x + part * (_at(last, k) - x), last) for part in (0.33, 0.67)]
+    return [*points, *middle]
+
+
+def _rising(points: list[ModelFit], best: ModelFit) -> list[ModelFit]:
+    """The points on both sides of the `best`, as far as likelihood falls away from it."""
+    middle = next(k for k, point in enumerate(points) if point is best)
+    kept = [best]
+    for side in (points[middle + 1:], points[:middle][::-1]):
+        most = 0.0
+        for point in side:
+            if _root(point, best) > most:
+                most = _root(point, best)
+                kept.append(point)
+    return [point for point in points if any(point is one for one in kept)]
+
+
+def _held(fit: ModelFit, k: int, at: float, near: ModelFit) -> ModelFit:
+    """The best fit with the `k`-th parameter `at` a fit coordinate, from one `near` it."""
+    vector = near.model.vector()
+    vector[k] = at
+    return maximise(fit.under(fit.model.with_vector(vector)), held=k)
+
+
+def _at(fit: ModelFit, k: int) -> float:
+    return float(fit.model.vector()[k])
+
+
+def _root(fit: ModelFit, best: ModelFit) -> float:
+    return float(np.sqrt(max(fit.cost - best.cost, 0.0)))
+
+
+def _diffusion(noise: Noise) -> Estimate:
+    factor = float(np.exp(ROOT * noise.diffusion_std / noise.diffusion))
+    return Estimate(noise.diffusion, noise.diffusion_std,
+                    noise.diffusion / factor, noise.diffusion * factor)
+
+
+def _localisation(noise: Noise) -> Estimate:
+    """By the spread of σ², which is normal where that of σ is not."""
+    square = noise.localisation**2
+    spread = (noise.localisation + noise.localisation_std) ** 2 - square
+    low, high = (float(np.sqrt(max(square + side * ROOT * spread, 0.0))) for side in (-1, 1))
+    return Estimate(noise.localisation, noise.localisation_std, low, high)
+
+
+def _mean(values: list[Estimate]) -> Estimate:
+    value, std, low, high = (
+        np.array([getattr(e, part) for e in values]) for part in ('value', 'std', 'low', 'high'))
+    mean, below, above = (float(np.sqrt((part**2).sum())) / len(values)
+                          for part in (std, value - low, high - value))
+    middle = float(value.mean())
+    return Estimate(middle, mean, middle - below, middle + above)
