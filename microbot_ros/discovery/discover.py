@@ -35,6 +35,7 @@ from microbot_ros.discovery.stepwise_selection import (
     without,
 )
 from microbot_ros.estimation.model_fit import ModelFit
+from microbot_ros.estimation.prepared_session import PreparedSession
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.parameter import Parameter
@@ -86,7 +87,8 @@ def _discover(selection: StepwiseSelection, remarks: tuple[str, ...],
         _Assessment.of(selection, effect.id) for effect in selection.current.model.effects]
     doubts = [m for one in assessments for m in one.doubts]
     unexplained = _worst([m for m in after if m.fires] + doubts)
-    effects = [one.entry(bool(unexplained)) for one in assessments or _suggestions(selection)]
+    weak = [] if assessments else _suggestions(selection.open, selection.sessions)
+    effects = [one.entry(bool(unexplained)) for one in assessments or weak]
     rivals = [rival.fit.model for one in assessments for rival in one.rivals]
     report('predicting what was held out')
     fit = selection.current
@@ -139,7 +141,7 @@ class _Assessment:
         """Of the effect `name` of the model selected so far."""
         rest = without(selection.current, name)
         own = compare(selection.current, rest, name)
-        gain = _paid_log_e_value(selection, selection.current.model, name)
+        gain = _paid_log_e_value(selection.current.model, selection.sessions, name)
         # Halves of a recording in which the frequency was stepped once predict nothing.
         alone = name == 'drive_response' and curve_p_value(selection.current) < BACKWARD
         sure = own.shape_seen and own.delta_bic > CLOSE and not is_cancelled(
@@ -169,14 +171,14 @@ def _worst(maps: Iterable[ResidualMap]) -> tuple[ResidualMap, ...]:
     return tuple(found.values())
 
 
-def _paid_log_e_value(selection: StepwiseSelection, model: Model, name: str) -> float:
+def _paid_log_e_value(model: Model, sessions: Sequence[PreparedSession], name: str) -> float:
     """The e-value of an effect that was the best of the library: each could have been it."""
-    return log_e_value(model, selection.sessions, name) - float(np.log(len(EFFECTS)))
+    return log_e_value(model, sessions, name) - float(np.log(len(EFFECTS)))
 
 
-def _suggestions(selection: StepwiseSelection) -> list[_Assessment]:
+def _suggestions(found: Sequence[CandidateFit],
+                 sessions: Sequence[PreparedSession]) -> list[_Assessment]:
     """The best of what is too weak for a model that has none yet, or seen from one side only."""
-    found = selection.open
     likely = [c for c in found if c.p_value * len(found) < SUGGESTED]
     if not likely:
         return []
@@ -184,7 +186,7 @@ def _suggestions(selection: StepwiseSelection) -> list[_Assessment]:
     first = likely[0]
     best = next((c for c in likely if c.shape_seen and not clearly_better(first, c)), first)
     rivals = [c for c in found if c is not best and _close(c, best)]
-    gain = _paid_log_e_value(selection, best.fit.model, best.id)
+    gain = _paid_log_e_value(best.fit.model, sessions, best.id)
     return [_Assessment(best, gain, False, False, rivals, [])]
 
 

@@ -46,11 +46,9 @@ class _Profile:
     polars: list[list[Polar]]
 
     def ends(self) -> tuple[float, float]:
-        """Fit coordinates at both ends of the interval; infinite where it is not bounded."""
-        return tuple(  # type: ignore[return-value]
-            float(np.interp(end, self.root, self.x)) if abs(self.root[side]) >= abs(end)
-            else side_sign * np.inf
-            for side, side_sign, end in ((0, -1, -ROOT), (-1, 1, ROOT)))
+        """Fit coordinates at both ends of the interval, or the bounds of the parameter."""
+        low, high = np.interp([-ROOT, ROOT], self.root, self.x)
+        return float(low), float(high)
 
     def hull(self, session: int, quantity: str) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper end (N,) of `speed` or `phi` over the whole profile."""
@@ -91,8 +89,8 @@ class Intervals:
             max(x - ROOT * std, low), min(x + ROOT * std, high))
         if _is_angle(parameter):
             ends = x - ROOT * std, x + ROOT * std
-        low, high = sorted(parameter.from_fit(end) for end in ends)
-        return Estimate(parameter.from_fit(x), std * slope, low, high)
+        return Estimate(parameter.from_fit(x), std * slope,
+                        *sorted(parameter.from_fit(end) for end in ends))
 
     @cached_property
     def _profiles(self) -> dict[int, _Profile]:

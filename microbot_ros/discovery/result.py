@@ -15,8 +15,8 @@ Verdict = Literal['consistent', 'named', 'unnamed']
 FIRES = 0.003
 """Adjusted p-value below which a map says that something is left."""
 
-UNEVEN = 0.1
-"""Difference of an interval's two sides, of its width, from which ± would mislead."""
+UNEVEN = 1.2
+"""Ratio of an interval's two sides from which ± would mislead."""
 
 Status = Literal['established', 'suggested', 'proxy']
 
@@ -25,7 +25,7 @@ Status = Literal['established', 'suggested', 'proxy']
 class Estimate:
     """A `value` with its standard deviation `std`, SI; NaN where unknown.
 
-    The 95 % interval is from `low` to `high`, infinite where the data set no bound.
+    The 95 % interval is from `low` to `high`; of an effect's parameter within its bounds.
     """
 
     value: float
@@ -42,7 +42,7 @@ class Estimate:
     def is_even(self) -> bool:
         """Whether the interval lies about the value as ± tells it."""
         below, above = self.value - self.low, self.high - self.value
-        return not abs(above - below) > UNEVEN * abs(above + below)
+        return not max(below, above) > UNEVEN * min(below, above)
 
     @classmethod
     def of(cls, value: float, std: float, ends: np.ndarray) -> Estimate:

@@ -174,7 +174,8 @@ def whiten_with_heading(  # type: ignore[no-untyped-def]
     [rad²/m²]; `sensitivity` (T−1, N) complex: displacement over a frame interval per radian at
     its start; `retention` (T−1, N): the part of a deviation left at its end. A Kalman filter over
     place (x, y) and heading (a), whose covariance is kept as six scalars; real and imaginary
-    parts of the result are independent. Also ½ log det of the innovations over both axes, and rows used.
+    parts of the result are independent. Also ½ log det of the innovations over both axes, and
+    rows used.
     """
     T, N, M = columns.shape
     out = np.zeros((T, N, M), np.complex128)

@@ -48,20 +48,35 @@ class Whitening:
     `noise_ratio` [s] is σ²/D less a third of the exposure, so that it may be negative. Where
     headings keep what noise did to them from frame to frame, `diffusion_ratio` is D_r/D
     [rad²/m²], with `sensitivity` and `retention` (T−1, N) of `kernels.whiten_with_heading`.
+    `stretch`: how much larger diffusion looks along x and along y than it is; not told where
+    headings are noisy.
     """
 
     noise_ratio: float
     diffusion_ratio: float = 0.0
     sensitivity: np.ndarray | None = None
     retention: np.ndarray | None = None
+    stretch: tuple[float, float] = (1.0, 1.0)
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether both axes are alike, and headings not noisy."""
+        return self.sensitivity is None and self.stretch == (1.0, 1.0)
 
     def apply(self, session: PreparedSession,
               columns: np.ndarray) -> tuple[np.ndarray, float, int]:
         """White `columns` (T, N, M) of a `session`, ½ log|V| over both axes, rows used."""
         from microbot_ros.estimation.kernels import whiten_columns, whiten_with_heading
 
-        if self.sensitivity is None:
+        if self.is_plain:
             return whiten_columns(session.times, session.pieces, columns, self.noise_ratio)
+        if self.sensitivity is None:
+            (x, log_x, count), (y, log_y, _) = (
+                whiten_columns(session.times, session.pieces, np.ascontiguousarray(part),
+                               self.noise_ratio / stretch**2)
+                for part, stretch in zip((columns.real, columns.imag), self.stretch, strict=True))
+            white = x / self.stretch[0] + 1j * y / self.stretch[1]
+            return white, (log_x + log_y) / 2 + count * math.log(math.prod(self.stretch)), count
         return whiten_with_heading(
             session.times, session.pieces, columns, self.noise_ratio, self.diffusion_ratio,
             self.sensitivity, self.retention)
@@ -87,7 +102,7 @@ class SessionFit:
     def of(cls, session: PreparedSession, whitening: Whitening,
            expected: ExpectedDisplacement) -> SessionFit:
         """A `session` whose displacements are `expected`, under the noise of `whitening`."""
-        if expected.isotropic and whitening.sensitivity is None:
+        if expected.isotropic and whitening.is_plain:
             from microbot_ros.estimation.kernels import whitened_products
 
             gram, log_det, count = whitened_products(

@@ -212,7 +212,7 @@ def _fit_noise(model: Model, fit: SessionFit) -> SessionFit:
 
     def at(turning: float) -> SessionFit:
         whitening = Whitening(ratio, turning / fit.diffusion, *heading) if heading else (
-            Whitening(ratio))
+            Whitening(ratio, stretch=model.stretch))
         return SessionFit.of(session, whitening, fit.expected)
 
     turning = session.rotational_diffusion if heading else 0.0

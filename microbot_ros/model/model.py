@@ -182,6 +182,12 @@ class Model:
             position = effect.observe(position)
         return position
 
+    @property
+    def stretch(self) -> tuple[float, float]:
+        """How much larger than they are lengths of random direction look along x and along y."""
+        x, y = np.linalg.norm(self.observe(np.eye(2)), axis=0)
+        return float(x), float(y)
+
     def true_position(self, observed: np.ndarray) -> np.ndarray:
         """The inverse of `observe`: true positions (..., 2) [m] of `observed` ones (..., 2)."""
         for effect in reversed(self.effects):

@@ -40,10 +40,15 @@ class Parameter:
         return self.scale / value if self.inverse else (value - self.null_value) / self.scale
 
     def from_fit(self, coordinate: float) -> float:
-        """The SI value at a fit coordinate; the reciprocal of 0 is infinity."""
-        if not self.inverse:
-            return self.null_value + coordinate * self.scale
-        return self.scale / coordinate if coordinate else float('inf')
+        """The SI value at a fit coordinate, within the bounds; the reciprocal of 0 is infinity.
+
+        A coordinate beyond the bounds by rounding gives the bound itself.
+        """
+        if self.inverse:
+            value = self.scale / coordinate if coordinate else float('inf')
+        else:
+            value = self.null_value + coordinate * self.scale
+        return min(max(value, self.low), self.high)
 
     @property
     def fit_bounds(self) -> tuple[float, float]:

@@ -9,6 +9,7 @@ from scipy import stats
 from microbot_ros.discovery.discover import _suggestions
 from microbot_ros.discovery.drive_levels import curve_p_value, scattered
 from microbot_ros.discovery.input_checks import check_sessions
+from microbot_ros.discovery.intervals import Intervals
 from microbot_ros.discovery.search import absorbed_by_phi, compare, fit_candidate
 from microbot_ros.discovery.starting_points import rotating_components
 from microbot_ros.discovery.stepwise_selection import StepwiseSelection, is_cancelled
@@ -17,7 +18,10 @@ from microbot_ros.discovery.tail_probabilities import (
     log_chi_square_tail,
     log_of_any,
 )
+from microbot_ros.estimation.model_fit import fit_sessions, maximise
 from microbot_ros.model.effects import EFFECTS
+from microbot_ros.model.model import Model, ParticleParameters
+from microbot_ros.model.model_file import read_model, write_model
 from microbot_ros.records import Session
 from microbot_ros.virtual_rig.commands import rotating
 
@@ -99,23 +103,26 @@ def test_fields_that_cancel_take_each_other_back(film):
 
 
 def test_what_is_too_weak_for_the_model_is_suggested_whole_shapes_first(film):
-    fit = StepwiseSelection(check_sessions([film(1, duration=20.0)[0]])[0]).current
+    sessions, _ = check_sessions([film(1, duration=20.0)[0]])
+    fit = StepwiseSelection(sessions).current
     weak = replace(fit_candidate(fit, 'uniform_drift'), likelihood_ratio=12.0)
-    assert [case.own for case in _suggestions([weak])] == [weak]
-    assert not _suggestions([replace(weak, likelihood_ratio=5.0)])
-    assert not _suggestions([])
+    assert [case.own for case in _suggestions([weak], sessions)] == [weak]
+    assert not _suggestions([replace(weak, likelihood_ratio=5.0)], sessions)
+    assert not _suggestions([], sessions)
     flank = replace(fit_candidate(fit, 'linear_flow'), likelihood_ratio=20.0, shape_seen=False)
-    case, = _suggestions([flank, weak])
+    case, = _suggestions([flank, weak], sessions)
     assert case.own is weak
     assert case.rivals == [flank]
     assert not case.sure
     plain = replace(flank, likelihood_ratio=40.0)
-    assert [case.own for case in _suggestions([plain, weak])] == [plain]
+    assert [case.own for case in _suggestions([plain, weak], sessions)] == [plain]
 
 
 def test_a_hint_of_a_drive_response_stands_in_where_something_is_left(film):
-    fit = StepwiseSelection(check_sessions([film(15, rolling=True)[0]])[0]).current
-    case, = _suggestions([replace(fit_candidate(fit, 'drive_response'), likelihood_ratio=30.0)])
+    sessions, _ = check_sessions([film(15, rolling=True)[0]])
+    fit = StepwiseSelection(sessions).current
+    hint = replace(fit_candidate(fit, 'drive_response'), likelihood_ratio=30.0)
+    case, = _suggestions([hint], sessions)
     assert case.entry(incomplete=True).status == 'proxy'
     assert case.entry(incomplete=False).status == 'suggested'
 
@@ -142,3 +149,25 @@ def test_levels_of_the_drive_judge_its_curve(film):
     assert scattered(lucky * flat, noise, lucky) - scattered(lucky * flat, noise, np.ones(40)) < 8
     with pytest.raises(ValueError, match='no drive_response'):
         curve_p_value(StepwiseSelection(check_sessions([film(15, rolling=True)[0]])[0]).current)
+
+
+@pytest.mark.parametrize('end', ['low', 'high'])
+@pytest.mark.parametrize('name', EFFECTS)
+def test_an_effect_at_its_bound_goes_through_fit_result_and_file(film, tmp_path, name, end):
+    """A gain ratio of 0.19999999999999996 was once below its bound of 0.2."""
+    rolling = name == 'drive_response'
+    session, _ = film(40, duration=8.0, count=2, rolling=rolling)
+    prepared, _ = check_sessions([session])
+    effect = EFFECTS[name](**{p.field: getattr(p, end) for p in EFFECTS[name].parameters()})
+    plain = fit_sessions(Model.baseline(session.conditions, session.commands), prepared)
+    fit = plain.under(plain.model.with_effect(effect))
+    back = fit.model.with_vector(fit.model.vector())
+    write_model(tmp_path / 'model.yaml', back, ParticleParameters.from_velocity_phasor(
+        prepared[0].ids, fit.session_fits[0].velocity_phasor))
+    assert read_model(tmp_path / 'model.yaml')[0] == back
+    for p, value in back.effect(name).values().items():
+        assert p.low <= value <= p.high
+    for estimate in Intervals(maximise(fit)).effect(name).values():
+        estimate.as_json('x')
+        assert not estimate.low > estimate.value
+        assert not estimate.high < estimate.value
