@@ -164,18 +164,18 @@ def _heading_noise(h, diffusion_ratio, sensitivity, retention):  # type: ignore[
             diffusion_ratio * (1 - retention**2) / rate)
 
 
-@njit([(*_ROWS, _given(types.complex128, 3), types.float64, types.float64,
+@njit([(*_ROWS, _given(types.complex128, 3), types.float64, types.float64, types.float64,
         _given(types.complex128, 2), _given(types.float64, 2))], cache=True)
 def whiten_with_heading(  # type: ignore[no-untyped-def]
-        times, pieces, columns, noise_ratio, diffusion_ratio, sensitivity, retention):
+        times, pieces, columns, ratio_x, ratio_y, diffusion_ratio, sensitivity, retention):
     """White increments of complex `columns` (T, N, M) where headings are noisy as well.
 
-    `times`, `pieces` and `noise_ratio` as in `whiten_columns`; `diffusion_ratio` = D_r/D
-    [rad²/m²]; `sensitivity` (T−1, N) complex: displacement over a frame interval per radian at
-    its start; `retention` (T−1, N): the part of a deviation left at its end. A Kalman filter over
-    place (x, y) and heading (a), whose covariance is kept as six scalars; real and imaginary
-    parts of the result are independent. Also ½ log det of the innovations over both axes, and
-    rows used.
+    `times` and `pieces` as in `whiten_columns`; `ratio_x`, `ratio_y`: the `noise_ratio` [s] of
+    either axis; `diffusion_ratio` = D_r/D [rad²/m²]; `sensitivity` (T−1, N) complex: displacement
+    over a frame interval per radian at its start; `retention` (T−1, N): the part of a deviation
+    left at its end. A Kalman filter over place (x, y) and heading (a), whose covariance is kept
+    as six scalars; real and imaginary parts of the result are independent. Also ½ log det of the
+    innovations over both axes, and rows used.
     """
     T, N, M = columns.shape
     out = np.zeros((T, N, M), np.complex128)
@@ -203,13 +203,13 @@ def whiten_with_heading(  # type: ignore[no-untyped-def]
                 continue
             if pieces[k, n] != piece:
                 piece = pieces[k, n]
-                xx = yy = noise_ratio
+                xx, yy = ratio_x, ratio_y
                 xy = xa = ya = 0.0
                 aa = _stationary_variance(diffusion_ratio, times, retention, k, n)
                 for m in range(M):
                     place[m], turn[m] = columns[k, n, m], 0.0
                 continue
-            sx, sy = xx + noise_ratio, yy + noise_ratio
+            sx, sy = xx + ratio_x, yy + ratio_y
             det = sx * sy - xy * xy
             scale_x, lean = 1 / math.sqrt(sx), xy / sx
             scale_y = math.sqrt(sx / det)
@@ -226,5 +226,5 @@ def whiten_with_heading(  # type: ignore[no-untyped-def]
                 turn[m] += gax * i + gay * j
             aa -= gax * xa + gay * ya
             xa, ya = xa - gxx * xa - gxy * ya, ya - gyx * xa - gyy * ya
-            xx, xy, yy = noise_ratio * gxx, noise_ratio * gxy, noise_ratio * gyy
+            xx, xy, yy = ratio_x * gxx, ratio_y * gxy, ratio_y * gyy
     return out, log_det, used

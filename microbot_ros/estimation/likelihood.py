@@ -48,8 +48,7 @@ class Whitening:
     `noise_ratio` [s] is σ²/D less a third of the exposure, so that it may be negative. Where
     headings keep what noise did to them from frame to frame, `diffusion_ratio` is D_r/D
     [rad²/m²], with `sensitivity` and `retention` (T−1, N) of `kernels.whiten_with_heading`.
-    `stretch`: how much larger diffusion looks along x and along y than it is; not told where
-    headings are noisy.
+    `stretch`: how much larger than they are lengths look along x and along y.
     """
 
     noise_ratio: float
@@ -68,18 +67,26 @@ class Whitening:
         """White `columns` (T, N, M) of a `session`, ½ log|V| over both axes, rows used."""
         from microbot_ros.estimation.kernels import whiten_columns, whiten_with_heading
 
+        rows = session.times, session.pieces
         if self.is_plain:
-            return whiten_columns(session.times, session.pieces, columns, self.noise_ratio)
+            return whiten_columns(*rows, columns, self.noise_ratio)
+        ratios = self.noise_ratio / np.square(self.stretch)
+        columns = self._unstretched(columns)
         if self.sensitivity is None:
             (x, log_x, count), (y, log_y, _) = (
-                whiten_columns(session.times, session.pieces, np.ascontiguousarray(part),
-                               self.noise_ratio / stretch**2)
-                for part, stretch in zip((columns.real, columns.imag), self.stretch, strict=True))
-            white = x / self.stretch[0] + 1j * y / self.stretch[1]
-            return white, (log_x + log_y) / 2 + count * math.log(math.prod(self.stretch)), count
-        return whiten_with_heading(
-            session.times, session.pieces, columns, self.noise_ratio, self.diffusion_ratio,
-            self.sensitivity, self.retention)
+                whiten_columns(*rows, np.ascontiguousarray(part), ratio)
+                for part, ratio in zip((columns.real, columns.imag), ratios, strict=True))
+            white, log_det = x + 1j * y, (log_x + log_y) / 2
+        else:
+            white, log_det, count = whiten_with_heading(
+                *rows, columns, ratios[0], ratios[1], self.diffusion_ratio,
+                self._unstretched(self.sensitivity), self.retention)
+        return white, log_det + count * math.log(math.prod(self.stretch)), count
+
+    def _unstretched(self, vectors: np.ndarray) -> np.ndarray:
+        """Complex `vectors` as they are, not as they look."""
+        return vectors if self.stretch == (1.0, 1.0) else (
+            vectors.real / self.stretch[0] + 1j * vectors.imag / self.stretch[1])
 
 
 @dataclass(frozen=True)

@@ -207,15 +207,14 @@ def _fit_noise(model: Model, fit: SessionFit) -> SessionFit:
     from scipy.optimize import minimize_scalar
 
     session, ratio = fit.session, fit.whitening.noise_ratio
-    heading = (_heading_noise(model, session, fit.velocity_phasor)
-               if remembers(model, session) else None)
+    remembered = remembers(model, session)
+    heading = _heading_noise(model, session, fit.velocity_phasor) if remembered else (None, None)
 
     def at(turning: float) -> SessionFit:
-        whitening = Whitening(ratio, turning / fit.diffusion, *heading) if heading else (
-            Whitening(ratio, stretch=model.stretch))
+        whitening = Whitening(ratio, turning / fit.diffusion, *heading, model.stretch)
         return SessionFit.of(session, whitening, fit.expected)
 
-    turning = session.rotational_diffusion if heading else 0.0
+    turning = session.rotational_diffusion if remembered else 0.0
     if turning is None:
         turning = math.exp(minimize_scalar(
             lambda log_turning: -at(math.exp(log_turning)).restricted_log_likelihood,
@@ -242,7 +241,8 @@ def whitening_on(model: Model, known: SessionFit, session: PreparedSession) -> W
     if known.whitening.sensitivity is None:
         return known.whitening
     heading = _heading_noise(model, session, known.velocity_phasor)
-    return Whitening(known.whitening.noise_ratio, known.whitening.diffusion_ratio, *heading)
+    return Whitening(known.whitening.noise_ratio, known.whitening.diffusion_ratio, *heading,
+                     known.whitening.stretch)
 
 
 def _heading_noise(model: Model, session: PreparedSession,

@@ -1,6 +1,7 @@
 """The likelihood is that of the dense Gaussian, and the filters make noise white."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -83,7 +84,7 @@ def test_the_filter_without_heading_noise_is_the_plain_one():
     pieces = (rng.random((40, 2)) < 0.8).astype(int)
     sensitivity, retention = np.zeros((39, 2), complex), np.zeros((39, 2))
     plain = whiten_columns(times, pieces, columns, 0.05)
-    noisy = whiten_with_heading(times, pieces, columns, 0.05, 0.3, sensitivity, retention)
+    noisy = whiten_with_heading(times, pieces, columns, 0.05, 0.05, 0.3, sensitivity, retention)
     assert noisy[0] == pytest.approx(plain[0])
     assert noisy[1:] == pytest.approx(plain[1:])
 
@@ -98,7 +99,7 @@ def test_the_filter_whitens_heading_noise():
     def whiten(columns):
         pieces = np.ones((count, 1), int)
         return whiten_with_heading(
-            times, pieces, columns, noise_ratio, ratio, sensitivity, retention)[0]
+            times, pieces, columns, noise_ratio, noise_ratio, ratio, sensitivity, retention)[0]
 
     # ∫∫ (D_r/κ) e^{−κ|s−u|} from 0 to t and t': the covariance of the integrated heading.
     t, u = np.minimum(times[:, None], times), np.maximum(times[:, None], times)
@@ -111,6 +112,31 @@ def test_the_filter_whitens_heading_noise():
     white = whiten(units)[1:, 0]
     white = np.concatenate([white.real, white.imag])
     assert white @ covariance @ white.T == pytest.approx(np.eye(2 * count - 2), abs=1e-8)
+
+
+@pytest.mark.parametrize('heading', [False, True])
+def test_a_stretched_picture_is_whitened_along_each_axis(heading):
+    """Diffusion looks larger along an axis, the error of reading does not."""
+    count, noise_ratio, stretch = 12, 0.03, (0.8, 1.3)
+    times = np.cumsum(np.linspace(0.02, 0.08, count))
+    still = (np.zeros((count - 1, 1), complex), np.zeros((count - 1, 1))) if heading else ()
+    whitening = Whitening(noise_ratio, 0.1, *(still or (None, None)), stretch=stretch)
+    rows = SimpleNamespace(times=times, pieces=np.ones((count, 1), int))
+    units = np.concatenate([np.eye(count), 1j * np.eye(count)], axis=1)[:, None, :]
+    white, log_det, used = whitening.apply(rows, units.astype(complex))
+    white = np.concatenate([white.real, white.imag])[:, 0]
+    covariance = np.zeros((2 * count, 2 * count))
+    for axis, factor in enumerate(stretch):
+        own = slice(axis * count, (axis + 1) * count)
+        covariance[own, own] = factor**2 * brownian(times, noise_ratio / factor**2)
+    known = np.delete(np.arange(2 * count), [0, count])
+    assert (white @ covariance @ white.T)[np.ix_(known, known)] == pytest.approx(
+        np.eye(2 * count - 2), abs=1e-9)
+    steps = np.kron(np.eye(2), np.diff(np.eye(count), axis=0))
+    # Steps of the first row carry what its own reading had: the filter starts from it as given.
+    assert log_det == pytest.approx(
+        np.linalg.slogdet(steps @ covariance @ steps.T)[1] / 2, abs=1e-9)
+    assert used == count - 1
 
 
 def test_belief_is_the_kalman_filter_of_a_random_walk():
