@@ -53,6 +53,9 @@ HELD_OUT = float(np.log(20))
 BETTER = 2.0
 """Gain in log p by which a map has to explain more than an effect, to make it a stand-in."""
 
+DWARFED = 0.02
+"""Part of an effect's evidence up to which what is left does not call it into question."""
+
 ONE_SIDED = 1.645
 
 
@@ -86,9 +89,11 @@ def _discover(selection: StepwiseSelection, remarks: tuple[str, ...],
     assessments = [
         _Assessment.of(selection, effect.id) for effect in selection.current.model.effects]
     doubts = [m for one in assessments for m in one.doubts]
-    unexplained = _worst([m for m in after if m.fires] + doubts)
+    left = [m for m in after if m.fires]
+    unexplained = _worst(left + doubts)
     weak = [] if assessments else _suggestions(selection.open, selection.sessions)
-    effects = [one.entry(bool(unexplained)) for one in assessments or weak]
+    effects = [one.entry(bool(doubts) or not all(map(one.dwarfs, left)))
+               for one in assessments or weak]
     rivals = [rival.fit.model for one in assessments for rival in one.rivals]
     report('predicting what was held out')
     fit = selection.current
@@ -111,9 +116,9 @@ def _discover(selection: StepwiseSelection, remarks: tuple[str, ...],
 
 
 def _verdict(effects: Sequence[NamedEffect], unexplained: Sequence[ResidualMap]) -> Verdict:
-    if unexplained:
-        return 'unnamed'
-    return 'named' if any(e.status == 'established' for e in effects) else 'consistent'
+    if any(e.status == 'established' for e in effects):
+        return 'named'
+    return 'unnamed' if unexplained else 'consistent'
 
 
 @dataclass(frozen=True)
@@ -126,7 +131,7 @@ class _Assessment:
     is `alone`: a drive response whose curve the gains at the levels of the drive follow.
     `doubts`: of the maps of the residual without it, those that are less likely by chance than it
     is, since something smooth that is in no library explains it better; all that fire, where it
-    is not sure.
+    is not sure. `shows_in`: the covariate that its absence shows in most.
     """
 
     own: CandidateFit
@@ -135,6 +140,7 @@ class _Assessment:
     alone: bool
     rivals: list[CandidateFit]
     doubts: list[ResidualMap]
+    shows_in: str = ''
 
     @classmethod
     def of(cls, selection: StepwiseSelection, name: str) -> _Assessment:
@@ -147,10 +153,23 @@ class _Assessment:
         sure = own.shape_seen and own.delta_bic > CLOSE and not is_cancelled(
             selection.current, name) and (gain > HELD_OUT or alone)
         most = own.log_p + np.log(len(EFFECTS)) - BETTER if sure else 0.0
+        maps = residual_maps(rest)
         return cls(
             own, gain, sure, alone,
             [rival for rival in selection.rivals(name) if _close(rival, own) and not alone],
-            [m for m in residual_maps(rest) if m.fires and m.log_p < most])
+            [m for m in maps if m.fires and m.log_p < most],
+            max(maps, key=lambda m: m.statistic - m.dof).against)
+
+    def dwarfs(self, left: ResidualMap) -> bool:
+        """Whether what is `left` is small beside the effect, and of another kind.
+
+        What only stands in for something else explains less of it, and leaves more of the same.
+        Steps that were cut out can't be explained by any effect, nor be taken for one.
+        """
+        if left.cut_out:
+            return True
+        return left.against != self.shows_in and (
+            left.statistic - left.dof < DWARFED * self.own.likelihood_ratio)
 
     def entry(self, incomplete: bool) -> NamedEffect:
         """As it is named; `incomplete`: whether structure is left in the residual."""
@@ -235,5 +254,7 @@ def _limits(found: CandidateFit) -> list[Limit]:
 def _particle_parameters(fit: ModelFit) -> ParticleParameters:
     """The particles of the last session."""
     last = fit.session_fits[-1]
-    return ParticleParameters.from_velocity_phasor(last.session.ids, last.velocity_phasor)
+    main = last.session.main
+    return ParticleParameters.from_velocity_phasor(
+        last.session.ids[main], last.velocity_phasor[main])
 

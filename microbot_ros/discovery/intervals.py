@@ -100,7 +100,7 @@ class Intervals:
                 and (found := _follow(self._fit, k, float(self._std[k]), parameter))}
 
     def particles(self) -> tuple[Particle, ...]:
-        """Speed, φ and force of every particle."""
+        """Speed, φ and force of every particle, over the longest of its tracks."""
         return tuple(
             particle for s, polar in enumerate(self._fit.polars())
             for particle in self._of_session(s, polar))
@@ -113,7 +113,8 @@ class Intervals:
         drag = np.divide(force, polar.speed)
         known = np.sqrt(np.maximum(force_std**2 - (drag * polar.speed_std) ** 2, 0.0))
         off = np.hypot(ROOT * known, drag * (speed - polar.speed))
-        for n, name in enumerate(session.ids):
+        for n in session.main:
+            name = session.ids[n]
             label = str(name) if len(self._fit.session_fits) == 1 else f'{session.name}:{name}'
             yield Particle(
                 label, Estimate.of(polar.speed[n], polar.speed_std[n], speed[:, n]),

@@ -77,14 +77,16 @@ def _trial(fit: ModelFit, plan: _Plan) -> PreparedSession:
     last = fit.session_fits[-1]
     e = last.session
     commands = _commands(plan, e.commands)
-    particles = ParticleParameters.from_velocity_phasor(e.ids, last.velocity_phasor)
-    first = np.isfinite(e.causal_positions[..., 0]).argmax(axis=0)
-    start = fit.model.true_position(e.causal_positions[first, np.arange(len(e.ids))])
+    tracks = e.main
+    particles = ParticleParameters.from_velocity_phasor(
+        e.ids[tracks], last.velocity_phasor[tracks])
+    first = np.isfinite(e.causal_positions[:, tracks, 0]).argmax(axis=0)
+    start = fit.model.true_position(e.causal_positions[first, tracks])
     times = np.arange(0.0, TRIAL, max(e.interval, 1 / 30))
     places = fit.model.observe(simulate(fit.model, particles, commands, times, start))
     z = places[..., 0] + 1j * places[..., 1]
     return replace(
-        e, times=times, z=z, pieces=np.ones(z.shape, int),
+        e, ids=e.ids[tracks], times=times, z=z, pieces=np.ones(z.shape, int),
         causal_positions=as_vectors(z), commands=commands)
 
 

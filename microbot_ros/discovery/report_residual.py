@@ -53,7 +53,7 @@ def residual(found: Discovery, session: Session) -> Residual:
     return Residual(
         whole.times, tuple(str(i) for i in found.particles.ids), places,
         positions - as_vectors(moved),
-        positions - as_vectors(plain.at(refitted)),
+        positions - as_vectors(plain.at(refitted[prepared.main])),
         as_vectors(np.broadcast_to(plain.along, whole.z.shape)),
         np.nan_to_num(steps) > JUMP * np.nanquantile(steps, 0.99))
 

@@ -123,6 +123,8 @@ class ResidualMap:
     p_value: float
     middles: np.ndarray
     curves: dict[str, tuple[np.ndarray, np.ndarray]]
+    cut_out: bool = False
+    """Whether all that is told was left out of the fit: steps too large for any motion."""
 
     @property
     def log_p(self) -> float:

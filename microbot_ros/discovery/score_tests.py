@@ -6,10 +6,12 @@ T = ‖Uᵀr‖² is χ² where nothing is left (a score test: Rao 1948); p-valu
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from microbot_ros.discovery.covariates import Covariates, Group
-from microbot_ros.discovery.result import ResidualMap
+from microbot_ros.discovery.result import FIRES, ResidualMap
 from microbot_ros.discovery.starting_points import rotating_components
 from microbot_ros.discovery.tail_probabilities import chi_square_tail, peak_tail_probability
 from microbot_ros.estimation.likelihood import SessionFit, eliminate, inner
@@ -35,8 +37,7 @@ def residual_maps(fit: ModelFit) -> tuple[ResidualMap, ...]:
     raw += [_rhythm(fit), _rhythm(fit, covariates), _single_steps(fit)]
     adjusted = _holm([m.p_value for m in raw])
     return tuple(
-        ResidualMap(m.against, m.label, m.statistic, m.dof, p, m.middles, m.curves)
-        for m, p in zip(raw, adjusted, strict=True)
+        replace(m, p_value=p) for m, p in zip(raw, adjusted, strict=True)
     )
 
 
@@ -123,8 +124,10 @@ def _single_steps(fit: ModelFit) -> ResidualMap:
                 worst = max(worst, float((np.abs(residual) ** 2).max()))
             trials += 2 * int((white != 0).sum())
     jumps = sum(int(p.session.jumps.sum()) for p in fit.session_fits)
-    p_value = 0.0 if jumps else float(min(1.0, trials * np.exp(-worst / 2)))
-    return ResidualMap('single steps', 'time [s]', worst, 2, p_value, np.empty(0), {})
+    p_value = float(min(1.0, trials * np.exp(-worst / 2)))
+    cut_out = bool(jumps) and p_value >= FIRES
+    return ResidualMap('single steps', 'time [s]', worst, 2, 0.0 if cut_out else p_value,
+                       np.empty(0), {}, cut_out)
 
 
 def _lasting(p: SessionFit, white: np.ndarray) -> np.ndarray:

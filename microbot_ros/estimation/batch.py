@@ -87,7 +87,7 @@ def fit(session: Session, exposure: float = 0.0) -> FitResult:
     slope = fits.log_phasor_slope(delay.value, best.whitening.noise_ratio)
     if best is not plain:
         noise = best.noise(exposure)
-    speeds = best.polar().widened(delay.felt(slope))
+    speeds = best.polar().widened(delay.felt(slope)).of(best.session.main)
     warnings = [*_steps(best), *excited.sentences]
     if ('φ', 'delay') in excited.pairs:
         warnings.append(
@@ -100,8 +100,9 @@ def fit(session: Session, exposure: float = 0.0) -> FitResult:
     force, force_std = speeds.force(session.conditions)
     return FitResult(
         np.unique(prepared.ids), speeds, force, force_std, noise, delay, best.log_likelihood,
-        one_leg(session), bands, warnings, np.where(best.session.seen, best.session.z, np.nan),
-        _predicted(best), model.propulsion == 'rolling',
+        one_leg(session), bands, warnings,
+        _of_particles(np.where(best.session.seen, best.session.z, np.nan), best.session.ids),
+        _of_particles(_predicted(best), best.session.ids), model.propulsion == 'rolling',
     )
 
 
@@ -133,13 +134,14 @@ def _with_delay(model: Model, fits: DelayedFits, plain: SessionFit) -> tuple[Ses
 def _steps(fit: SessionFit) -> list[str]:
     """A sentence on each particle that jumped, or moved by more than diffusion explains."""
     session = fit.session
-    large = (np.abs(fit.residual) ** 2 > GATE).sum(axis=0)
+    names, owner = np.unique(session.ids, return_inverse=True)
+    large = np.bincount(owner, (np.abs(fit.residual) ** 2 > GATE).sum(axis=0))
     return [
         f'particle {name}: {count:.0f} steps are too large for diffusion {what}'
         for counts, what in (
             (session.jumps, 'and were left out: the stage moved, or tracking was lost'),
             (large, 'but were kept: tracking was lost, or the speed is not constant'))
-        for name, count in zip(session.ids, counts, strict=True) if count
+        for name, count in zip(names, counts, strict=True) if count
     ]
 
 
@@ -192,8 +194,16 @@ def _against_stokes_einstein(session: Session, noise: Noise) -> list[str]:
     ]
 
 
+def _of_particles(tracks: np.ndarray, ids: np.ndarray) -> np.ndarray:
+    """The tracks (T, N) of particles `ids` (N,), never two at once, as one for each: (T, P)."""
+    joined = np.full((len(tracks), len(np.unique(ids))), np.nan + 0j)
+    for track, n in zip(tracks.T, np.unique(ids, return_inverse=True)[1], strict=True):
+        joined[:, n] = np.where(np.isnan(track), joined[:, n], track)
+    return joined
+
+
 def _predicted(fit: SessionFit) -> np.ndarray:
-    """The model's tracks (T, P), each piece from where it begins."""
+    """The model's tracks (T, N), each piece from where it begins."""
     pieces, moved = fit.session.pieces, fit.expected.at(fit.velocity_phasor)
     predicted = np.full(pieces.shape, np.nan + 0j)
     for n, piece in enumerate(pieces.T):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -208,11 +208,14 @@ def _fit_noise(model: Model, fit: SessionFit) -> SessionFit:
 
     session, ratio = fit.session, fit.whitening.noise_ratio
     remembered = remembers(model, session)
-    heading = _heading_noise(model, session, fit.velocity_phasor) if remembered else (None, None)
+    plain = Whitening(ratio, stretch=model.stretch)
+    if remembered:
+        sensitivity, retention = _heading_noise(model, session, fit.velocity_phasor)
+        plain = replace(plain, sensitivity=sensitivity, retention=retention)
 
     def at(turning: float) -> SessionFit:
-        whitening = Whitening(ratio, turning / fit.diffusion, *heading, model.stretch)
-        return SessionFit.of(session, whitening, fit.expected)
+        return SessionFit.of(
+            session, replace(plain, diffusion_ratio=turning / fit.diffusion), fit.expected)
 
     turning = session.rotational_diffusion if remembered else 0.0
     if turning is None:

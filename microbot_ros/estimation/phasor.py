@@ -38,6 +38,10 @@ class Polar:
         return Polar(self.speed, np.hypot(self.speed_std, self.speed * speed),
                      self.phi, np.minimum(np.hypot(self.phi_std, phi), NO_ANGLE))
 
+    def of(self, rows: np.ndarray) -> Polar:
+        """Of some `rows` (P,) alone."""
+        return Polar(self.speed[rows], self.speed_std[rows], self.phi[rows], self.phi_std[rows])
+
     def force(self, conditions: Conditions) -> tuple[np.ndarray, np.ndarray]:
         """F = 6πηr v [N] under some `conditions`, and its standard deviation, that of 6πηr in it.
 

@@ -1,13 +1,14 @@
 """A session prepared for fits: what was seen, what was commanded, where particles were.
 
 The one preparation that every fit starts from: times count from the first frame, frames before
-the first field are left out, and tracks are split at steps too large for any motion and where
-particles touch.
+the first field are left out, and tracks are split where particles touch. At a step too large for
+any motion the stage moved, or two particles were confused: what comes after it is taken for
+another particle, with v and φ of its own, so that no confusion can stand in for an effect.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -53,16 +54,16 @@ def first_field(commands: Commands) -> float:
 
 @dataclass(frozen=True)
 class PreparedSession:
-    """One session as arrays of T frames and N particles.
+    """One session as arrays of T frames and N tracks of P ≤ N particles.
 
-    `name` of the session; `ids` (N,) of the particles, ascending; `times` (T,) [s] from the first
-    frame of the session; `z` (T, N) complex positions [m], 0 where not finite; `pieces` (T, N):
-    which piece of its particle's track a row belongs to, a number of its own for each, 0 where
-    the row is not used; nothing is learned from the displacement between two pieces;
-    `causal_positions` (T, N, 2) [m]: positions as known from earlier and present frames only, for
-    terms that depend on position (raw ones would bias them), NaN while a particle is not in view;
-    `commands` on the same clock; `conditions` of the rig; `jumps` (N,): how often each particle's
-    track was split at a step too large for any motion.
+    `name` of the session; `ids` (N,): the particle of each track, ascending, again for what comes
+    after a step too large for any motion; `times` (T,) [s] from the first frame of the session;
+    `z` (T, N) complex positions [m], 0 where not finite; `pieces` (T, N): which piece of its track
+    a row belongs to, a number of its own for each, 0 where the row is not used; nothing is learned
+    from the displacement between two pieces; `causal_positions` (T, N, 2) [m]: positions as known
+    from earlier and present frames only, for terms that depend on position (raw ones would bias
+    them), NaN while a particle is not in view; `commands` on the same clock; `conditions` of the
+    rig; `jumps` (P,): how many steps too large for any motion each particle made.
     """
 
     name: str
@@ -73,7 +74,7 @@ class PreparedSession:
     causal_positions: np.ndarray
     commands: Commands
     conditions: Conditions
-    jumps: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    jumps: np.ndarray
 
     @classmethod
     def of(cls, session: Session) -> PreparedSession:
@@ -91,13 +92,20 @@ class PreparedSession:
         return cls(
             session.name, session.tracks.particles, times, np.nan_to_num(z),
             np.isfinite(z).astype(int),
-            positions, commands, session.conditions)
+            positions, commands, session.conditions, np.zeros(z.shape[1], int))
 
     @cached_property
     def seen(self) -> np.ndarray:
         """Which rows (T, N) are used."""
         seen: np.ndarray = self.pieces > 0
         return seen
+
+    @cached_property
+    def main(self) -> np.ndarray:
+        """The longest track (P,) of every particle."""
+        rows = self.seen.sum(axis=0)
+        return np.array([max(np.flatnonzero(self.ids == name), key=rows.__getitem__)
+                         for name in np.unique(self.ids)], dtype=int)
 
     def joined(self, ahead: int = 1) -> np.ndarray:
         """Whether each row (T − ahead, N) and the one `ahead` of it lie in one piece."""
@@ -138,12 +146,28 @@ class PreparedSession:
         return replace(self, causal_positions=places).split_tracks(hidden)
 
     def split_at_jumps(self) -> PreparedSession:
-        """Tracks split at steps beyond any motion: the stage moved, or two were confused."""
-        both = self.joined()
-        steps = np.where(both, np.abs(np.diff(self.z, axis=0)), 0.0)
-        usual = np.quantile(steps[both], 0.99) if both.any() else 0.0
+        """With another track after every step beyond any motion, if it has FEWEST rows."""
+        steps = np.where(self.joined(), np.abs(np.diff(self.z, axis=0)), 0.0)
+        usual = np.quantile(steps[self.joined()], 0.99) if self.joined().any() else 0.0
         jumped = np.concatenate([np.zeros((1, self.z.shape[1]), bool), steps > JUMP * usual])
-        return replace(self.split_tracks(jumped), jumps=jumped.sum(axis=0))
+        if not jumped.any():
+            return self
+        number = np.cumsum(jumped, axis=0)
+        columns, inside = [], []
+        for n, own in enumerate(number.T):
+            parts = [(own == k) & ~jumped[:, n] for k in range(own[-1] + 1)]
+            rows = [int((part & self.seen[:, n]).sum()) for part in parts]
+            for part, count in zip(parts, rows, strict=True):
+                if count >= min(FEWEST, max(rows)):
+                    columns.append(n)
+                    inside.append(part)
+        within = np.stack(inside, axis=1)
+        return replace(
+            self, ids=self.ids[columns], z=self.z[:, columns],
+            pieces=np.where(within, self.pieces[:, columns], 0),
+            causal_positions=np.where(
+                within[..., None], self.causal_positions[:, columns], np.nan),
+            jumps=jumped.sum(axis=0))
 
     def split_at_contacts(self) -> PreparedSession:
         """Tracks split where spheres may touch: there they push each other.

@@ -114,8 +114,9 @@ class Window:
         if np.isfinite(z).sum() - PROBES < LEAST:
             return
         commands = log.since(times[0] - HEADING_MEMORY)
-        session = PreparedSession('', np.arange(PROBES), times, np.nan_to_num(z), np.isfinite(z),
-                                  as_vectors(z), commands, Conditions())
+        session = PreparedSession(
+            '', np.arange(PROBES), times, np.nan_to_num(z), np.isfinite(z).astype(int),
+            as_vectors(z), commands, Conditions(), np.zeros(PROBES, int))
         fits = DelayedFits(model, session)
         search = search_noise_ratio(fits.at(delay.value, noise.ratio))
         while (fit := next(search)) is None:

@@ -66,7 +66,7 @@ def test_fit_and_the_baseline_of_discover_are_one(film, case, seed):
     session = change(film(seed, duration=25.0, **drawn)[0])
     one = fit(session)
     part, = StepwiseSelection(check_sessions([session])[0]).current.session_fits
-    speeds = part.polar()
+    speeds = part.polar().of(part.session.main)
     assert list(one.ids) == list(session.tracks.particles)
     np.testing.assert_allclose(one.polar.speed, speeds.speed, rtol=1e-12)
     np.testing.assert_allclose(one.polar.phi, speeds.phi, rtol=0, atol=1e-12)

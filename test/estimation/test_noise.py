@@ -24,8 +24,9 @@ def dense_covariance(times, noise):
 def under(ratio, z, times, path=None):
     """Tracks z (T, N) that go along a path (T,), with a noise ratio."""
     session = PreparedSession(
-        '', np.arange(z.shape[1]), times, np.nan_to_num(z), np.isfinite(z), as_vectors(z),
-        Commands(np.empty(0), np.empty((0, 2))), Conditions())
+        '', np.arange(z.shape[1]), times, np.nan_to_num(z), np.isfinite(z).astype(int),
+        as_vectors(z), Commands(np.empty(0), np.empty((0, 2))), Conditions(),
+        np.zeros(z.shape[1], int))
     along = (np.zeros(len(times), complex) if path is None else path)[:, None]
     nothing = np.zeros_like(along)
     return SessionFit.of(
