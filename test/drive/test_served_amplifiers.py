@@ -3,6 +3,7 @@
 import math
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -76,6 +77,7 @@ def test_each_coil_gets_its_own_current(amplifier, device):
 def test_full_scale_is_of_each_coil(protocol, full_scale_A):
     urls = 'a,b,c,d' if protocol == 'scpi' else 'a,b' if protocol == 'roboteq' else 'a'
     amplifier = amplifier_class(protocol)(urls, full_scale_A)
+    assert amplifier.fault == ''
     for currents in ((1.1, 0, 0, 0), (0, 0, -1.1, 0), (0, 2.1, 0, 0), (math.nan, 0, 0, 0),
                      (0, 0, 0, math.inf), (0, 0, 0), [ZERO]):
         with pytest.raises(ValueError, match='4 values within'):
@@ -353,6 +355,20 @@ def test_a_device_that_is_too_hot_says_so_until_it_cools(amplifier, device, monk
     assert amplifier.fault
     device.mend()
     until(lambda: (amplifier.poll(0.01), not amplifier.fault)[1])
+
+
+@polled_protocols
+def test_what_is_wrong_is_asked_for_half_a_second_after_the_last_answer(protocol, monkeypatch):
+    urls = 'a,b,c,d' if protocol == 'scpi' else 'a,b' if protocol == 'roboteq' else 'a'
+    clock = [100.0]
+    monkeypatch.setattr(polled, 'time', SimpleNamespace(monotonic=lambda: clock[0]))
+    amplifier = amplifier_class(protocol)(urls, FULL_SCALE_A)
+    monkeypatch.setattr(amplifier, '_inspect', lambda: iter(['question']))
+    inspection, asked_s = amplifier._inspect_again(), []
+    for clock[0] in np.arange(100.0, 102.3, 0.125):
+        if next(inspection) is not None:
+            asked_s.append(clock[0])
+    assert asked_s == [100.5, 101.125, 101.75]  # each is answered at the next look
 
 
 @polled_protocols
