@@ -3,7 +3,6 @@
 import math
 import threading
 import time
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -355,20 +354,6 @@ def test_a_device_that_is_too_hot_says_so_until_it_cools(amplifier, device, monk
     assert amplifier.fault
     device.mend()
     until(lambda: (amplifier.poll(0.01), not amplifier.fault)[1])
-
-
-@polled_protocols
-def test_what_is_wrong_is_asked_for_half_a_second_after_the_last_answer(protocol, monkeypatch):
-    urls = 'a,b,c,d' if protocol == 'scpi' else 'a,b' if protocol == 'roboteq' else 'a'
-    clock = [100.0]
-    monkeypatch.setattr(polled, 'time', SimpleNamespace(monotonic=lambda: clock[0]))
-    amplifier = amplifier_class(protocol)(urls, FULL_SCALE_A)
-    monkeypatch.setattr(amplifier, '_inspect', lambda: iter(['question']))
-    inspection, asked_s = amplifier._inspect_again(), []
-    for clock[0] in np.arange(100.0, 102.3, 0.125):
-        if next(inspection) is not None:
-            asked_s.append(clock[0])
-    assert asked_s == [100.5, 101.125, 101.75]  # each is answered at the next look
 
 
 @polled_protocols
