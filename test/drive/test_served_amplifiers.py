@@ -169,7 +169,7 @@ def test_readings_acknowledge_the_oldest_command_they_agree_with(protocol):
             ([1.0, 0, 0, 0], [0, 1.0, 0, 0], [1.0, 0, 0, 0], [0, 0, 1.0, 0])]
     amplifier._unacknowledged.extend(sent)
     tolerance_A = float(amplifier._tolerance_A[0])
-    assert 0.02 * FULL_SCALE_A <= tolerance_A < 0.05 * FULL_SCALE_A
+    assert tolerance_A == pytest.approx(0.02 * FULL_SCALE_A + amplifier.resolution_A / 2)
 
     def acknowledged(*currents):
         return amplifier._reading(2.0, 1.0, np.array(currents)).acknowledges
@@ -354,6 +354,12 @@ def test_a_device_that_is_too_hot_says_so_until_it_cools(amplifier, device, monk
     assert amplifier.fault
     device.mend()
     until(lambda: (amplifier.poll(0.01), not amplifier.fault)[1])
+
+
+@polled_protocols
+def test_an_answer_comes_in_the_patience_of_the_gate(protocol):
+    driver = amplifier_class(protocol)
+    assert driver.period_s + driver.reply_s <= 0.2  # `feedback_timeout_ms`, unless it is set
 
 
 @polled_protocols

@@ -412,6 +412,19 @@ def test_a_failing_device_does_not_take_all_of_the_processor(driver, monkeypatch
     monkeypatch.undo()
 
 
+@pytest.mark.parametrize('protocol', ['roboclaw'])
+def test_a_device_that_cannot_be_read_any_more_is_zeroed(driver, device, monkeypatch):
+    drive(driver, device)
+    device.coils.watchdog_s, device.coils._deadline_s = None, math.inf
+
+    def poll(_):
+        raise RuntimeError('driver broken')
+
+    monkeypatch.setattr(driver.amplifier, 'poll', poll)
+    device.eventually(ZERO)
+    monkeypatch.undo()
+
+
 def test_an_error_on_the_way_to_zero_does_not_end_the_thread(driver, device, monkeypatch):
     drive(driver, device)
 
