@@ -170,6 +170,7 @@ def test_readings_acknowledge_the_oldest_command_they_agree_with(protocol):
     amplifier._unacknowledged.extend(sent)
     tolerance_A = float(amplifier._tolerance_A[0])
     assert tolerance_A == pytest.approx(0.02 * FULL_SCALE_A + amplifier.resolution_A / 2)
+    assert tolerance_A < 0.05 * FULL_SCALE_A
 
     def acknowledged(*currents):
         return amplifier._reading(2.0, 1.0, np.array(currents)).acknowledges
