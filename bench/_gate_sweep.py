@@ -10,9 +10,10 @@ from microbot_ros.drive.gate import ZERO, Gate, Limits
 
 LIMIT_A = 2.0
 _BATCH = 100_000
-# Everything but the absolute limit is out of the way: it alone must hold.
+# Everything but the absolute limit is out of the way: it alone must hold. The gate remembers its
+# outputs for as long as it waits for a reading: a hundred commands, which never pass in a row.
 _LIMITS = Limits(current_A=LIMIT_A, step_A=1e300, slew_A_per_s=1e300, command_timeout_s=1e9,
-                 deviation_A=1e9, settling_s=1e-9, feedback_timeout_s=1e9,
+                 deviation_A=1e9, settling_s=1e-9, feedback_timeout_s=0.1,
                  rated_current_A=1e9, thermal_s=1e9, idle_s=1e9)
 _HOSTILE = np.array([
     math.nan, -math.nan, math.inf, -math.inf, 1.8e308, -1.7e308, 5e-324, -5e-324, -0.0,

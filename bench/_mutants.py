@@ -35,7 +35,7 @@ TESTS = {
     'self_check': (['test_self_check'], ''),
     'coil_driver': (['test_served_driver'], ''),
     'amplifier': (['test_served_amplifiers'], 'serial_transfer or modbus'),
-    'polled': (['test_served_amplifiers'], 'roboclaw or modbus'),
+    'polled': (['test_polled', 'test_served_amplifiers'], 'test_polled or roboclaw or modbus'),
     'last_resort': (['test_sentinel'], ''),
     'sentinel': (['test_sentinel'], ''),
     'serial_transfer.driver': (['test_served_amplifiers', 'test_serial_transfer_driver'],

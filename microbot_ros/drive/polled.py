@@ -163,7 +163,8 @@ class PolledAmplifier(Amplifier):
         if self._asked is None:
             exchange, self._answers = self._agenda.send(self._answers), None
             if exchange is None:
-                self._woken.wait(max(min(self._due_s, until_s) - time.monotonic(), 0.0))
+                if not self._measured:
+                    self._woken.wait(max(min(self._due_s, until_s) - time.monotonic(), 0.0))
                 return
             self._asked = self._ask(exchange)
         self._answers = self._asked.answers(until_s)

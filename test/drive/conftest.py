@@ -91,9 +91,11 @@ class Script:
 
     def __init__(self, exchanges: list[tuple[str, bytes, bytes]]) -> None:
         self.exchanges = exchanges
+        self.opened: list[tuple[str, int, bool]] = []
         self._answers: dict[str, bytes] = {}
 
     def port(self, url: str, baud: int, *, xon_xoff: bool = False) -> 'Script.Port':
+        self.opened.append((url, baud, xon_xoff))
         return Script.Port(self, url)
 
     class Port:
@@ -124,9 +126,10 @@ def scripted(monkeypatch):
     """A function that lets polled drivers talk to a script; leftovers fail the test."""
     scripts = []
 
-    def install(exchanges: list[tuple[str, bytes, bytes]]) -> None:
+    def install(exchanges: list[tuple[str, bytes, bytes]]) -> Script:
         scripts.append(Script(list(exchanges)))
         monkeypatch.setattr('microbot_ros.drive.polled.Port', scripts[-1].port)
+        return scripts[-1]
 
     yield install
     assert all(not script.exchanges and not any(script._answers.values()) for script in scripts)

@@ -98,11 +98,16 @@ def inspecting(first: str, second: str) -> list[tuple[str, bytes, bytes]]:
 ZEROING = [*driving('0000 0000', '0000 0000'), *measuring(bytes(4), bytes(4))]
 
 
-def test_a_controller_that_is_too_hot_says_so(scripted):
-    scripted(connecting(temperatures=('0352', '0353')))
+@pytest.mark.parametrize(('temperatures', 'fault'), [
+    (('0352', '0352'), ''),
+    (('0353', '0352'), 'controller 0x80 is too hot: 85.1 °C, at most 85'),
+    (('0352', '0353'), 'controller 0x81 is too hot: 85.1 °C, at most 85'),
+])
+def test_a_controller_that_is_too_hot_says_so(scripted, temperatures, fault):
+    scripted(connecting(temperatures=temperatures))
     amplifier = RoboclawAmplifier('line', 2.0)
     amplifier.connect()
-    assert amplifier.fault == 'controller 0x81 is too hot: 85.1 °C, at most 85'
+    assert amplifier.fault == fault
 
 
 def test_the_transcript_of_a_session(scripted):

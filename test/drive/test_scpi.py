@@ -1,5 +1,7 @@
 """SCPI lines: golden text and the transcript of a session."""
 
+from types import SimpleNamespace
+
 import pytest
 
 from microbot_ros.drive.errors import WrongDeviceError
@@ -43,17 +45,17 @@ def identifying(identity: bytes = b'KEPCO,BOP 20-5,E1,3.05\n') -> list[tuple[str
     return [*on_each(b'\x1b', b''), *on_each(b'*IDN?\n', identity)]
 
 
-CONNECTING = [
-    *identifying(),
-    *on_each(b'FUNC:MODE CURR;CURR 0.0000E+00;CURR:PROT:LIM 2.0000E+00\n', b''),
-    *on_each(b'CURR:PROT:LIM?\n', b'2.00E0\n'),
-    *on_each(b'OUTP ON\n', b''),
-]
+def limiting(limit: bytes, taken: bytes) -> list[tuple[str, bytes, bytes]]:
+    return [*on_each(b'FUNC:MODE CURR;CURR 0.0000E+00;CURR:PROT:LIM ' + limit + b'\n', b''),
+            *on_each(b'CURR:PROT:LIM?\n', taken + b'\n')]
+
+
+CONNECTING = [*identifying(), *limiting(b'2.0000E+00', b'2.00E0'), *on_each(b'OUTP ON\n', b'')]
 ZEROING = [*on_each(b'CURR 0.0000E+00\n', b''), *on_each(b'MEAS:CURR?\n', b'0.00E0\r\n')]
 
 
 def test_the_transcript_of_a_session(scripted):
-    scripted([
+    script = scripted([
         *CONNECTING, *on_each(b'STAT:QUES:COND?\n', b'0\n'), *ZEROING,
         ('a', b'CURR 1.0000E+00\n', b''), ('b', b'CURR -5.0000E-01\n', b''),
         ('c', b'CURR 0.0000E+00\n', b''), ('d', b'CURR 2.0000E+00\n', b''),
@@ -61,6 +63,7 @@ def test_the_transcript_of_a_session(scripted):
         *on_each(b'\x1bCURR 0\n', b''), *ZEROING, *on_each(b'OUTP OFF\n', b'')])
     amplifier = ScpiAmplifier('a,b,c,d', 2.0)
     amplifier.connect()
+    assert script.opened == [(line, 9600, True) for line in LINES]
     command = amplifier.write([1.0, -0.5, 0.0, 2.0])
     reading, = amplifier.poll(1.0)
     assert reading.currents_A == pytest.approx([1.0, -0.501, 0.0, 1.99])
@@ -86,10 +89,32 @@ def test_another_maker_is_refused(scripted):
         ScpiAmplifier('a,b,c,d', 2.0).connect()
 
 
-def test_a_protection_limit_that_is_not_taken_is_refused(scripted):
-    scripted([*CONNECTING[:12], *on_each(b'CURR:PROT:LIM?\n', b'5.00E0\n')])
-    with pytest.raises(WrongDeviceError, match='limit of 2 A'):
-        ScpiAmplifier('a,b,c,d', 2.0).connect()
+@pytest.mark.parametrize(('full_scale_A', 'limit', 'taken'), [
+    (2.0, b'2.0000E+00', b'5.00E0'), (2.0, b'2.0000E+00', b'1.00E0'),
+    (0.1, b'1.0000E-01', b'1.50E-1'), (100.0, b'1.0000E+02', b'1.02E2'),
+])
+def test_a_protection_limit_that_is_not_taken_is_refused(scripted, full_scale_A, limit, taken):
+    scripted([*identifying(), *limiting(limit, taken)])
+    with pytest.raises(WrongDeviceError, match=f'limit of {full_scale_A:g} A'):
+        ScpiAmplifier('a,b,c,d', full_scale_A).connect()
+
+
+@pytest.mark.parametrize('taken', [b'9.90E1', b'1.01E2'])
+def test_a_protection_limit_may_be_off_by_one_in_a_hundred(scripted, taken):
+    scripted([*identifying(), *limiting(b'1.0000E+02', taken), *on_each(b'OUTP ON\n', b''),
+              *on_each(b'STAT:QUES:COND?\n', b'0\n'), *ZEROING])
+    ScpiAmplifier('a,b,c,d', 100.0).connect()
+
+
+def test_a_zero_does_not_queue_behind_what_waits_in_the_line():
+    done = {line: [] for line in LINES}
+    amplifier = ScpiAmplifier('a,b,c,d', 2.0)
+    amplifier._lines = [
+        SimpleNamespace(send=calls.append, discard_output=lambda calls=calls: calls.append('all'))
+        for calls in done.values()]
+    amplifier.write([1.0, 0.0, 0.0, 0.0])
+    amplifier.zero()
+    assert done == {line: ['all', b'\x1bCURR 0\n'] for line in LINES}
 
 
 @pytest.mark.parametrize('url', ['a', 'a,b,c', 'a,b,c,d,e', ''])

@@ -21,7 +21,7 @@ from microbot_ros.drive.errors import (
     PortMissingError,
     WrongDeviceError,
 )
-from microbot_ros.drive.serial_transfer import codec
+from microbot_ros.drive.serial_transfer import codec, driver
 from microbot_ros.drive.serial_transfer.driver import SerialTransferAmplifier
 
 FULL_SCALE = (2.0, 2.0, 2.0, 2.0)
@@ -239,6 +239,48 @@ def test_coils_that_are_never_driven_must_carry_nothing(fifth, sixth, fault):
     hears(amplifier, codec.encode(codec.measurement([0.0] * 6)))
     assert amplifier.poll()
     assert amplifier.fault == ''
+
+
+def test_a_reading_at_a_bound_is_within():
+    amplifier = SerialTransferAmplifier('nowhere', 5.0)  # bounds that a float of the line meets
+    hears(amplifier, codec.encode(codec.measurement([10.0, -10.0, 0.0, 0.0, 0.5, -0.5])))
+    reading, = amplifier.poll()
+    assert reading.currents_A.tolist() == [10.0, -10.0, 0.0, 0.0]
+    assert amplifier.fault == ''
+
+
+def test_bytes_that_are_no_packet_are_counted():
+    amplifier = SerialTransferAmplifier('nowhere', FULL_SCALE)
+    hears(amplifier, b'noise' + codec.encode(codec.measurement([0.0] * 6)))
+    assert amplifier.poll()
+    assert amplifier.counters.discarded_bytes == 5
+
+
+def opening(monkeypatch, packets):
+    """Open a board that falls silent after so many packets, one every 20 ms; how many it sent."""
+    clock, sent = [100.0], []
+
+    def receive(left_s):
+        clock[0] += 0.02 if len(sent) < packets else left_s
+        if len(sent) == packets:
+            return b''
+        sent.append(codec.encode(codec.measurement([0.0] * 6)))
+        return sent[-1]
+
+    monkeypatch.setattr(driver, 'time', SimpleNamespace(monotonic=lambda: clock[0]))
+    monkeypatch.setattr(driver, 'Port', lambda *_: SimpleNamespace(receive=receive))
+    SerialTransferAmplifier('nowhere', FULL_SCALE)._open()
+    return len(sent)
+
+
+def test_a_board_is_running_when_packets_have_kept_coming(monkeypatch):
+    assert opening(monkeypatch, 9) == 3
+
+
+@pytest.mark.parametrize('packets', [1, 2])
+def test_a_board_that_opening_the_port_resets_is_not_believed(monkeypatch, packets):
+    with pytest.raises(WrongDeviceError, match='bytes'):
+        opening(monkeypatch, packets)
 
 
 @pytest.mark.parametrize('channel', range(6))

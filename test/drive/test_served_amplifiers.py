@@ -76,6 +76,7 @@ def test_each_coil_gets_its_own_current(amplifier, device):
 def test_full_scale_is_of_each_coil(protocol, full_scale_A):
     urls = 'a,b,c,d' if protocol == 'scpi' else 'a,b' if protocol == 'roboteq' else 'a'
     amplifier = amplifier_class(protocol)(urls, full_scale_A)
+    assert amplifier.fault == ''
     for currents in ((1.1, 0, 0, 0), (0, 0, -1.1, 0), (0, 2.1, 0, 0), (math.nan, 0, 0, 0),
                      (0, 0, 0, math.inf), (0, 0, 0), [ZERO]):
         with pytest.raises(ValueError, match='4 values within'):
@@ -168,7 +169,8 @@ def test_readings_acknowledge_the_oldest_command_they_agree_with(protocol):
             ([1.0, 0, 0, 0], [0, 1.0, 0, 0], [1.0, 0, 0, 0], [0, 0, 1.0, 0])]
     amplifier._unacknowledged.extend(sent)
     tolerance_A = float(amplifier._tolerance_A[0])
-    assert 0.02 * FULL_SCALE_A <= tolerance_A < 0.05 * FULL_SCALE_A
+    assert tolerance_A == pytest.approx(0.02 * FULL_SCALE_A + amplifier.resolution_A / 2)
+    assert tolerance_A < 0.05 * FULL_SCALE_A
 
     def acknowledged(*currents):
         return amplifier._reading(2.0, 1.0, np.array(currents)).acknowledges
@@ -353,6 +355,12 @@ def test_a_device_that_is_too_hot_says_so_until_it_cools(amplifier, device, monk
     assert amplifier.fault
     device.mend()
     until(lambda: (amplifier.poll(0.01), not amplifier.fault)[1])
+
+
+@polled_protocols
+def test_an_answer_comes_in_the_patience_of_the_gate(protocol):
+    driver = amplifier_class(protocol)
+    assert driver.period_s + driver.reply_s <= 0.2  # `feedback_timeout_ms`, unless it is set
 
 
 @polled_protocols

@@ -5,6 +5,7 @@ import os
 import signal
 import threading
 import time
+from concurrent.futures import Future
 
 import pytest
 
@@ -150,6 +151,13 @@ def test_commands_during_the_check_go_nowhere(drivers, device):
 
 
 @pytest.mark.parametrize('watchdog_s', [0.4])
+def test_a_pulse_that_lasts_is_not_a_stale_command(drivers):
+    driver = drivers(self_check=True, accept_no_watchdog=False, command_timeout_s=0.25)
+    arm(driver)
+    assert driver.watchdog_s > 0.3
+
+
+@pytest.mark.parametrize('watchdog_s', [0.4])
 def test_a_held_command_feeds_the_watchdog_of_the_device(driver, device):
     drive(driver, device)
     sent, began_s = driver.amplifier.counters.frames_sent, time.monotonic()
@@ -223,6 +231,21 @@ def test_disarming_returns_when_the_zero_went_out(driver, device, monkeypatch):
         device.eventually(ZERO)
 
 
+def test_disarming_waits_until_it_was_done(driver, device, monkeypatch):
+    monkeypatch.setattr(coil_driver, '_DISARMING_S', 5.0)
+    drive(driver, device)
+    request, held = driver._request, []
+    monkeypatch.setattr(driver, '_request', held.append)
+    disarming = threading.Thread(target=driver.disarm)
+    disarming.start()
+    until(lambda: held)
+    disarming.join(0.05)
+    assert disarming.is_alive()
+    request(*held)
+    disarming.join()
+    assert driver._sent == ZERO
+
+
 def test_disarming_does_not_wait_for_the_next_byte(driver, device):
     drive(driver, device)
     begin = time.monotonic()
@@ -273,20 +296,27 @@ def test_a_lost_line_comes_back_at_zero_and_disarmed(driver, device, monkeypatch
     drive(driver, device)
 
 
-def test_attempts_to_reconnect_become_rarer(driver, device, monkeypatch):
-    pauses = []
-    monkeypatch.setattr(coil_driver, '_BACKOFF_S', (0.01, 0.05))
+def test_attempts_to_reconnect_begin_soon_and_become_rarer(driver, device):
+    pauses_s = []
     wait = driver._ending.wait
-    driver._ending.wait = lambda pause_s: pauses.append(pause_s) or wait(pause_s)
+    driver._ending.wait = lambda pause_s: pauses_s.append(pause_s) or wait(0.001)
     device.fault('unplug')
-    until(lambda: len(pauses) > 4)
-    assert pauses[:5] == [0.01, 0.02, 0.04, 0.05, 0.05]
+    until(lambda: len(pauses_s) > 7)
+    assert pauses_s[:7] == [0.1, 0.2, 0.4, 0.8, 1.6, 2.0, 2.0]
     device.mend()
     until(lambda: driver.connected)
-    before = len(pauses)
+    before = len(pauses_s)
     device.fault('unplug')
-    until(lambda: len(pauses) > before)
-    assert pauses[before] == 0.01
+    until(lambda: len(pauses_s) > before)
+    assert pauses_s[before] == 0.1
+
+
+def test_arming_that_was_asked_for_before_the_line_was_lost_is_refused_while_it_is(driver, device):
+    device.fault('unplug')
+    until(lambda: not driver.connected)
+    answer = Future()
+    driver._request(lambda: driver._begin_arming(answer))
+    assert answer.result(5.0) == 'the amplifier is not connected'
 
 
 def test_stopping_while_the_line_is_away(driver, device):
@@ -382,6 +412,19 @@ def test_a_failing_device_does_not_take_all_of_the_processor(driver, monkeypatch
     monkeypatch.undo()
 
 
+@pytest.mark.parametrize('protocol', ['roboclaw'])
+def test_a_device_that_cannot_be_read_any_more_is_zeroed(driver, device, monkeypatch):
+    drive(driver, device)
+    device.coils.watchdog_s, device.coils._deadline_s = None, math.inf
+
+    def poll(_):
+        raise RuntimeError('driver broken')
+
+    monkeypatch.setattr(driver.amplifier, 'poll', poll)
+    device.eventually(ZERO)
+    monkeypatch.undo()
+
+
 def test_an_error_on_the_way_to_zero_does_not_end_the_thread(driver, device, monkeypatch):
     drive(driver, device)
 
@@ -402,6 +445,7 @@ def test_a_driver_that_starts_again_drives_again(driver, device):
     until(lambda: not device.lines[0].present)
     assert not driver.gate.armed
     driver.start()
+    assert driver._thread.daemon  # a process that ends without stopping it is not held up
     drive(driver, device)
 
 
