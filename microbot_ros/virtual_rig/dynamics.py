@@ -143,40 +143,41 @@ def gradient_at(table: np.ndarray, x: float, y: float) -> tuple[float, float, fl
 
 
 @numba.njit(cache=True)
-def coil_force(table: np.ndarray, body: Any, bx: float, by: float) -> Pair:
-    """(m̂·∇)B [T/m] at a body in the field of coils on an axis along `bx`, `by` [T] that make it.
+def coil_force(
+    table: np.ndarray, bx: float, by: float, x: float, y: float, mx: float, my: float,
+) -> Pair:
+    """(m·∇)B [N] on a moment mx, my [A m²] at x, y [m], of coils on an axis along their field.
 
-    `bx`, `by` is their field at the centre, `table` a part of `coil_gradients`. The unit moment m̂
-    of the body lies φ behind its heading: along the field that turns it.
+    `bx`, `by` [T] is that field at the centre, `table` a part of `coil_gradients`.
     """
     strength = math.sqrt(bx**2 + by**2)
     if strength == 0:
         return 0.0, 0.0
     c, s = bx / strength, by / strength
-    angle = body.heading - body.phi - math.atan2(by, bx)
-    along, across = math.cos(angle), math.sin(angle)
-    xx, xy, yy = gradient_at(table, c * body.x + s * body.y, c * body.y - s * body.x)
-    u, v = strength * (xx * along + xy * across), strength * (xy * along + yy * across)
+    xx, xy, yy = gradient_at(table, c * x + s * y, c * y - s * x)
+    along, across = strength * (c * mx + s * my), strength * (c * my - s * mx)
+    u, v = xx * along + xy * across, xy * along + yy * across
     return c * u - s * v, s * u + c * v
 
 
 @numba.njit(cache=True)
 def magnetic_velocity(body: Any, x: float, y: float, coils: np.ndarray) -> Pair:
-    """Velocity [m/s] of a body in the gradients of its coils, `coil_gradients` in all.
+    """Velocity [m/s] of a body by the gradients of its `coils`, all of `coil_gradients`.
 
     `x`, `y` [T] is what the coils of each axis make at the centre: a pair of coils each, or
-    together one coil that stands where their field points to.
+    together one coil that stands where their field points to. The moments of the body lie φ
+    behind its heading: along the field that turns it.
     """
-    u = v = 0.0
-    yx, yy = math.sin(body.skew) * y, math.cos(body.skew) * y
-    if body.pair_moment != 0:
-        xu, xv = coil_force(coils[0], body, x, 0.0)
-        yu, yv = coil_force(coils[0], body, yx, yy)
-        u, v = body.pair_moment * (xu + yu), body.pair_moment * (xv + yv)
-    if body.coil_moment != 0:
-        du, dv = coil_force(coils[1], body, x + yx, yy)
-        u, v = u + body.coil_moment * du, v + body.coil_moment * dv
-    return u, v
+    if body.pair_moment == 0 and body.coil_moment == 0:
+        return 0.0, 0.0
+    angle = body.heading - body.phi
+    mx, my = math.cos(angle), math.sin(angle)
+    lean_x, lean_y = math.sin(body.skew) * y, math.cos(body.skew) * y
+    u, v = coil_force(coils[0], x, 0.0, body.x, body.y, mx, my)
+    du, dv = coil_force(coils[0], lean_x, lean_y, body.x, body.y, mx, my)
+    u, v = body.pair_moment * (u + du), body.pair_moment * (v + dv)
+    du, dv = coil_force(coils[1], x + lean_x, lean_y, body.x, body.y, mx, my)
+    return u + body.coil_moment * du, v + body.coil_moment * dv
 
 
 @numba.njit(cache=True)
