@@ -82,7 +82,8 @@ class World:
         advance(
             self.bodies, middle, length, np.asarray(history.t, dtype=float),
             np.ascontiguousarray(history.field, dtype=float),
-            np.asarray(frequency, dtype=float), coil_gradients(), self._half_extent, self._rng, mean,
+            np.asarray(frequency, dtype=float), coil_gradients(), self._half_extent,
+            self._rng, mean,
         )
         self.t = until
         return mean

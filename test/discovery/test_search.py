@@ -9,7 +9,7 @@ from scipy import stats
 from microbot_ros.discovery.discover import _suggestions
 from microbot_ros.discovery.drive_levels import curve_p_value, scattered
 from microbot_ros.discovery.input_checks import check_sessions
-from microbot_ros.discovery.search import absorbed_by_phi, compare, fit_candidate
+from microbot_ros.discovery.search import OF_STRENGTH, absorbed_by_phi, compare, fit_candidate
 from microbot_ros.discovery.starting_points import rotating_components
 from microbot_ros.discovery.stepwise_selection import StepwiseSelection, is_cancelled
 from microbot_ros.discovery.tail_probabilities import (
@@ -19,7 +19,10 @@ from microbot_ros.discovery.tail_probabilities import (
 )
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.records import Session
+from microbot_ros.session.folder import NOMINAL_FIELD
 from microbot_ros.virtual_rig.commands import rotating
+
+FIELD = 5e-3
 
 
 @pytest.mark.parametrize('dof', [1, 2, 4, 17])
@@ -119,6 +122,32 @@ def test_a_hint_of_a_drive_response_stands_in_where_something_is_left(film):
     case, = _suggestions([replace(fit_candidate(fit, 'drive_response'), likelihood_ratio=30.0)])
     assert case.entry(incomplete=True).status == 'proxy'
     assert case.entry(incomplete=False).status == 'suggested'
+
+
+@pytest.mark.parametrize('strength', [0.4, -0.3])
+def test_a_pull_along_the_field_takes_several_strengths(film, strength):
+    """At one strength it is v e^{iφ} to the last digit: no evidence, however strong it is."""
+    hidden = {'coil_pull': {'rate_um_s_mT': strength}}
+    one, several = (
+        fit_candidate(StepwiseSelection(check_sessions([session])[0]).current, 'coil_pull')
+        for session in (film(4, hidden, duration=20.0)[0],
+                        film(4, hidden, duration=20.0, levels=(1e-3, 2e-3, 5e-3))[0]))
+    assert one.likelihood_ratio == pytest.approx(0, abs=1e-6)
+    assert several.p_value < 1e-6
+    spread = 1e-4 * np.sqrt(several.fit.covariance[0, 0])
+    assert abs(several.fit.model.effect('coil_pull').rate - 1e-3 * strength) < 3 * spread
+
+
+def test_where_only_a_direction_was_told_no_effect_of_strength_is_looked_for(film):
+    session, _ = film(3, duration=20.0, rolling=True)
+    field = session.commands.field * NOMINAL_FIELD / FIELD
+    told = replace(session, commands=replace(session.commands, field=field),
+                   conditions=replace(session.conditions, reference_field=None))
+    known, unknown = (StepwiseSelection(check_sessions([s])[0]).current for s in (session, told))
+    for name in ('gradient_force', 'coil_pull'):
+        assert name in OF_STRENGTH
+        assert fit_candidate(known, name) is not None
+        assert fit_candidate(unknown, name) is None
 
 
 def test_a_field_that_turns_one_way_hides_a_lag_in_phi(film):

@@ -1,4 +1,4 @@
-"""`gradient_force` and `coil_pull` against coils: ∇|B| by Biot and Savart, and differences of it."""
+"""`gradient_force` and `coil_pull` against coils: ∇|B|, differences of Biot and Savart's field."""
 
 import numpy as np
 import pytest

@@ -123,7 +123,8 @@ def test_coils_pull_as_they_are_wired_and_what_is_no_coil_does_not():
     # Each pair has its own currents: what it makes along its own axis.
     per_ampere = np.linalg.norm(leaning.actuation_matrix()[:2, 0])
     currents = np.array([made[1], made[0], -made[1], -made[0]]) / (2 * per_ampere)
-    expected = one['pair_moment'] * leaning.gradient(currents, place[None])[0, :2, :2] @ unit(angle)
+    gradient = leaning.gradient(currents, place[None])[0, :2, :2]
+    expected = one['pair_moment'] * gradient @ unit(angle)
     assert moved == pytest.approx(tuple(expected), rel=2e-3)
 
 
