@@ -28,7 +28,7 @@ def _deadband(value: float, width: float) -> float:
 
 @numba.njit(cache=True)
 def coil_fields(body: Any, x: float, y: float) -> Pair:
-    """From the command x, y [T] to what the coils of each axis make: amplifier, gain [T]."""
+    """From a command x, y to what the coils of each axis make at a `body`: amplifier, gain [T]."""
     return _deadband(x, body.deadband), body.gain_y * _deadband(y, body.deadband)
 
 
@@ -129,7 +129,9 @@ def place_force(body: Any) -> Pair:
 
 @numba.njit(cache=True)
 def gradient_at(table: np.ndarray, x: float, y: float) -> tuple[float, float, float]:
-    """A row of a part of `coil_gradients` at x, y [m], between four places; outside, at the edge.
+    """The gradient at x, y [m] from a `table`, a part of `coil_gradients`: between four places.
+
+    Beyond the table, that at its edge.
     """
     last = len(table) - 1
     x = min(max(x / SPACING + last / 2, 0.0), float(last))
