@@ -1,7 +1,6 @@
 """How the field of the rig's coils changes from place to place, tabulated by Biot and Savart.
 
-A moment of its own is what a particle needs to be pulled by it; which moment pulls at a given
-rate at the centre is worked out here too, from the same coils.
+So are the moments that this pulls at a given rate at the centre.
 """
 
 from __future__ import annotations
@@ -37,16 +36,16 @@ def coil_gradients() -> np.ndarray:
 
 @cache
 def pull_of_pair() -> float:
-    """Acceleration of ∇|B|/|B| from the centre along the field of a pair of coils [1/m²].
+    """B''/2B at the centre, on the axis of a pair of coils [1/m²].
 
-    It is B''/2B on the axis: what a moment over drag of 1 m²/(T s) makes a rate k of, at 1 T.
+    A moment over drag, in m²/(T s), times this is the rate of a `gradient_force`.
     """
     return float(_along_x(np.array([[_NEAR, 0.0]]))[0, 0, 0] / (2 * _NEAR))
 
 
 @cache
 def pull_of_coil() -> float:
-    """∇|B|/|B| at the centre, towards the only coil that is driven [1/m]."""
+    """B'/B at the centre, towards the only coil that is driven [1/m]; the same for `coil_pull`."""
     return float(_along_x(np.zeros((1, 2)))[1, 0, 0])
 
 

@@ -3,7 +3,7 @@
 Each function is one cause. They read a particle's record (`body.BODY`) and share no
 code with the model that is fitted. `advance` puts them together. All are in one file
 because numba's cache notices changes in the caller's own file only: after a change to
-`langevin.step_heading` touch this one.
+`langevin.step_heading` or to `coil_gradients.SPACING` touch this one.
 """
 
 from __future__ import annotations
@@ -128,16 +128,24 @@ def place_force(body: Any) -> Pair:
 
 
 @numba.njit(cache=True)
+def _between(x: float, last: int) -> tuple[int, float]:
+    """The place of the table before a coordinate `x` [m], and what part of the way to the next."""
+    x = x / SPACING + last / 2
+    if not x > 0:  # nor is NaN, for which there is no place either
+        return 0, 0.0
+    if x >= last:
+        return last - 1, 1.0
+    return int(x), x - int(x)
+
+
+@numba.njit(cache=True)
 def gradient_at(table: np.ndarray, x: float, y: float) -> tuple[float, float, float]:
     """The gradient at x, y [m] from a `table`, a part of `coil_gradients`: between four places.
 
     Beyond the table, that at its edge.
     """
-    last = len(table) - 1
-    x = min(max(x / SPACING + last / 2, 0.0), float(last))
-    y = min(max(y / SPACING + last / 2, 0.0), float(last))
-    i, j = min(int(x), last - 1), min(int(y), last - 1)
-    x, y = x - i, y - j
+    i, x = _between(x, len(table) - 1)
+    j, y = _between(y, len(table) - 1)
     a, b, c, d = (1 - x) * (1 - y), (1 - x) * y, x * (1 - y), x * y
     p, q, r, s = table[i, j], table[i, j + 1], table[i + 1, j], table[i + 1, j + 1]
     return (a * p[0] + b * q[0] + c * r[0] + d * s[0], a * p[1] + b * q[1] + c * r[1] + d * s[1],

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings
@@ -40,19 +40,21 @@ def strength_slope(coils, currents, place, step=1e-6):
     return (strength(place + sides) - strength(place - sides)) / (2 * step)
 
 
+@settings(deadline=None)  # the first call compiles
 @given(x=st.floats(-5e-3, 5e-3), y=st.floats(-5e-3, 5e-3))
 def test_between_its_places_the_table_is_near_the_field(x, y):
-    """Within 0.1 % of the gradient at the same distance on the axis, everywhere in it."""
+    """Within 0.01 % of the gradient at the same distance on the axis, everywhere in it."""
     pair = Allocator(RIG).allocate((FIELD, 0.0)).currents
     alone = np.where(np.array(RIG.names) == 'coil_plus_x', 1.0, 0.0)
     size = (2 * pull_of_pair() * math.hypot(x, y), pull_of_coil())
     for currents, table, scale in zip((pair, alone), coil_gradients(), size, strict=True):
         exact = RIG.gradient(currents, [[x, y]])[0] / (RIG.actuation_matrix() @ currents)[0]
         assert dynamics.gradient_at(table, x, y) == pytest.approx(
-            (exact[0, 0], exact[0, 1], exact[1, 1]), abs=1e-3 * scale + 1e-9)
+            (exact[0, 0], exact[0, 1], exact[1, 1]), abs=1e-4 * scale + 1e-9)
 
 
-@given(x=st.floats(-1e9, 1e9), y=st.floats(-1e9, 1e9))
+@settings(deadline=None)  # the first call compiles
+@given(x=st.floats(allow_nan=False), y=st.floats(allow_nan=False))
 def test_outside_it_holds_what_its_edge_has(x, y):
     edge = 5e-3
     for table in coil_gradients():
@@ -60,6 +62,8 @@ def test_outside_it_holds_what_its_edge_has(x, y):
         assert np.isfinite(found).all()
         assert found == pytest.approx(dynamics.gradient_at(
             table, min(max(x, -edge), edge), min(max(y, -edge), edge)), rel=1e-9, abs=1e-12)
+        for nowhere in ((x, math.nan), (math.nan, y), (math.nan, math.nan)):
+            assert np.isfinite(dynamics.gradient_at(table, *nowhere)).all()
 
 
 @pytest.mark.parametrize('rate', [0.02, -0.003])
