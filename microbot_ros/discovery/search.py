@@ -32,7 +32,7 @@ ABSORBED = 0.05
 
 OF_STRENGTH = frozenset((
     'amplifier_deadband', 'background_field', 'incomplete_alignment', 'gradient_force',
-    'dipole_interaction'))
+    'coil_pull', 'dipole_interaction'))
 """Effects that mean nothing where the strength of the field is not known."""
 
 PERIODS = 2.0

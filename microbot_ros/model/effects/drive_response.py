@@ -29,7 +29,7 @@ class DriveResponse(Effect):
     summary = 'The rolling speed is not proportional to the frequency: cut-in, slip or step-out.'
     required_excitation = (
         'several rotation frequencies, visited in an order that is not also that of time')
-    confounded_with = ('speed_decay', 'incomplete_alignment')
+    confounded_with = ('speed_decay', 'incomplete_alignment', 'coil_pull')
 
     cut_in: float = parameter('cut_in_hz', 'frequency of half the gain', 0.0, 20.0, 1.0)
     slip: float = parameter('slip', 'part of the gain that is lost above', -2.0, 1.0, 0.3)
