@@ -156,7 +156,8 @@ def test_state_stays_finite_and_covariance_positive_over_millions_of_hostile_ste
         if k % 3 == 0:
             bank.tick(1e-5, np.abs(bank.velocity_phasor[0]) ** 2 / 2 + 1e-12, 1e3)
         if k % 40 == 0:
-            bank.restart_position(z, noise, rng.random(count) < 0.01)
+            rows = np.flatnonzero(rng.random(count) < 0.01)
+            bank.restart(rows, z[rows], noise[rows], 1.0)
         assert np.isfinite(bank.p).all()
         assert np.isfinite(bank.velocity_phasor).all()
         # The factors of the covariance: positive means positive definite.
