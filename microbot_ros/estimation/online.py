@@ -42,6 +42,9 @@ WANDER = 1e-3
 FARTHEST = 1.0
 """A place beyond this [m], or read with such a σ, is in no microscope's field of view."""
 
+BEST = 0.01
+"""Variance of the best readings in a frame over that of its typical ones, at least."""
+
 SET_BACK = 1.0
 """A clock that goes back by more than this [s] has been started anew."""
 
@@ -302,12 +305,16 @@ def _in_order(ids, position):  # type: ignore[no-untyped-def]
 def _reading_variance(level, sigma, blur):  # type: ignore[no-untyped-def]
     """Variance (N,) of each reading: the learned `level`, shared out as the tracker says.
 
-    `sigma` (N,) as it states them; exposures take a variance of `blur` off.
+    `sigma` (N,) as it states them; exposures take a variance of `blur` off. A reading far better
+    than the others is not trusted as far, and one far worse is no worse than is stated.
     """
     stated = sigma[(sigma > 0) & (sigma < FARTHEST)]
     typical = np.median(stated) if len(stated) else 1.0
     variance = np.empty(len(sigma))
     for n, value in enumerate(sigma):
-        relative = (value / typical) ** 2 if 0 < value < FARTHEST else 1.0
-        variance[n] = max(level * relative - blur, 1e-20)
+        shared = level
+        if 0 < value < FARTHEST:
+            relative = max((value / typical) ** 2, BEST)
+            shared = min(level * relative, max(level, value**2))
+        variance[n] = max(shared - blur, 1e-20)
     return variance

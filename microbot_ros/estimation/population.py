@@ -24,9 +24,16 @@ GATE = 30.0
 JUMP_FRAMES, JUMP_SECONDS = 5, 0.5
 """Consecutive outliers, or seconds of them, after which the particle really is there."""
 
-CALM = 10.0
-"""A particle that is begun anew twice within this time [s] is *restless* until it was not for as
-long: no prediction fits it, so that whatever is read of it is believed at once."""
+CALM, OFTEN = 10.0, 10.0
+"""A particle that is begun anew about so OFTEN in so many seconds, or more than once with a c that
+has been all ways, is *restless* for as long: what moves it is not what the model says. A swimmer
+that is late after turns is begun anew too, but its c stays about the same."""
+
+SAME = 1 / 3
+"""Least |mean of c|² over the mean of |c|² of a particle that follows the field."""
+
+KNOWN = 0.01
+"""c is known once its variance is less than this part of what it was before anything was seen."""
 
 MOST_CORRECTED = 2.0
 """A better delay that would change speeds by more than this factor says nothing of them."""
@@ -59,7 +66,9 @@ class Population:
     A new one has a velocity phasor of 0 ± `phasor_prior_std` [m/s, or m/s/Hz] per axis.
     """
 
-    _TIMES: ClassVar[tuple[str, ...]] = ('last_seen', '_refused', '_begun', '_restless_until')
+    _BIRTH: ClassVar[dict[str, float]] = {
+        'last_seen': -np.inf, '_outliers': 0, '_refused': -np.inf, '_begun': -np.inf,
+        '_restarts': 0.0, '_restless_until': -np.inf, '_phasor_mean': 0j, '_phasor_power': 0.0}
 
     def __init__(self, phasor_prior_std: float) -> None:
         self.bank = PhasorBank(HYPOTHESES)
@@ -70,6 +79,10 @@ class Population:
         self._refused, self._begun, self._restless_until = np.empty((3, 0))
         """When the first of the consecutive outliers came, when the particle was last begun anew,
         and until when it is restless [s]."""
+        self._restarts = np.empty(0)
+        """How often in the last CALM seconds it was begun anew, fading."""
+        self._phasor_mean, self._phasor_power = np.empty(0, complex), np.empty(0)
+        """Mean of c and of |c|² over the last CALM seconds in which it was known, fading."""
         self._next_tick = -np.inf
 
     def track_heading_deviations(self) -> None:
@@ -87,13 +100,24 @@ class Population:
         readings, noise, taken = _gate(
             self.ids, ids, z, reading, born, weight, bank.p, bank.velocity_phasor, bank.g,
             bank.p_var, bank.phasor_var, self._outliers, self.last_seen, self._refused,
-            self._begun, self._restless_until, t)
-        found = Readings(*readings)
+            self._restless_until, t)
+        found = Readings(*readings, self._restless_until > t)
         if len(found.jumped):
-            rows = found.jumped
-            bank.restart(rows, found.z[rows], noise[rows], self._phasor_prior_var)
+            self._begin_anew(t, found, noise)
         bank.update(found.z, noise, taken)
         return found
+
+    def _begin_anew(self, t: float, readings: Readings, noise: np.ndarray) -> None:
+        rows = readings.jumped
+        self._restarts[rows] *= np.exp((self._begun[rows] - t) / CALM)
+        self._restarts[rows] += 1
+        self._begun[rows] = t
+        same = np.abs(self._phasor_mean[rows]) ** 2 >= SAME * self._phasor_power[rows]
+        again = self._restarts[rows]
+        restless = rows[(again > OFTEN) | (again > 1.5) & ~same]
+        self._restless_until[restless] = t + CALM
+        readings.restless[restless] = True
+        self.bank.restart(rows, readings.z[rows], noise[rows], self._phasor_prior_var)
 
     def known(self, t: float) -> Mixture:
         """The estimates at `t` [s]; of a restless particle's c, what is known of any."""
@@ -123,6 +147,11 @@ class Population:
         if t < self._next_tick:
             return []
         self._next_tick = t + TICK
+        known = self.bank.combined()
+        learned = np.where(known.phasor_var < KNOWN * self._phasor_prior_var, TICK / CALM, 0)
+        c = known.velocity_phasor
+        self._phasor_mean += learned * (c - self._phasor_mean)
+        self._phasor_power += learned * (np.abs(c) ** 2 - self._phasor_power)
         size = np.maximum(np.abs(self.bank.velocity_phasor[0]) ** 2 / 2, self.bank.phasor_var[0])
         ago = TICK * self.bank.tick(TICK / interval, size, self._phasor_prior_var)
         return [(int(row), float(ago[row])) for row in np.flatnonzero(ago)]
@@ -140,24 +169,23 @@ class Population:
         if new.any():
             self.bank.add(z[new], reading[new], self._phasor_prior_var)
             self.ids = np.concatenate([self.ids, ids[new]])
-            self._outliers = np.pad(self._outliers, (0, new.sum()))
-            for name in self._TIMES:
-                never = np.full(new.sum(), -np.inf)
-                setattr(self, name, np.concatenate([getattr(self, name), never]))
+            for name, value in self._BIRTH.items():
+                born = np.full(new.sum(), value)
+                setattr(self, name, np.concatenate([getattr(self, name), born]))
             self._select(np.argsort(self.ids))
         return np.isin(self.ids, ids[new])
 
     def _select(self, rows: np.ndarray) -> None:
         self.bank.keep(rows)
-        self.ids, self._outliers = self.ids[rows], self._outliers[rows]
-        for name in self._TIMES:
+        self.ids = self.ids[rows]
+        for name in self._BIRTH:
             setattr(self, name, getattr(self, name)[rows])
 
 
 @numba.njit(cache=True, error_model='numpy')
 def _gate(ids, seen_ids, z, reading, born, weight, p, c, g, p_var, phasor_var, outliers,  # type: ignore[no-untyped-def]
-          last_seen, refused, begun, restless_until, t):
-    """The fields of `Readings`, and (N,): the readings' variance, and whom to update."""
+          last_seen, refused, restless_until, t):
+    """The fields of `Readings` but the last; the readings' variance and whom to update, (N,)."""
     hypotheses, count = p.shape
     place, noise = np.zeros(count, np.complex128), np.ones(count)
     seen = np.zeros(count, np.bool_)
@@ -184,19 +212,14 @@ def _gate(ids, seen_ids, z, reading, born, weight, p, c, g, p_var, phasor_var, o
         outliers[n] = 0 if used[n] else outliers[n] + 1
         if outliers[n] == 1:
             refused[n] = t
-        if outliers[n] and (outliers[n] >= JUMP_FRAMES or t - refused[n] >= JUMP_SECONDS
-                            or t < restless_until[n]):
+        if outliers[n] and (outliers[n] >= JUMP_FRAMES or t - refused[n] >= JUMP_SECONDS):
             jumped[n], jump[n], outliers[n] = True, z[m] - mean, 0
-            if t - begun[n] < CALM:
-                restless_until[n] = t + CALM
-            begun[n] = t
         taken[n] = used[n] and not born[n]
         if taken[n] and t >= restless_until[n]:
             off, variance = _innovation(
                 z[m], p[lead, n], g[lead, n], p_var[lead, n], phasor_var[lead, n])
             innovation[n] = off / math.sqrt(variance + reading[m])
-    readings = (place, seen, used, predicted, direction, innovation, jump, np.flatnonzero(jumped),
-                restless_until > t)
+    readings = place, seen, used, predicted, direction, innovation, jump, np.flatnonzero(jumped)
     return readings, noise, taken
 
 

@@ -62,11 +62,12 @@ def tracks(script, rate, seed):
 
 
 def follow(times, places, fields, estimator=None):
-    """The estimates after every frame."""
+    """The estimates after every frame; a field acts from the frame before it on."""
     estimator = estimator or Estimator(Conditions(radius=2.3e-6, viscosity=1e-3))
-    found = []
+    found, before = [], times[0] - 0.1
     for t, read, way in zip(times, places, fields, strict=True):
-        estimator.command(t, FIELD * np.array([way.real, way.imag]))
+        estimator.command(before, FIELD * np.array([way.real, way.imag]))
+        before = t
         seen = ~np.isnan(read)
         found.append(estimator.update(
             t, np.flatnonzero(seen), np.stack([read.real, read.imag], axis=1)[seen],
