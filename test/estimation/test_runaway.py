@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from microbot_ros.estimation.online import Estimates, Estimator
@@ -19,6 +19,9 @@ from microbot_ros.tracking import open_source
 
 FIELD = 5e-3
 READ = 0.1e-6
+TRIED = (Phase.explicit, Phase.reuse, Phase.generate)
+"""An example takes as long as a session: made smaller, it would take minutes."""
+
 WITHIN = 1.0
 """Seconds after which estimates must be with the readings again."""
 
@@ -86,7 +89,7 @@ def usable(read: complex) -> bool:
     return math.isfinite(abs(read)) and max(abs(read.real), abs(read.imag)) < 1.0
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=100, deadline=None, phases=TRIED)
 @given(st.lists(parts, min_size=1, max_size=6), st.sampled_from([1.0, 3.0, 13.65, 20.0, 60.0]),
        st.integers(0, 2**32 - 1))
 def test_estimates_are_with_the_readings_again_within_a_second(script, rate, seed):
@@ -108,7 +111,7 @@ def test_estimates_are_with_the_readings_again_within_a_second(script, rate, see
                 assert refused[name] == 1 or t - since[name] < WITHIN
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None, phases=TRIED)
 @given(st.lists(parts, min_size=1, max_size=4), st.sampled_from([13.65, 20.0, 60.0]),
        st.integers(0, 2**32 - 1))
 def test_one_particle_that_runs_wild_spoils_no_other(script, rate, seed):
@@ -118,12 +121,16 @@ def test_one_particle_that_runs_wild_spoils_no_other(script, rate, seed):
     times, places, fields = tracks([*calm, *script, *calm], rate, seed)
     alone = follow(times, places[:, 1:], fields)
     beside = follow(times, places, fields)
-    for one, both in zip(alone[-20:], beside[-20:], strict=True):
+    # At any one moment either may weigh whether something has just changed.
+    compared = []
+    for one, both in zip(alone[-round(5 * rate):], beside[-round(5 * rate):], strict=True):
         row = int(np.searchsorted(both.id, 1))
         assert both.known[row]
-        spread = math.hypot(both.speed_std[row], one.speed_std[0])
-        assert abs(both.speed[row] - one.speed[0]) < 5 * spread
-        assert both.speed_std[row] < 3 * one.speed_std[0]
+        compared.append((abs(both.speed[row] - one.speed[0]) / one.speed_std[0],
+                         both.speed_std[row] / one.speed_std[0]))
+    off, wider = np.median(compared, axis=0)
+    assert off < 3
+    assert wider < 2
 
 
 def test_what_is_odd_once_is_refused():
@@ -151,7 +158,9 @@ def test_a_particle_that_no_prediction_fits_is_marked_until_it_is_calm_again():
     script = [('follows', 8.0, 0.0), ('round', 6.0, 100e-6), ('follows', 20.0, 0.0)]
     times, places, fields = tracks(script, 20.0, 4)
     found = follow(times, places, fields)
-    wild = [now for now in found if 9.5 < now.t < 14]
+    for now in found[180:280]:
+        assert not now.known[0]
+    wild = [now for now in found if 11.5 < now.t < 14]
     for now in wild:
         assert list(now.known) == [False, True]
         assert np.isnan([now.speed[0], now.phi[0], now.force[0]]).all()
