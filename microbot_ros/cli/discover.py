@@ -129,8 +129,8 @@ def _watch(out: Path, seconds: float, rounds: int, jobs: int, json_path: Path | 
             if look == rounds:
                 return
             if (took := time.monotonic() - began) > seconds:
-                progress.print(f'! look {look} took {took:.0f} s, longer than its {seconds:g} s of '
-                               'data: what came meanwhile is left out')
+                progress.print(f'! look {look} took {took:.0f} s, longer than its {seconds:g} s '
+                               'of data: what came meanwhile is left out')
             recent.forget()
 
 

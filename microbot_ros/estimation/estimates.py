@@ -92,8 +92,8 @@ def answer(
     """A filter's `state` in terms of speed, φ and force, and as after the step `ahead`.
 
     With what is `shared` by all, the `conditions` of the rig and the sentences of a
-    `diagnosis` and on whom was `begun_anew`; `aging` is the factor by which the model has changed every v e^{iφ}
-    since its start.
+    `diagnosis` and on whom was `begun_anew`; `aging` is the factor by which the model has
+    changed every v e^{iφ} since its start.
     """
     std = np.sqrt(state.phasor_var)
     speeds = polar(state.velocity_phasor * aging, std * abs(aging)).widened(

@@ -66,7 +66,7 @@ class Population:
     A new one has a velocity phasor of 0 ± `phasor_prior_std` [m/s, or m/s/Hz] per axis.
     """
 
-    _BIRTH: ClassVar[dict[str, float]] = {
+    _BIRTH: ClassVar[dict[str, complex]] = {
         'last_seen': -np.inf, '_outliers': 0, '_refused': -np.inf, '_begun': -np.inf,
         '_restarts': 0.0, '_restless_until': -np.inf, '_phasor_mean': 0j, '_phasor_power': 0.0}
 
@@ -97,11 +97,12 @@ class Population:
         """
         born = self._admit(t, ids, z, reading)
         bank, weight = self.bank, self.bank.weights()
+        restless = self._restless_until > t
         readings, noise, taken = _gate(
             self.ids, ids, z, reading, born, weight, bank.p, bank.velocity_phasor, bank.g,
             bank.p_var, bank.phasor_var, self._outliers, self.last_seen, self._refused,
-            self._restless_until, t)
-        found = Readings(*readings, self._restless_until > t)
+            restless, t)
+        found = Readings(*readings)
         if len(found.jumped):
             self._begin_anew(t, found, noise)
         bank.update(found.z, noise, taken)
@@ -184,8 +185,8 @@ class Population:
 
 @numba.njit(cache=True, error_model='numpy')
 def _gate(ids, seen_ids, z, reading, born, weight, p, c, g, p_var, phasor_var, outliers,  # type: ignore[no-untyped-def]
-          last_seen, refused, restless_until, t):
-    """The fields of `Readings` but the last; the readings' variance and whom to update, (N,)."""
+          last_seen, refused, restless, t):
+    """The fields of `Readings`; the readings' variance and whom to update, (N,)."""
     hypotheses, count = p.shape
     place, noise = np.zeros(count, np.complex128), np.ones(count)
     seen = np.zeros(count, np.bool_)
@@ -215,11 +216,12 @@ def _gate(ids, seen_ids, z, reading, born, weight, p, c, g, p_var, phasor_var, o
         if outliers[n] and (outliers[n] >= JUMP_FRAMES or t - refused[n] >= JUMP_SECONDS):
             jumped[n], jump[n], outliers[n] = True, z[m] - mean, 0
         taken[n] = used[n] and not born[n]
-        if taken[n] and t >= restless_until[n]:
+        if taken[n] and not restless[n]:
             off, variance = _innovation(
                 z[m], p[lead, n], g[lead, n], p_var[lead, n], phasor_var[lead, n])
             innovation[n] = off / math.sqrt(variance + reading[m])
-    readings = place, seen, used, predicted, direction, innovation, jump, np.flatnonzero(jumped)
+    readings = (place, seen, used, predicted, direction, innovation, jump, np.flatnonzero(jumped),
+                restless)
     return readings, noise, taken
 
 

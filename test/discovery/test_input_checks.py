@@ -238,7 +238,8 @@ def test_where_a_wall_holds_all_that_is_told():
 def test_free_particles_are_never_taken_for_pressed(film):
     """Also where they are carried along, held together or turned late."""
     hidden = [{}, {'uniform_drift': {'wx_um_s': 1.0, 'wy_um_s': -1.0}},
-              {'alignment_lag': {'tau_s': 0.5}}, {'background_field': {'bx_mT': 1.0, 'by_mT': 0.0}},
+              {'alignment_lag': {'tau_s': 0.5}},
+              {'background_field': {'bx_mT': 1.0, 'by_mT': 0.0}},
               {'linear_flow': {'gxx_per_s': -0.05, 'gxy_per_s': 0.0, 'gyx_per_s': 0.0,
                                'gyy_per_s': -0.05}}]
     alarms = [seed for seed in range(100) if at_a_wall(PreparedSession.of(
