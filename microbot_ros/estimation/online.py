@@ -15,7 +15,7 @@ from microbot_ros.estimation.estimates import FASTEST, Estimates, Settings, Stat
 from microbot_ros.estimation.heading_bank import HeadingBank
 from microbot_ros.estimation.monitor import Monitor
 from microbot_ros.estimation.noise import Noise, stokes_einstein
-from microbot_ros.estimation.population import Population, Readings
+from microbot_ros.estimation.population import AGAIN, Population, Readings
 from microbot_ros.estimation.propagation import HEADING_MEMORY, Propagator
 from microbot_ros.estimation.shared import SharedKnowledge
 from microbot_ros.estimation.track_faults import TrackFaults
@@ -169,7 +169,7 @@ class Estimator:
         ids = self._population.ids
         jumps = tuple(
             f'particle {ids[row]} jumped by {abs(readings.jump[row]) * 1e6:.1f} µm: is it still '
-            'the same one?' for row in readings.jumped[~readings.restless[readings.jumped]])
+            'the same one?' for row in readings.jumped if self._population.restarts[row] < AGAIN)
         for text in jumps:
             self._note(text)
         before, self._restless = self._restless, set(ids[readings.restless].tolist())

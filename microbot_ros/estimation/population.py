@@ -29,6 +29,9 @@ CALM, OFTEN = 10.0, 10.0
 has been all ways, is *restless* for as long: what moves it is not what the model says. A swimmer
 that is late after turns is begun anew too, but its c stays about the same."""
 
+AGAIN = 1.5
+"""Restarts in CALM seconds, fading, from which the last was not the only one."""
+
 SAME = 1 / 3
 """Least |mean of c|² over the mean of |c|² of a particle that follows the field."""
 
@@ -68,7 +71,7 @@ class Population:
 
     _BIRTH: ClassVar[dict[str, complex]] = {
         'last_seen': -np.inf, '_outliers': 0, '_refused': -np.inf, '_begun': -np.inf,
-        '_restarts': 0.0, '_restless_until': -np.inf, '_phasor_mean': 0j, '_phasor_power': 0.0}
+        'restarts': 0.0, '_restless_until': -np.inf, '_phasor_mean': 0j, '_phasor_power': 0.0}
 
     def __init__(self, phasor_prior_std: float) -> None:
         self.bank = PhasorBank(HYPOTHESES)
@@ -79,7 +82,7 @@ class Population:
         self._refused, self._begun, self._restless_until = np.empty((3, 0))
         """When the first of the consecutive outliers came, when the particle was last begun anew,
         and until when it is restless [s]."""
-        self._restarts = np.empty(0)
+        self.restarts = np.empty(0)
         """How often in the last CALM seconds it was begun anew, fading."""
         self._phasor_mean, self._phasor_power = np.empty(0, complex), np.empty(0)
         """Mean of c and of |c|² over the last CALM seconds in which it was known, fading."""
@@ -110,12 +113,12 @@ class Population:
 
     def _begin_anew(self, t: float, readings: Readings, noise: np.ndarray) -> None:
         rows = readings.jumped
-        self._restarts[rows] *= np.exp((self._begun[rows] - t) / CALM)
-        self._restarts[rows] += 1
+        self.restarts[rows] *= np.exp((self._begun[rows] - t) / CALM)
+        self.restarts[rows] += 1
         self._begun[rows] = t
         same = np.abs(self._phasor_mean[rows]) ** 2 >= SAME * self._phasor_power[rows]
-        again = self._restarts[rows]
-        restless = rows[(again > OFTEN) | (again > 1.5) & ~same]
+        again = self.restarts[rows]
+        restless = rows[(again > OFTEN) | (again > AGAIN) & ~same]
         self._restless_until[restless] = t + CALM
         readings.restless[restless] = True
         self.bank.restart(rows, readings.z[rows], noise[rows], self._phasor_prior_var)
