@@ -92,11 +92,12 @@ def _discover(selection: StepwiseSelection, remarks: tuple[str, ...],
     doubts = [m for one in assessments for m in one.doubts]
     unexplained = _worst(left + doubts)
     weak = [] if assessments else _suggestions(selection.open, selection.sessions)
-    effects = [one.entry(bool(doubts)) for one in assessments or weak]
-    rivals = [rival.fit.model for one in assessments for rival in one.rivals]
-    report('predicting what was held out')
     fit = selection.current
     known = Intervals(fit)
+    effects = [one.entry(known, bool(doubts)) for one in assessments] + [
+        one.entry(Intervals(one.own.fit), bool(unexplained)) for one in weak]
+    rivals = [rival.fit.model for one in assessments for rival in one.rivals]
+    report('predicting what was held out')
     return Discovery(
         verdict=_verdict(effects, unexplained),
         effects=tuple(sorted(effects, key=lambda e: (e.p_value, -e.delta_bic))),
@@ -163,13 +164,16 @@ class _Assessment:
             [rival for rival in selection.rivals(name) if _close(rival, own) and not alone],
             [m for m in maps if m.fires and m.log_p < most])
 
-    def entry(self, doubted: bool) -> NamedEffect:
-        """As it is named; `doubted`: whether something smooth explains an effect better."""
+    def entry(self, known: Intervals, doubted: bool) -> NamedEffect:
+        """As it is named, with what is `known` of its fit.
+
+        `doubted`: whether something smooth that is in no library explains an effect better.
+        """
         status: Status = 'established' if self.sure else 'suggested'
         if self.stands_in or (doubted and not self.alone):
             status = 'proxy'
         return NamedEffect(
-            self.own.id, status, Intervals(self.own.fit).effect(self.own.id), self.own.delta_bic,
+            self.own.id, status, known.effect(self.own.id), self.own.delta_bic,
             self.own.p_value, float(np.exp(np.minimum(self.log_e_value, 700.0))),
             tuple(rival.id for rival in self.rivals))
 

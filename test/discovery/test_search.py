@@ -127,8 +127,8 @@ def test_a_hint_of_a_drive_response_stands_in_where_something_is_left(film):
     fit = StepwiseSelection(sessions).current
     hint = replace(fit_candidate(fit, 'drive_response'), likelihood_ratio=30.0)
     case, = _suggestions([hint], sessions)
-    assert case.entry(doubted=True).status == 'proxy'
-    assert case.entry(doubted=False).status == 'suggested'
+    assert case.entry(Intervals(case.own.fit), doubted=True).status == 'proxy'
+    assert case.entry(Intervals(case.own.fit), doubted=False).status == 'suggested'
 
 
 @pytest.mark.parametrize('strength', [0.4, -0.3])

@@ -25,6 +25,7 @@ class CoilPull(Effect):
     summary = 'Every particle is pulled along the field, towards the coil that makes it.'
     required_excitation = 'several field strengths; at one alone v and φ absorb it'
     confounded_with = ('incomplete_alignment', 'drive_response')
+    proportional = True
 
     rate: float = parameter('rate_um_s_mT', 'k', -1e-1, 1e-1, 1e-4)
 

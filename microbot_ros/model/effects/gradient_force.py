@@ -26,6 +26,7 @@ class GradientForce(Effect):
     summary = 'Particles are pulled to where the coils make the field stronger.'
     required_excitation = 'positions spread over the workspace, under fields all round'
     confounded_with = ('linear_flow', 'hot_spot')
+    proportional = True
     needs_position = True
 
     rate: float = parameter('rate_per_s_mT', 'k', -1e3, 1e3, 1.0)
