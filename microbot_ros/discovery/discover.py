@@ -93,7 +93,7 @@ def _discover(selection: StepwiseSelection, remarks: tuple[str, ...],
     unexplained = _worst(left + doubts)
     weak = [] if assessments else _suggestions(selection.open, selection.sessions)
     fit = selection.current
-    known = Intervals(fit)
+    known = Intervals(fit, complete=not any(one.stands_in for one in assessments))
     effects = [one.entry(known, bool(doubts)) for one in assessments] + [
         one.entry(Intervals(one.own.fit), bool(unexplained)) for one in weak]
     rivals = [rival.fit.model for one in assessments for rival in one.rivals]
