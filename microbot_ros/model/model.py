@@ -8,14 +8,19 @@ from typing import Literal
 
 import numpy as np
 
-from microbot_ros.model.effect import Effect
+from microbot_ros.model.effect import STAGES, Effect
 from microbot_ros.model.effect_context import EffectContext
-from microbot_ros.model.effects import EFFECTS
+from microbot_ros.model.effects import BUILT_IN
 from microbot_ros.model.parameter import Parameter
 from microbot_ros.records import Commands, Conditions
 
 Propulsion = Literal['catalytic', 'rolling']
-_ORDER = {effect: rank for rank, effect in enumerate(EFFECTS)}
+_ORDER = {effect.id: rank for rank, effect in enumerate(BUILT_IN)}
+
+
+def _rank(effect: Effect) -> tuple[int, int, str]:
+    """Where it stands in the library, without asking what else is installed."""
+    return STAGES.index(effect.stage), _ORDER.get(effect.id, len(_ORDER)), effect.id
 
 
 @dataclass(frozen=True)
@@ -62,7 +67,7 @@ class Model:
         if not 0 < self.reference_field < np.inf:
             received = self.reference_field
             raise ValueError(f'reference_field must be positive; received {received}')
-        ordered = sorted(self.effects, key=lambda e: _ORDER.get(e.id, len(_ORDER)))
+        ordered = sorted(self.effects, key=_rank)
         object.__setattr__(self, 'effects', tuple(ordered))
 
     @classmethod
