@@ -28,6 +28,17 @@ def build_effects(table: Mapping[str, Mapping[str, Decimal | float | str]]) -> t
     )
 
 
+def read_effects(table: Any) -> tuple[Effect, ...]:
+    """The effects of a `table` as anybody wrote it; ValueError naming the key and what is wrong.
+    """
+    try:
+        return build_effects(_check(table))
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = '.'.join(str(part) for part in first['loc'])
+        raise ValueError(f'{key}: {first["msg"]}') from None
+
+
 def _known_only(what: str) -> Any:
     def check(cls: type[pydantic.BaseModel], content: Any) -> Any:
         for key in content if isinstance(content, dict) else ():

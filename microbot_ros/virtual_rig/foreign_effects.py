@@ -11,11 +11,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-import pydantic
 
 from microbot_ros.model.effect import Effect
 from microbot_ros.model.effect_context import EffectContext, Places
-from microbot_ros.model.effect_table import EffectTable, build_effects
+from microbot_ros.model.effect_table import read_effects
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.langevin import step_grid
 from microbot_ros.model.model import Model
@@ -45,13 +44,8 @@ def check_effect(effect: str, parameters: Mapping[str, float | Sequence[float]])
 
 def foreign_effects(effects: Given) -> tuple[Effect, ...]:
     """Those of the `effects` that the physics does not know, ValueError for what cannot be."""
-    foreign = {name: values for name, values in effects.items() if name not in INJECTABLE}
-    try:
-        return build_effects(pydantic.TypeAdapter(EffectTable).validate_python(foreign))
-    except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        key = ' '.join(str(part) for part in first['loc'])
-        raise ValueError(f'{key}: {first["msg"]}') from None
+    return read_effects(
+        {name: values for name, values in effects.items() if name not in INJECTABLE})
 
 
 def make_world(

@@ -6,10 +6,9 @@ import math
 from dataclasses import replace
 
 import numpy as np
-import pydantic
 
 from microbot_ros.errors import InputError
-from microbot_ros.model.effect_table import EffectTable, build_effects
+from microbot_ros.model.effect_table import read_effects
 from microbot_ros.model.first_order import simulate
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.newton_stokes import newton_stokes
@@ -119,13 +118,12 @@ def _without_noise(
 
 def _model(scenario: Scenario, source: str) -> Model:
     try:
-        table = pydantic.TypeAdapter(EffectTable).validate_python(scenario.effects)
-    except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        key = '.'.join(str(part) for part in first['loc'])
-        raise InputError(
-            source, f"'effects.{key}': {first['msg']}, for first_order physics") from None
-    return Model(scenario.reference_field, scenario.propulsion, build_effects(table))
+        effects = read_effects(scenario.effects)
+    except InputError:
+        raise
+    except ValueError as error:
+        raise InputError(source, f"'effects': {error}, for first_order physics") from None
+    return Model(scenario.reference_field, scenario.propulsion, effects)
 
 
 def _newton_stokes(
