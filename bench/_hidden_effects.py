@@ -145,7 +145,8 @@ LISTED: dict[str, Kind] = {
     'periodic_drift': Kind(_periodic_drift, 0.3, 10.0),
     'amplifier_deadband': Kind(_plain('deadband_mT'), 0.3, 0.8),
     'pixel_anisotropy': Kind(_signed('aspect', 1.0), 0.05, 0.25),
-    'gradient_force': Kind(_signed('rate_per_s_mT'), 0.001, 0.1, levels=True),
+    'gradient_force': Kind(_signed('rate_per_s_mT'), 0.001, 0.1),
+    'coil_pull': Kind(_signed('rate_um_s_mT'), 0.05, 2.0, levels=True),
     'incomplete_alignment': Kind(_plain('field_scale_mT'), 0.2, 5.0, levels=True),
     'drive_response': Kind(_drive_response, 0.3, 5.0),
 }

@@ -27,7 +27,8 @@ DRIVEN = {
     'near': 'hydrodynamic_slowdown', 'weak': 'incomplete_alignment'}
 PLACED = {
     'drift x': 'uniform_drift', 'drift y': 'uniform_drift', 'xx': 'linear_flow',
-    'yx': 'linear_flow', 'xy': 'linear_flow', 'yy': 'linear_flow', 'gradient': 'gradient_force'}
+    'yx': 'linear_flow', 'xy': 'linear_flow', 'yy': 'linear_flow', 'gradient': 'gradient_force',
+    'pull': 'coil_pull'}
 """Terms and the effects that they speak of."""
 
 
@@ -49,11 +50,12 @@ def kept(session: Session) -> list[str]:
     times, seen = session.tracks.grid()
     began = times >= session.commands.t[0]
     times, seen = times[began], seen[began] * 1e6
-    strength = np.hypot(*session.commands.field_at(times).T)
+    field = session.commands.field_at(times)
+    strength = np.hypot(*field.T)
     terms = _terms(seen.shape[1] > 1, np.ptp(strength) > 1e-3 * strength.max())
     data = TrajectoryCollection.from_arrays(
         X=np.nan_to_num(seen), t=times - times[0], mask=np.isfinite(seen).all(axis=2),
-        extras_global={'strength': time_series_extra(strength / strength.max())},
+        extras_global={'field': time_series_extra(field / strength.max())},
         extras_local={'driven': time_series_extra(_driven(session, times, seen, terms))})
     with warnings.catch_warnings():
         warnings.simplefilter('ignore')
@@ -66,7 +68,7 @@ def kept(session: Session) -> list[str]:
 def _terms(neighbours: bool, levels: bool) -> list[str]:
     """Those that a session can tell from others: all but what repeats another term."""
     idle = set() if neighbours else {'near'}
-    idle |= set() if levels else {'weak', 'gradient'}
+    idle |= set() if levels else {'weak', 'pull'}
     return [term for term in (*DRIVEN, *PLACED) if term not in idle]
 
 
@@ -77,14 +79,18 @@ def _basis(terms: list[str]) -> Any:
 
     def vectors(x: Any, *, extras: dict[str, Any]) -> Any:
         right, up = jnp.eye(2)
+        field = extras['field']
+        strength = jnp.maximum(jnp.hypot(*field), 1e-9)
+        pulled = (5 * field**2 * x - 2 * field * (field @ x)) / strength - strength * x
         placed = {
             'drift x': right, 'drift y': up, 'xx': x[0] * right, 'yx': x[0] * up,
-            'xy': x[1] * right, 'yy': x[1] * up, 'gradient': extras['strength'] * x}
+            'xy': x[1] * right, 'yy': x[1] * up, 'gradient': pulled,
+            'pull': field}
         columns = [placed[term] for term in terms if term in placed]
         return jnp.concatenate([extras['driven'], jnp.stack(columns, axis=1)], axis=1)
 
     return make_basis(vectors, dim=2, rank=1, n_features=len(terms), labels=terms,
-                      extras_keys=('driven', 'strength'), particle_extras=('driven',))
+                      extras_keys=('driven', 'field'), particle_extras=('driven',))
 
 
 def _driven(session: Session, times: np.ndarray, seen: np.ndarray,

@@ -46,8 +46,8 @@ def exercise(kind: type[Effect]) -> None:
 
     It must say what it is, with parameters in range; do nothing at strength zero, whatever its
     shape; stay finite at its bounds; have a smooth derivative along each parameter; tell
-    particles and times apart as its hooks promise; say truly whether it needs positions and
-    whether it counts time; and come back from a `model.yaml` to the last bit.
+    particles and times apart as its hooks promise; say truly whether it needs positions,
+    counts time or is linear; and come back from a `model.yaml` to the last bit.
     """
     assert EFFECTS.get(kind.id) is kind, (
         f"{kind.id} is not installed: name it in the entry points 'microbot_ros.effects'")
@@ -179,6 +179,14 @@ def _tells_what_it_needs(effect: Effect) -> None:
         assert _refuses(effect, blind), "'needs_position' is True, but no hook reads positions"
     else:
         assert not _refuses(effect, blind), "a hook reads positions: 'needs_position' must be True"
+    if effect.proportional:
+        twice = dataclasses.replace(effect, **{
+            p.field: 2 * getattr(effect, p.field) for p in effect.parameters() if not p.shape})
+        assert np.allclose(_moved(twice) - _moved(), 2 * (_moved(effect) - _moved()),
+                           rtol=1e-6, atol=1e-15), "is not linear: 'proportional' must be False"
+        assert all(getattr(type(effect), hook) is getattr(Effect, hook) for hook in (
+            'latency', 'field', 'heading_offset', 'alignment_rate', 'speed_factor', 'observe')), (
+            "'proportional' is True, but it has hooks beside 'drift'")
     commands = Commands(line.commands.t + 50, line.commands.field, line.commands.frequency)
     later = Timeline(commands, line.times + 50, line.positions)
     same = np.allclose(_moved(effect, later), _moved(effect, line), rtol=1e-6, atol=1e-15)

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from microbot_ros.discovery.result import Discovery
+    from microbot_ros.nodes.graph_client import GraphClient
+    from microbot_ros.nodes.live_session_buffer import LiveSessionBuffer
     from microbot_ros.records import Session
 
 
@@ -94,29 +96,42 @@ def _watch(out: Path, seconds: float, rounds: int, jobs: int, json_path: Path | 
            progress: Console) -> None:
     """Look at the recent past of the graph again and again, each time into a folder of its own.
 
-    A node that uses the model of one look goes on with it while the next is written.
+    A node that uses the model of one look goes on with it while the next is written. Looks follow
+    one another, each on what came after the one before, however long that took.
     """
+    import time
     from itertools import count
 
     from microbot_ros.errors import InputError
     from microbot_ros.files import output_folder
+    from microbot_ros.nodes.graph_client import GraphClient
+    from microbot_ros.nodes.live_session_buffer import LiveSessionBuffer
+    from microbot_ros.nodes.verdict_publisher import VerdictPublisher
     from microbot_ros.session import write_session
 
-    for look in count(1):
-        session = _listen(seconds, progress)
-        place = out.resolve() / f'look-{look}'
-        with output_folder(place) as folder:
-            write_session(folder / 'session', session)
-        try:
-            found = _discover([session], [place / 'session'], place, jobs, json_path, progress)
-            if found.model.effects:
-                _propose(place / 'model.yaml', found.model.time_invariant, progress)
-        except InputError as error:
+    with GraphClient('discover') as client:
+        recent, verdict = LiveSessionBuffer(client, seconds), VerdictPublisher(client)
+        for look in count(1):
+            session = _listen(client, recent, seconds, progress)
+            began = time.monotonic()
+            place = out.resolve() / f'look-{look}'
+            with output_folder(place) as folder:
+                write_session(folder / 'session', session)
+            try:
+                found = _discover([session], [place / 'session'], place, jobs, json_path, progress)
+                verdict.publish(found.as_json())
+                if found.model.effects:
+                    _propose(place / 'model.yaml', found.model.time_invariant, progress)
+            except InputError as error:
+                if look == rounds:
+                    raise
+                progress.print(f'nothing to say yet: {error}')
             if look == rounds:
-                raise
-            progress.print(f'nothing to say yet: {error}')
-        if look == rounds:
-            return
+                return
+            if (took := time.monotonic() - began) > seconds:
+                progress.print(f'! look {look} took {took:.0f} s, longer than its {seconds:g} s '
+                               'of data: what came meanwhile is left out')
+            recent.forget()
 
 
 def _propose(file: Path, time_invariant: bool, progress: Console) -> None:
@@ -128,14 +143,10 @@ def _propose(file: Path, time_invariant: bool, progress: Console) -> None:
                        'in a node from its start.')
 
 
-def _listen(seconds: float, progress: Console) -> Session:
-    """What a graph, or a replay, says for so long."""
-    from microbot_ros.nodes.graph_client import GraphClient
-    from microbot_ros.nodes.live_session_buffer import LiveSessionBuffer
-
-    waiting = 'no particles yet: is a graph running, or a replay?'
-    with GraphClient('discover') as client, progress.status(waiting) as status:
-        recent = LiveSessionBuffer(client, seconds)
+def _listen(client: GraphClient, recent: LiveSessionBuffer, seconds: float,
+            progress: Console) -> Session:
+    """What the graph of a `client`, or a replay, says for so long."""
+    with progress.status('no particles yet: is a graph running, or a replay?') as status:
         while recent.span < seconds - 0.5:
             client.spin(0.5)
             if recent.span:

@@ -87,18 +87,18 @@ def _discover(selection: StepwiseSelection, remarks: tuple[str, ...],
     report('mapping what is left')
     after = residual_maps(selection.current) if selection.current.model.effects else before
     report('comparing with what could stand in')
-    assessments = [
-        _Assessment.of(selection, effect.id) for effect in selection.current.model.effects]
-    doubts = [m for one in assessments for m in one.doubts]
     left = [m for m in after if m.fires]
+    assessments = [_Assessment.of(selection, effect.id, left)
+                   for effect in selection.current.model.effects]
+    doubts = [m for one in assessments for m in one.doubts]
     unexplained = _worst(left + doubts)
     weak = [] if assessments else _suggestions(selection.open, selection.sessions)
-    effects = [one.entry(bool(doubts) or not all(map(one.dwarfs, left)))
-               for one in assessments or weak]
-    rivals = [rival.fit.model for one in assessments for rival in one.rivals]
-    report('predicting what was held out')
     fit = selection.current
     known = Intervals(fit)
+    effects = [one.entry(known, bool(doubts)) for one in assessments] + [
+        one.entry(Intervals(one.own.fit), bool(unexplained)) for one in weak]
+    rivals = [rival.fit.model for one in assessments for rival in one.rivals]
+    report('predicting what was held out')
     return Discovery(
         verdict=_verdict(effects, unexplained),
         effects=tuple(sorted(effects, key=lambda e: (e.p_value, -e.delta_bic))),
@@ -132,7 +132,8 @@ class _Assessment:
     is `alone`: one whose curve the gains at the levels of the drive follow.
     `doubts`: of the maps of the residual without it, those that are less likely by chance than it
     is, since something smooth that is in no library explains it better; all that fire, where it
-    is not sure. `shows_in`: the covariate that its absence shows in most.
+    is not sure. `stands_in`: structure is left that it does not dwarf, so that it may be but a
+    part of something else; then nothing more is asked of it, and `log_e_value` is NaN.
     """
 
     own: CandidateFit
@@ -141,47 +142,53 @@ class _Assessment:
     alone: bool
     rivals: list[CandidateFit]
     doubts: list[ResidualMap]
-    shows_in: str = ''
+    stands_in: bool = False
 
     @classmethod
-    def of(cls, selection: StepwiseSelection, name: str) -> _Assessment:
-        """Of the effect `name` of the model selected so far."""
+    def of(cls, selection: StepwiseSelection, name: str,
+           left: Iterable[ResidualMap]) -> _Assessment:
+        """Of the effect `name` of the model selected so far, beside which maps find so much
+        `left`.
+        """
         rest = without(selection.current, name)
-        own = compare(selection.current, rest, name)
-        gain = _paid_log_e_value(selection.current.model, selection.sessions, name)
+        own, maps = compare(selection.current, rest, name), residual_maps(rest)
         # Halves of a recording in which the frequency was stepped once predict nothing.
         alone = (EFFECTS[name].is_drive_curve
                  and curve_p_value(selection.current, name) < BACKWARD)
+        if not alone and not all(_dwarfs(own, maps, one) for one in left):
+            return cls(own, float('nan'), False, False, [], [], stands_in=True)
+        gain = _paid_log_e_value(selection.current.model, selection.sessions, name)
         sure = own.shape_seen and own.delta_bic > CLOSE and not is_cancelled(
             selection.current, name) and (gain > HELD_OUT or alone)
         most = own.log_p + np.log(len(EFFECTS)) - BETTER if sure else 0.0
-        maps = residual_maps(rest)
         return cls(
             own, gain, sure, alone,
             [rival for rival in selection.rivals(name) if _close(rival, own) and not alone],
-            [m for m in maps if m.fires and m.log_p < most],
-            max(maps, key=lambda m: m.statistic - m.dof).against)
+            [m for m in maps if m.fires and m.log_p < most])
 
-    def dwarfs(self, left: ResidualMap) -> bool:
-        """Whether what is `left` is small beside the effect, and of another kind.
+    def entry(self, known: Intervals, doubted: bool) -> NamedEffect:
+        """As it is named, with what is `known` of its fit.
 
-        What only stands in for something else explains less of it, and leaves more of the same.
-        Steps that were cut out can't be explained by any effect, nor be taken for one.
+        `doubted`: whether something smooth that is in no library explains an effect better.
         """
-        if left.cut_out:
-            return True
-        return left.against != self.shows_in and (
-            left.statistic - left.dof < DWARFED * self.own.likelihood_ratio)
-
-    def entry(self, incomplete: bool) -> NamedEffect:
-        """As it is named; `incomplete`: whether structure is left in the residual."""
         status: Status = 'established' if self.sure else 'suggested'
-        if incomplete and not self.alone:
+        if self.stands_in or (doubted and not self.alone):
             status = 'proxy'
         return NamedEffect(
-            self.own.id, status, Intervals(self.own.fit).effect(self.own.id), self.own.delta_bic,
-            self.own.p_value, float(np.exp(min(self.log_e_value, 700.0))),
+            self.own.id, status, known.effect(self.own.id), self.own.delta_bic,
+            self.own.p_value, float(np.exp(np.minimum(self.log_e_value, 700.0))),
             tuple(rival.id for rival in self.rivals))
+
+
+def _dwarfs(own: CandidateFit, without: Sequence[ResidualMap], left: ResidualMap) -> bool:
+    """Whether what is `left` is small beside an effect, and of another kind.
+
+    What only stands in for something else explains less of it, and leaves more of the same, in
+    the map that shows most `without` it. Steps that were cut out are in no fit.
+    """
+    shows_in = max(without, key=lambda one: one.statistic - one.dof).against
+    return left.cut_out or (left.against != shows_in and (
+        left.statistic - left.dof < DWARFED * own.likelihood_ratio))
 
 
 def _worst(maps: Iterable[ResidualMap]) -> tuple[ResidualMap, ...]:

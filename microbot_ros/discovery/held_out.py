@@ -60,8 +60,8 @@ def learn(model: Model, sessions: Sequence[PreparedSession], names: Iterable[str
     for name in names:
         found = fit_candidate(fit, name)
         if found and (not found.has_shape or (found.shape_seen and found.delta_bic > 0)):
-            fit = fit_sessions(found.fit.model, sessions)
-    return fit
+            fit = found.fit
+    return fit_sessions(fit.model, sessions) if fit.model.effects else fit
 
 
 # The gain in likelihood -------------------------------------------------------------------------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -34,6 +35,20 @@ FAINT = 2e-5
 SURE = 4.0
 """Standard deviations from which a particle is said to follow the commands."""
 
+NORMALS = np.exp(2j * np.pi * np.arange(180) / 180)
+"""Directions in which a wall is looked for."""
+
+BORDER, INNER = 1.5, 0.92
+"""Half the breadth of a border, in standard deviations of a step, and the quantile of places
+along its normal in its middle: beyond lies only the error of reading."""
+
+LONG = 0.15
+"""Part of its steps that a particle is at a border if it is pressed against a wall there."""
+
+HELD, LEGS = 0.25, 4
+"""Part of the way into a wall that it goes at most, under so many different commands: a flow
+balances one of them at most, and each at another place."""
+
 
 def check_sessions(sessions: Sequence[Session],
                    ) -> tuple[list[PreparedSession], tuple[str, ...]]:
@@ -46,9 +61,11 @@ def check_sessions(sessions: Sequence[Session],
     _one_kind(sessions)
     whole = [_usable(session) for session in sessions]
     _all_different(whole)
-    prepared = [prepare(session) for session in sessions]
-    remarks = [remark for e, split in zip(whole, prepared, strict=True)
-               for remark in _remarks_on(e, int(split.jumps.sum()))]
+    walled = [at_a_wall(e) for e in whole]
+    prepared = [prepare(_without(session, set(e.ids[held].tolist())))
+                for session, e, held in zip(sessions, whole, walled, strict=True)]
+    remarks = [remark for e, held, split in zip(whole, walled, prepared, strict=True)
+               for remark in (*_left_out(e, held), *_remarks_on(e, int(split.jumps.sum())))]
     remarks += _references(sessions)
     return prepared, tuple(dict.fromkeys(remarks))
 
@@ -187,6 +204,71 @@ def _idle(e: PreparedSession) -> Iterator[str]:
     if not _follows(e).any():
         yield (f'{e.name}: no particle follows the commands. What acts on their swimming can’t be '
                'seen. Were the coils on, is there fuel, are commands and tracks on one clock?')
+
+
+def at_a_wall(e: PreparedSession) -> np.ndarray:
+    """Tracks (N,) bool of `e` that a wall, or the edge of the dish, holds for much of the time.
+
+    They are often at one straight border of all that they visit, and there go along it as the
+    commands say, but hardly towards it.
+    """
+    swum = respond(Model.baseline(e.conditions, e.commands), e.timeline).propulsion
+    swum = np.broadcast_to(swum, (len(e.times) - 1, len(e.ids)))
+    use = e.seen[1:] & e.seen[:-1]
+    legs = e.commands.index_at(e.times[:-1])
+    return np.array([
+        _is_held(e.z[:-1, n][used], np.diff(e.z[:, n])[used], swum[used, n], legs[used])
+        for n, used in enumerate(use.T)], bool)
+
+
+def _is_held(z: np.ndarray, steps: np.ndarray, swum: np.ndarray, legs: np.ndarray) -> bool:
+    """Whether a wall holds a particle: `steps` (T,) from `z` (T,), `swum` (T,) for c = 1.
+
+    `legs` (T,): which command each was under.
+    """
+    if len(steps) < FEWEST_FRAMES or not swum.any():
+        return False
+    c = np.vdot(swum, steps) / np.vdot(swum, swum)
+    breadth = BORDER * float(np.sqrt(np.mean(np.abs(steps - c * swum) ** 2) / 2))
+    out = (z[:, None] * NORMALS.conj()).real
+    bordering = np.abs(out - np.quantile(out, INNER, axis=0)) < breadth
+    share = bordering.mean(axis=0)
+    normal, there = NORMALS[share.argmax()], bordering[:, share.argmax()]
+    if share.max() < LONG:
+        return False
+    # A wall leaves the motion along it free: c by that alone, as two real numbers.
+    along, way = (steps / (1j * normal)).real, swum / (1j * normal)
+    columns = np.stack([way.real, -way.imag], axis=1)
+    found = np.linalg.lstsq(columns, along, rcond=1e-6)[0]
+    towards = (complex(*found) * swum / normal).real
+    if towards[there].sum() < 0:
+        normal, towards = -normal, -towards
+    pressed = there & (towards > 0)
+    spread = float(np.std(along - columns @ found)) * np.sqrt(pressed.sum())
+    expected, gone = towards[pressed].sum(), (steps[pressed] / normal).real.sum()
+    pushes = np.bincount(legs[pressed] - legs[0], towards[pressed])
+    return bool(np.count_nonzero(pushes > 2 * breadth) >= LEGS and gone < HELD * expected
+                and expected - gone > 2 * SURE * spread)
+
+
+def _without(session: Session, names: set[int]) -> Session:
+    if not names:
+        return session
+    tracks = session.tracks
+    kept = ~np.isin(tracks.particle, list(names))
+    if not kept.any():
+        raise InputError(session.name or 'session', 'expected particles in free fluid, found all '
+                         'pressed against a wall, or the edge of the dish. One that swims freely '
+                         'is enough')
+    return replace(session, tracks=replace(
+        tracks, **{name: value[kept] for name, value in vars(tracks).items()
+                   if isinstance(value, np.ndarray)}))
+
+
+def _left_out(e: PreparedSession, held: np.ndarray) -> list[str]:
+    names = ', '.join(map(str, e.ids[held]))
+    return [f'{e.name}: pressed against a wall, or the edge of the dish: particle {names}. Left '
+            'out: what holds it there acts on no other.'] if names else []
 
 
 def _stays(e: PreparedSession) -> np.ndarray:

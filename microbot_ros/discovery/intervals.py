@@ -26,8 +26,11 @@ ROOT = 1.96
 BENT = 0.1
 """Part of an interval's width by which its end may be off before the profile is followed."""
 
-FURTHEST, TRIED = 4.0, 8
+FURTHEST, TRIED = 4.0, 5
 """How far beyond the last point of a profile the next may lie, in its distance; and how many."""
+
+STEPS = 5
+"""Steps in which the other parameters follow one that is held."""
 
 GRID = 200
 """Points that a profile is interpolated at."""
@@ -199,7 +202,7 @@ def _held(fit: ModelFit, k: int, at: float, near: ModelFit) -> ModelFit:
     """The best fit with the `k`-th parameter `at` a fit coordinate, from one `near` it."""
     vector = near.model.vector()
     vector[k] = at
-    return maximise(fit.under(fit.model.with_vector(vector)), held=k)
+    return maximise(fit.under(fit.model.with_vector(vector)), STEPS, held=k)
 
 
 def _at(fit: ModelFit, k: int) -> float:

@@ -61,7 +61,8 @@ class NamedEffect:
 
     `delta_bic` and `p_value` compare the final model with and without it; `p_value` is local for
     effects with no shape to search over and corrected for the search where there is one.
-    `e_value` is the gain in likelihood on data that the effect was not fitted to.
+    `e_value` is the gain in likelihood on data that the effect was not fitted to, over the number
+    of effects among which it was chosen; NaN where it is only a proxy.
     `indistinguishable_from` names the effects that explain the same data as well.
     """
 
@@ -88,6 +89,7 @@ class NamedEffect:
             'id': self.id, 'status': self.status,
             'parameters': {name: e.as_json(name) for name, e in self.parameters.items()},
             'delta_bic': self.delta_bic, 'p_value': self.p_value,
+            'e_value': self.e_value if np.isfinite(self.e_value) else None,
             'indistinguishable_from': list(self.indistinguishable_from),
         }
 

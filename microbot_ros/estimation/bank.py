@@ -65,21 +65,24 @@ class PhasorBank:
 
         Variances per axis, `p_var` (n,) [m²], `phasor_var` [m²/s²].
         """
-        hypotheses, n = self.p.shape[0], len(position)
-        births = {
-            'p': np.broadcast_to(position, (hypotheses, n)),
-            'velocity_phasor': np.zeros((hypotheses, n), complex),
-            'g': np.zeros((hypotheses, n), complex),
-            'p_var': np.broadcast_to(p_var, (hypotheses, n)),
-            'phasor_var': np.full((hypotheses, n), phasor_var),
-            'log_weight': np.full((hypotheses, n), -np.inf),
-        }
-        births['log_weight'][0] = 0.0
-        for name, born in births.items():
+        for name, born in self._births(position, p_var, phasor_var).items():
             setattr(self, name, np.concatenate([getattr(self, name), born], axis=1))
 
+    def _births(
+        self, position: np.ndarray, p_var: np.ndarray, phasor_var: float,
+    ) -> dict[str, np.ndarray]:
+        """The columns (K, n) of particles of which no more is known than where they are."""
+        shape = self.p.shape[0], len(position)
+        log_weight = np.full(shape, -np.inf)
+        log_weight[0] = 0.0
+        return {
+            'p': np.broadcast_to(position, shape), 'velocity_phasor': np.zeros(shape, complex),
+            'g': np.zeros(shape, complex), 'p_var': np.broadcast_to(p_var, shape),
+            'phasor_var': np.full(shape, phasor_var), 'log_weight': log_weight,
+        }
+
     def scale_velocity_phasor(self, factor: complex) -> None:
-        """Multiply every c by a complex `factor` near 1, as after a better value of the delay."""
+        """Multiply every c by a complex `factor` of a size near 1."""
         self.velocity_phasor *= factor
 
     def keep(self, particles: np.ndarray) -> None:
@@ -103,11 +106,20 @@ class PhasorBank:
         _update(self.p, self.velocity_phasor, self.g, self.p_var, self.phasor_var,
                 self.log_weight, z, noise, seen)
 
-    def restart_position(self, z: np.ndarray, noise: np.ndarray, where: np.ndarray) -> None:
-        """Put particles `where` (N,) bool to `z` ± √`noise`, knowing c as before: after a jump."""
-        self.p = np.where(where, z, self.p)
-        self.g = np.where(where, 0, self.g)
-        self.p_var = np.where(where, noise, self.p_var)
+    def restart(
+        self, rows: np.ndarray, z: np.ndarray, noise: np.ndarray, phasor_var: float,
+    ) -> None:
+        """Begin particles `rows` (n,) anew at `z` (n,) [m] ± √`noise`, their predictions failed.
+
+        They may have been moved, or their c is not what it was: two hypotheses of equal
+        probability, c as known and c = 0 ± √`phasor_var`, between which what follows decides.
+        """
+        known = self.combined()
+        for name, born in self._births(z, noise, phasor_var).items():
+            getattr(self, name)[:, rows] = born
+        self.velocity_phasor[0, rows] = known.velocity_phasor[rows]
+        self.phasor_var[0, rows] = known.phasor_var[rows]
+        self.log_weight[-1, rows] = 0.0
 
     def tick(
         self, prior_probability: float, change_var: np.ndarray, phasor_var_max: float,

@@ -12,6 +12,10 @@ NEGLIGIBLE = 1e-5
 """A field weaker than this [T], a fifth of the earth's, is noise of a read-back."""
 
 
+STRONGEST, FASTEST_TURN = 1e3, 1e6
+"""Fields [T] and frequencies [Hz] beyond these are no commands, whoever sends them."""
+
+
 class CommandLog:
     """Commands as they arrive, in order of time, kept for as long as they matter."""
 
@@ -25,11 +29,13 @@ class CommandLog:
         """Add a command in force from `t` [s]; the reason it was refused, or ''.
 
         `field` (2,) [T], taken for zero below NEGLIGIBLE; `frequency` [Hz] of rollers. Refused
-        are numbers that are not finite and commands earlier than the last one.
+        are numbers that are not finite or beyond all coils, and commands earlier than the last.
         """
         x, y, turns = float(field[0]), float(field[1]), frequency or 0.0
         if not all(map(math.isfinite, (t, x, y, turns))):
             return 'a command holds numbers that are not finite: ignored'
+        if max(abs(x), abs(y)) > STRONGEST or abs(turns) > FASTEST_TURN:
+            return f'a command of {x:.3g}, {y:.3g} T, {turns:.3g} Hz is beyond all coils: ignored'
         if math.hypot(x, y) < NEGLIGIBLE:
             x = y = 0.0
         if self._count and not t >= self.last:

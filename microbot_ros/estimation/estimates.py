@@ -42,7 +42,8 @@ class Estimates:
     them enough. `force` is NaN where radius or viscosity are not known,
     and for rollers. `prediction` (N, 2) is the position `horizon` ahead under the present
     command. `delay` [s] is the one in use; `delay_std` NaN while undetermined. `diagnosis`:
-    sentences on what makes numbers doubtful, and what to do.
+    sentences on what makes numbers doubtful, and what to do; `begun_anew`: those on particles
+    whose predictions had failed and that were begun anew in this very frame.
     """
 
     t: float
@@ -63,6 +64,7 @@ class Estimates:
     delay_std: float
     noise: Noise
     diagnosis: tuple[str, ...] = ()
+    begun_anew: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -85,13 +87,13 @@ class State:
 
 def answer(
     state: State, ahead: Step, shared: SharedKnowledge, conditions: Conditions,
-    diagnosis: tuple[str, ...], aging: complex,
+    diagnosis: tuple[str, ...], begun_anew: tuple[str, ...], aging: complex,
 ) -> Estimates:
     """A filter's `state` in terms of speed, φ and force, and as after the step `ahead`.
 
     With what is `shared` by all, the `conditions` of the rig and the sentences of a
-    `diagnosis`; `aging` is the factor by which the model has changed every v e^{iφ}
-    since its start.
+    `diagnosis` and on whom was `begun_anew`; `aging` is the factor by which the model has
+    changed every v e^{iφ} since its start.
     """
     std = np.sqrt(state.phasor_var)
     speeds = polar(state.velocity_phasor * aging, std * abs(aging)).widened(
@@ -108,7 +110,7 @@ def answer(
         force=force, force_std=force_std,
         prediction=as_vectors(prediction), prediction_std=prediction_std,
         delay=shared.delay.value, delay_std=shared.delay.std, noise=shared.noise,
-        diagnosis=diagnosis,
+        diagnosis=diagnosis, begun_anew=begun_anew,
     )
 
 

@@ -41,15 +41,13 @@ class HeadingBank(PhasorBank):
         self.s, self.gs, self.ps = (np.zeros(self.p.shape, complex) for _ in range(3))
         self.s_var = np.zeros(self.p.shape)
 
-    def add(self, position: np.ndarray, p_var: np.ndarray, phasor_var: float) -> None:
-        """Append particles as the plain bank does, their headings without deviation.
-
-        `position` (n,), `p_var` (n,) and `phasor_var` as there.
-        """
-        super().add(position, p_var, phasor_var)
-        born = self.p.shape[1] - self.s.shape[1]
-        for name in ('s', 'gs', 'ps', 's_var'):
-            setattr(self, name, np.pad(getattr(self, name), ((0, 0), (0, born))))
+    def _births(
+        self, position: np.ndarray, p_var: np.ndarray, phasor_var: float,
+    ) -> dict[str, np.ndarray]:
+        shape = self.p.shape[0], len(position)
+        return super()._births(position, p_var, phasor_var) | {
+            name: np.zeros(shape, complex) for name in ('s', 'gs', 'ps')
+        } | {'s_var': np.zeros(shape)}
 
     def predict_deviation(
         self, sensitivity: np.ndarray, retention: np.ndarray, heading_noise: float,
@@ -89,11 +87,6 @@ class HeadingBank(PhasorBank):
         self.ps *= kept
         super().update(z, noise, seen)
         self._bound()
-
-    def restart_position(self, z: np.ndarray, noise: np.ndarray, where: np.ndarray) -> None:
-        """Put particles `where` they are to `z` ± √`noise`; their deviations stay."""
-        super().restart_position(z, noise, where)
-        self.ps = np.where(where, 0, self.ps)
 
     def _fold(self, slot: int) -> np.ndarray:
         share = super()._fold(slot)

@@ -23,7 +23,7 @@ by ℓ_R, since that term depends on the scale of X: an effect that shrinks X wo
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -36,6 +36,9 @@ from microbot_ros.estimation.prepared_session import PreparedSession
 
 SMALLEST, LARGEST = 0.05, 1e5
 """Bounds of (σ²/D + h/3)/h in the search; beyond them one of the two can't be seen at all."""
+
+REMEMBERED = 12
+"""White columns of a session that are kept."""
 
 _GOLDEN, _BRACKET = (math.sqrt(5) - 1) / 2, 0.1
 """Of the search: the golden section, and the width from which a parabola does the rest."""
@@ -193,6 +196,24 @@ class SessionFit:
         """Other displacement `columns` (T, N, M) [m], whitened, in units of the noise."""
         white = self.whitening.apply(self.session, np.ascontiguousarray(columns, complex))[0]
         white /= np.sqrt(self.diffusion)
+        return white
+
+    def white_column(self, key: Hashable, column: Callable[[], np.ndarray]) -> np.ndarray:
+        """Another displacement `column` (T, N) [m], whitened, but for D.
+
+        What has a `key` is remembered by it for this session and noise, the latest few of them.
+        """
+        known: dict[Hashable, np.ndarray] = vars(self.whitening).setdefault('_columns', {})
+        place = key and (id(self.session), key)
+        if place in known:
+            return known[place]
+        moved = np.ascontiguousarray(
+            np.broadcast_to(column(), self.session.z.shape)[..., None], complex)
+        white: np.ndarray = self.whitening.apply(self.session, moved)[0][..., 0]
+        if place:
+            if len(known) >= REMEMBERED:
+                del known[next(iter(known))]
+            known[place] = white
         return white
 
     def with_noise_ratio(self, ratio: float) -> SessionFit:

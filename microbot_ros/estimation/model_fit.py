@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -27,6 +27,7 @@ from microbot_ros.estimation.prepared_session import (
 )
 from microbot_ros.model.increments import heading_response
 from microbot_ros.model.model import Model, ParticleParameters
+from microbot_ros.model.parameter import Parameter
 
 ROUNDS = 8
 """Turns in which effects and noise are fitted, at most."""
@@ -72,14 +73,19 @@ class ModelFit:
         x = self.model.vector()
         changed = [self.model.with_vector(x + step * unit)
                    for step, unit in zip(steps, np.eye(len(x)), strict=True)]
+        keys = [_constant(self.model, *of) for of in self.model.parameters]
         white = []
         for p in self.session_fits:
             here = p.expected.at(p.velocity_phasor)
-            columns = np.empty((*p.session.z.shape, len(x)), complex)
-            for k, model in enumerate(changed):
-                moved = ExpectedDisplacement.of(model, p.session.timeline)
-                columns[..., k] = (moved.at(p.velocity_phasor) - here) / steps[k]
-            white.append(p.whiten(columns))
+            columns = []
+            for model, step, key in zip(changed, steps, keys, strict=True):
+                def derivative(model: Model = model, step: float = step,
+                               p: SessionFit = p, here: np.ndarray = here) -> np.ndarray:
+                    moved = ExpectedDisplacement.of(model, p.session.timeline)
+                    return (moved.at(p.velocity_phasor) - here) / step
+                columns.append(p.white_column(key, derivative))
+            white.append(np.stack(columns, axis=-1) / np.sqrt(p.diffusion) if columns
+                         else np.empty((*p.session.z.shape, 0), complex))
         return tuple(white)
 
     @cached_property
@@ -134,6 +140,19 @@ class ModelFit:
         variance = np.diagonal(result)
         np.fill_diagonal(result, np.where(variance > 0, variance, np.inf))
         return result
+
+
+def _constant(model: Model, name: str, parameter: Parameter) -> Hashable:
+    """What the derivative of a strength depends on, if only on little; None if on more.
+
+    On the shape of its effect, and on what the field and the camera do to it.
+    """
+    effect = model.effect(name)
+    if effect is None or not effect.proportional or parameter.shape:
+        return None
+    shape = tuple(value for p, value in effect.values().items() if p.shape)
+    around = tuple(one for one in model.effects if one.stage in ('field', 'observation'))
+    return name, parameter.name, shape, around
 
 
 def _steps(model: Model) -> np.ndarray:

@@ -15,7 +15,7 @@ from microbot_ros.estimation.estimates import FASTEST, Estimates, Settings, Stat
 from microbot_ros.estimation.heading_bank import HeadingBank
 from microbot_ros.estimation.monitor import Monitor
 from microbot_ros.estimation.noise import Noise, stokes_einstein
-from microbot_ros.estimation.population import Population, Readings
+from microbot_ros.estimation.population import AGAIN, Population, Readings
 from microbot_ros.estimation.propagation import HEADING_MEMORY, Propagator
 from microbot_ros.estimation.shared import SharedKnowledge
 from microbot_ros.estimation.track_faults import TrackFaults
@@ -38,6 +38,12 @@ CHANGE_INTERVAL = 3600.0
 
 WANDER = 1e-3
 """Relative random walk of speed and direction in one second."""
+
+FARTHEST = 1.0
+"""A place beyond this [m], or read with such a σ, is in no microscope's field of view."""
+
+BEST = 0.01
+"""Variance of the best readings in a frame over that of its typical ones, at least."""
 
 SET_BACK = 1.0
 """A clock that goes back by more than this [s] has been started anew."""
@@ -79,6 +85,7 @@ class Estimator:
         self._monitor = Monitor()
         self._track_faults = TrackFaults()
         self._faults: list[str] = []
+        self._restless: set[int] = set()
         self._next_question = -np.inf
         self._t = -np.inf
 
@@ -132,30 +139,42 @@ class Estimator:
     ) -> Estimates:
         """A frame exposed at `t` [s]: `ids` (N,), `position` (N, 2) and its `sigma` (N,) [m].
 
-        Readings that are not finite are left out and their particles coast. A frame that is not
-        newer than the one before changes nothing; a clock set back starts everything anew. The
-        camera's readings are made true ones by the model's observation stage.
+        Readings that are not finite, or not of a microscope's size, are left out and their
+        particles coast. A frame that is not newer than the one before changes nothing; a clock
+        set back starts everything anew. The camera's readings are made true ones by the model's
+        observation stage. A reading far from its prediction is refused, but never for longer than
+        a few frames: then its particle is begun anew from there.
         """
         if math.isfinite(t) and t < self._t - SET_BACK:
             self._start(self.model)
             self._note('the clock of the frames was set back: everything is learned anew')
         if not (math.isfinite(t) and t > self._t):
             self._note(f'a frame is stamped {t:.6g} s, not later than the one before: ignored')
-            return self._answer(np.zeros(len(self._population.ids), bool))
+            return self._answer(np.zeros(len(self._population.ids), bool), ())
         frame = self._usable(t, ids, position, sigma)
         shared = self._knowledge(frame.sigma)
         readings, changed = self._filter(frame, shared)
-        for row in readings.jumped:
-            self._note(f'particle {self._population.ids[row]} jumped by '
-                       f'{abs(readings.jump[row]) * 1e6:.1f} µm: is it still the same one?')
+        begun = self._begun_anew(readings)
         self._watch(readings)
         shared.add(t, self._population.ids, readings, changed)
-        if shared.work(t, self.model, self._log, self._population.bank):
+        if shared.work(t, self.model, self._log, self._population):
             self._track_faults.forget()
         self._refilter_opening(frame, shared)
         self._population.forget(t - self.settings.forget_after)
         self._log.forget_before(t - SECONDS - HEADING_MEMORY)
-        return self._answer(self._population.last_seen == t)
+        return self._answer(self._population.last_seen == t, begun)
+
+    def _begun_anew(self, readings: Readings) -> tuple[str, ...]:
+        """What is to be said of particles whose predictions failed."""
+        ids = self._population.ids
+        jumps = tuple(
+            f'particle {ids[row]} jumped by {abs(readings.jump[row]) * 1e6:.1f} µm: is it still '
+            'the same one?' for row in readings.jumped if self._population.restarts[row] < AGAIN)
+        for text in jumps:
+            self._note(text)
+        before, self._restless = self._restless, set(ids[readings.restless].tolist())
+        new = self._restless - before
+        return (*jumps, _of_restless(new)) if new else jumps
 
     def _usable(
         self, t: float, ids: np.ndarray, position: np.ndarray, sigma: np.ndarray | None,
@@ -169,9 +188,10 @@ class Estimator:
 
     def _cleaned(self, ids: np.ndarray, position: np.ndarray, sigma: np.ndarray,
                  ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        good = np.isfinite(position).all(axis=1)
-        for name in ids[~good]:
-            self._note(f'particle {name} was reported at a place that is not a number')
+        good = (np.abs(position) < FARTHEST).all(axis=1)
+        for name, place in zip(ids[~good], position[~good], strict=True):
+            what = 'is in no microscope' if np.isfinite(place).all() else 'is not a number'
+            self._note(f'particle {name} was reported at a place that {what}')
         ids, position, sigma = ids[good], position[good], sigma[good]
         names, first, count = np.unique(ids, return_index=True, return_counts=True)
         for name in names[count > 1]:
@@ -183,7 +203,7 @@ class Estimator:
         if self._shared is not None:
             return self._shared
         diffusion, _ = stokes_einstein(self.conditions) or (1e-13, 0.0)
-        stated = sigma[(sigma > 0) & np.isfinite(sigma)]
+        stated = sigma[(sigma > 0) & (sigma < FARTHEST)]
         typical = float(np.median(stated)) if len(stated) else 1e-7
         shared = SharedKnowledge(Noise(diffusion, typical, self.settings.exposure))
         if len(sigma):
@@ -234,9 +254,8 @@ class Estimator:
                 self._filter(again, shared)
             self._opening = None
 
-    def _answer(self, seen: np.ndarray) -> Estimates:
-        state = State(
-            self._t, self._population.ids, seen, *self._population.bank.combined())
+    def _answer(self, seen: np.ndarray, begun_anew: tuple[str, ...]) -> Estimates:
+        state = State(self._t, self._population.ids, seen, *self._population.known(self._t))
         if self._t >= self._next_question:
             self._next_question = self._t + 1.0
             moving = bool(self._propagator.heading.any())
@@ -250,11 +269,13 @@ class Estimator:
         told = (
             *self._notes, *self._faults, *shared.sentences, *self._monitor.sentences
         )
+        if self._restless:
+            told = _of_restless(self._restless), *told
         now = self._t if math.isfinite(self._t) else 0.0
         ahead = self._propagator.look_ahead(
             self._log, shared.delay.value, now, now + max(self.settings.horizon, 1e-6), state.p
         )
-        return answer(state, ahead, shared, self.conditions, told,
+        return answer(state, ahead, shared, self.conditions, told, begun_anew,
                       self.model.gain_change_since_start(now))
 
     def _note(self, text: str) -> None:
@@ -263,13 +284,19 @@ class Estimator:
             self._notes[text] = self._t
 
 
+def _of_restless(ids: set[int]) -> str:
+    names = ', '.join(map(str, sorted(ids)))
+    return (f'particle{"s" * (len(ids) > 1)} {names}: neither the field nor noise explains the '
+            'motion, so v and φ are not known; places are as the camera sees them')
+
+
 @numba.njit(cache=True)
 def _in_order(ids, position):  # type: ignore[no-untyped-def]
-    """Whether `ids` (N,) ascend and every `position` (N, 2) is finite."""
+    """Whether `ids` (N,) ascend and every `position` (N, 2) is one in a microscope."""
     for n in range(len(ids)):
         if n and not ids[n - 1] < ids[n]:
             return False
-        if not (math.isfinite(position[n, 0]) and math.isfinite(position[n, 1])):
+        if not (abs(position[n, 0]) < FARTHEST and abs(position[n, 1]) < FARTHEST):
             return False
     return True
 
@@ -278,15 +305,16 @@ def _in_order(ids, position):  # type: ignore[no-untyped-def]
 def _reading_variance(level, sigma, blur):  # type: ignore[no-untyped-def]
     """Variance (N,) of each reading: the learned `level`, shared out as the tracker says.
 
-    `sigma` (N,) as it states them; exposures take a variance of `blur` off.
+    `sigma` (N,) as it states them; exposures take a variance of `blur` off. A reading far better
+    than the others is not trusted as far, and one far worse is no worse than is stated.
     """
-    stated, total = 0, 0.0
-    for value in sigma:
-        if 0 < value < np.inf:
-            stated += 1
-            total += value**2
+    stated = sigma[(sigma > 0) & (sigma < FARTHEST)]
+    typical = np.median(stated) if len(stated) else 1.0
     variance = np.empty(len(sigma))
     for n, value in enumerate(sigma):
-        relative = value**2 / (total / stated) if 0 < value < np.inf else 1.0
-        variance[n] = max(level * relative - blur, 1e-20)
+        shared = level
+        if 0 < value < FARTHEST:
+            relative = max((value / typical) ** 2, BEST)
+            shared = min(level * relative, max(level, value**2))
+        variance[n] = max(shared - blur, 1e-20)
     return variance

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from microbot_ros.estimation.bank import PhasorBank
 from microbot_ros.estimation.commands import CommandLog
 from microbot_ros.estimation.delay import Delay
 from microbot_ros.estimation.noise import Noise
-from microbot_ros.estimation.population import Readings
+from microbot_ros.estimation.population import Population, Readings
 from microbot_ros.estimation.window import Review, Window
 from microbot_ros.model.model import Model
 
@@ -21,6 +21,10 @@ FIRST_REVIEW, REVIEW_EVERY = 0.5, 4.0
 SLICE_EVERY, MOST_SLICES = 0.01, 8
 """One slice of a review for so long [s] since the frame before, at most so many for one frame: a
 review takes as long at 20 frames a second as at 100."""
+
+DOUBTED = 10.0
+"""Seconds for which most particles are restless until the noise levels are doubted, rather than
+the particles: a stage that is moved is no noise."""
 
 PRIOR_LOG_STD = 1.0
 """How far D and σ² may be from what was assumed, as a standard deviation of their logarithm."""
@@ -44,6 +48,8 @@ class SharedKnowledge:
         self._next: float | None = None
         self._pause = FIRST_REVIEW
         self._t = -np.inf
+        self._settled = -np.inf
+        """When most particles were last not restless [s]."""
 
     def forget_model(self) -> None:
         """Drop what was learned under another model, but the noise levels."""
@@ -54,19 +60,29 @@ class SharedKnowledge:
             changed: list[tuple[int, float]]) -> None:
         """A frame at `t` [s] of particles `ids` (N,) with its `readings`.
 
-        `changed`: rows whose velocity phasor changed, and how long ago [s].
+        `changed`: rows whose velocity phasor changed, and how long ago [s]. From restless ones
+        nothing is learned, unless most have been so for long.
         """
-        for row in readings.jumped:
-            self._window.jumped(int(ids[row]), complex(readings.jump[row]))
+        restless = readings.restless
+        if 2 * np.count_nonzero(restless) <= len(ids) or self._settled == -np.inf:
+            self._settled = t
         for row, ago in changed:
             self._window.changed(int(ids[row]), t - ago)
-        self._window.add(t, ids, readings.z, readings.used)
+        if t - self._settled > DOUBTED:
+            self._window.add(t, ids, readings.z, readings.seen)
+            return
+        for row in readings.jumped:
+            if restless[row]:
+                self._window.changed(int(ids[row]), t)
+            else:
+                self._window.jumped(int(ids[row]), complex(readings.jump[row]))
+        self._window.add(t, ids, readings.z, readings.used & ~restless)
 
-    def work(self, t: float, model: Model, log: CommandLog, bank: PhasorBank) -> bool:
+    def work(self, t: float, model: Model, log: CommandLog, population: Population) -> bool:
         """Go on with a review at `t` [s], if one is due or under way.
 
         Under a `model` and the commands of a `log`. True where a new delay corrected the
-        velocity phasors of the `bank`.
+        velocity phasors of the `population`.
         """
         span, self._t = t - self._t, t
         if self._next is None:
@@ -81,13 +97,16 @@ class SharedKnowledge:
             for _ in range(round(min(max(span / SLICE_EVERY, 1), MOST_SLICES))):
                 if (result := next(self._review)) is not None:
                     self._review = None
-                    return self._adopt(result, bank)
+                    return self._adopt(result, population)
         except StopIteration:
             self._review = None
         return False
 
-    def _adopt(self, review: Review, bank: PhasorBank) -> bool:
-        self.noise = _shrunk(self._prior, review.noise)
+    def _adopt(self, review: Review, population: Population) -> bool:
+        noise = _shrunk(self._prior, review.noise)
+        if not (math.isfinite(noise.diffusion) and math.isfinite(noise.localisation)):
+            return False
+        self.noise = noise
         self.log_phasor_slope, self.sentences = review.log_phasor_slope, review.confounded
         self.reviewed = True
         if not review.delay.determined:
@@ -95,7 +114,7 @@ class SharedKnowledge:
             return False
         # What the filter learned under the old delay, it would have learned turned by this.
         factor = np.exp(review.log_phasor_slope * (review.delay.value - self.delay.value))
-        bank.scale_velocity_phasor(factor)
+        population.correct_velocity_phasors(factor)
         self.delay = review.delay
         return bool(abs(factor - 1) > 0.01)
 

@@ -60,7 +60,7 @@ class TrackFaults:
         return [
             f'particle {name} swims differently than {now.t - then.t:.0f} s ago: '
             f'{abs(old) * 1e6:.2f} → {abs(new) * 1e6:.2f} µm/s, '
-            f'turned by {np.degrees(np.angle(new / old)):+.0f}°'
+            f'turned by {np.degrees(np.angle(new * np.conj(old))):+.0f}°'
             for name, old, new in zip(common[moved], before[moved], after[moved], strict=True)
         ]
 

@@ -26,6 +26,7 @@ from microbot_ros.loop.controller import ControllerParameters
 from microbot_ros.magnetics import Allocator
 from microbot_ros.model.model import ParticleParameters
 from microbot_ros.virtual_rig.body import BODY
+from microbot_ros.virtual_rig.coil_gradients import coil_gradients
 from microbot_ros.virtual_rig.dynamics import advance_worlds
 from microbot_ros.virtual_rig.injected_effects import INJECTABLE, check, inject_effect
 from microbot_ros.virtual_rig.record_session import detection_errors, picture, scatter
@@ -252,7 +253,7 @@ class SteeredWorlds:
         mean = np.zeros_like(self.seen)
         advance_worlds(
             self.bodies, which, self.t, duration, math.ceil(duration / STEP - 1e-9),
-            self._begins, self._field, self.frame, rng, mean)
+            self._begins, self._field, self.frame, coil_gradients(), rng, mean)
         return mean
 
     def _take_frames(self, which: np.ndarray, rows: Rows, rng: np.random.Generator) -> None:

@@ -38,6 +38,9 @@ class Effect(ABC):
     """Effects that look alike under ordinary commands."""
     needs_position: ClassVar[bool] = False
     """Whether a hook reads `context.position` or the pairs."""
+    proportional: ClassVar[bool] = False
+    """Whether all it does is a `drift` that is linear in its strengths: fits use it to save time.
+    """
     time_invariant: ClassVar[bool] = True
     """Whether it is the same at all times while the command stays."""
     is_drive_curve: ClassVar[bool] = False

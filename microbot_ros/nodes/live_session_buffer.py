@@ -20,6 +20,9 @@ from microbot_ros.session.from_recording import commands_of
 
 _LIVE_SECONDS = 1.0
 
+_BACKLOG_SECONDS = 0.5
+"""What waited while nobody listened is taken in much less."""
+
 
 class LiveSessionBuffer:
     """Keeps the last `seconds` of the graph of a `client`: `particles`, the commanded field, how
@@ -55,6 +58,11 @@ class LiveSessionBuffer:
     def span(self) -> float:
         """How many seconds have been collected."""
         return self._frames[-1][0] - self._frames[0][0] if self._frames else 0.0
+
+    def forget(self) -> None:
+        """Collect anew from now on, but for the commands still in force."""
+        self._client.spin(_BACKLOG_SECONDS)
+        self._frames.clear()
 
     def session(self) -> Session:
         """What was collected; times [s] count from the first frame of it."""

@@ -92,4 +92,6 @@ class ModelNode(RigNode):
         estimates = self.stage.step(
             messages.points(message, PARTICLE), messages.to_seconds(stamp))
         self._came = time.monotonic()
+        for text in self.stage.estimates.begun_anew if self.stage.estimates else ():
+            self.get_logger().warning(text)
         self._state.publish(messages.cloud(estimates, stamp))

@@ -33,7 +33,9 @@ _NULL_VALUES = {
     # fluid and forces
     'drift_x': 0.0, 'drift_y': 0.0, 'gxx': 0.0, 'gxy': 0.0, 'gyx': 0.0, 'gyy': 0.0,
     'sway_speed': 0.0, 'sway_frequency': 0.0, 'sway_direction': 0.0, 'sway_phase': 0.0,
-    'spot_x': 0.0, 'spot_y': 0.0, 'spot_speed': 0.0, 'spot_width': 1.0, 'gradient_rate': 0.0,
+    'spot_x': 0.0, 'spot_y': 0.0, 'spot_speed': 0.0, 'spot_width': 1.0,
+    # moments over drag [m²/(T s)], pulled by a pair of coils on each axis; by one coil
+    'pair_moment': 0.0, 'coil_moment': 0.0,
     # neighbours
     'dipole': 0.0, 'crowding': 0.0, 'repulsion_speed': 0.0, 'repulsion_range': 1.0,
     'pusher': 0.0,

@@ -3,7 +3,7 @@
 Each function is one cause. They read a particle's record (`body.BODY`) and share no
 code with the model that is fitted. `advance` puts them together. All are in one file
 because numba's cache notices changes in the caller's own file only: after a change to
-`langevin.step_heading` touch this one.
+`langevin.step_heading` or to `coil_gradients.SPACING` touch this one.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numba
 import numpy as np
 
 from microbot_ros.model.langevin import step_heading
+from microbot_ros.virtual_rig.coil_gradients import SPACING
 
 Pair = tuple[float, float]
 
@@ -26,13 +27,17 @@ def _deadband(value: float, width: float) -> float:
 
 
 @numba.njit(cache=True)
+def coil_fields(body: Any, x: float, y: float) -> Pair:
+    """From a command x, y to what the coils of each axis make at a `body`: amplifier, gain [T]."""
+    return _deadband(x, body.deadband), body.gain_y * _deadband(y, body.deadband)
+
+
+@numba.njit(cache=True)
 def felt_field(body: Any, x: float, y: float) -> Pair:
-    """From the command x, y [T] to the field at a body: amplifier, coils, stray field [T]."""
-    x, y = _deadband(x, body.deadband), _deadband(y, body.deadband)
-    y_coil = body.gain_y * y
+    """From the fields x, y that the coils of each axis make [T] to that at a body [T]."""
     return (
-        x + math.sin(body.skew) * y_coil + body.background_x,
-        math.cos(body.skew) * y_coil + body.background_y,
+        x + math.sin(body.skew) * y + body.background_x,
+        math.cos(body.skew) * y + body.background_y,
     )
 
 
@@ -113,28 +118,76 @@ def flow(body: Any, t: float) -> tuple[float, float, float]:
 
 
 @numba.njit(cache=True)
-def place_force(body: Any, strength: float) -> Pair:
-    """Velocity [m/s] of a body by forces that depend on the place: field maximum, hot spot, trap.
-
-    `strength` is |B| [T].
-    """
+def place_force(body: Any) -> Pair:
+    """Velocity [m/s] of a body by forces that depend on the place: hot spot, trap."""
     x, y = body.x - body.spot_x, body.y - body.spot_y
     squared = (x**2 + y**2) / body.spot_width**2
     spot = body.spot_speed / body.spot_width * math.exp((1 - squared) / 2)
-    outward = body.gradient_rate * strength
-    outward -= body.trap_speed * (body.x**2 + body.y**2) / body.trap_length**3
+    outward = -body.trap_speed * (body.x**2 + body.y**2) / body.trap_length**3
     return outward * body.x + spot * x, outward * body.y + spot * y
 
 
 @numba.njit(cache=True)
-def gradient_force(body: Any, gradient: np.ndarray) -> Pair:
-    """Velocity [m/s] of a body by the magnetic force (m·∇)B; `gradient` is ∂B_a/∂x_b [T/m]."""
+def _between(x: float, last: int) -> tuple[int, float]:
+    """The place of the table before a coordinate `x` [m], and what part of the way to the next."""
+    x = x / SPACING + last / 2
+    if not x > 0:  # nor is NaN, for which there is no place either
+        return 0, 0.0
+    if x >= last:
+        return last - 1, 1.0
+    return int(x), x - int(x)
+
+
+@numba.njit(cache=True)
+def gradient_at(table: np.ndarray, x: float, y: float) -> tuple[float, float, float]:
+    """The gradient at x, y [m] from a `table`, a part of `coil_gradients`: between four places.
+
+    Beyond the table, that at its edge.
+    """
+    i, x = _between(x, len(table) - 1)
+    j, y = _between(y, len(table) - 1)
+    a, b, c, d = (1 - x) * (1 - y), (1 - x) * y, x * (1 - y), x * y
+    p, q, r, s = table[i, j], table[i, j + 1], table[i + 1, j], table[i + 1, j + 1]
+    return (a * p[0] + b * q[0] + c * r[0] + d * s[0], a * p[1] + b * q[1] + c * r[1] + d * s[1],
+            a * p[2] + b * q[2] + c * r[2] + d * s[2])
+
+
+@numba.njit(cache=True)
+def coil_force(
+    table: np.ndarray, bx: float, by: float, x: float, y: float, mx: float, my: float,
+) -> Pair:
+    """(m·∇)B [N] on a moment mx, my [A m²] at x, y [m], of coils on an axis along their field.
+
+    `bx`, `by` [T] is that field at the centre, `table` a part of `coil_gradients`.
+    """
+    strength = math.sqrt(bx**2 + by**2)
+    if strength == 0:
+        return 0.0, 0.0
+    c, s = bx / strength, by / strength
+    xx, xy, yy = gradient_at(table, c * x + s * y, c * y - s * x)
+    along, across = strength * (c * mx + s * my), strength * (c * my - s * mx)
+    u, v = xx * along + xy * across, xy * along + yy * across
+    return c * u - s * v, s * u + c * v
+
+
+@numba.njit(cache=True)
+def magnetic_velocity(body: Any, x: float, y: float, coils: np.ndarray) -> Pair:
+    """Velocity [m/s] of a body by the gradients of its `coils`, all of `coil_gradients`.
+
+    `x`, `y` [T] is what the coils of each axis make at the centre: a pair of coils each, or
+    together one coil that stands where their field points to. The moments of the body lie φ
+    behind its heading: along the field that turns it.
+    """
+    if body.pair_moment == 0 and body.coil_moment == 0:
+        return 0.0, 0.0
     angle = body.heading - body.phi
-    mx, my = body.moment * math.cos(angle), body.moment * math.sin(angle)
-    return (
-        (gradient[0, 0] * mx + gradient[0, 1] * my) / body.drag,
-        (gradient[1, 0] * mx + gradient[1, 1] * my) / body.drag,
-    )
+    mx, my = math.cos(angle), math.sin(angle)
+    lean_x, lean_y = math.sin(body.skew) * y, math.cos(body.skew) * y
+    u, v = coil_force(coils[0], x, 0.0, body.x, body.y, mx, my)
+    du, dv = coil_force(coils[0], lean_x, lean_y, body.x, body.y, mx, my)
+    u, v = body.pair_moment * (u + du), body.pair_moment * (v + dv)
+    du, dv = coil_force(coils[1], x + lean_x, lean_y, body.x, body.y, mx, my)
+    return u + body.coil_moment * du, v + body.coil_moment * dv
 
 
 @numba.njit(cache=True)
@@ -200,30 +253,27 @@ def rotate(body: Any, bx: float, by: float, vorticity: float, t: float, dt: floa
 @numba.njit(cache=True)
 def advance(
     bodies: np.ndarray, middle: np.ndarray, length: float, rows: np.ndarray, field: np.ndarray,
-    gradient: np.ndarray, frequency: np.ndarray, half_extent: np.ndarray,
+    frequency: np.ndarray, coils: np.ndarray, half_extent: np.ndarray,
     rng: np.random.Generator, mean: np.ndarray,
 ) -> None:
     """Take all bodies through steps of `length` [s] about the times `middle` (K,) [s].
 
-    `rows` (R,) [s]: when each row of `field` (R, 1 or N, 2) [T], `gradient` (R or 0, 1 or N, 2, 2)
-    [T/m] and `frequency` (R,) [Hz] begins. Walls lie at ± `half_extent` (2,) [m]. Adds to `mean`
-    (N, 2) [m] the average position.
+    `rows` (R,) [s]: when each row of `field` (R, 1 or N, 2) [T] and `frequency` (R,) [Hz] begins;
+    `coils` as `coil_gradients`. Walls lie at ± `half_extent` (2,) [m]. Adds to `mean` (N, 2) [m]
+    the average position.
     """
     velocity = np.empty((len(bodies), 2))
-    here, no_gradient = np.zeros(2), np.zeros((2, 2))
+    here = np.zeros(2)
     for t in middle:
         for i in range(len(bodies)):
             body = bodies[i]
             row = np.searchsorted(rows, t - body.delay, side='right') - 1
-            slope, turns = no_gradient, 0.0
+            turns = 0.0
             here[:] = 0.0
             if row >= 0:
                 here[:] = field[row, min(i, field.shape[1] - 1)]
                 turns = frequency[row]
-                if len(gradient) > 0:
-                    slope = gradient[row, min(i, gradient.shape[1] - 1)]
-            bx, by = felt_field(body, here[0], here[1])
-            _move(bodies, i, bx, by, slope, turns, t, length, rng, velocity)
+            _move(bodies, i, here, turns, t, length, coils, rng, velocity)
         for i in range(len(bodies)):
             _displace(bodies[i], velocity[i], length, rng, half_extent, mean[i])
         _separate(bodies)
@@ -233,33 +283,36 @@ def advance(
 @numba.njit(cache=True)
 def advance_worlds(
     bodies: np.ndarray, which: np.ndarray, start: np.ndarray, duration: float, steps: int,
-    rows: np.ndarray, field: np.ndarray, count: np.ndarray, rng: np.random.Generator,
-    mean: np.ndarray,
+    rows: np.ndarray, field: np.ndarray, count: np.ndarray, coils: np.ndarray,
+    rng: np.random.Generator, mean: np.ndarray,
 ) -> None:
     """Take some worlds, `which` (K,) of `bodies` (M, N), each on by `duration` [s] in `steps`.
 
     World m begins at `start[m]` [s] and has had `count[m]` commands: when each begins, in `rows`
-    (R,) [s], and its `field` (M, R, 1, 2) [T]. Adds to `mean` (M, N, 2) [m] the average position.
+    (R,) [s], and its `field` (M, R, 1, 2) [T]; `coils` as `coil_gradients`. Adds to `mean`
+    (M, N, 2) [m] the average position.
     """
-    gradient, half_extent = np.empty((0, 1, 2, 2)), np.full(2, np.inf)
+    half_extent = np.full(2, np.inf)
     middle = (np.arange(steps) + 0.5) * (duration / steps)
     for m in which:
         had = count[m]
         advance(bodies[m], start[m] + middle, duration / steps, rows[:had], field[m, :had],
-                gradient, np.zeros(had), half_extent, rng, mean[m])
+                np.zeros(had), coils, half_extent, rng, mean[m])
 
 
 @numba.njit(cache=True)
 def _move(
-    bodies: np.ndarray, i: int, bx: float, by: float, slope: np.ndarray, turns: float, t: float,
-    length: float, rng: np.random.Generator, velocity: np.ndarray,
+    bodies: np.ndarray, i: int, command: np.ndarray, turns: float, t: float, length: float,
+    coils: np.ndarray, rng: np.random.Generator, velocity: np.ndarray,
 ) -> None:
     """Turn one particle and note the velocity that all causes together give it."""
     body = bodies[i]
+    x, y = coil_fields(body, command[0], command[1])
+    bx, by = felt_field(body, x, y)
     strength = math.sqrt(bx**2 + by**2)
     u, v, vorticity = flow(body, t)
-    du, dv = place_force(body, strength)
-    gu, gv = gradient_force(body, slope)
+    du, dv = place_force(body)
+    gu, gv = magnetic_velocity(body, x, y, coils)
     pu, pv, slowing = neighbours(bodies, i)
     before = body.heading
     rotate(body, bx, by, vorticity, t, length, rng.standard_normal())

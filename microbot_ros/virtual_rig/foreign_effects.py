@@ -18,7 +18,7 @@ from microbot_ros.model.effect_table import read_effects
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.langevin import step_grid
 from microbot_ros.model.model import Model
-from microbot_ros.virtual_rig.dynamics import felt_field
+from microbot_ros.virtual_rig.dynamics import coil_fields, felt_field
 from microbot_ros.virtual_rig.injected_effects import INJECTABLE, check
 from microbot_ros.virtual_rig.world import FieldHistory, World
 
@@ -125,7 +125,7 @@ class ForeignWorld(World):
         if history.frequency is not None:
             frequency[on] = history.frequency[rows[on]]
         for i, body in enumerate(self.bodies):
-            field[i] = felt_field(body, *field[i])
+            field[i] = felt_field(body, *coil_fields(body, *field[i]))
         return EffectContext(
             np.array([t]), np.array([length]), field, frequency, self._model.reference_field,
             Places(self.position))

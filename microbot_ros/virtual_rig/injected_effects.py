@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from microbot_ros.units import to_si
+from microbot_ros.virtual_rig.coil_gradients import pull_of_coil, pull_of_pair
 
 # Effect → parameter as people write it → column of the particle's record.
 LISTED: dict[str, dict[str, str]] = {
@@ -33,7 +34,8 @@ LISTED: dict[str, dict[str, str]] = {
         'direction_rad': 'sway_direction', 'phase_rad': 'sway_phase'},
     'amplifier_deadband': {'deadband_mT': 'deadband'},
     'pixel_anisotropy': {'aspect': 'aspect'},
-    'gradient_force': {'rate_per_s_mT': 'gradient_rate'},
+    'gradient_force': {'rate_per_s_mT': 'pair_moment'},
+    'coil_pull': {'rate_um_s_mT': 'coil_moment'},
     'incomplete_alignment': {'field_scale_mT': 'field_scale'},
     # The first two are the mechanics of rollers; all five, the curves that the library fits.
     'drive_response': {
@@ -92,11 +94,17 @@ def inject_effect(
 
     Each parameter is a number, or one for each particle; what is not given stays. A lag sets the
     magnetic moment that makes the heading align with the time constant `tau_s` at
-    `reference_field` [T]. ValueError as from `check`.
+    `reference_field` [T]; `gradient_force` and `coil_pull`, a moment of their own that the
+    gradients of the default coils pull at the given rate at the centre. ValueError as from
+    `check`.
     """
     check(effect, parameters)
     for name, value in parameters.items():
         strength = to_si(name, np.asarray(value, dtype=float))
         if effect == 'alignment_lag':
             strength = bodies['turn_drag'] / (strength * reference_field)
+        elif effect == 'gradient_force':
+            strength = strength / pull_of_pair()
+        elif effect == 'coil_pull':
+            strength = strength / pull_of_coil()
         bodies[INJECTABLE[effect][name]] = strength

@@ -13,6 +13,7 @@ import numpy as np
 
 from microbot_ros.model.langevin import step_grid
 from microbot_ros.records import Commands
+from microbot_ros.virtual_rig.coil_gradients import coil_gradients
 from microbot_ros.virtual_rig.dynamics import advance
 
 
@@ -21,19 +22,17 @@ class FieldHistory:
     """The field over time; each row holds until the next, and before the first there is none.
 
     `t` (K,) [s], ascending; `field` (K, N, 2) [T] at each particle, or (K, 1, 2) the same for
-    all; `gradient` (K, N or 1, 2, 2) [T/m], ∂B_a/∂x_b, or None where it is not felt;
-    `frequency` (K,) [Hz] of a rolling field, or None.
+    all; `frequency` (K,) [Hz] of a rolling field, or None.
     """
 
     t: np.ndarray
     field: np.ndarray
-    gradient: np.ndarray | None = None
     frequency: np.ndarray | None = None
 
     @classmethod
     def uniform(cls, commands: Commands) -> FieldHistory:
         """The same field everywhere."""
-        return cls(commands.t, commands.field[:, None, :], frequency=commands.frequency)
+        return cls(commands.t, commands.field[:, None, :], commands.frequency)
 
 
 class World:
@@ -78,14 +77,13 @@ class World:
             return self.position
         middle, length = step_grid(self.t, until)
         rows = len(history.t)
-        gradient = np.empty((0, 1, 2, 2)) if history.gradient is None else history.gradient
         frequency = np.zeros(rows) if history.frequency is None else history.frequency
         mean = np.zeros((len(self.bodies), 2))
         advance(
             self.bodies, middle, length, np.asarray(history.t, dtype=float),
             np.ascontiguousarray(history.field, dtype=float),
-            np.ascontiguousarray(gradient, dtype=float), np.asarray(frequency, dtype=float),
-            self._half_extent, self._rng, mean,
+            np.asarray(frequency, dtype=float), coil_gradients(), self._half_extent,
+            self._rng, mean,
         )
         self.t = until
         return mean

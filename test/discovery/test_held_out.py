@@ -87,15 +87,26 @@ def test_contribution_is_the_likelihood_ratio_beside_the_rest(drifting):
     assert own.p_value < 1e-10
 
 
-def test_next_experiment_changes_the_field_to_tell_a_gradient_from_a_flow(film):
+def test_next_experiment_changes_the_field_to_tell_a_pull_from_slowness(film):
+    """A pull along the field grows with it; slowness in weak fields does not add up to one."""
+    session, _ = film(31, {'coil_pull': {'rate_um_s_mT': 0.4}}, levels=(2e-3, 5e-3))
+    selection = StepwiseSelection(check_sessions([session])[0])
+    pull, slow = (selection.fit(selection.current.model.with_effect(EFFECTS[name](start)))
+                  for name, start in (('coil_pull', 1e-4), ('incomplete_alignment', 1e-4)))
+    found = next_experiment(pull, [slow.model])
+    assert 'a third of the field' in found.sentence
+    assert 0 < found.minutes < 10
+    assert next_experiment(pull, []) is None
+    # What is the same model under every command can't be told by any.
+    assert np.isinf(next_experiment(pull, [pull.model]).minutes)
+
+
+def test_next_experiment_turns_the_field_to_tell_a_gradient_from_a_flow(film):
     session, _ = film(31, {'gradient_force': {'rate_per_s_mT': 0.003}})
     selection = StepwiseSelection(check_sessions([session])[0])
     fit = selection.fit(selection.current.model.with_effect(EFFECTS['gradient_force'](1.0)))
     still = EFFECTS['linear_flow'](0, 0, 0, 0)
     flow = selection.fit(selection.current.model.with_effect(still)).model
     found = next_experiment(fit, [flow])
-    assert 'a third of the field' in found.sentence
-    assert 0 < found.minutes < 10
-    assert next_experiment(fit, []) is None
-    # What is the same model under every command can't be told by any.
-    assert np.isinf(next_experiment(fit, [fit.model]).minutes)
+    assert 'in all directions' in found.sentence
+    assert 0 < found.minutes < 1

@@ -5,8 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from microbot_ros.discovery.input_checks import check_sessions
+from microbot_ros.discovery.input_checks import at_a_wall, check_sessions
 from microbot_ros.errors import InputError
+from microbot_ros.estimation.prepared_session import PreparedSession
+from microbot_ros.model.particle import Fluid
+from microbot_ros.records import Commands, Conditions, Session
+from microbot_ros.virtual_rig.record_session import Camera, draw_swarm, record_session
+from microbot_ros.virtual_rig.world import World
 
 
 def moved(session, change):
@@ -195,3 +200,48 @@ def test_spheres_in_contact_are_cut(film):
     apart = np.abs(z[:, :, None] - z[:, None, :])
     assert np.nanmin(np.where(apart > 0, apart, np.nan)) > 2 * 4.6e-6
     assert prepared.pieces.max() > 1
+
+
+def walled(seed, spread, starts=(0.0, -80.0, -160.0), duration=30.0):
+    """Swimmers [µm from a wall at x = 0], who swim into it, but for turns of up to `spread`."""
+    rng = np.random.default_rng(seed)
+    made = draw_swarm(rng, len(starts), Fluid(1.245e-3), 5e-3, aligns_in=2e-5)
+    wall = 200e-6
+    made['x'], made['y'] = wall + 1e-6 * np.array(starts), 60e-6 * np.arange(len(starts))
+    t = np.cumsum(rng.uniform(1.0, 3.0, 30)) - 3.0
+    angle = -made['phi'][0] + rng.uniform(-spread, spread, 30)
+    commands = Commands(t, 5e-3 * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+    known = Conditions(radius=4.6e-6, viscosity=1.245e-3, reference_field=5e-3)
+    world = World(made, rng, half_extent=(wall, np.inf))
+    session, _ = record_session(world, commands, Camera(20.0, 0.0, 0.1e-6), duration, rng, known)
+    return Session(session.tracks, session.commands, session.conditions, f'walled-{seed}')
+
+
+@pytest.mark.parametrize('spread', [0.5, 1.0, 1.5, 2.0])
+@pytest.mark.parametrize('turn', [0.0, 0.7, 2.0])
+def test_particles_pressed_against_a_wall_are_left_out(spread, turn):
+    session = walled(3, spread)
+    rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    session = moved(session, lambda p: p @ rotation)
+    prepared, remarks = check_sessions([session])
+    assert list(prepared[0].ids) == [1, 2]
+    assert [r for r in remarks if 'wall' in r] == [
+        'walled-3: pressed against a wall, or the edge of the dish: particle 0. Left out: what '
+        'holds it there acts on no other.']
+
+
+def test_where_a_wall_holds_all_that_is_told():
+    with pytest.raises(InputError, match='all pressed against a wall'):
+        check_sessions([walled(4, 1.0, starts=(0.0,))])
+
+
+def test_free_particles_are_never_taken_for_pressed(film):
+    """Also where they are carried along, held together or turned late."""
+    hidden = [{}, {'uniform_drift': {'wx_um_s': 1.0, 'wy_um_s': -1.0}},
+              {'alignment_lag': {'tau_s': 0.5}},
+              {'background_field': {'bx_mT': 1.0, 'by_mT': 0.0}},
+              {'linear_flow': {'gxx_per_s': -0.05, 'gxy_per_s': 0.0, 'gyx_per_s': 0.0,
+                               'gyy_per_s': -0.05}}]
+    alarms = [seed for seed in range(100) if at_a_wall(PreparedSession.of(
+        film(seed, hidden[seed % len(hidden)], duration=10.0 + seed % 3 * 10.0)[0])).any()]
+    assert not alarms

@@ -24,7 +24,10 @@ from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.model_file import read_model, write_model
 from microbot_ros.records import Session
+from microbot_ros.session.folder import NOMINAL_FIELD
 from microbot_ros.virtual_rig.commands import rotating
+
+FIELD = 5e-3
 
 
 @pytest.mark.parametrize('dof', [1, 2, 4, 17])
@@ -92,9 +95,10 @@ def beside(fit, *effects):
 
 def test_fields_that_cancel_take_each_other_back(film):
     fit = StepwiseSelection(check_sessions([film(2, duration=20.0)[0]])[0]).current
+    # Near its middle a wide spot is a flow, outwards as the square root of e times speed/width.
     flow, against, along = (EFFECTS['linear_flow'](0.1, 0.0, 0.0, 0.1),
-                            EFFECTS['gradient_force'](-18.0), EFFECTS['gradient_force'](18.0))
-    for name in ('linear_flow', 'gradient_force'):
+                            *(EFFECTS['hot_spot'](0, 0, s * 6e-5, 1e-3) for s in (-1, 1)))
+    for name in ('linear_flow', 'hot_spot'):
         assert is_cancelled(beside(fit, flow, against), name)
         assert not is_cancelled(beside(fit, flow, along), name)
     assert not is_cancelled(beside(fit, flow), 'linear_flow')
@@ -124,8 +128,38 @@ def test_a_hint_of_a_drive_response_stands_in_where_something_is_left(film):
     fit = StepwiseSelection(sessions).current
     hint = replace(fit_candidate(fit, 'drive_response'), likelihood_ratio=30.0)
     case, = _suggestions([hint], sessions)
-    assert case.entry(incomplete=True).status == 'proxy'
-    assert case.entry(incomplete=False).status == 'suggested'
+    assert case.entry(Intervals(case.own.fit), doubted=True).status == 'proxy'
+    assert case.entry(Intervals(case.own.fit), doubted=False).status == 'suggested'
+
+
+@pytest.mark.parametrize('strength', [0.4, -0.3])
+def test_a_pull_along_the_field_takes_several_strengths(film, strength):
+    """At one strength it is v e^{iφ} to the last digit: no evidence, however strong it is."""
+    hidden = {'coil_pull': {'rate_um_s_mT': strength}}
+    one, several = (
+        fit_candidate(StepwiseSelection(check_sessions([session])[0]).current, 'coil_pull')
+        for session in (film(4, hidden, duration=20.0)[0],
+                        film(4, hidden, duration=20.0, levels=(1e-3, 2e-3, 5e-3))[0]))
+    assert one.likelihood_ratio == pytest.approx(0, abs=1e-6)
+    assert several.p_value < 1e-6
+    spread = 1e-4 * np.sqrt(several.fit.covariance[0, 0])
+    assert abs(several.fit.model.effect('coil_pull').rate - 1e-3 * strength) < 3 * spread
+
+
+def test_where_only_a_direction_was_told_no_effect_of_strength_is_looked_for(film):
+    session, _ = film(3, duration=20.0, rolling=True)
+    field = session.commands.field * NOMINAL_FIELD / FIELD
+    told = replace(session, commands=replace(session.commands, field=field),
+                   conditions=replace(session.conditions, reference_field=None))
+    known, unknown = (StepwiseSelection(check_sessions([s])[0]).current for s in (session, told))
+    for name in ('gradient_force', 'coil_pull'):
+        assert fit_candidate(known, name) is not None
+        assert fit_candidate(unknown, name) is None
+    of_strength = {name for name, kind in EFFECTS.items()
+                   if not kind.applies(FitEvidence(unknown)) and kind.applies(FitEvidence(known))}
+    assert of_strength == {
+        'amplifier_deadband', 'background_field', 'incomplete_alignment', 'gradient_force',
+        'coil_pull', 'dipole_interaction'}
 
 
 def test_a_field_that_turns_one_way_hides_a_lag_in_phi(film):

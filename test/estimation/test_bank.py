@@ -156,7 +156,8 @@ def test_state_stays_finite_and_covariance_positive_over_millions_of_hostile_ste
         if k % 3 == 0:
             bank.tick(1e-5, np.abs(bank.velocity_phasor[0]) ** 2 / 2 + 1e-12, 1e3)
         if k % 40 == 0:
-            bank.restart_position(z, noise, rng.random(count) < 0.01)
+            rows = np.flatnonzero(rng.random(count) < 0.01)
+            bank.restart(rows, z[rows], noise[rows], 1.0)
         assert np.isfinite(bank.p).all()
         assert np.isfinite(bank.velocity_phasor).all()
         # The factors of the covariance: positive means positive definite.
@@ -165,3 +166,28 @@ def test_state_stays_finite_and_covariance_positive_over_millions_of_hostile_ste
         assert np.isfinite(bank.g).all()
     weights = bank.weights()
     np.testing.assert_allclose(weights.sum(axis=0), 1)
+
+
+@pytest.mark.parametrize('kind', [PhasorBank, HeadingBank])
+@pytest.mark.parametrize('after', [4.0, -1.0 + 2.0j, 0.0])
+def test_begun_anew_it_keeps_what_it_knew_or_learns_another_velocity(kind, after):
+    rng = np.random.default_rng(6)
+    bank, step = kind(7), 0.05
+    simulate(rng, bank)
+    before = bank.combined()
+    bank.restart(np.array([0]), np.array([30 - 20j]), np.array([0.0025]), 100.0)
+    begun = bank.combined()
+    assert begun.p[0] == 30 - 20j
+    assert begun.p_var[0] == pytest.approx(0.0025)
+    assert begun.phasor_var[0] > 40
+    place = 30 - 20j
+    for _ in range(100):
+        path = step * np.exp(1j * rng.uniform(-np.pi, np.pi))
+        place += after * path + np.sqrt(2 * 0.04 * step) * complex(*rng.normal(size=2))
+        bank.predict(np.array([path]), np.zeros(1), 2 * 0.04 * step, np.array([1e-6]))
+        z = place + 0.05 * complex(*rng.normal(size=2))
+        bank.update(np.array([z]), np.array([0.0025]), np.array([True]))
+    found = bank.combined()
+    assert abs(found.velocity_phasor[0] - after) < 4 * np.sqrt(found.phasor_var[0])
+    if after == 4.0:
+        assert found.phasor_var[0] < 1.1 * before.phasor_var[0]

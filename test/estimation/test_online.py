@@ -319,3 +319,33 @@ def test_no_input_breaks_it(script):
         assert (found.position_std > 0).all()
         assert (found.speed_std[found.known] > 0).all()
         assert np.isfinite(found.prediction_std).all()
+
+
+@pytest.mark.parametrize('stated', [
+    [1e-7, 1e-7, 1e-4], [1e-7, 1e-7, 1e30], [1e-7, 1e-7, np.nan], [1e-7, 1e-7, np.inf],
+    [1e-7, 1e-7, -1.0], [1e-7, 1e-7, 0.0], [1e-7, 1e-7, 1e-30]])
+def test_what_is_stated_of_one_reading_spoils_no_other(stated):
+    session, _ = experiment(0, 10.0)
+    times, positions = session.tracks.grid()
+    plain, odd = Estimator(CONDITIONS), Estimator(CONDITIONS)
+    for estimator in (plain, odd):
+        for t, field in zip(session.commands.t, session.commands.field, strict=True):
+            estimator.command(t, field)
+    for t, position in zip(times, positions, strict=True):
+        expected = plain.update(t, [0, 1, 2], position, np.full(3, 1e-7))
+        found = odd.update(t, [0, 1, 2], position, np.array(stated))
+    off = np.abs(found.position - expected.position)[:2]
+    assert (off < 0.5 * expected.position_std[:2, None]).all()
+    np.testing.assert_allclose(found.position_std[:2], expected.position_std[:2], rtol=0.1)
+    assert np.isfinite(found.position).all()
+    assert np.hypot(*(found.position[2] - position[2])) < 1e-4
+
+
+def test_fields_and_turns_beyond_all_coils_are_ignored_and_said():
+    session, gain = experiment(0)
+    estimator = Estimator(CONDITIONS)
+    for field, frequency in (([1e300, 0], None), ([FIELD, 0], 1e300), ([0, -1e4], 1.0)):
+        estimator.command(-1.0, field, frequency)
+    estimates = replay(session, estimator)
+    assert any('beyond all coils' in text for text in estimates[0].diagnosis)
+    np.testing.assert_allclose(estimates[-1].speed, np.abs(gain), rtol=0.12)

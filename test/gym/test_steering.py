@@ -22,6 +22,7 @@ from microbot_ros.control.testkit import controller_input
 from microbot_ros.drive.gate import Gate, Reason
 from microbot_ros.errors import InputError
 from microbot_ros.loop.allocation import AllocationStage, GateParameters, limits
+from microbot_ros.virtual_rig.coil_gradients import coil_gradients
 from microbot_ros.virtual_rig.dynamics import advance_worlds
 from microbot_ros.virtual_rig.world import FieldHistory, World
 
@@ -405,7 +406,7 @@ def test_long_steps_of_the_physics_cost_little():
         moved = bodies.copy()
         for k in range(60):
             advance_worlds(moved, np.zeros(1, int), np.full(1, k / 30), 1 / 30, steps,
-                           np.arange(60) / 30, field, np.full(1, k + 1),
+                           np.arange(60) / 30, field, np.full(1, k + 1), coil_gradients(),
                            np.random.default_rng(1), np.zeros((1, 2, 2)))
         places.append(moved['x'][0] + 1j * moved['y'][0])
     assert np.abs(places[0] - places[1]).max() < 0.1e-6  # after 60 turns of the field
@@ -418,7 +419,7 @@ def test_the_worlds_move_as_the_virtual_rigs_does():
     world = World(bodies[0].copy(), np.random.default_rng(2))
     field = np.random.default_rng(3).normal(0, 3e-3, (1, 2, 1, 2))
     advance_worlds(bodies, np.zeros(1, int), np.zeros(1), 0.05, 50, rows, field,
-                   np.full(1, 2), np.random.default_rng(2), np.zeros((1, 3, 2)))
+                   np.full(1, 2), coil_gradients(), np.random.default_rng(2), np.zeros((1, 3, 2)))
     world.advance(0.05, FieldHistory(rows, field[0]))
     for name in ('x', 'y', 'heading'):
         assert bodies[name][0] == pytest.approx(world.bodies[name], rel=1e-12)

@@ -45,6 +45,7 @@ TERMS = {
     'amplifier_deadband': {'deadband_mT': 0.3},
     'pixel_anisotropy': {'aspect': 1.08},
     'gradient_force': {'rate_per_s_mT': 0.02},
+    'coil_pull': {'rate_um_s_mT': 0.3},
     'incomplete_alignment': {'field_scale_mT': 0.8},
     'drive_response': {'cut_in_hz': 0.7, 'slip': 0.35, 'step_out_hz': 10.0},
 }
@@ -87,8 +88,11 @@ def naive_drift(e, i, t, bx, by, p):
         2 * math.pi * e('periodic_drift', 'frequency_hz') * t + e('periodic_drift', 'phase_rad'))
     wx += swing * math.cos(e('periodic_drift', 'direction_rad'))
     wy += swing * math.sin(e('periodic_drift', 'direction_rad'))
-    k = e('gradient_force', 'rate_per_s_mT') * strength
-    wx, wy = wx + k * x, wy + k * y
+    if strength:
+        k, c, s = e('gradient_force', 'rate_per_s_mT') * strength, bx / strength, by / strength
+        wx += k * ((2 * c**2 - s**2) * x - 2 * c * s * y)
+        wy += k * ((2 * s**2 - c**2) * y - 2 * c * s * x)
+    wx, wy = wx + e('coil_pull', 'rate_um_s_mT') * bx, wy + e('coil_pull', 'rate_um_s_mT') * by
     if A := e('hot_spot', 'speed_um_s'):
         s = e('hot_spot', 'width_um')
         rx, ry = x - e('hot_spot', 'x_um'), y - e('hot_spot', 'y_um')

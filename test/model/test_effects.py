@@ -34,6 +34,7 @@ PUBLIC = {
     'amplifier_deadband': ('deadband_mT',),
     'pixel_anisotropy': ('aspect',),
     'gradient_force': ('rate_per_s_mT',),
+    'coil_pull': ('rate_um_s_mT',),
     'incomplete_alignment': ('field_scale_mT',),
     'drive_response': (),
 }

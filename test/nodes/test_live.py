@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -10,12 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from std_msgs.msg import String
 
 from microbot_ros.discovery.discover import discover
 from microbot_ros.model.model_file import read_model
 from microbot_ros.nodes.graph import Graph
 from microbot_ros.nodes.graph_client import GraphClient
+from microbot_ros.nodes.lifecycle import LATCHED
 from microbot_ros.nodes.live_session_buffer import LiveSessionBuffer
+from microbot_ros.nodes.verdict_publisher import VerdictPublisher
 from microbot_ros.records import Commands, Conditions, Session, Tracks
 from microbot_ros.session import write_session
 
@@ -79,6 +83,38 @@ def test_the_recent_past_becomes_a_session(tmp_path: Path, rolling: bool) -> Non
     assert [effect.id for effect in discover([session]).effects] == ['uniform_drift']
 
 
+def test_what_waited_during_a_look_is_not_looked_at_again(tmp_path: Path) -> None:
+    with Graph(lambda *_: None) as graph, GraphClient('test') as client:
+        recent = LiveSessionBuffer(client, 10.0)
+        for node in ('model', 'player'):
+            graph.start_nodes([node], _graph(tmp_path, rolling=False))
+        assert client.until(lambda: recent.span > 2.0, 60.0)
+        last = recent.session().tracks
+        recent.forget()
+        assert recent.span == 0.0
+        assert client.until(lambda: recent.span > 1.0, 60.0)
+        session = recent.session()
+    assert session.tracks.t[-1] < 2.0 < last.t[-1]
+    assert session.commands.t[0] <= session.tracks.t[0] + 0.1
+    assert not (session.tracks.position[:1] == last.position).all(axis=1).any()
+
+
+def test_a_screen_that_comes_later_hears_the_last_verdict() -> None:
+    result = {'verdict': 'named', 'effects': [{'id': 'uniform_drift'}], 'gap': {'before_um': 1.0}}
+    heard: list[str] = []
+    with GraphClient('test') as client:
+        verdict = VerdictPublisher(client)
+        verdict.publish({'verdict': 'consistent'})
+        verdict.publish(result)
+        client.node.create_subscription(
+            String, 'discovery/verdict', lambda message: heard.append(message.data), LATCHED)
+        assert client.until(lambda: heard, 20.0)
+        with pytest.raises(ValueError, match='not JSON compliant'):
+            verdict.publish({'gap': float('nan')})
+    assert [json.loads(line) for line in heard] == [result]
+    assert '\n' not in heard[0]
+
+
 def _microbot(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, '-m', 'microbot_ros.cli', *arguments],
                           capture_output=True, text=True, timeout=100)
@@ -86,11 +122,16 @@ def _microbot(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 def test_discover_watches_and_what_it_proposes_is_used_while_running(tmp_path: Path) -> None:
     parameters = _graph(tmp_path, rolling=False)
+    heard: list[str] = []
     with Graph(lambda *_: None) as graph:
         for node in ('model', 'controller', 'player'):
             graph.start_nodes([node], parameters)
-        done = _microbot('discover', '--live', '--seconds', '14', '--rounds', '1', '--out',
-                         str(tmp_path / 'live'))
+        with GraphClient('screen') as client:
+            client.node.create_subscription(
+                String, 'discovery/verdict', lambda message: heard.append(message.data), LATCHED)
+            done = _microbot('discover', '--live', '--seconds', '14', '--rounds', '1', '--out',
+                             str(tmp_path / 'live'))
+            client.until(lambda: heard, 10.0)
         assert done.returncode == 0, done.stderr
         assert 'uniform_drift' in done.stdout
         proposed = re.findall(r'to use it: microbot (.*)', done.stderr)
@@ -104,3 +145,5 @@ def test_discover_watches_and_what_it_proposes_is_used_while_running(tmp_path: P
     assert files == {str(tmp_path / 'live' / 'look-1' / 'model.yaml')}
     assert read_model(files.pop())[0].effect('uniform_drift') is not None
     assert (tmp_path / 'live' / 'look-1' / 'report.html').is_file()
+    written = json.loads((tmp_path / 'live' / 'look-1' / 'result.json').read_text())
+    assert [json.loads(line) for line in heard] == [written]

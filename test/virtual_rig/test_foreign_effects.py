@@ -28,6 +28,7 @@ NO_WALLS = (math.inf, math.inf)
 # Strong enough to see in 4 s, where plain strength is not.
 STRONG = {
     'amplifier_deadband': {'deadband': 1e-3},
+    'coil_pull': {'rate': 4e-4},
     'background_field': {'bx': 5e-4, 'by': -5e-4},
     'dipole_interaction': {'strength': 3e-25},
     'drive_response': {'cut_in': 1.0, 'slip': 0.6, 'step_out': 8.0},

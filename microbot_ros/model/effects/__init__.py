@@ -14,6 +14,7 @@ from microbot_ros.model.effects.amplifier_deadband import AmplifierDeadband
 from microbot_ros.model.effects.background_field import BackgroundField
 from microbot_ros.model.effects.coil_gain_mismatch import CoilGainMismatch
 from microbot_ros.model.effects.coil_misalignment import CoilMisalignment
+from microbot_ros.model.effects.coil_pull import CoilPull
 from microbot_ros.model.effects.command_delay import CommandDelay
 from microbot_ros.model.effects.dipole_interaction import DipoleInteraction
 from microbot_ros.model.effects.drive_response import DriveResponse
@@ -47,6 +48,7 @@ BUILT_IN: tuple[type[Effect], ...] = (
     PeriodicDrift,
     HotSpot,
     GradientForce,
+    CoilPull,
     DipoleInteraction,
     PixelAnisotropy,
 )

@@ -28,6 +28,7 @@ class DipoleInteraction(Effect):
     summary = 'Neighbours attract each other in line with the field and repel side by side.'
     required_excitation = 'several particles near each other, under fields of different directions'
     confounded_with = ('hydrodynamic_slowdown',)
+    proportional = True
     needs_position = True
 
     strength: float = parameter('strength_um5_s', 'S', 0.0, 1e-21, 1e-26)

@@ -31,7 +31,7 @@ class DriveResponse(Effect):
     summary = 'The rolling speed is not proportional to the frequency: cut-in, slip or step-out.'
     required_excitation = (
         'several rotation frequencies, visited in an order that is not also that of time')
-    confounded_with = ('speed_decay', 'incomplete_alignment')
+    confounded_with = ('speed_decay', 'incomplete_alignment', 'coil_pull')
     is_drive_curve = True
 
     cut_in: float = parameter('cut_in_hz', 'frequency of half the gain', 0.0, 20.0, 1.0)

@@ -1,4 +1,4 @@
-"""The field is not uniform and pulls outwards."""
+"""The field of crossed pairs of coils is not uniform, and pulls where it is stronger."""
 
 from __future__ import annotations
 
@@ -14,23 +14,29 @@ from microbot_ros.model.parameter import parameter
 
 @dataclass(frozen=True)
 class GradientForce(Effect):
-    """dp/dt += k |B| p, about the origin, B the field after stage 1.
+    """dp/dt += k |B| M p, M = [[2c² − s², −2cs], [−2cs, 2s² − c²]], about the origin.
 
-    The force V(M·∇)B of coils whose field differs from that at the centre in proportion to the
-    distance, divided by Stokes drag.
+    c and s are those of the angle of B, the field after stage 1. |B| M p is ∇|B|/a near the
+    centre of two equal pairs of coaxial coils along x and y (derived in docs/magnetics.md from
+    ∇·B = 0 and ∇×B = 0), a = B''/2B on a pair's axis. k = a m/(6πηr): the force m ∇|B| on a
+    moment m along the field, divided by Stokes drag.
     """
 
     id = 'gradient_force'
     stage = 'velocity'
-    summary = 'Particles are pushed away from the centre, more in a stronger field.'
-    required_excitation = 'positions spread over the workspace, at two field strengths or more'
+    summary = 'Particles are pulled to where the coils make the field stronger.'
+    required_excitation = 'positions spread over the workspace, under fields all round'
     confounded_with = ('linear_flow', 'hot_spot')
+    proportional = True
     needs_position = True
 
     rate: float = parameter('rate_per_s_mT', 'k', -1e3, 1e3, 1.0)
 
     def drift(self, context: EffectContext) -> np.ndarray:
-        return self.rate * context.strength[..., None] * context.position
+        p, strength = context.position, context.strength[..., None]
+        u = context.field / np.maximum(strength, np.finfo(float).tiny)
+        pulled = 5 * u**2 * p - 2 * u * (u * p).sum(axis=-1, keepdims=True) - p
+        return np.asarray(self.rate * strength * pulled)
 
     @classmethod
     def applies(cls, evidence: Evidence) -> bool:

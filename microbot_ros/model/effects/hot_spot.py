@@ -26,6 +26,7 @@ class HotSpot(Effect):
     summary = 'Particles are pushed away from (or drawn to) one heated place.'
     required_excitation = 'tracks that pass on different sides of the place, at about its width'
     confounded_with = ('uniform_drift', 'linear_flow', 'gradient_force', 'speed_decay')
+    proportional = True
     needs_position = True
 
     x: float = parameter('x_um', 'the spot', -1e-2, 1e-2, 1e-5, shape=True)

@@ -24,7 +24,7 @@ class IncompleteAlignment(Effect):
     stage = 'velocity'
     summary = 'The particles are slower in weak fields, which align them incompletely.'
     required_excitation = 'several field strengths; at one alone the speeds absorb it'
-    confounded_with = ('amplifier_deadband', 'drive_response', 'speed_decay')
+    confounded_with = ('amplifier_deadband', 'drive_response', 'speed_decay', 'coil_pull')
 
     field_scale: float = parameter('field_scale_mT', 'k_B T / moment', 0.0, 1e-1, 1e-3)
 

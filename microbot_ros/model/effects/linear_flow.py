@@ -20,6 +20,7 @@ class LinearFlow(Effect):
     summary = 'The liquid moves, faster further from the origin: shear, stretching or a vortex.'
     required_excitation = 'positions spread over the workspace and visited more than once'
     confounded_with = ('uniform_drift', 'hot_spot', 'gradient_force')
+    proportional = True
     needs_position = True
 
     gxx: float = parameter('gxx_per_s', 'd v_x / d x', -1.0, 1.0, 1e-2)

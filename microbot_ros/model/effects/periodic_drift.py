@@ -30,6 +30,7 @@ class PeriodicDrift(Effect):
     required_excitation = (
         'a recording of several periods; commands that do not repeat at the same period')
     confounded_with = ('uniform_drift',)
+    proportional = True
     time_invariant = False
 
     amplitude: float = parameter('amplitude_um_s', 'largest velocity', -1e-4, 1e-4, 1e-6)

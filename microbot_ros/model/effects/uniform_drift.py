@@ -21,6 +21,7 @@ class UniformDrift(Effect):
     required_excitation = (
         'commands whose directions average out, so that propulsion does not hide it')
     confounded_with = ('background_field', 'linear_flow', 'periodic_drift', 'hot_spot')
+    proportional = True
 
     wx: float = parameter('wx_um_s', 'drift to the right', -1e-4, 1e-4, 1e-6)
     wy: float = parameter('wy_um_s', 'drift upwards', -1e-4, 1e-4, 1e-6)
