@@ -184,8 +184,8 @@ def _tells_what_it_needs(effect: Effect) -> None:
             p.field: 2 * getattr(effect, p.field) for p in effect.parameters() if not p.shape})
         assert np.allclose(_moved(twice) - _moved(), 2 * (_moved(effect) - _moved()),
                            rtol=1e-6, atol=1e-15), "is not linear: 'proportional' must be False"
-        assert all(getattr(type(effect), hook) is getattr(Effect, hook) for hook in (
-            'latency', 'field', 'heading_offset', 'alignment_rate', 'speed_factor', 'observe')), (
+        assert not any(map(effect.overrides, (
+            'latency', 'field', 'heading_offset', 'alignment_rate', 'speed_factor', 'observe'))), (
             "'proportional' is True, but it has hooks beside 'drift'")
     commands = Commands(line.commands.t + 50, line.commands.field, line.commands.frequency)
     later = Timeline(commands, line.times + 50, line.positions)

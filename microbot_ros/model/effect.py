@@ -66,6 +66,11 @@ class Effect(ABC):
         """The effect at strength zero: it does nothing."""
         return cls(**{p.field: p.null_value for p in cls.parameters()})
 
+    @classmethod
+    def overrides(cls, hook: str) -> bool:
+        """Whether it answers a `hook`, by its name, with anything of its own."""
+        return getattr(cls, hook) is not getattr(Effect, hook)
+
     def values(self) -> dict[Parameter, float]:
         """Every parameter with its value in SI."""
         return {p: getattr(self, p.field) for p in self.parameters()}

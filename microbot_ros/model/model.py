@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from microbot_ros.model.effect import STAGES, Effect
-from microbot_ros.model.effect_context import EffectContext
+from microbot_ros.model.effect_context import EffectContext, Places
 from microbot_ros.model.effects import BUILT_IN
 from microbot_ros.model.parameter import Parameter
 from microbot_ros.records import Commands, Conditions
@@ -98,6 +98,18 @@ class Model:
         """The model without the effect of that name."""
         return replace(self, effects=tuple(e for e in self.effects if e.id != name))
 
+    def undelayed(self) -> Model:
+        """The model without what delays the field, for where the delay is counted already.
+
+        An effect that does more besides is left out whole.
+        """
+        return replace(self, effects=tuple(e for e in self.effects if not e.latency()))
+
+    def without_swings(self) -> Model:
+        """The model without drifts that come and go, whose phase belongs to one recording."""
+        return replace(self, effects=tuple(
+            e for e in self.effects if e.time_invariant or not e.overrides('drift')))
+
     # Its parameters as one vector ---------------------------------------------------------------
 
     @property
@@ -130,6 +142,22 @@ class Model:
     def time_invariant(self) -> bool:
         """Whether nothing changes while the command stays."""
         return all(effect.time_invariant for effect in self.effects)
+
+    @property
+    def lags(self) -> bool:
+        """Whether headings turn at a finite rate, however fast: they remember then."""
+        return any(effect.overrides('alignment_rate') for effect in self.effects)
+
+    @property
+    def alignment_time(self) -> float:
+        """1/κ [s] at the reference field and the origin; 0 where headings align at once."""
+        if not self.lags:
+            return 0.0
+        zero = np.zeros(1)
+        rate = self.alignment_rate(EffectContext(
+            zero, zero, np.array([[self.reference_field, 0.0]]), zero, self.reference_field,
+            Places(np.zeros((1, 2)))))
+        return 0.0 if rate is None else 1 / float(np.squeeze(rate))
 
     # The four stages ----------------------------------------------------------------------------
 
