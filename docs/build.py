@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import inspect
 from pathlib import Path
 
 from microbot_ros import settings, units
 from microbot_ros.control.registry import controller_classes
+from microbot_ros.model.effects import BUILT_IN
 from microbot_ros.nodes.configuration import node_class
 from microbot_ros.nodes.process import NODES
 
 DOCS = Path(__file__).parent
+
+_TABLE = '| effect | term | parameters | shows under | looks like |\n'
 
 
 def parameters() -> str:
@@ -39,5 +43,19 @@ def _table(kind: type, prefix: str) -> str:
     return '\n'.join(rows) + '\n'
 
 
+def effects() -> str:
+    """`effects.md`, whose last part is a table of the built-in effects, from their classes."""
+    written = (DOCS / 'effects.md').read_text(encoding='utf-8').split(_TABLE)[0]
+    rows = [_TABLE + '|---|---|---|---|---|']
+    for kind in BUILT_IN:
+        term = ' '.join((inspect.getdoc(kind) or '').split('\n\n')[0].split())
+        names = ', '.join(f'`{p.name}`' for p in kind.parameters())
+        alike = ', '.join(f'`{other}`' for other in kind.confounded_with)
+        cells = (kind.id.join('``'), term, names, kind.required_excitation, alike)
+        rows.append('| ' + ' | '.join(cell.replace('|', r'\|') for cell in cells) + ' |')
+    return written + '\n'.join(rows) + '\n'
+
+
 if __name__ == '__main__':
+    (DOCS / 'effects.md').write_text(effects(), encoding='utf-8')
     (DOCS / 'parameters.md').write_text(parameters(), encoding='utf-8')

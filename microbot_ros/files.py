@@ -49,6 +49,9 @@ def read_yaml(path: str | Path, settings: type[SettingsT]) -> SettingsT:
         return settings.model_validate(content)
     except pydantic.ValidationError as error:
         first = error.errors()[0]
+        cause = first.get('ctx', {}).get('error')
+        if isinstance(cause, InputError):  # not this file is wrong: it says what is
+            raise cause from None
         raise InputError(path, _explain(first, settings), _line_of(tree, first['loc'])) from None
 
 

@@ -118,9 +118,10 @@ def test_launch_files_start_nodes_with_parameters_that_exist(
                 assert set(parameters) <= set(known) | {'use_sim_time'}
 
 
-def test_the_parameter_tables_are_those_of_the_code() -> None:
+@pytest.mark.parametrize('page', ['parameters', 'effects'])
+def test_the_tables_in_the_docs_are_those_of_the_code(page) -> None:
     made = subprocess.run(
-        [sys.executable, '-c', 'import build; print(build.parameters(), end="")'],
+        [sys.executable, '-c', f'import build; print(build.{page}(), end="")'],
         cwd=ROOT / 'docs', capture_output=True, text=True, timeout=60, check=True)
-    written = (ROOT / 'docs' / 'parameters.md').read_text()
+    written = (ROOT / 'docs' / f'{page}.md').read_text()
     assert made.stdout == written, 'run `python docs/build.py`'

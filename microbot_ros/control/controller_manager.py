@@ -219,7 +219,7 @@ def _with_delay_of_model(inputs: ControllerInput) -> ControllerInput:
     if model is None or not model.delay:
         return inputs
     return dataclasses.replace(
-        inputs, delay=inputs.delay + model.delay, model=model.without('command_delay'))
+        inputs, delay=inputs.delay + model.delay, model=model.undelayed())
 
 
 def _checked(command: FieldCommand, limits: Limits) -> FieldCommand:

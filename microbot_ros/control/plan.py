@@ -51,7 +51,7 @@ class Swarm:
     @property
     def slowest(self) -> float:
         """The longest alignment time [s] at the reference field."""
-        return max(_lag(model) for model in self.models)
+        return max(model.alignment_time for model in self.models)
 
     def paths(self, duration: np.ndarray, field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Through K spans of `duration` (K,) [s] under V variants of `field` (K, V, 2) [T]:
@@ -92,13 +92,8 @@ class Swarm:
 
 def with_lags(model: Model, lags: list[float | None]) -> tuple[Model, ...]:
     """The model as particles of alignment times `lags` [s] obey it; None: what the model says."""
-    common = max(_lag(model), QUICKEST)
+    common = max(model.alignment_time, QUICKEST)
     return tuple(model.with_effect(AlignmentLag(tau=lag or common)) for lag in lags)
-
-
-def _lag(model: Model) -> float:
-    effect = model.effect('alignment_lag')
-    return effect.tau if isinstance(effect, AlignmentLag) else 0.0
 
 
 @dataclass(frozen=True)

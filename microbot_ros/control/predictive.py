@@ -128,7 +128,7 @@ class Predictive(Ensemble):
         lags = p.alignment_times_s
         # v and φ are those of now, so what changes with time does so from now on. The phase of a
         # drift that comes and goes was counted from the beginning of some recording.
-        models = with_lags(model.without('periodic_drift'), [
+        models = with_lags(model.without_swings(), [
             lags[k] if 0 <= k < len(lags) else 0.0 for k in inputs.ids[rows].tolist()])
         swarm = self._follow(inputs, rows, Swarm(
             as_complex(inputs.expected[rows]),

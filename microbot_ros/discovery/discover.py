@@ -11,6 +11,7 @@ from functools import partial
 import numpy as np
 
 from microbot_ros.discovery.drive_levels import curve_p_value
+from microbot_ros.discovery.evidence import FitEvidence
 from microbot_ros.discovery.held_out import held_out_gap, log_e_value
 from microbot_ros.discovery.input_checks import check_sessions
 from microbot_ros.discovery.intervals import Intervals
@@ -24,7 +25,7 @@ from microbot_ros.discovery.result import (
     Verdict,
 )
 from microbot_ros.discovery.score_tests import residual_maps
-from microbot_ros.discovery.search import LATE, CandidateFit, absorbed_by_phi, compare
+from microbot_ros.discovery.search import CandidateFit, compare
 from microbot_ros.discovery.stepwise_selection import (
     BACKWARD,
     FORWARD,
@@ -129,7 +130,7 @@ class _Assessment:
     `own`: its comparison with the model without it; `log_e_value`: its gain in log likelihood on
     data that it was not fitted to, less what the choice among the library costs. `sure`: both
     pass and no other effect cancels it. `rivals` explain as much in its place; none can where it
-    is `alone`: a drive response whose curve the gains at the levels of the drive follow.
+    is `alone`: one whose curve the gains at the levels of the drive follow.
     `doubts`: of the maps of the residual without it, those that are less likely by chance than it
     is, since something smooth that is in no library explains it better; all that fire, where it
     is not sure. `dwarfs`: whether it dwarfs what is left. Where it does not, and is not `alone`,
@@ -153,7 +154,8 @@ class _Assessment:
         rest = without(selection.current, name)
         own, maps = compare(selection.current, rest, name), residual_maps(rest)
         # Halves of a recording in which the frequency was stepped once predict nothing.
-        alone = name == 'drive_response' and curve_p_value(selection.current) < BACKWARD
+        alone = (EFFECTS[name].is_drive_curve
+                 and curve_p_value(selection.current, name) < BACKWARD)
         dwarfs = _dwarfs(own, maps, left)
         if not dwarfs and not alone:
             return cls(own, float('nan'), False, False, [], [], dwarfs)
@@ -236,7 +238,8 @@ def _close(rival: CandidateFit, own: CandidateFit) -> bool:
 
 def _confounded(fit: ModelFit) -> list[str]:
     """What φ can't be told from under the commands."""
-    late = [name for name in LATE if absorbed_by_phi(fit, EFFECTS[name])]
+    evidence = FitEvidence(fit)
+    late = [name for name, effect in EFFECTS.items() if effect.absorbed_by_phi(evidence)]
     if not late:
         return []
     return [f'φ can’t be told from {" or ".join(late)} under this command, which turns one way '

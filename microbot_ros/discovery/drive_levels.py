@@ -14,21 +14,20 @@ from microbot_ros.discovery.tail_probabilities import chi_square_tail
 from microbot_ros.estimation.likelihood import SessionFit
 from microbot_ros.estimation.model_fit import ModelFit
 from microbot_ros.model.effect_context import EffectContext
-from microbot_ros.model.effects.drive_response import DriveResponse
 
 FEWEST = 10
 """Levels from which both a curve and the scatter about it can be told."""
 
 
-def curve_p_value(fit: ModelFit) -> float:
-    """Chance that gains which scatter about a constant follow the curve of a `fit` so much better.
+def curve_p_value(fit: ModelFit, name: str) -> float:
+    """Chance that gains which scatter about a constant follow a curve so much better.
 
-    ValueError where it has no drive response.
+    That of the effect `name` of a `fit`; ValueError where it has none.
     """
-    effect = fit.model.effect('drive_response')
-    if not isinstance(effect, DriveResponse):
-        raise ValueError('the fit has no drive_response')
-    rest = without(fit, 'drive_response')
+    effect = fit.model.effect(name)
+    if effect is None or not effect.is_drive_curve:
+        raise ValueError(f'the fit has no curve {name}')
+    rest = without(fit, name)
     gains = np.concatenate([_gains(p) for p in rest.session_fits])
     if len(gains) < FEWEST:
         return 1.0
@@ -36,7 +35,7 @@ def curve_p_value(fit: ModelFit) -> float:
     nothing = np.zeros(len(gains))
     context = EffectContext(nothing, nothing, np.zeros((len(gains), 2)), frequency,
                   fit.model.reference_field)
-    ratio = 2 * (scattered(gain, std, effect.speed_factor(context))
+    ratio = 2 * (scattered(gain, std, np.asarray(effect.speed_factor(context)))
                  - scattered(gain, std, np.ones(len(gains))))
     return chi_square_tail(ratio, min(len(effect.parameters()), len(gains) - 1))
 

@@ -7,23 +7,24 @@ times itself, so that the score against it needs no filter: (Σ R·v)² / Σ n|v
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from microbot_ros.estimation.likelihood import SessionFit
 from microbot_ros.estimation.model_fit import ModelFit
-from microbot_ros.model.effects.hot_spot import HotSpot
+from microbot_ros.model.effect import Effect
+from microbot_ros.model.effect_context import EffectContext, Places
+from microbot_ros.model.evidence import AnyEffect
+from microbot_ros.model.model import Model
+from microbot_ros.model.vectors import as_vectors
 
 PADDING = 4
 """Frequencies looked at for every independent one."""
 
 BLOCK = 1.0
 """Seconds over which residuals are summed."""
-
-APART = 1.0
-"""Widths by which two places differ."""
 
 
 def rotating_components(
@@ -48,49 +49,55 @@ def rotating_components(
 
 @dataclass(frozen=True)
 class _Blocks:
-    """Sums of white residuals, their number, and the place in the middle, (B, N) each."""
+    """Sums of white residuals and their number, (B, N, 2) and (B, N, 1), and the middles."""
 
     residual: np.ndarray
     count: np.ndarray
-    place: np.ndarray
+    middle: EffectContext
 
     @classmethod
-    def of(cls, p: SessionFit) -> _Blocks:
-        times = p.session.times
+    def of(cls, p: SessionFit, model: Model) -> _Blocks:
+        times, commands = p.session.times, p.session.commands
         first = np.unique(((times - times[0]) / BLOCK).astype(int), return_index=True)[1]
         middle = (first + np.append(first[1:], len(times))) // 2
-        x = p.session.causal_positions[middle]
-        return cls(np.add.reduceat(p.residual, first, axis=0),
-                   np.add.reduceat(p.residual != 0, first, axis=0), x[..., 0] + 1j * x[..., 1])
+        t = times[middle]
+        context = EffectContext(
+            t[:, None], np.zeros((len(t), 1)), model.field(commands.field_at(t)[:, None]),
+            commands.frequency_at(t)[:, None], model.reference_field,
+            Places(p.session.causal_positions[middle]))
+        count = np.add.reduceat(p.residual != 0, first, axis=0)
+        return cls(as_vectors(np.add.reduceat(p.residual, first, axis=0)), count[..., None],
+                   context)
 
 
-def likely_spots(fit: ModelFit, grid: Iterable[HotSpot], count: int) -> list[HotSpot]:
-    """The best `count` of a `grid` of spots beside a `fit`, no two at one place, best first."""
-    spots = list(grid)
-    blocks = [_Blocks.of(p) for p in fit.session_fits]
-    slope, information = np.array([_score(blocks, spot) for spot in spots]).T
+def likely_places(fit: ModelFit, starts: Iterable[AnyEffect],
+                  near: Callable[[AnyEffect, AnyEffect], bool], count: int) -> list[AnyEffect]:
+    """The `count` of `starts` whose drift is likeliest beside a `fit`, best first.
+
+    None of them `near` another.
+    """
+    found = list(starts)
+    blocks = [_Blocks.of(p, fit.model) for p in fit.session_fits]
+    slope, information = np.array([_score(blocks, start) for start in found]).T
     # Where hardly anybody came by, nothing can be seen.
     power = slope**2 / (information + 1e-3 * information.max())
-    chosen: list[HotSpot] = []
+    chosen: list[AnyEffect] = []
     for k in np.argsort(-power):
-        if all(_apart(spots[k], other) for other in chosen):
-            chosen.append(spots[k])
+        if not any(near(found[k], other) for other in chosen):
+            chosen.append(found[k])
         if len(chosen) == count:
             break
     return chosen
 
 
-def _apart(one: HotSpot, other: HotSpot) -> bool:
-    distance = np.hypot(one.x - other.x, one.y - other.y)
-    return bool(distance > APART * max(one.width, other.width))
-
-
-def _score(blocks: Sequence[_Blocks], spot: HotSpot) -> tuple[float, float]:
-    """Slope and information of the spot's speed."""
+def _score(blocks: Sequence[_Blocks], start: Effect) -> tuple[float, float]:
+    """Slope and information of the strength of a drift."""
+    strength = next(p for p in start.parameters() if not p.shape)
+    unit = replace(start, **{strength.field: strength.from_fit(1.0)})
     slope = information = 0.0
     for block in blocks:
-        away = (block.place - complex(spot.x, spot.y)) / spot.width
-        push = np.nan_to_num(away * np.exp(0.5 - np.abs(away) ** 2 / 2))
-        slope += float((block.residual * push.conj()).real.sum())
-        information += float((block.count * np.abs(push) ** 2).sum())
+        drift = unit.drift(block.middle)
+        push = np.zeros(2) if drift is None else np.nan_to_num(drift) / strength.scale
+        slope += float((block.residual * push).sum())
+        information += float((block.count * push**2).sum())
     return slope, information

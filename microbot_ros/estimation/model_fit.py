@@ -254,7 +254,7 @@ def remembers(model: Model, session: PreparedSession) -> bool:
 
     As under a lag, and while a `session` has no field.
     """
-    if model.effect('alignment_lag'):
+    if model.lags:
         return True
     on = np.hypot(*session.commands.field.T) > 0
     later = session.commands.t > session.times[0]
@@ -304,7 +304,7 @@ def fit_sessions(model: Model, sessions: Sequence[PreparedSession]) -> ModelFit:
     filter under the model believes.
     """
     fit = _fit_predictable(model, sessions, [ROTATIONAL_DIFFUSION] * len(sessions))
-    if not fit.model.effect('alignment_lag'):
+    if not fit.model.lags:
         return fit
     # What a lag can explain depends on how long it is, and on how noisy headings are.
     return _fit_predictable(

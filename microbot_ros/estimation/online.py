@@ -96,7 +96,7 @@ class Estimator:
 
     def _follow_headings(self) -> None:
         """Make deviations of headings a state where headings lag; else they are noise."""
-        if self.model.effect('alignment_lag') and self._rotational_diffusion > 0:
+        if self.model.lags and self._rotational_diffusion > 0:
             self._population.track_heading_deviations()
 
     @property

@@ -14,7 +14,6 @@ from functools import cached_property
 import numpy as np
 
 from microbot_ros.estimation.noise import stokes_einstein
-from microbot_ros.model.effects.alignment_lag import AlignmentLag
 from microbot_ros.model.increments import as_vectors, heading_response
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.timeline import Timeline
@@ -237,8 +236,7 @@ def predictable_part(
     Headings are unknown until the first field has come and aligned them, and again after a turn
     so near 180° that Brownian motion chooses the way round. Never less than half the time.
     """
-    lag = model.effect('alignment_lag')
-    tau = lag.tau if isinstance(lag, AlignmentLag) else 0.0
+    tau = model.alignment_time
     start = model.delay + FORGOTTEN * tau
     half = float(np.ptp(session.times)) / 2
     kept = session.after_first_field(min(start, half)) if start > 0 else session

@@ -28,7 +28,7 @@ from microbot_ros.model.model import ParticleParameters
 from microbot_ros.virtual_rig.body import BODY
 from microbot_ros.virtual_rig.coil_gradients import coil_gradients
 from microbot_ros.virtual_rig.dynamics import advance_worlds
-from microbot_ros.virtual_rig.injected_effects import check, inject_effect
+from microbot_ros.virtual_rig.injected_effects import INJECTABLE, check, inject_effect
 from microbot_ros.virtual_rig.record_session import detection_errors, picture, scatter
 from microbot_ros.virtual_rig.scenario import EffectSettings, Scenario, read_scenario
 from microbot_ros.virtual_rig.simulation import make_bodies, starting_places
@@ -75,6 +75,9 @@ class SteeredWorlds:
         self._listed = listed if particles is None else None
         self.scenario = chosen if particles is None else chosen.model_copy(
             update={'particles': ()})
+        if foreign := [name for name in self.scenario.effects if name not in INJECTABLE]:
+            raise InputError(self._source, f"'effects': expected effects that the physics knows, "
+                             f'not {foreign[0]} of another package')
         self._randomise = _checked(randomise or {})
         self._prepare_loop()
         self._camera = self.scenario.camera.camera()

@@ -4,28 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 from abc import ABC
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import ClassVar, Literal, Protocol, Self
+from typing import ClassVar, Literal, Self, get_args
 
 import numpy as np
 
 from microbot_ros.model.effect_context import EffectContext
+from microbot_ros.model.evidence import Evidence
 from microbot_ros.model.parameter import Parameter
-from microbot_ros.records import Commands
 
 Stage = Literal['field', 'heading', 'velocity', 'observation']
-
-
-class Recorded(Protocol):
-    """What one recording shows, as far as an effect may ask; `timeline.Timeline` is one.
-
-    `times` (T,) [s] of the frames; `positions` (T, N, 2) [m] or None.
-    """
-
-    commands: Commands
-    times: np.ndarray
-    positions: np.ndarray | None
+STAGES: tuple[str, ...] = get_args(Stage)
+"""In the order in which they act."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +43,9 @@ class Effect(ABC):
     """
     time_invariant: ClassVar[bool] = True
     """Whether it is the same at all times while the command stays."""
+    is_drive_curve: ClassVar[bool] = False
+    """Whether it is a curve of the speed over the drive's frequency: how the gains at the levels
+    of the drive scatter about the curve then judges it too."""
 
     @classmethod
     @cache
@@ -72,9 +67,9 @@ class Effect(ABC):
         return cls(**{p.field: p.null_value for p in cls.parameters()})
 
     @classmethod
-    def starts(cls, recorded: Recorded) -> tuple[Self, ...]:  # noqa: ARG003
-        """Where fits may begin: shapes spread over what was `recorded`, ≥ 1 instance."""
-        return (cls.null(),)
+    def overrides(cls, hook: str) -> bool:
+        """Whether it answers a `hook`, by its name, with anything of its own."""
+        return getattr(cls, hook) is not getattr(Effect, hook)
 
     def values(self) -> dict[Parameter, float]:
         """Every parameter with its value in SI."""
@@ -120,3 +115,39 @@ class Effect(ABC):
     def true_position(self, observed: np.ndarray) -> np.ndarray:
         """The inverse of `observe`: true positions (..., 2) [m] of `observed` ones (..., 2)."""
         return observed
+
+    # How it is looked for -----------------------------------------------------------------------
+
+    @classmethod
+    def applies(cls, evidence: Evidence) -> bool:  # noqa: ARG003
+        """Whether the `evidence` could show it: else it is no candidate."""
+        return True
+
+    @classmethod
+    def absorbed_by_phi(cls, evidence: Evidence) -> bool:  # noqa: ARG003
+        """Whether φ absorbs it under the commands: then it is no candidate, which is remarked."""
+        return False
+
+    @classmethod
+    def starts(cls, evidence: Evidence) -> Sequence[Self]:
+        """Where fits may begin, one instance or more, each of which costs a fit."""
+        return evidence.near_nothing(cls)
+
+    @classmethod
+    def degrees_of_freedom(cls, evidence: Evidence) -> int:  # noqa: ARG003
+        """How many numbers the `evidence` lets it fit."""
+        return len(cls.parameters())
+
+    def trials(self, evidence: Evidence) -> float:
+        """Independent places, widths, frequencies … at which it was looked for, ≥ 1.
+
+        What its p-value pays for: an effect without a shape is looked for once.
+        """
+        return 1.0
+
+    def shape_seen(self, evidence: Evidence) -> bool:
+        """Whether the `evidence` shows its shape whole, now that it is fitted.
+
+        What shows a flank only could stand in for anything smooth, and is not added to a model.
+        """
+        return True

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from decimal import Decimal
+from functools import cache
 from typing import Annotated, Any, cast
 
 import pydantic
@@ -25,6 +26,17 @@ def build_effects(table: Mapping[str, Mapping[str, Decimal | float | str]]) -> t
         })
         for name, values in table.items()
     )
+
+
+def read_effects(table: Any) -> tuple[Effect, ...]:
+    """The effects of a `table` as anybody wrote it; ValueError naming the key and what is wrong.
+    """
+    try:
+        return build_effects(_check(table))
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = '.'.join(str(part) for part in first['loc'])
+        raise ValueError(f'{key}: {first["msg"]}') from None
 
 
 def _known_only(what: str) -> Any:
@@ -54,14 +66,16 @@ def _settings_of(effect: type[Effect]) -> type[Settings]:
     return pydantic.create_model(effect.id, __base__=Settings, __validators__=checks, **fields)
 
 
-_LIBRARY_SETTINGS = pydantic.create_model(
-    'effects', __base__=Settings, __validators__={'known': _known_only('effect')},
-    **cast('dict[str, Any]', {name: (_settings_of(e), None) for name, e in EFFECTS.items()}),
-)
+@cache
+def _library_settings() -> type[Settings]:
+    return pydantic.create_model(
+        'effects', __base__=Settings, __validators__={'known': _known_only('effect')},
+        **cast('dict[str, Any]', {name: (_settings_of(e), None) for name, e in EFFECTS.items()}),
+    )
 
 
 def _check(content: Any) -> dict[str, dict[str, float]]:
-    return _LIBRARY_SETTINGS.model_validate(content).model_dump(exclude_unset=True)
+    return _library_settings().model_validate(content).model_dump(exclude_unset=True)
 
 
 EffectTable = Annotated[dict[str, dict[str, float]], pydantic.PlainValidator(_check)]

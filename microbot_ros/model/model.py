@@ -8,14 +8,19 @@ from typing import Literal
 
 import numpy as np
 
-from microbot_ros.model.effect import Effect
-from microbot_ros.model.effect_context import EffectContext
-from microbot_ros.model.effects import EFFECTS
+from microbot_ros.model.effect import STAGES, Effect
+from microbot_ros.model.effect_context import EffectContext, Places
+from microbot_ros.model.effects import BUILT_IN
 from microbot_ros.model.parameter import Parameter
 from microbot_ros.records import Commands, Conditions
 
 Propulsion = Literal['catalytic', 'rolling']
-_ORDER = {effect: rank for rank, effect in enumerate(EFFECTS)}
+_ORDER = {effect.id: rank for rank, effect in enumerate(BUILT_IN)}
+
+
+def _rank(effect: Effect) -> tuple[int, int, str]:
+    """Where it stands in the library, without asking what else is installed."""
+    return STAGES.index(effect.stage), _ORDER.get(effect.id, len(_ORDER)), effect.id
 
 
 @dataclass(frozen=True)
@@ -62,7 +67,7 @@ class Model:
         if not 0 < self.reference_field < np.inf:
             received = self.reference_field
             raise ValueError(f'reference_field must be positive; received {received}')
-        ordered = sorted(self.effects, key=lambda e: _ORDER.get(e.id, len(_ORDER)))
+        ordered = sorted(self.effects, key=_rank)
         object.__setattr__(self, 'effects', tuple(ordered))
 
     @classmethod
@@ -92,6 +97,18 @@ class Model:
     def without(self, name: str) -> Model:
         """The model without the effect of that name."""
         return replace(self, effects=tuple(e for e in self.effects if e.id != name))
+
+    def undelayed(self) -> Model:
+        """The model without what delays the field, for where the delay is counted already.
+
+        An effect that does more besides is left out whole.
+        """
+        return replace(self, effects=tuple(e for e in self.effects if not e.latency()))
+
+    def without_swings(self) -> Model:
+        """The model without drifts that come and go, whose phase belongs to one recording."""
+        return replace(self, effects=tuple(
+            e for e in self.effects if e.time_invariant or not e.overrides('drift')))
 
     # Its parameters as one vector ---------------------------------------------------------------
 
@@ -125,6 +142,22 @@ class Model:
     def time_invariant(self) -> bool:
         """Whether nothing changes while the command stays."""
         return all(effect.time_invariant for effect in self.effects)
+
+    @property
+    def lags(self) -> bool:
+        """Whether headings turn at a finite rate, however fast: they remember then."""
+        return any(effect.overrides('alignment_rate') for effect in self.effects)
+
+    @property
+    def alignment_time(self) -> float:
+        """1/κ [s] at the reference field and the origin; 0 where headings align at once."""
+        if not self.lags:
+            return 0.0
+        zero = np.zeros(1)
+        rate = self.alignment_rate(EffectContext(
+            zero, zero, np.array([[self.reference_field, 0.0]]), zero, self.reference_field,
+            Places(np.zeros((1, 2)))))
+        return 0.0 if rate is None else 1 / float(np.squeeze(rate))
 
     # The four stages ----------------------------------------------------------------------------
 

@@ -28,7 +28,8 @@ from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import IMAGES_OUT, OK, WARN, RigNode
 from microbot_ros.settings import setting
 from microbot_ros.virtual_rig.body import bodies
-from microbot_ros.virtual_rig.injected_effects import inject_effect
+from microbot_ros.virtual_rig.foreign_effects import make_world
+from microbot_ros.virtual_rig.injected_effects import INJECTABLE, inject_effect
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 from microbot_ros.virtual_rig.world import FieldHistory, World
 
@@ -124,10 +125,11 @@ class VirtualRigNode(RigNode):
             np.full(count, drag / (values.alignment_ms * 1e-3 * _REFERENCE_FIELD)),
             np.array(values.phis_rad), _spread(count, half, rng),
             speed=np.array(values.speeds_um_s) * 1e-6, heading=rng.uniform(-np.pi, np.pi, count))
-        if values.effect:
-            inject_effect(made, values.effect, _named(values.effect_parameters, self.get_name()),
-                 reference_field=_REFERENCE_FIELD)
-        world = World(made, rng, half_extent=half)
+        given = _named(values.effect_parameters, self.get_name())
+        effects = {values.effect: given} if values.effect else {}
+        if values.effect in INJECTABLE:
+            inject_effect(made, values.effect, given, _REFERENCE_FIELD)
+        world = make_world(made, rng, effects, _REFERENCE_FIELD, half)
         # The first step compiles; it must not happen while frames are due.
         world.advance(1e-3, FieldHistory(np.zeros(1), np.zeros((1, count, 2))))
         return world

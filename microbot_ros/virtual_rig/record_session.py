@@ -69,7 +69,8 @@ def record_session(
         first = world.advance(path.t[k], history)
         path.position[k], path.heading[k] = world.position, world.heading
         second = world.advance(begin + shutter, history) if shutter else first
-        seen[k] = picture(world.bodies, (first + second) / 2, path.t[k]) + errors[k]
+        shown = picture(world.bodies, (first + second) / 2, path.t[k])
+        seen[k] = world.observe(shown) + errors[k]
         if not isinstance(control, Commands):
             told.t[k], told.field[k], rows = world.t, control(world.t, seen[k]), k + 1
     recorded = replace(conditions or Conditions(), frame_rate=camera.frame_rate)

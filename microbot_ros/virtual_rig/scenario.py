@@ -18,7 +18,7 @@ from microbot_ros.model.particle import Fluid
 from microbot_ros.records import Commands, Conditions
 from microbot_ros.units import exact_si
 from microbot_ros.virtual_rig.commands import Herding, rotating, steps
-from microbot_ros.virtual_rig.injected_effects import check
+from microbot_ros.virtual_rig.foreign_effects import check_effect
 from microbot_ros.virtual_rig.record_session import Camera, Feedback
 
 Positive = Annotated[float, pydantic.Field(gt=0)]
@@ -275,7 +275,7 @@ def read_scenario(path: Path) -> tuple[Scenario, ParticleParameters]:
         scenario = _with_model(path, scenario, model)
     for effect, parameters in scenario.effects.items():
         try:
-            check(effect, parameters)
+            check_effect(effect, parameters)
         except ValueError as error:
             raise InputError(path, str(error), line_of(path, 'effects', effect)) from None
         if any(np.size(v) not in (1, len(particles.ids)) for v in parameters.values()):

@@ -6,10 +6,9 @@ import math
 from dataclasses import replace
 
 import numpy as np
-import pydantic
 
 from microbot_ros.errors import InputError
-from microbot_ros.model.effect_table import EffectTable, build_effects
+from microbot_ros.model.effect_table import read_effects
 from microbot_ros.model.first_order import simulate
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.newton_stokes import newton_stokes
@@ -17,7 +16,8 @@ from microbot_ros.model.particle import Particle, rotational_drag, sphere_mass, 
 from microbot_ros.records import Commands, Session
 from microbot_ros.virtual_rig.body import bodies
 from microbot_ros.virtual_rig.closed_loop import LoopFeedback, film, make_feedback, tell_fault
-from microbot_ros.virtual_rig.injected_effects import inject_effect
+from microbot_ros.virtual_rig.foreign_effects import make_world
+from microbot_ros.virtual_rig.injected_effects import INJECTABLE, inject_effect
 from microbot_ros.virtual_rig.record_session import (
     Feedback,
     as_tracks,
@@ -26,7 +26,6 @@ from microbot_ros.virtual_rig.record_session import (
     scatter,
 )
 from microbot_ros.virtual_rig.scenario import Scenario
-from microbot_ros.virtual_rig.world import World
 
 POLYSTYRENE = 984.0
 """Density [kg/m³] that the paper's mass and radius give: for inertia, in `newton_stokes`."""
@@ -41,7 +40,8 @@ def run(scenario: Scenario, particles: ParticleParameters, source: str) -> Sessi
                scenario.commands.control(scenario.duration_s, particles.phi, rng))
     heading = rng.uniform(-math.pi, math.pi, count)
     if scenario.physics == 'langevin':
-        world = World(make_bodies(scenario, particles, start, heading), rng)
+        world = make_world(make_bodies(scenario, particles, start, heading), rng,
+                           scenario.effects, scenario.reference_field)
         if scenario.controller and scenario.controller.pictures:
             # Particles have the names that the tracker gives them.
             return film(scenario, world, source)
@@ -75,7 +75,7 @@ def starting_places(
 def make_bodies(
     scenario: Scenario, particles: ParticleParameters, start: np.ndarray, heading: np.ndarray,
 ) -> np.ndarray:
-    """The `particles` (N) of a scenario, of type BODY, with its effects.
+    """The `particles` (N) of a scenario, of type BODY, with those effects that bodies can have.
 
     At `start` (N, 2) [m], with the direction `heading` (N,) [rad].
     """
@@ -84,7 +84,8 @@ def make_bodies(
         scenario.medium, radius, _moment(scenario), particles.phi, start, heading=heading,
         **{'speed' if scenario.propulsion == 'catalytic' else 'gain': particles.speed})
     for effect, parameters in scenario.effects.items():
-        inject_effect(made, effect, parameters, scenario.reference_field)
+        if effect in INJECTABLE:
+            inject_effect(made, effect, parameters, scenario.reference_field)
     return made
 
 
@@ -117,13 +118,12 @@ def _without_noise(
 
 def _model(scenario: Scenario, source: str) -> Model:
     try:
-        table = pydantic.TypeAdapter(EffectTable).validate_python(scenario.effects)
-    except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        key = '.'.join(str(part) for part in first['loc'])
-        raise InputError(
-            source, f"'effects.{key}': {first['msg']}, for first_order physics") from None
-    return Model(scenario.reference_field, scenario.propulsion, build_effects(table))
+        effects = read_effects(scenario.effects)
+    except InputError:
+        raise
+    except ValueError as error:
+        raise InputError(source, f"'effects': {error}, for first_order physics") from None
+    return Model(scenario.reference_field, scenario.propulsion, effects)
 
 
 def _newton_stokes(

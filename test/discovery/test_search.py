@@ -8,9 +8,10 @@ from scipy import stats
 
 from microbot_ros.discovery.discover import _suggestions
 from microbot_ros.discovery.drive_levels import curve_p_value, scattered
+from microbot_ros.discovery.evidence import FitEvidence
 from microbot_ros.discovery.input_checks import check_sessions
 from microbot_ros.discovery.intervals import Intervals
-from microbot_ros.discovery.search import OF_STRENGTH, absorbed_by_phi, compare, fit_candidate
+from microbot_ros.discovery.search import compare, fit_candidate
 from microbot_ros.discovery.starting_points import rotating_components
 from microbot_ros.discovery.stepwise_selection import StepwiseSelection, is_cancelled
 from microbot_ros.discovery.tail_probabilities import (
@@ -152,18 +153,22 @@ def test_where_only_a_direction_was_told_no_effect_of_strength_is_looked_for(fil
                    conditions=replace(session.conditions, reference_field=None))
     known, unknown = (StepwiseSelection(check_sessions([s])[0]).current for s in (session, told))
     for name in ('gradient_force', 'coil_pull'):
-        assert name in OF_STRENGTH
         assert fit_candidate(known, name) is not None
         assert fit_candidate(unknown, name) is None
+    of_strength = {name for name, kind in EFFECTS.items()
+                   if not kind.applies(FitEvidence(unknown)) and kind.applies(FitEvidence(known))}
+    assert of_strength == {
+        'amplifier_deadband', 'background_field', 'incomplete_alignment', 'gradient_force',
+        'coil_pull', 'dipole_interaction'}
 
 
 def test_a_field_that_turns_one_way_hides_a_lag_in_phi(film):
     session, _ = film(3, duration=20.0)
     fit = StepwiseSelection(check_sessions([session])[0]).current
-    assert not absorbed_by_phi(fit, EFFECTS['alignment_lag'])
+    assert not EFFECTS['alignment_lag'].absorbed_by_phi(FitEvidence(fit))
     turning = Session(session.tracks, rotating(20.0, 5e-3, 5.0), session.conditions, 'turning')
     fit = StepwiseSelection(check_sessions([turning])[0]).current
-    assert absorbed_by_phi(fit, EFFECTS['alignment_lag'])
+    assert EFFECTS['alignment_lag'].absorbed_by_phi(FitEvidence(fit))
     assert fit_candidate(fit, 'alignment_lag') is None
 
 
@@ -177,8 +182,22 @@ def test_levels_of_the_drive_judge_its_curve(film):
     assert scattered(flat, noise, step) < scattered(flat, noise, np.ones(40))
     lucky = np.where(np.arange(40) == 3, 1.3, 1.0)
     assert scattered(lucky * flat, noise, lucky) - scattered(lucky * flat, noise, np.ones(40)) < 8
-    with pytest.raises(ValueError, match='no drive_response'):
-        curve_p_value(StepwiseSelection(check_sessions([film(15, rolling=True)[0]])[0]).current)
+    with pytest.raises(ValueError, match='no curve drive_response'):
+        curve_p_value(StepwiseSelection(check_sessions([film(15, rolling=True)[0]])[0]).current,
+                      'drive_response')
+
+
+@pytest.mark.parametrize('rolling', [False, True])
+def test_fits_begin_inside_the_bounds(film, rolling):
+    sessions, _ = check_sessions([film(5, duration=10.0, rolling=rolling)[0]])
+    evidence = FitEvidence(StepwiseSelection(sessions).current)
+    for kind in EFFECTS.values():
+        starts = kind.starts(evidence)
+        assert starts
+        for start in starts:
+            assert isinstance(start, kind)
+            for p, value in start.values().items():
+                assert p.low <= value <= p.high, p.name
 
 
 @pytest.mark.parametrize('end', ['low', 'high'])

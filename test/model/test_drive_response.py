@@ -1,5 +1,7 @@
 """The drive response on known shapes of rollers and on a real recording of one."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -11,8 +13,8 @@ from microbot_ros.model.timeline import Timeline
 from microbot_ros.records import Commands
 
 FREQUENCY = np.geomspace(0.3, 40.0, 60)
-STARTS = DriveResponse.starts(Timeline(
-    Commands(FREQUENCY, np.tile([1e-3, 0.0], (60, 1)), FREQUENCY), np.array([0.0, 1.0])))
+STARTS = DriveResponse.starts(SimpleNamespace(recordings=[Timeline(
+    Commands(FREQUENCY, np.tile([1e-3, 0.0], (60, 1)), FREQUENCY), np.array([0.0, 1.0]))]))
 
 
 def response(effect: DriveResponse, f: np.ndarray) -> np.ndarray:

@@ -227,15 +227,6 @@ def test_observing_and_the_true_position_are_inverse(effect):
     np.testing.assert_allclose(one.true_position(one.observe(position)), position, rtol=1e-15)
 
 
-@every_effect
-def test_fits_begin_inside_the_bounds(effect):
-    starts = effect.starts(timeline())
-    assert starts
-    for start in starts:
-        for p, value in start.values().items():
-            assert p.low <= value <= p.high, p.name
-
-
 @pytest.mark.parametrize('name', ['hot_spot', 'linear_flow', 'gradient_force',
                                   'dipole_interaction', 'hydrodynamic_slowdown'])
 def test_without_positions_an_effect_that_needs_them_says_so(name):

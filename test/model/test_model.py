@@ -1,17 +1,22 @@
 """The composition of effects into a model, and its parameters as one vector."""
 
 import itertools
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
+from microbot_ros.model.effect import Effect
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.effects.alignment_lag import AlignmentLag
 from microbot_ros.model.effects.background_field import BackgroundField
 from microbot_ros.model.effects.coil_gain_mismatch import CoilGainMismatch
+from microbot_ros.model.effects.command_delay import CommandDelay
+from microbot_ros.model.effects.periodic_drift import PeriodicDrift
 from microbot_ros.model.effects.speed_decay import SpeedDecay
 from microbot_ros.model.effects.uniform_drift import UniformDrift
 from microbot_ros.model.model import Model, ParticleParameters
+from microbot_ros.model.parameter import parameter
 from microbot_ros.records import Commands, Conditions
 
 
@@ -71,3 +76,42 @@ def test_velocity_in_the_frame_of_the_field_and_back():
     back = ParticleParameters.from_velocity_phasor(particles.ids, particles.velocity_phasor)
     np.testing.assert_allclose(back.speed, particles.speed)
     np.testing.assert_allclose(back.phi, particles.phi)
+
+
+@dataclass(frozen=True)
+class SlowWhereItIsFar(Effect):
+    """A lag of another package: at the origin twice `tau`, however strong the field."""
+
+    id = 'far_lag'
+    stage = 'heading'
+    summary = 'It lags.'
+    required_excitation = 'any'
+    confounded_with = ('alignment_lag',)
+    needs_position = True
+    tau: float = parameter('tau_s', 'time', 0.0, 10.0, 1.0)
+
+    def alignment_rate(self, context):
+        return 1 / (self.tau * (2 + np.abs(context.position).sum(axis=-1)))
+
+    def latency(self):
+        return 0.25
+
+
+def test_any_effect_that_lags_or_delays_counts_as_such():
+    model = Model(1e-3, effects=(UniformDrift(1e-6, 0.0), PeriodicDrift(1e-6, 0.2)))
+    assert not model.lags
+    assert model.alignment_time == 0
+    assert model.undelayed() == model
+    assert model.without_swings() == model.without('periodic_drift')
+    assert Model(1e-3, effects=(AlignmentLag(0.0),)).lags
+    assert Model(1e-3, effects=(AlignmentLag(0.0),)).alignment_time == 0
+    for tau in np.random.default_rng(0).uniform(0.01, 5, 20):
+        assert Model(3e-3, effects=(AlignmentLag(tau),)).alignment_time == pytest.approx(
+            tau, rel=1e-15)
+    late = model.with_effect(SlowWhereItIsFar(0.3)).with_effect(CommandDelay(0.5))
+    assert late.lags
+    assert late.alignment_time == pytest.approx(0.6)
+    assert late.delay == 0.75
+    assert late.undelayed() == model
+    decaying = model.with_effect(SpeedDecay(20.0))
+    assert decaying.without_swings() == decaying.without('periodic_drift')

@@ -1,6 +1,12 @@
-"""The library of effects. A new one is a file here and a line in `_LIBRARY`."""
+"""The library of effects: those here, and those of other packages (`microbot_ros.effects`).
+
+A new one here is a file and a line in `BUILT_IN`; elsewhere it is a class that an entry point
+names (docs/effects.md).
+"""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 from microbot_ros.model.effect import Effect
 from microbot_ros.model.effects.alignment_lag import AlignmentLag
@@ -22,9 +28,10 @@ from microbot_ros.model.effects.periodic_drift import PeriodicDrift
 from microbot_ros.model.effects.pixel_anisotropy import PixelAnisotropy
 from microbot_ros.model.effects.speed_decay import SpeedDecay
 from microbot_ros.model.effects.uniform_drift import UniformDrift
+from microbot_ros.model.library import Library
 
 # In the order in which they act: within a stage the effects of a model compose in this order.
-_LIBRARY: tuple[type[Effect], ...] = (
+BUILT_IN: tuple[type[Effect], ...] = (
     CommandDelay,
     AmplifierDeadband,
     CoilGainMismatch,
@@ -46,5 +53,6 @@ _LIBRARY: tuple[type[Effect], ...] = (
     PixelAnisotropy,
 )
 
-EFFECTS: dict[str, type[Effect]] = {effect.id: effect for effect in _LIBRARY}
-"""Every known effect by its name."""
+EFFECTS: Mapping[str, type[Effect]] = Library(BUILT_IN)
+"""Every effect that is installed, by its name. Those of other packages are read on first use:
+InputError, in one line, where one of them can't be used."""

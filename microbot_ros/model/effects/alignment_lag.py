@@ -8,6 +8,7 @@ import numpy as np
 
 from microbot_ros.model.effect import Effect
 from microbot_ros.model.effect_context import EffectContext
+from microbot_ros.model.evidence import Evidence
 from microbot_ros.model.parameter import parameter
 
 
@@ -32,3 +33,8 @@ class AlignmentLag(Effect):
         if self.tau == 0:
             return None
         return context.strength / (context.reference_field * self.tau)
+
+    @classmethod
+    def absorbed_by_phi(cls, evidence: Evidence) -> bool:
+        """As where the command turns one way only."""
+        return evidence.absorbs(cls(tau=1e-3))

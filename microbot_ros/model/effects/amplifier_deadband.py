@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from microbot_ros.model.effect import Effect
+from microbot_ros.model.evidence import Evidence
 from microbot_ros.model.parameter import parameter
 
 
@@ -25,3 +26,7 @@ class AmplifierDeadband(Effect):
 
     def field(self, B: np.ndarray) -> np.ndarray:
         return np.copysign(np.maximum(np.abs(B) - self.deadband, 0.0), B)
+
+    @classmethod
+    def applies(cls, evidence: Evidence) -> bool:
+        return evidence.strength_known

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from microbot_ros.model.effect import Effect
+from microbot_ros.model.evidence import Evidence
 from microbot_ros.model.parameter import parameter
 
 
@@ -26,3 +27,7 @@ class BackgroundField(Effect):
 
     def field(self, B: np.ndarray) -> np.ndarray:
         return B + np.array([self.bx, self.by])
+
+    @classmethod
+    def applies(cls, evidence: Evidence) -> bool:
+        return evidence.strength_known

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from microbot_ros.model.effect import Effect
+from microbot_ros.model.evidence import Evidence
 from microbot_ros.model.parameter import parameter
 
 
@@ -23,3 +24,8 @@ class CommandDelay(Effect):
 
     def latency(self) -> float:
         return self.delay
+
+    @classmethod
+    def absorbed_by_phi(cls, evidence: Evidence) -> bool:
+        """As where the command turns one way only."""
+        return evidence.absorbs(cls(delay=5e-4))

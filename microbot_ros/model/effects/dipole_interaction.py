@@ -8,6 +8,7 @@ import numpy as np
 
 from microbot_ros.model.effect import Effect
 from microbot_ros.model.effect_context import EffectContext
+from microbot_ros.model.evidence import Evidence
 from microbot_ros.model.parameter import parameter
 
 
@@ -42,3 +43,7 @@ class DipoleInteraction(Effect):
         push = 0.5 * first + 0.25 * turn * first.conj() + 1.25 * turn.conj() * third
         push *= -self.strength * (strength > 0)
         return np.stack([push.real, push.imag], axis=-1)
+
+    @classmethod
+    def applies(cls, evidence: Evidence) -> bool:
+        return evidence.strength_known and evidence.has_neighbours

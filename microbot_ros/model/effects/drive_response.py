@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 
-from microbot_ros.model.effect import Effect, Recorded
+from microbot_ros.model.effect import Effect
 from microbot_ros.model.effect_context import EffectContext
+from microbot_ros.model.evidence import Evidence
 from microbot_ros.model.parameter import parameter
 
 
@@ -30,6 +32,7 @@ class DriveResponse(Effect):
     required_excitation = (
         'several rotation frequencies, visited in an order that is not also that of time')
     confounded_with = ('speed_decay', 'incomplete_alignment', 'coil_pull')
+    is_drive_curve = True
 
     cut_in: float = parameter('cut_in_hz', 'frequency of half the gain', 0.0, 20.0, 1.0)
     slip: float = parameter('slip', 'part of the gain that is lost above', -2.0, 1.0, 0.3)
@@ -50,8 +53,16 @@ class DriveResponse(Effect):
         return follows * (1 - self.slip * hill(f, self.step_out, self.step_out_steepness))
 
     @classmethod
-    def starts(cls, recorded: Recorded) -> tuple[Self, ...]:
-        f = recorded.commands.frequency
+    def applies(cls, evidence: Evidence) -> bool:
+        return evidence.propulsion == 'rolling' and len(evidence.frequencies) > 1
+
+    @classmethod
+    def degrees_of_freedom(cls, evidence: Evidence) -> int:
+        return min(len(cls.parameters()), len(evidence.frequencies) - 1)
+
+    @classmethod
+    def starts(cls, evidence: Evidence) -> Sequence[Self]:
+        f = evidence.recordings[0].commands.frequency
         driven = np.abs(f[f != 0]) if f is not None else np.empty(0)
         if not driven.size:
             return (cls.null(),)

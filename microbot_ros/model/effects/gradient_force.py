@@ -8,6 +8,7 @@ import numpy as np
 
 from microbot_ros.model.effect import Effect
 from microbot_ros.model.effect_context import EffectContext
+from microbot_ros.model.evidence import Evidence
 from microbot_ros.model.parameter import parameter
 
 
@@ -36,3 +37,7 @@ class GradientForce(Effect):
         u = context.field / np.maximum(strength, np.finfo(float).tiny)
         pulled = 5 * u**2 * p - 2 * u * (u * p).sum(axis=-1, keepdims=True) - p
         return np.asarray(self.rate * strength * pulled)
+
+    @classmethod
+    def applies(cls, evidence: Evidence) -> bool:
+        return evidence.strength_known

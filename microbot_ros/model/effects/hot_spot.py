@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 
-from microbot_ros.model.effect import Effect, Recorded
+from microbot_ros.model.effect import Effect
 from microbot_ros.model.effect_context import EffectContext
+from microbot_ros.model.evidence import Evidence, Recorded
 from microbot_ros.model.parameter import parameter
 
 _WIDTHS = (3, 5, 8, 12, 20)
@@ -38,7 +40,11 @@ class HotSpot(Effect):
         return self.speed * away * fall
 
     @classmethod
-    def starts(cls, recorded: Recorded) -> tuple[Self, ...]:
+    def starts(cls, evidence: Evidence) -> Sequence[Self]:
+        return evidence.promising(evidence.likely(cls._grid(evidence.recordings[0]), cls._near))
+
+    @classmethod
+    def _grid(cls, recorded: Recorded) -> tuple[Self, ...]:
         """On grids over what the tracks cover, a width apart, at five widths."""
         if recorded.positions is None:
             return (cls.null(),)
@@ -50,3 +56,23 @@ class HotSpot(Effect):
             for x in np.linspace(low[0], high[0], part + 1).tolist()
             for y in np.linspace(low[1], high[1], part + 1).tolist()
         )
+
+    def _near(self, other: Self) -> bool:
+        return bool(np.hypot(self.x - other.x, self.y - other.y) <= max(self.width, other.width))
+
+    def trials(self, evidence: Evidence) -> float:
+        """Chance is shared out evenly over octaves of width, since a spot may be of any size.
+
+        Among narrow ones there are more to look at, and each pays for all.
+        """
+        grid = self._grid(evidence.recordings[0])
+        area = np.ptp([spot.x for spot in grid]) * np.ptp([spot.y for spot in grid])
+        # A spot reaches over two widths each way.
+        return float(max(len({spot.width for spot in grid}) * area / (4 * self.width) ** 2, 1.0))
+
+    def shape_seen(self, evidence: Evidence) -> bool:
+        """Not where only the far slope was passed: it stands in for anything smooth."""
+        std = evidence.deviations(self)
+        within = all(p.low < value < p.high for p, value in self.values().items())
+        placed = 3 * std['width'] < self.width > max(std['x'], std['y'])
+        return within and placed and std['speed'] < abs(self.speed)

@@ -8,6 +8,7 @@ import numpy as np
 
 from microbot_ros.model.effect import Effect
 from microbot_ros.model.effect_context import EffectContext
+from microbot_ros.model.evidence import Evidence
 from microbot_ros.model.parameter import parameter
 
 
@@ -26,3 +27,7 @@ class HydrodynamicSlowdown(Effect):
 
     def speed_factor(self, context: EffectContext) -> np.ndarray:
         return np.maximum(1 - self.length * context.known_places.nearness, 0.0)
+
+    @classmethod
+    def applies(cls, evidence: Evidence) -> bool:
+        return evidence.has_neighbours

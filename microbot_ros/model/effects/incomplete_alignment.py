@@ -8,6 +8,7 @@ import numpy as np
 
 from microbot_ros.model.effect import Effect
 from microbot_ros.model.effect_context import EffectContext
+from microbot_ros.model.evidence import Evidence
 from microbot_ros.model.parameter import parameter
 
 
@@ -31,6 +32,10 @@ class IncompleteAlignment(Effect):
         if self.field_scale == 0:
             return 1.0
         return langevin_function(context.strength / self.field_scale)
+
+    @classmethod
+    def applies(cls, evidence: Evidence) -> bool:
+        return evidence.strength_known
 
 
 def langevin_function(x: np.ndarray) -> np.ndarray:

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 
-from microbot_ros.model.effect import Effect, Recorded
+from microbot_ros.model.effect import Effect
 from microbot_ros.model.effect_context import EffectContext
+from microbot_ros.model.evidence import Evidence
 from microbot_ros.model.parameter import parameter
+
+PERIODS = 2.0
+"""Periods that a recording must hold to be said to swing."""
+
+_PEAKS = 6
+"""Of a periodogram, that are looked at more closely."""
 
 
 @dataclass(frozen=True)
@@ -40,12 +48,40 @@ class PeriodicDrift(Effect):
         return swing[..., None] * np.array([np.cos(self.direction), np.sin(self.direction)])
 
     @classmethod
-    def starts(cls, recorded: Recorded) -> tuple[Self, ...]:
-        """Along x and y, in and out of phase, from one period a recording up to 3 Hz."""
-        duration = recorded.times[-1] - recorded.times[0]
-        quarters = (0.0, np.pi / 2)
-        return tuple(
-            cls(0.0, frequency, direction, phase)
-            for frequency in np.arange(1.0, 3.0 * duration, 0.5) / duration
-            for direction in quarters for phase in quarters
-        )
+    def starts(cls, evidence: Evidence) -> Sequence[Self]:
+        """Where what is left swings most; turning both ways, so that any ellipse counts."""
+        frequency, forward, back = evidence.swings()
+        power = np.abs(forward) ** 2 + np.abs(back) ** 2
+        known = next(p for p in cls.parameters() if p.field == 'frequency')
+        peaks = [k for k in np.argsort(-power) if power[k] == power[max(k - 3, 0):k + 4].max()
+                 and known.low <= frequency[k] <= known.high]
+        return evidence.promising(
+            [cls._turning(float(frequency[k]), forward[k], back[k]) for k in peaks[:_PEAKS]],
+            # As `trials` counts.
+            price=lambda start: float(2 * np.log(start.frequency * evidence.duration)))
+
+    @classmethod
+    def _turning(cls, frequency: float, forward: complex, back: complex) -> Self:
+        """With the direction and the phase of two amplitudes, of no strength.
+
+        x + iy = ½ a (e^{i(α+ψ)} e^{iωt} + e^{i(α−ψ)} e^{−iωt}): the two turning parts.
+        """
+        ahead, behind = np.angle(forward), np.angle(back)
+        direction, phase = (ahead + behind) / 2, (ahead - behind) / 2
+        # The other way round half a period later is the same: directions are told from 0 to π.
+        turns = np.floor(direction / np.pi)
+        direction -= turns * np.pi
+        phase = (phase - turns * np.pi + np.pi) % (2 * np.pi) - np.pi
+        return cls(0.0, frequency, float(direction), float(phase))
+
+    def trials(self, evidence: Evidence) -> float:
+        """Chance is shared out evenly over octaves, since a swing may be of any frequency.
+
+        Among fast ones there are more to look at, and each pays for all.
+        """
+        periods = self.frequency * evidence.duration
+        return float(max(periods * np.log(evidence.fastest * evidence.duration / PERIODS), 1.0))
+
+    def shape_seen(self, evidence: Evidence) -> bool:
+        """Not half a swing: it stands in for anything smooth."""
+        return bool(self.frequency * evidence.duration >= PERIODS)

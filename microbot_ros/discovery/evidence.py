@@ -1,0 +1,140 @@
+"""What effects may ask of a fit: the one `Evidence` there is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from microbot_ros.discovery.starting_points import likely_places, rotating_components
+from microbot_ros.estimation.expected_displacement import ExpectedDisplacement
+from microbot_ros.estimation.model_fit import ModelFit
+from microbot_ros.estimation.prepared_session import PreparedSession
+from microbot_ros.model.effect import Effect
+from microbot_ros.model.evidence import AnyEffect, Recorded
+from microbot_ros.model.model import Propulsion
+from microbot_ros.session.folder import NOMINAL_FIELD
+
+COARSE = (0.3, 2.0, 10.0)
+"""Fit coordinates, both signs, from which effects of one parameter may start."""
+
+ABSORBED = 0.05
+"""Part of its information below which an effect can't be told from φ."""
+
+TRIED = 3
+"""Starting points worth a full fit."""
+
+NEGLIGIBLE = 8.0
+"""Likelihood ratio below which neither better noise nor a better place makes evidence."""
+
+
+@dataclass(frozen=True)
+class FitEvidence:
+    """The recordings of a `fit` and what it leaves of them, as `model.evidence.Evidence`."""
+
+    fit: ModelFit
+
+    @property
+    def propulsion(self) -> Propulsion:
+        return self.fit.model.propulsion
+
+    @property
+    def recordings(self) -> Sequence[Recorded]:
+        return [p.session.timeline for p in self.fit.session_fits]
+
+    @property
+    def duration(self) -> float:
+        return max(float(np.ptp(p.session.times)) for p in self.fit.session_fits)
+
+    @property
+    def fastest(self) -> float:
+        return min(3.0, 0.4 / max(p.session.interval for p in self.fit.session_fits))
+
+    @property
+    def frequencies(self) -> np.ndarray:
+        return np.unique(np.concatenate([
+            np.abs(p.session.commands.frequency_at(p.session.times))
+            for p in self.fit.session_fits]))
+
+    @property
+    def strength_known(self) -> bool:
+        return not all(_strength_unknown(p.session) for p in self.fit.session_fits)
+
+    @property
+    def has_neighbours(self) -> bool:
+        return any(len(p.session.ids) > 1 for p in self.fit.session_fits)
+
+    def absorbs(self, little: Effect) -> bool:
+        """What is left of a `little` then shows only through what else is wrong."""
+        bare = ModelFit(replace(self.fit.model, effects=()), self.fit.session_fits)
+        tried = bare.under(bare.model.with_effect(little))
+        power = sum(float((np.abs(jacobian) ** 2).sum()) for jacobian in tried.jacobian)
+        return bool(np.trace(tried.normal[0]) < ABSORBED * power)
+
+    def near_nothing(self, kind: type[AnyEffect]) -> Sequence[AnyEffect]:
+        parameters = kind.parameters()
+        small = {p.field: p.from_fit(min(1e-3, p.fit_bounds[1])) for p in parameters}
+        starts = [kind(**small)]
+        if len(parameters) > 1:
+            return starts
+        low, high = parameters[0].fit_bounds
+        coarse = [kind(**{parameters[0].field: parameters[0].from_fit(x)})
+                  for size in COARSE for x in (size, -size) if low <= x <= high]
+        costs = [self.fit.under(self.fit.model.with_effect(start)).cost for start in coarse]
+        best = int(np.argmin(costs))
+        return [*starts, coarse[best]] if costs[best] < self.fit.cost + 20 else starts
+
+    def swings(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of the white residuals of the longest session, summed over particles."""
+        longest = max(self.fit.session_fits, key=lambda p: float(np.ptp(p.session.times)))
+        return rotating_components(
+            longest.session.times, longest.residual.sum(axis=1), self.fastest)
+
+    def likely(self, starts: Iterable[AnyEffect],
+               near: Callable[[AnyEffect, AnyEffect], bool]) -> Sequence[AnyEffect]:
+        return likely_places(self.fit, starts, near, TRIED)
+
+    def promising(self, starts: Iterable[AnyEffect],
+                  price: Callable[[AnyEffect], float] = lambda _: 0.0,
+                  ) -> Sequence[AnyEffect]:
+        """The best, and others that are not far behind one that is worth anything."""
+        scored = []
+        for start in starts:
+            score, suited = self._with_best_strength(start)
+            scored.append((score - price(suited), suited))
+        scored = sorted(scored, key=lambda one: -one[0])[:TRIED]
+        best = max((score for score, _ in scored), default=0.0)
+        return [start for score, start in scored
+                if score == best or score > max(NEGLIGIBLE, best / 2)]
+
+    def _with_best_strength(self, start: AnyEffect) -> tuple[float, AnyEffect]:
+        """The evidence for a start whose one strength is linear, and it with that strength."""
+        strength = next(p for p in start.parameters() if not p.shape)
+        unit = replace(start, **{strength.field: strength.from_fit(1.0)})
+        model = self.fit.model.with_effect(unit)
+        information, slope = 1e-30, 0.0
+        for p in self.fit.session_fits:
+            expected = ExpectedDisplacement.of(model, p.session.timeline)
+            moved = expected.at(p.velocity_phasor) - p.expected.at(p.velocity_phasor)
+            column = p.whiten(np.broadcast_to(moved, p.session.z.shape)[..., None])[..., 0]
+            information += float((np.abs(column) ** 2).sum())
+            slope += float((column.conj() * p.residual).real.sum())
+        low, high = strength.fit_bounds
+        size = float(np.clip(slope / information, low, high))
+        suited = replace(start, **{strength.field: strength.from_fit(size)})
+        return slope**2 / information, suited
+
+    def deviations(self, effect: Effect) -> Mapping[str, float]:
+        std = np.sqrt(np.diag(self.fit.covariance))
+        return {p.field: p.scale * s
+                for (name, p), s in zip(self.fit.model.parameters, std, strict=True)
+                if name == effect.id}
+
+
+def _strength_unknown(session: PreparedSession) -> bool:
+    """Whether only the direction of a rolling field was told, not its strength."""
+    if session.commands.frequency is None or session.conditions.reference_field:
+        return False
+    strength = np.hypot(*session.commands.field.T)
+    return bool(np.allclose(strength[strength > 0], NOMINAL_FIELD, rtol=1e-6))

@@ -1,0 +1,99 @@
+"""Finding effects: the built-in ones, and entry points of the group `microbot_ros.effects`."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
+from importlib.metadata import EntryPoint, entry_points
+
+from microbot_ros.errors import InputError
+from microbot_ros.model.effect import STAGES, Effect
+
+GROUP = 'microbot_ros.effects'
+
+_SAID = ('summary', 'required_excitation', 'confounded_with')
+
+
+class Library(Mapping[str, type[Effect]]):
+    """Effects by name: those that are `built_in`, then those of other packages.
+
+    By stage; within one, other packages' act after the built-in ones, in alphabetical order. A
+    missing hypothesis would not be noticed in what discovery says, so one that can't be used is
+    no warning: InputError.
+    """
+
+    def __init__(self, built_in: Sequence[type[Effect]]) -> None:
+        self._built_in = {effect.id: effect for effect in built_in}
+
+    def __getitem__(self, name: str) -> type[Effect]:
+        return self._effects[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._effects)
+
+    def __len__(self) -> int:
+        return len(self._effects)
+
+    @cached_property
+    def _effects(self) -> dict[str, type[Effect]]:
+        """Found once, for that reads the metadata of every package of the environment."""
+        points = sorted(entry_points(group=GROUP), key=lambda point: point.name)
+        effects, origin = dict(self._built_in), dict.fromkeys(self._built_in, 'microbot_ros')
+        for point in points:
+            if point.name in effects:
+                raise InputError(_place(point), f'expected a name of its own; '
+                                 f'{origin[point.name]} has an effect of that name')
+            effects[point.name], origin[point.name] = _load(point), _package(point)
+        for point in points:
+            for other in effects[point.name].confounded_with:
+                if other not in effects:
+                    raise InputError(_place(point), f"'confounded_with': no effect '{other}' is "
+                                     f'known; expected some of: {", ".join(effects)}')
+        return dict(sorted(effects.items(), key=lambda item: STAGES.index(item[1].stage)))
+
+
+def _load(point: EntryPoint) -> type[Effect]:
+    try:
+        found = point.load()
+    except Exception as error:
+        reason = ' '.join(f'{type(error).__name__}: {error}'.split())
+        raise InputError(
+            _place(point), f"expected '{point.value}' to load; {reason}") from error
+    if not (isinstance(found, type) and issubclass(found, Effect)):
+        raise InputError(
+            _place(point), f"expected '{point.value}' to be a class that derives from Effect")
+    missing = _missing(found, point.name)
+    if missing:
+        raise InputError(_place(point), f'expected {missing}')
+    return found
+
+
+def _missing(found: type[Effect], name: str) -> str:
+    """What a class that was `found` lacks of an effect called `name`, or ''."""
+    if getattr(found, 'id', None) != name:
+        return f"the 'id' {name}, as the entry point says; got {getattr(found, 'id', None)!r}"
+    if getattr(found, 'stage', None) not in STAGES:
+        return f"a 'stage' that is one of: {', '.join(STAGES)}"
+    for what in _SAID:
+        if getattr(found, what, None) is None:
+            return f"a '{what}'"
+    made = vars(found).get('__dataclass_params__')
+    if made is None or not made.frozen:
+        return 'a frozen dataclass'
+    fields = dataclasses.fields(found)
+    if not fields or any('parameter' not in field.metadata for field in fields):
+        return 'one field or more, each declared with parameter(...)'
+    for field in fields:
+        if field.metadata['parameter'].field != field.name:
+            expected = field.metadata['parameter'].field
+            return f"the field '{field.name}' to be called '{expected}', its name without the unit"
+    return ''
+
+
+def _package(point: EntryPoint) -> str:
+    return f'{point.dist.name} {point.dist.version}' if point.dist else 'an unknown package'
+
+
+def _place(point: EntryPoint) -> str:
+    return f"effect '{point.name}' of {_package(point)}"

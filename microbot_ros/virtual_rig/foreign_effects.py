@@ -1,0 +1,131 @@
+"""Effects of other packages in the simulated world: it knows them by their hooks alone.
+
+The built-in ones have physics of their own (`dynamics`), which tests the equations that are
+fitted. Of what another package adds nothing else is known: before each millisecond its hooks are
+asked, and what they say is put where the physics looks for it. Slower, in Python.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from microbot_ros.model.effect import Effect
+from microbot_ros.model.effect_context import EffectContext, Places
+from microbot_ros.model.effect_table import read_effects
+from microbot_ros.model.effects import EFFECTS
+from microbot_ros.model.langevin import step_grid
+from microbot_ros.model.model import Model
+from microbot_ros.virtual_rig.dynamics import coil_fields, felt_field
+from microbot_ros.virtual_rig.injected_effects import INJECTABLE, check
+from microbot_ros.virtual_rig.world import FieldHistory, World
+
+Given = Mapping[str, Mapping[str, float | Sequence[float]]]
+"""Effect → parameter → value as people write it."""
+
+_DISTURBED = ('drift_x', 'drift_y', 'speed', 'gain', 'moment')
+
+
+def check_effect(effect: str, parameters: Mapping[str, float | Sequence[float]]) -> None:
+    """ValueError naming an effect or a parameter that is unknown, or a value that cannot be.
+
+    As `injected_effects.check`, for those of other packages too: every parameter one number.
+    """
+    if effect in INJECTABLE:
+        check(effect, parameters)
+    elif effect in EFFECTS:
+        foreign_effects({effect: parameters})
+    else:
+        known = ', '.join(dict.fromkeys((*INJECTABLE, *EFFECTS)))
+        raise ValueError(f"unknown effect '{effect}'; expected one of: {known}")
+
+
+def foreign_effects(effects: Given) -> tuple[Effect, ...]:
+    """Those of the `effects` that the physics does not know, ValueError for what cannot be."""
+    return read_effects(
+        {name: values for name, values in effects.items() if name not in INJECTABLE})
+
+
+def make_world(
+    bodies: np.ndarray, rng: np.random.Generator, effects: Given, reference_field: float,
+    half_extent: tuple[float, float] = (np.inf, np.inf),
+) -> World:
+    """A `World` of `bodies`, by `rng` and within `half_extent`, that feels foreign `effects` too.
+
+    Those that the physics knows are in the bodies already (`inject_effect`). Alignment is stated
+    at `reference_field` [T]. ValueError as from `check_effect`.
+    """
+    foreign = foreign_effects(effects)
+    if not foreign:
+        return World(bodies, rng, half_extent)
+    return ForeignWorld(bodies, rng, half_extent, Model(reference_field, effects=foreign))
+
+
+class ForeignWorld(World):
+    """A world of `bodies`, `rng` and `half_extent` as in `World`, under the effects of a `model`.
+
+    Their stage 1 acts on the command, before the amplifier and the coils of the bodies; the rest
+    sees the field at each body. `drift` adds to the flow, `speed_factor` multiplies speed and
+    gain, `heading_offset` adds to φ, `alignment_rate` takes the place of the moment's; `observe`
+    follows the camera's own.
+    """
+
+    def __init__(self, bodies: np.ndarray, rng: np.random.Generator,
+                 half_extent: tuple[float, float], model: Model) -> None:
+        super().__init__(bodies, rng, half_extent)
+        self._model = model
+
+    def advance(self, until: float, history: FieldHistory) -> np.ndarray:
+        if until <= self.t:
+            return self.position
+        felt = replace(
+            history, t=history.t + self._model.delay, field=self._model.field(history.field))
+        middle, length = step_grid(self.t, until)
+        mean = np.zeros((len(self.bodies), 2))
+        for k, t in enumerate(middle):
+            undisturbed = {name: self.bodies[name].copy() for name in _DISTURBED}
+            offset = self._disturb(t, length, felt)
+            end = until if k == len(middle) - 1 else t + length / 2
+            mean += super().advance(end, felt)
+            self.bodies['phi'] -= offset
+            for name, values in undisturbed.items():
+                self.bodies[name] = values
+        return mean / len(middle)
+
+    def observe(self, position: np.ndarray) -> np.ndarray:
+        return self._model.observe(position)
+
+    def _disturb(self, t: float, length: float, history: FieldHistory) -> np.ndarray | float:
+        """Put what the hooks say of a step into the bodies; what was added to φ [rad]."""
+        bodies, model = self.bodies, self._model
+        context = self._context(t, length, history)
+        bodies['speed'] *= model.speed_factor(context)
+        bodies['gain'] *= model.speed_factor(context)
+        drift = model.drift(context)
+        if drift is not None:
+            bodies['drift_x'] += drift[..., 0]
+            bodies['drift_y'] += drift[..., 1]
+        rate = model.alignment_rate(context)
+        if rate is not None:
+            driven = np.where(context.strength > 0, context.strength, 1.0)
+            bodies['moment'] = rate * bodies['turn_drag'] / driven
+        offset = model.heading_offset(context)
+        bodies['phi'] += offset
+        return offset
+
+    def _context(self, t: float, length: float, history: FieldHistory) -> EffectContext:
+        rows = history.t.searchsorted(t - self.bodies['delay'], side='right') - 1
+        which = np.minimum(np.arange(len(rows)), history.field.shape[1] - 1)
+        field = np.zeros((len(rows), 2))
+        frequency = np.zeros(len(rows))
+        on = rows >= 0
+        field[on] = history.field[rows[on], which[on]]
+        if history.frequency is not None:
+            frequency[on] = history.frequency[rows[on]]
+        for i, body in enumerate(self.bodies):
+            field[i] = felt_field(body, *coil_fields(body, *field[i]))
+        return EffectContext(
+            np.array([t]), np.array([length]), field, frequency, self._model.reference_field,
+            Places(self.position))
