@@ -33,9 +33,8 @@ BLOCKS = 5
 """Blocks of time that are predicted in turn, each from all others."""
 
 COARSE, FINE, SHORTEST = 4, 16, 4.0
-"""Blocks of time that make the halves of a split likelihood, every other one: cut twice, since long
-blocks show what is slow and short ones what happens but once; seconds that one lasts at least.
-"""
+"""Blocks of time that make the halves of a split likelihood, every other one: cut twice, since
+long blocks show what is slow and short ones what happens but once; seconds of one at least."""
 
 
 def block_of(session: PreparedSession, blocks: int) -> np.ndarray:
