@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 
@@ -150,8 +151,14 @@ def covered(session: Blind, found: Discovery) -> Iterator[bool]:
                 yield abs(value - true) <= 1.96 * estimate.std
 
 
-def run(cases: Iterable[Case], jobs: int = 2) -> list[Outcome]:
-    """Judge the cases, that many at a time on one core each; tells on stderr how far it is."""
+Given, Judged = TypeVar('Given'), TypeVar('Judged')
+
+
+def run(cases: Iterable[Given], judge: Callable[[Given], Judged], jobs: int = 2) -> list[Judged]:
+    """What `judge` says of the cases, that many at a time on one core each.
+
+    Tells on stderr how far it is.
+    """
     from rich.console import Console
     from rich.progress import track
 

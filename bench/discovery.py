@@ -15,11 +15,14 @@ from pathlib import Path
 
 import numpy as np
 
+from bench import _coverage
 from bench._hidden_suite import blind
+from bench._null_e_values import null_e_value
 from bench._score_card import (
     PYSINDY,
     SFI,
     Outcome,
+    judge,
     null_cases,
     one_each,
     power_cases,
@@ -38,10 +41,12 @@ def figures() -> list[Figure]:
         *null_cases(240), *one_each('plain', 40.0, 4, 10_000),
         *one_each('strong', 100.0, 4, 20_000), *under_narrow_commands(1, 100.0),
         *two_at_once(24, 100.0), *unlisted_cases(3, 100.0), *power_cases(10),
-    ])
+    ], judge)
     entries = [dataclasses.asdict(outcome) for outcome in outcomes]
     write_text(Path('out/discovery_suite.json'), json.dumps(entries, indent=1) + '\n')
-    return [*score(outcomes), _time()]
+    covered = run(_coverage.cases(6), _coverage.judge)
+    return [*score(outcomes), *_covered([c for found in covered for c in found]),
+            _null_e_values(run(range(1000), null_e_value)), _time()]
 
 
 def score(outcomes: Iterable[Outcome]) -> list[Figure]:
@@ -59,9 +64,10 @@ def score(outcomes: Iterable[Outcome]) -> list[Figure]:
         _share('in no list: unnamed', [o.verdict == 'unnamed' for o in card['unlisted']], 0.95),
         _share('in no list: wrong established name',
                [bool(o.established) for o in card['unlisted']], 0.02, at_most=True),
-        _coverage(named),
+        _coverage_of_named(named),
         *_gap([o for key in ('plain', 'strong') for o in card[key]]),
         _power(card['power']),
+        *_seconds([o.seconds for known in card.values() for o in known]),
     ]
 
 
@@ -96,14 +102,50 @@ def _share(name: str, right: list[bool], target: float, *, at_most: bool = False
         f'{"≤" if at_most else "≥"} {100 * target:g}', peer, ok)
 
 
-def _coverage(outcomes: list[Outcome]) -> Figure:
+def _coverage_of_named(outcomes: list[Outcome]) -> Figure:
     held = [c for o in outcomes for c in o.covered]
     low, high = interval(sum(held), len(held))
     value = 100 * float(np.mean(held))
     return Figure(
-        5, f'95 % intervals hold the truth ({sum(held)} of {len(held)}; '
+        5, f'named effects: 95 % intervals hold the truth ({sum(held)} of {len(held)}; '
         f'95 %: {low:.1%}–{high:.1%})', value, '%', '92–98', 'PySINDy: has none',
         92 <= value <= 98)
+
+
+def _covered(found: list[_coverage.Covered]) -> list[Figure]:
+    """Each kind of quantity, over all effects, and the effect under which it does worst."""
+    figures = []
+    for kind in dict.fromkeys(one.kind for one in found):
+        held: dict[str, list[bool]] = {}
+        for one in found:
+            if one.kind == kind:
+                held.setdefault(one.effect or 'nothing', []).append(one.held)
+        every = [h for known in held.values() for h in known]
+        low, high = interval(sum(every), len(every))
+        worst = min(held, key=lambda name: sum(held[name]) / len(held[name]))
+        least = interval(sum(held[worst]), len(held[worst]))
+        value = 100 * float(np.mean(every))
+        figures.append(Figure(
+            16, f'95 % intervals of {kind} ({sum(every)} of {len(every)}; 95 %: {low:.1%}–'
+            f'{high:.1%}; least under {worst}, {sum(held[worst])} of {len(held[worst])}: '
+            f'{least[0]:.0%}–{least[1]:.0%})', value, '%', '92–98', 'PySINDy: has none',
+            92 <= value <= 98))
+    return figures
+
+
+def _null_e_values(found: list[tuple[str, float]]) -> Figure:
+    values = np.array([value for _, value in found])
+    mean, error = float(values.mean()), float(values.std() / math.sqrt(len(values)))
+    said = f'{len(values)} sessions, of an effect each (± {error:.2f}'
+    return Figure(16, f'nothing missing: mean e-value of {said}; above 20: {(values > 20).sum()})',
+                  mean, '', '≤ 1', 'halves that share gaps: 9.0', mean - 2 * error <= 1)
+
+
+def _seconds(spent: list[float]) -> list[Figure]:
+    middle, most = float(np.median(spent)), max(spent)
+    return [Figure(16, f'seconds of a search, median of {len(spent)} on one core', middle, 's',
+                   '≤ 10', '–', middle <= 10),
+            Figure(16, 'seconds of a search, worst', most, 's', '≤ 20', '–', most <= 20)]
 
 
 def _gap(outcomes: list[Outcome]) -> list[Figure]:

@@ -94,13 +94,14 @@ def _discover(selection: StepwiseSelection, remarks: tuple[str, ...],
     unexplained = _worst(left + doubts)
     weak = [] if assessments else _suggestions(selection.open, selection.sessions)
     fit = selection.current
-    known = Intervals(fit)
+    known = Intervals(fit, complete=all(one.dwarfs for one in assessments))
     effects = [one.entry(known, bool(doubts)) for one in assessments] + [
         one.entry(Intervals(one.own.fit), bool(unexplained)) for one in weak]
+    told = not doubts and any(one.sure and one.dwarfs for one in assessments)
     rivals = [rival.fit.model for one in assessments for rival in one.rivals]
     report('predicting what was held out')
     return Discovery(
-        verdict=_verdict(effects, unexplained),
+        verdict=_verdict(effects, bool(unexplained) and not told),
         effects=tuple(sorted(effects, key=lambda e: (e.p_value, -e.delta_bic))),
         gap=held_out_gap(fit, selection.sessions, truth),
         maps_before=before, maps_after=after, unexplained=unexplained,
@@ -116,10 +117,10 @@ def _discover(selection: StepwiseSelection, remarks: tuple[str, ...],
     )
 
 
-def _verdict(effects: Sequence[NamedEffect], unexplained: Sequence[ResidualMap]) -> Verdict:
-    if any(e.status == 'established' for e in effects):
-        return 'named'
-    return 'unnamed' if unexplained else 'consistent'
+def _verdict(effects: Sequence[NamedEffect], incomplete: bool) -> Verdict:
+    if incomplete:
+        return 'unnamed'
+    return 'named' if any(e.status == 'established' for e in effects) else 'consistent'
 
 
 @dataclass(frozen=True)
@@ -132,8 +133,8 @@ class _Assessment:
     is `alone`: one whose curve the gains at the levels of the drive follow.
     `doubts`: of the maps of the residual without it, those that are less likely by chance than it
     is, since something smooth that is in no library explains it better; all that fire, where it
-    is not sure. `stands_in`: structure is left that it does not dwarf, so that it may be but a
-    part of something else; then nothing more is asked of it, and `log_e_value` is NaN.
+    is not sure. `dwarfs`: whether it dwarfs what is left. Where it does not, and is not `alone`,
+    it may be but a part of something else: then nothing more is asked, and `log_e_value` is NaN.
     """
 
     own: CandidateFit
@@ -142,7 +143,7 @@ class _Assessment:
     alone: bool
     rivals: list[CandidateFit]
     doubts: list[ResidualMap]
-    stands_in: bool = False
+    dwarfs: bool = True
 
     @classmethod
     def of(cls, selection: StepwiseSelection, name: str,
@@ -155,8 +156,9 @@ class _Assessment:
         # Halves of a recording in which the frequency was stepped once predict nothing.
         alone = (EFFECTS[name].is_drive_curve
                  and curve_p_value(selection.current, name) < BACKWARD)
-        if not alone and not all(_dwarfs(own, maps, one) for one in left):
-            return cls(own, float('nan'), False, False, [], [], stands_in=True)
+        dwarfs = _dwarfs(own, maps, left)
+        if not dwarfs and not alone:
+            return cls(own, float('nan'), False, False, [], [], dwarfs)
         gain = _paid_log_e_value(selection.current.model, selection.sessions, name)
         sure = own.shape_seen and own.delta_bic > CLOSE and not is_cancelled(
             selection.current, name) and (gain > HELD_OUT or alone)
@@ -164,7 +166,7 @@ class _Assessment:
         return cls(
             own, gain, sure, alone,
             [rival for rival in selection.rivals(name) if _close(rival, own) and not alone],
-            [m for m in maps if m.fires and m.log_p < most])
+            [m for m in maps if m.fires and not m.cut_out and m.log_p < most], dwarfs)
 
     def entry(self, known: Intervals, doubted: bool) -> NamedEffect:
         """As it is named, with what is `known` of its fit.
@@ -172,7 +174,7 @@ class _Assessment:
         `doubted`: whether something smooth that is in no library explains an effect better.
         """
         status: Status = 'established' if self.sure else 'suggested'
-        if self.stands_in or (doubted and not self.alone):
+        if not self.alone and (doubted or not self.dwarfs):
             status = 'proxy'
         return NamedEffect(
             self.own.id, status, known.effect(self.own.id), self.own.delta_bic,
@@ -180,15 +182,21 @@ class _Assessment:
             tuple(rival.id for rival in self.rivals))
 
 
-def _dwarfs(own: CandidateFit, without: Sequence[ResidualMap], left: ResidualMap) -> bool:
+def _dwarfs(own: CandidateFit, without: Iterable[ResidualMap],
+            left: Iterable[ResidualMap]) -> bool:
     """Whether what is `left` is small beside an effect, and of another kind.
 
     What only stands in for something else explains less of it, and leaves more of the same, in
     the map that shows most `without` it. Steps that were cut out are in no fit.
     """
-    shows_in = max(without, key=lambda one: one.statistic - one.dof).against
-    return left.cut_out or (left.against != shows_in and (
-        left.statistic - left.dof < DWARFED * own.likelihood_ratio))
+    worst = max((m for m in left if not m.cut_out), key=_excess, default=None)
+    return worst is None or (worst.against != max(without, key=_excess).against
+                             and _excess(worst) < DWARFED * own.likelihood_ratio)
+
+
+def _excess(found: ResidualMap) -> float:
+    """Evidence in a map beyond what chance gives."""
+    return found.statistic - found.dof
 
 
 def _worst(maps: Iterable[ResidualMap]) -> tuple[ResidualMap, ...]:

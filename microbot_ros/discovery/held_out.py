@@ -32,8 +32,10 @@ HORIZON = 1.0
 BLOCKS = 5
 """Blocks of time that are predicted in turn, each from all others."""
 
-HALVES = 4
-"""Blocks of time that make the two halves of a split likelihood, every other one."""
+COARSE, FINE, SHORTEST = 4, 16, 4.0
+"""Blocks of time that make the halves of a split likelihood, every other one: cut twice, since long
+blocks show what is slow and short ones what happens but once; seconds that one lasts at least.
+"""
 
 
 def block_of(session: PreparedSession, blocks: int) -> np.ndarray:
@@ -79,17 +81,19 @@ def log_e_value(model: Model, sessions: Sequence[PreparedSession], effect: str) 
     P projecting off X, f its degrees of freedom. The ratio of two densities of the maximal
     invariant has mean 1 under the first (Pérez-Ortiz, Lardy, de Heide and Grünwald 2024). It is
     exact where other effects are linear in their parameters and σ²/D is known; that one is
-    learned too. E is the mean of both ways to choose the half that foretells.
+    learned too. E is the mean over all choices of the half that foretells.
     """
     rest = [e.id for e in model.effects if e.id != effect]
     bare, logs = replace(model, effects=()), []
-    even, odd = _parts(sessions, HALVES, lambda block: block % 2 == 0)
-    for known, judged in ((even, odd), (odd, even)):
-        learned = learn(bare, known, rest)
-        found = fit_candidate(learned, effect)
-        if found is not None:
-            logs.append(_log_ratio(learned, found.fit, judged))
-    return float(np.logaddexp.reduce([*logs, *[0.0] * (2 - len(logs))]) - np.log(2))
+    shortest = min(float(np.ptp(session.times)) for session in sessions)
+    fine = int(np.clip(shortest / SHORTEST, COARSE, FINE)) // 2 * 2
+    for blocks in dict.fromkeys((COARSE, fine)):
+        even, odd = _parts(sessions, blocks, lambda block: block % 2 == 0)
+        for known, judged in ((even, odd), (odd, even)):
+            learned = learn(bare, known, rest)
+            found = fit_candidate(learned, effect)
+            logs.append(0.0 if found is None else _log_ratio(learned, found.fit, judged))
+    return float(np.logaddexp.reduce(logs) - np.log(len(logs)))
 
 
 def _log_ratio(without: ModelFit, other: ModelFit, sessions: Sequence[PreparedSession]) -> float:

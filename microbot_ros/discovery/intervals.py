@@ -70,10 +70,14 @@ def _interpolated(at: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 class Intervals:
-    """Estimates with 95 % intervals of all that a `fit` knows."""
+    """Estimates with 95 % intervals of all that a `fit` knows.
 
-    def __init__(self, fit: ModelFit) -> None:
-        self._fit = fit
+    By curvature alone where it is not `complete`: intervals of a model that does not explain the
+    data are not worth the time that profiles take.
+    """
+
+    def __init__(self, fit: ModelFit, complete: bool = True) -> None:
+        self._fit, self._complete = fit, complete
         self._std = np.sqrt(np.diag(fit.covariance))
 
     def effect(self, name: str) -> dict[str, Estimate]:
@@ -99,7 +103,7 @@ class Intervals:
     def _profiles(self) -> dict[int, _Profile]:
         """Of the parameters whose likelihood is no parabola, by their place in the vector."""
         return {k: found for k, (_, parameter) in enumerate(self._fit.model.parameters)
-                if np.isfinite(self._std[k]) and not _is_angle(parameter)
+                if self._complete and np.isfinite(self._std[k]) and not _is_angle(parameter)
                 and (found := _follow(self._fit, k, float(self._std[k]), parameter))}
 
     def particles(self) -> tuple[Particle, ...]:

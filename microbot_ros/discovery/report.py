@@ -77,7 +77,9 @@ def headline(found: Discovery) -> str:
     rest = [e.id for e in found.effects if e.status != 'established']
     told = '; '.join(map(_told, sure))
     if found.verdict == 'named':
-        return f'Missing from the first-order model: {told}.'
+        return (f'Missing from the first-order model: {told}.'
+                + (f' What is left is small beside it, and shows against {_against(found)}.'
+                   if found.unexplained else ''))
     if found.verdict == 'consistent':
         return ('Nothing is missing: the first-order model explains these data down to the noise.'
                 + (f' There is a hint of {listed(rest)}, too weak to be established.'

@@ -228,7 +228,9 @@ class Discovery:
             'consistent': ['The first-order model explains the data: nothing is missing.'
                            if not self.effects else
                            'The first-order model explains the data, but for a hint:'],
-            'named': ['The model is complete with:'],
+            'named': ['The model is complete with:' if not self.unexplained else
+                      'What is left, against ' + ', '.join(m.against for m in self.unexplained)
+                      + ', is small beside:'],
             'unnamed': ['Something is there that no effect of the library explains; it depends on '
                         + ', '.join(m.against for m in self.unexplained) + '.'],
         }[self.verdict]

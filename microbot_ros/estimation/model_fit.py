@@ -32,6 +32,9 @@ from microbot_ros.model.parameter import Parameter
 ROUNDS = 8
 """Turns in which effects and noise are fitted, at most."""
 
+ENOUGH = 0.01
+"""Gain in −2 log likelihood that ends a search: a tenth of a standard deviation is left."""
+
 COLLINEAR = 1e-7
 """Part of a column's power below which v and φ absorb it."""
 
@@ -190,7 +193,7 @@ def maximise(fit: ModelFit, iterations: int = 20, held: int | None = None) -> Mo
         if better is None:
             return fit
         gain, fit = fit.cost - better.cost, better
-        if gain < 1e-3:
+        if gain < ENOUGH:
             return fit
     return fit
 

@@ -144,3 +144,47 @@ def test_a_session_given_twice_leaves_nothing_behind(film, tmp_path):
             str(tmp_path / 'session'), str(tmp_path / 'session'),
             '--out', str(tmp_path / 'out')], catch_exceptions=False)
     assert not (tmp_path / 'out').exists()
+
+
+def exchanged(session, at):
+    """Two tracks confused at a time [s]."""
+    tracks = session.tracks
+    late = (tracks.t > at) & (tracks.particle < 2)
+    particle = np.where(late, 1 - tracks.particle, tracks.particle)
+    order = np.lexsort((particle, tracks.t))
+    return replace(session, tracks=replace(
+        tracks, particle=particle[order], position=tracks.position[order]))
+
+
+def test_one_swap_of_identities_costs_no_name(film):
+    session, _ = film(50, {'uniform_drift': {'wx_um_s': 0.6, 'wy_um_s': 0.0}}, duration=60.0)
+    found = discover([exchanged(session, 30.0)])
+    assert found.verdict == 'named'
+    assert [(e.id, e.status) for e in found.effects] == [('uniform_drift', 'established')]
+    assert [m.against for m in found.unexplained] == ['single steps']
+    assert any('exchange places at 30.05 s' in remark for remark in found.remarks)
+    drift = found.effects[0].parameters['wx_um_s']
+    assert drift.low < 0.6e-6 < drift.high
+
+
+def test_a_swap_of_unlike_particles_stands_in_for_nothing(film):
+    """One fit for both halves of each track would find that speeds and angles change."""
+    session, truth = film(51, duration=60.0)
+    found = discover([exchanged(session, 30.0)])
+    assert not found.effects
+    assert [m.against for m in found.unexplained] == ['single steps']
+    for particle, bodies in zip(found.baseline, ((0, 1), (0, 1), (2,)), strict=True):
+        assert any(particle.speed.low < truth['speed'][n] < particle.speed.high for n in bodies)
+
+
+def test_a_name_holds_beside_a_little_of_another_kind(film):
+    """A deadband in which the speed depends on where particles face, by 5 %."""
+    session, _ = film(53, {'amplifier_deadband': {'deadband_mT': 2.1},
+                           'speed_by_heading': {'depth': 0.05}},
+                      duration=60.0, levels=(2.5e-3, 3.5e-3, 5e-3))
+    found = discover([session])
+    assert found.verdict == 'named'
+    assert [(e.id, e.status) for e in found.effects] == [('amplifier_deadband', 'established')]
+    assert found.unexplained[0].against == 'heading'
+    assert found.gap.after < 0.1 * found.gap.before
+    assert 'small beside' in ' '.join(found.sentences())
