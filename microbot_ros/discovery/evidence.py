@@ -12,7 +12,7 @@ from microbot_ros.estimation.expected_displacement import ExpectedDisplacement
 from microbot_ros.estimation.model_fit import ModelFit
 from microbot_ros.estimation.prepared_session import PreparedSession
 from microbot_ros.model.effect import Effect
-from microbot_ros.model.evidence import AnyEffect, Recorded
+from microbot_ros.model.evidence import AnyEffect, Evidence, Recorded
 from microbot_ros.model.model import Propulsion
 from microbot_ros.session.folder import NOMINAL_FIELD
 
@@ -30,8 +30,8 @@ NEGLIGIBLE = 8.0
 
 
 @dataclass(frozen=True)
-class FitEvidence:
-    """The recordings of a `fit` and what it leaves of them, as `model.evidence.Evidence`."""
+class FitEvidence(Evidence):
+    """The recordings of a `fit` and what it leaves of them."""
 
     fit: ModelFit
 
@@ -66,7 +66,7 @@ class FitEvidence:
         return any(len(p.session.ids) > 1 for p in self.fit.session_fits)
 
     def absorbs(self, little: Effect) -> bool:
-        """What is left of a `little` then shows only through what else is wrong."""
+        # What is left of it then shows in the likelihood only through what else is wrong.
         bare = ModelFit(replace(self.fit.model, effects=()), self.fit.session_fits)
         tried = bare.under(bare.model.with_effect(little))
         power = sum(float((np.abs(jacobian) ** 2).sum()) for jacobian in tried.jacobian)
@@ -98,7 +98,9 @@ class FitEvidence:
     def promising(self, starts: Iterable[AnyEffect],
                   price: Callable[[AnyEffect], float] = lambda _: 0.0,
                   ) -> Sequence[AnyEffect]:
-        """The best, and others that are not far behind one that is worth anything."""
+        """The best of `starts`, less their `price`, and others not far behind one that is worth
+        anything.
+        """
         scored = []
         for start in starts:
             score, suited = self._with_best_strength(start)

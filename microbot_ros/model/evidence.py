@@ -65,7 +65,7 @@ class Evidence(Protocol):
         """Whether speeds and φ absorb a `little` of an effect, so that it can't be told."""
 
     def near_nothing(self, kind: type[AnyEffect]) -> Sequence[AnyEffect]:
-        """Instances of little strength; for one parameter also the best of a coarse row."""
+        """Of a `kind`, with little strength; for one parameter the best of a coarse row too."""
 
     def swings(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """What is left, as a sum of swings: frequencies (F,) [Hz], from one period a recording to

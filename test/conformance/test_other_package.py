@@ -120,7 +120,8 @@ def test_physics_of_the_world_that_it_describes_is_found_too(installed, tmp_path
     scenario.write_text(SCENARIO.format(physics='langevin') + PARTICLES
                         + 'effects: {speed_by_place: {length_um: 100}}\n')
     microbot(installed, 'simulate', scenario, '--out', tmp_path / 'session')
-    microbot(installed, 'discover', tmp_path / 'session', '--out', tmp_path / 'found')
+    microbot(installed, 'discover', tmp_path / 'session', '--out', tmp_path / 'found',
+             '--jobs', 2)
     effect, = json.loads((tmp_path / 'found/result.json').read_text())['effects']
     assert effect['id'] == 'light_gradient'
     assert effect['status'] == 'established'
@@ -143,6 +144,17 @@ def test_what_it_cannot_be_is_one_line(installed, tmp_path, effects, complaint):
     assert run.returncode == 2
     line, = run.stderr.splitlines()
     assert re.match(rf'microbot: .*scenario.yaml:\d+: .*{complaint}', line)
+
+
+def test_the_worlds_for_training_refuse_it(installed, tmp_path):
+    pytest.importorskip('gymnasium')
+    scenario = tmp_path / 'scenario.yaml'
+    scenario.write_text(SCENARIO.format(physics='langevin') + PARTICLES + THERE)
+    run = python(installed, '-c', 'import sys; from microbot_ros.gym.worlds import SteeredWorlds;'
+                 'SteeredWorlds(1, sys.argv[1], None, None)', scenario)
+    assert run.stderr.splitlines()[-1].endswith(
+        "scenario.yaml: 'effects': expected effects that the physics knows, not light_gradient of "
+        'another package')
 
 
 @pytest.mark.parametrize('kind', [PARTICLES, 'model: model.yaml\n'])
