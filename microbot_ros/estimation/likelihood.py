@@ -307,7 +307,7 @@ def eliminate(gram: np.ndarray) -> np.ndarray:
 
 
 def solve(square: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Solutions for (N, 2, 2) matrices; zero where there is nothing to solve for."""
+    """x of `square` (N, 2, 2) · x = `right` (N, 2, M); zero where nothing is to be solved."""
     power = np.trace(square, axis1=1, axis2=2)[:, None, None]
     safe = square + np.where(power > 0, 1e-12 * power, 1.0) * np.eye(2)
     solved: np.ndarray = np.linalg.solve(safe, right)
