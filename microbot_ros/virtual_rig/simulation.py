@@ -122,7 +122,9 @@ def _model(scenario: Scenario, source: str) -> Model:
     except InputError:
         raise
     except ValueError as error:
-        raise InputError(source, f"'effects': {error}, for first_order physics") from None
+        key, _, problem = str(error).partition(': ')
+        raise InputError(
+            source, f"'effects.{key}': {problem}, for first_order physics") from None
     return Model(scenario.reference_field, scenario.propulsion, effects)
 
 

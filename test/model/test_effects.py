@@ -1,4 +1,4 @@
-"""A walk over the whole library: names, units, strength zero, derivatives, shapes, gaps."""
+"""A walk over the built-in effects: names, units, strength zero; the rest is in the kit."""
 
 import dataclasses
 
@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from microbot_ros import units
-from microbot_ros.model.effect_context import EffectContext, Places
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.effects.incomplete_alignment import langevin_function
 from microbot_ros.model.increments import respond
@@ -141,90 +140,11 @@ def test_at_strength_zero_it_does_nothing_whatever_its_shape(effect, data):
     np.testing.assert_allclose(moved(off, line), baseline(effect, line), rtol=1e-12, atol=1e-21)
 
 
-@every_effect
-def test_at_plain_strength_it_shows(effect):
-    line = timeline()
-    difference = np.abs(moved(PLAIN[effect.id], line) - baseline(effect, line))
-    assert difference.sum(axis=0).max() > 1e-7
-
-
-@every_effect
-def test_central_differences_are_finite_smooth_and_not_all_zero(effect):
-    model, line = model_of(PLAIN[effect.id]), timeline()
-    at = model.vector()
-
-    def slope(k: int, step: float) -> np.ndarray:
-        shift = step * np.eye(len(at))[k]
-        ends = (respond(model.with_vector(at + s), line).increments(particles())
-                for s in (shift, -shift))
-        return (next(ends) - next(ends)) / (2 * step)
-
-    for k, p in enumerate(effect.parameters()):
-        coarse, fine = slope(k, 1e-3), slope(k, 1e-4)
-        assert np.isfinite(fine).all(), p.name
-        assert np.abs(fine).max() > 1e-12, p.name
-        np.testing.assert_allclose(coarse, fine, atol=1e-4 * np.abs(fine).max(), err_msg=p.name)
-
-
-@every_effect
-def test_hooks_broadcast_over_time_and_particles(effect):
-    rng = np.random.default_rng(1)
-    shape = (4, 3)
-    context = EffectContext(
-        t=rng.uniform(0, 9, (*shape, 1)), span=rng.uniform(0, 0.1, (*shape, 1)),
-        field=rng.normal(0, 1e-3, (*shape, 1, 2)), frequency=rng.uniform(1, 9, (*shape, 1)),
-        reference_field=1e-3, places=Places(rng.normal(0, 3e-5, (*shape, 5, 2))),
-    )
-    model = model_of(PLAIN[effect.id])
-    together = hooks(model, context, shape)
-    for i, j in np.ndindex(shape):
-        one = EffectContext(
-            context.t[i, j], context.span[i, j], context.field[i, j], context.frequency[i, j],
-            1e-3, Places(context.position[i, j]))
-        for all_of_them, alone in zip(together, hooks(model, one, ()), strict=True):
-            np.testing.assert_allclose(all_of_them[i, j], alone, rtol=1e-12, atol=1e-22)
-
-
-def hooks(model: Model, context: EffectContext, shape: tuple[int, ...]) -> list[np.ndarray]:
-    """What every hook gives, for five particles."""
-    rate, drift = model.alignment_rate(context), model.drift(context)
-    return [
-        model.field(context.field),
-        np.broadcast_to(model.heading_offset(context), (*shape, 5)),
-        np.broadcast_to(0.0 if rate is None else rate, (*shape, 5)),
-        np.broadcast_to(model.speed_factor(context), (*shape, 5)),
-        np.broadcast_to(0.0 if drift is None else drift, (*shape, 5, 2)),
-        model.observe(context.position),
-    ]
-
-
-@every_effect
-def test_a_missing_particle_is_absent_for_the_others(effect):
-    line = timeline(count=4, frames=31)
-    gap = line.positions.copy()
-    gap[10:20, 3] = np.nan
-    with_gap = Timeline(line.commands, line.times, gap)
-    without = Timeline(line.commands, line.times, line.positions[:, :3])
-    seen = moved(PLAIN[effect.id], with_gap)
-    three = respond(model_of(PLAIN[effect.id]), without)
-    alone = three.increments(ParticleParameters(*(a[:3] for a in (
-        particles(4).ids, particles(4).speed, particles(4).phi))))
-    np.testing.assert_allclose(seen[10:20, :3], alone[10:20], rtol=1e-12, atol=1e-21)
-    np.testing.assert_array_equal(seen[:10], moved(PLAIN[effect.id], line)[:10])
-
-
 def test_langevin_between_its_limits():
     x = np.array([0.0, 1e-6, 9.999e-3, 1.0001e-2, 1.0, 50.0, 1e9])
     exact = [0.0, 1e-6 / 3, 9.999e-3 / 3 - 9.999e-3**3 / 45, 1.0001e-2 / 3 - 1.0001e-2**3 / 45,
              0.31303528549933130, 1 - 1 / 50, 1 - 1e-9]
     np.testing.assert_allclose(langevin_function(x), exact, rtol=1e-9)
-
-
-@every_effect
-def test_observing_and_the_true_position_are_inverse(effect):
-    position = np.random.default_rng(2).normal(0, 1e-5, (6, 2, 2))
-    one = PLAIN[effect.id]
-    np.testing.assert_allclose(one.true_position(one.observe(position)), position, rtol=1e-15)
 
 
 @pytest.mark.parametrize('name', ['hot_spot', 'linear_flow', 'gradient_force',
