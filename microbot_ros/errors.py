@@ -20,6 +20,10 @@ class InputError(ValueError):
         super().__init__(f'{place}: {expected}' if place else expected)
 
 
+class PackageError(InputError):
+    """An installed package is not as expected, whatever file was being read."""
+
+
 class RigError(RuntimeError):
     """A running rig did not do what it was asked: a node is missing, is silent or refuses.
 

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import pydantic
 import yaml
 
-from microbot_ros.errors import InputError
+from microbot_ros.errors import InputError, PackageError
 
 
 class Settings(pydantic.BaseModel):
@@ -50,7 +50,7 @@ def read_yaml(path: str | Path, settings: type[SettingsT]) -> SettingsT:
     except pydantic.ValidationError as error:
         first = error.errors()[0]
         cause = first.get('ctx', {}).get('error')
-        if isinstance(cause, InputError):  # not this file is wrong: it says what is
+        if isinstance(cause, PackageError):
             raise cause from None
         raise InputError(path, _explain(first, settings), _line_of(tree, first['loc'])) from None
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from importlib.metadata import EntryPoint, entry_points
 
-from microbot_ros.errors import InputError
+from microbot_ros.errors import PackageError
 from microbot_ros.model.effect import STAGES, Effect
 
 GROUP = 'microbot_ros.effects'
@@ -20,7 +20,7 @@ class Library(Mapping[str, type[Effect]]):
 
     By stage; within one, other packages' act after the built-in ones, in alphabetical order. A
     missing hypothesis would not be noticed in what discovery says, so one that can't be used is
-    no warning: InputError.
+    no warning: PackageError.
     """
 
     def __init__(self, built_in: Sequence[type[Effect]]) -> None:
@@ -42,13 +42,13 @@ class Library(Mapping[str, type[Effect]]):
         effects, origin = dict(self._built_in), dict.fromkeys(self._built_in, 'microbot_ros')
         for point in points:
             if point.name in effects:
-                raise InputError(_place(point), f'expected a name of its own; '
+                raise PackageError(_place(point), f'expected a name of its own; '
                                  f'{origin[point.name]} has an effect of that name')
             effects[point.name], origin[point.name] = _load(point), _package(point)
         for point in points:
             for other in effects[point.name].confounded_with:
                 if other not in effects:
-                    raise InputError(_place(point), f"'confounded_with': no effect '{other}' is "
+                    raise PackageError(_place(point), f"'confounded_with': no effect '{other}' is "
                                      f'known; expected some of: {", ".join(effects)}')
         return dict(sorted(effects.items(), key=lambda item: STAGES.index(item[1].stage)))
 
@@ -58,14 +58,14 @@ def _load(point: EntryPoint) -> type[Effect]:
         found = point.load()
     except Exception as error:
         reason = ' '.join(f'{type(error).__name__}: {error}'.split())
-        raise InputError(
+        raise PackageError(
             _place(point), f"expected '{point.value}' to load; {reason}") from error
     if not (isinstance(found, type) and issubclass(found, Effect)):
-        raise InputError(
+        raise PackageError(
             _place(point), f"expected '{point.value}' to be a class that derives from Effect")
     missing = _missing(found, point.name)
     if missing:
-        raise InputError(_place(point), f'expected {missing}')
+        raise PackageError(_place(point), f'expected {missing}')
     return found
 
 
