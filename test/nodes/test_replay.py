@@ -356,7 +356,7 @@ def steered_live(ros: Any, folder: Path) -> Path:
     """Two particles, goals, a switch of controllers and poses that come too late, live."""
     out = folder / 'live'
     graph = ros({'recorder': {'folder': str(out), 'topics': KEPT},
-                 'model': {'radius_um': 2.3, 'viscosity_mPa_s': 1.245},
+                 'model': {'radius_um': 10.0, 'viscosity_mPa_s': 1.245},
                  'controller': {'deadline_ms': 500.0}})
     for name in ('recorder', 'model', 'controller'):
         graph.add(name)
@@ -371,13 +371,18 @@ def steered_live(ros: Any, folder: Path) -> Path:
                 and all(graph.probe.count_publishers(topic) for topic in topics))
     graph.until(lambda: {'model', 'controller'} <= graph.nodes['recorder']._collector.answered)
     points = np.zeros(2, PARTICLE)
-    points['id'], points['sigma'] = [1, 2], 1e-7
+    points['id'], points['sigma'] = [1, 2], 1e-8
     rng = np.random.default_rng(5)
-    answered = 0
+    answered, place, before = 0, np.zeros((2, 2)), None
     for frame in range(FRAMES):
         now = graph.probe.get_clock().now().nanoseconds * 1e-9
+        if before is not None:  # they swim along the field of the frame before
+            place = place + 15e-6 * (now - before) * np.array(
+                [np.cos((frame - 1) / 9), np.sin((frame - 1) / 9)])
+        before = now
         for k in range(3):
-            field = 5e-3 * np.array([np.cos(frame / 9 + k), np.sin(frame / 9 + k)])
+            angle = frame / 9 - 0.02 * k
+            field = 5e-3 * np.array([np.cos(angle), np.sin(angle)])
             applied.publish(messages.magnetic_field(field, messages.to_stamp(now - 4e-3 * k)))
         if frame in (20, 60):
             goals.publish(messages.poses(
@@ -386,7 +391,7 @@ def steered_live(ros: Any, folder: Path) -> Path:
             name = Parameter('controller', value='waypoint' if frame == 10 else 'formation')
             graph.call(SetParameters, 'controller/set_parameters',
                        SetParameters.Request(parameters=[name.to_parameter_msg()]))
-        points['x'], points['y'] = rng.normal(0, 1e-7, (2, 2)) + frame * 5e-8
+        points['x'], points['y'] = (place + rng.normal(0, 1e-8, (2, 2))).T
         late = frame in (30, 31, 70)
         stamp = now if not late else now - 1.0 + frame * 1e-3
         particles.publish(messages.cloud(points, messages.to_stamp(stamp)))
