@@ -45,16 +45,15 @@ def predict(found: Discovery, left: Residual) -> Prediction:
     """The check of what was `found` on the session that its particles belong to.
 
     `left` is the residual of that session. The band is wide by diffusion, by two readings, and by
-    how well v and φ are known: their error carries a particle off in proportion to the way it has
-    swum.
+    how well v and φ are known beside the effects: their error carries a particle off in
+    proportion to the way it has swum.
     """
     starts = _starts(left)
     measured, without, swum = (_since(x, starts) for x in (left.found, left.plain, left.path))
     elapsed = np.take(left.times, starts).T
     elapsed = np.where(starts.T >= 0, left.times - elapsed, np.nan)
-    swim_std = np.array([p.speed.std for p in found.baseline[-len(left.names):]])[:, None]
     variance = (2 * found.diffusion.value * elapsed + 2 * found.localisation.value**2
-                + swim_std**2 * (swum**2).sum(axis=-1))
+                + left.speed_std[:, None] ** 2 * (swum**2).sum(axis=-1))
     return Prediction(left.times, left.names, measured, without, EDGE * np.sqrt(variance),
                       elapsed)
 

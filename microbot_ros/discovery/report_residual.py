@@ -25,8 +25,9 @@ class Residual:
     `times` (T,) [s] from the first frame; `names` of the particles; `places` (T, N, 2) [m]: where
     last seen; `found` and `plain` (T, N, 2) [m]: positions less the displacement since the first
     frame by the model found and by the first-order model, NaN for gaps; `path` (T, N, 2) [s], for
-    rollers [s·Hz]: what a particle of unit speed and φ = 0 would have moved; `jumps` (T, N) bool:
-    steps beyond any motion.
+    rollers [s·Hz]: what a particle of unit speed and φ = 0 would have moved; `speed_std` (N,): how
+    well v is known beside the effects found, which share what they don't tell from it; `jumps`
+    (T, N) bool: steps beyond any motion.
     """
 
     times: np.ndarray
@@ -35,6 +36,7 @@ class Residual:
     found: np.ndarray
     plain: np.ndarray
     path: np.ndarray
+    speed_std: np.ndarray
     jumps: np.ndarray
 
 
@@ -47,6 +49,8 @@ def residual(found: Discovery, session: Session) -> Residual:
     ratio = max(found.localisation.value**2 / found.diffusion.value, 1e-6)
     plain = ExpectedDisplacement.of(model, whole.timeline)
     refitted = SessionFit.of(prepared, Whitening(ratio), plain).velocity_phasor
+    beside = SessionFit.of(
+        prepared, Whitening(ratio), ExpectedDisplacement.of(found.model, prepared.timeline))
     moved = ExpectedDisplacement.of(found.model, replace(
         whole, causal_positions=places).timeline).at(found.particles.velocity_phasor)
     steps = np.hypot(*np.moveaxis(np.diff(positions, axis=0, prepend=np.nan), -1, 0))
@@ -54,7 +58,7 @@ def residual(found: Discovery, session: Session) -> Residual:
         whole.times, tuple(str(i) for i in found.particles.ids), places,
         positions - as_vectors(moved),
         positions - as_vectors(plain.at(refitted[prepared.main])),
-        as_vectors(np.broadcast_to(plain.along, whole.z.shape)),
+        as_vectors(np.broadcast_to(plain.along, whole.z.shape)), beside.phasor_std[prepared.main],
         np.nan_to_num(steps) > JUMP * np.nanquantile(steps, 0.99))
 
 

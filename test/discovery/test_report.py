@@ -138,10 +138,11 @@ def test_the_band_holds_how_well_speed_and_phi_are_known(drifting):
     """Until the first switch a particle is as far off as its velocity times the time."""
     found, session = drifting
     certain = replace(
-        found, diffusion=Estimate.normal(0.0, 0.0), localisation=Estimate.normal(0.0, 0.0),
-        baseline=tuple(replace(p, speed=Estimate.normal(p.speed.value, 1e-7 * (n + 1)))
-                       for n, p in enumerate(found.baseline)))
-    prediction = predict(certain, residual(found, session))
+        found, diffusion=Estimate.normal(0.0, 0.0), localisation=Estimate.normal(0.0, 0.0))
+    left = residual(found, session)
+    assert left.speed_std == pytest.approx([p.speed.std for p in found.baseline], rel=0.1)
+    known = replace(left, speed_std=1e-7 * np.arange(1, len(left.names) + 1))
+    prediction = predict(certain, known)
     straight = prediction.times < session.commands.t[1]
     for n, band in enumerate(prediction.band[:, straight]):
         expected = 1.645 * 1e-7 * (n + 1) * prediction.elapsed[n, straight]
