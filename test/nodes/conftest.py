@@ -93,7 +93,7 @@ class Ros:
             node.trigger_activate()
         return node
 
-    def until(self, true: Callable[[], Any], seconds: float = 10.0) -> None:
+    def until(self, true: Callable[[], Any], seconds: float = 20.0) -> None:
         """Spin until something is true; fail if it does not become so."""
         deadline = time.monotonic() + seconds
         while not true():
