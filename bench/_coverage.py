@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench._hidden_suite import FIELD, FLUID, Blind
-from bench._score_card import Case, one_each
+from bench._hidden_suite import FLUID, Blind
+from bench._score_card import Case, one_each, truths
 from microbot_ros.discovery.intervals import Intervals
 from microbot_ros.discovery.result import Estimate
 from microbot_ros.discovery.search import fit_candidate
@@ -22,10 +22,6 @@ from microbot_ros.estimation.prepared_session import prepare
 from microbot_ros.model.model import Model
 from microbot_ros.model.particle import stokes_drag
 from microbot_ros.records import Session
-from microbot_ros.units import to_si
-
-PERIODIC = ('direction_rad', 'phase_rad')
-"""A swing is the same a half turn on: of its four parameters size and frequency are compared."""
 
 
 @dataclass(frozen=True)
@@ -84,18 +80,6 @@ def _published(drawn: Blind, fit: ModelFit, name: str) -> Iterator[tuple[str, Es
     blurred = diffusion * camera.exposure / camera.frame_rate / 3
     yield 'D', known.diffusion(), diffusion
     yield 'σ', known.localisation(), math.sqrt(max(camera.noise**2 - blurred, 0.0))
-    if name and name != 'drive_response':  # curves fitted to it have no true values
-        yield from _parameters(drawn, known, fit, name)
-
-
-def _parameters(drawn: Blind, known: Intervals, fit: ModelFit,
-                name: str) -> Iterator[tuple[str, Estimate, float]]:
-    for parameter, estimate in known.effect(name).items():
-        if parameter in PERIODIC:
-            continue
-        true = to_si(parameter, drawn.hidden[name][parameter])
-        if name == 'alignment_lag':  # stated at a reference field, which may be another
-            true *= FIELD / fit.model.reference_field
-        if parameter == 'amplitude_um_s' and estimate.value < 0:
-            true = -true
-        yield 'parameters', estimate, true
+    if name:
+        for estimate, true in truths(drawn, name, known.effect(name), fit.model):
+            yield 'parameters', estimate, true

@@ -14,7 +14,7 @@ import numpy as np
 from bench._hidden_effects import LISTED, UNLISTED
 from bench._hidden_suite import COMMANDS, FIELD, Blind, blind
 from microbot_ros.discovery.discover import discover
-from microbot_ros.discovery.result import Discovery
+from microbot_ros.discovery.result import Discovery, Estimate
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model
 from microbot_ros.records import Session
@@ -131,24 +131,33 @@ def true_model(session: Blind) -> Model:
 
 
 def covered(session: Blind, found: Discovery) -> Iterator[bool]:
-    """For every parameter of a right name whether value ± 1.96 std holds the truth.
+    """For every parameter of a right name whether its 95 % interval holds the truth."""
+    for effect in found.effects:
+        if effect.status == 'established' and effect.id in session.hidden:
+            for estimate, true in truths(session, effect.id, effect.parameters, found.model):
+                if np.isfinite(estimate.std):
+                    yield estimate.low <= true <= estimate.high
+
+
+def truths(session: Blind, effect: str, estimates: Mapping[str, Estimate],
+           model: Model) -> Iterator[tuple[Estimate, float]]:
+    """The estimates of a hidden effect's parameters under a `model`, each with the true value.
 
     A swing is the same a half turn on: of its four parameters size and frequency are compared.
     Curves fitted to a drive's response have no true values. An alignment time is one at the
     reference field, which is another where the session does not state it.
     """
-    for effect in found.effects:
-        if effect.status != 'established' or effect.id == 'drive_response':
+    if effect == 'drive_response':
+        return
+    for name, hidden in session.hidden[effect].items():
+        if name in ('direction_rad', 'phase_rad'):
             continue
-        for name, true in session.hidden.get(effect.id, {}).items():
-            if name in ('direction_rad', 'phase_rad'):
-                continue
-            estimate, true = effect.parameters[name], to_si(name, true)
-            if effect.id == 'alignment_lag':
-                true *= FIELD / found.model.reference_field
-            value = abs(estimate.value) if name == 'amplitude_um_s' else estimate.value
-            if np.isfinite(estimate.std):
-                yield abs(value - true) <= 1.96 * estimate.std
+        estimate, true = estimates[name], to_si(name, hidden)
+        if effect == 'alignment_lag':
+            true *= FIELD / model.reference_field
+        if name == 'amplitude_um_s':
+            true = math.copysign(true, estimate.value)
+        yield estimate, true
 
 
 Given, Judged = TypeVar('Given'), TypeVar('Judged')

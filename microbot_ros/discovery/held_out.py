@@ -6,9 +6,8 @@ every fit begins anew from the frames that it may see.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -41,14 +40,6 @@ def block_of(session: PreparedSession, blocks: int) -> np.ndarray:
     """The block (T,) of every frame."""
     times = session.times
     return np.minimum((times - times[0]) / np.ptp(times) * blocks, blocks - 1).astype(int)
-
-
-def _parts(sessions: Sequence[PreparedSession], blocks: int, chosen: Callable[[np.ndarray],
-           np.ndarray]) -> tuple[list[PreparedSession], list[PreparedSession]]:
-    """Sessions with nothing but the blocks that are `chosen`, and with nothing but the others."""
-    inside = [chosen(block_of(session, blocks)) for session in sessions]
-    return ([s.only(frames) for s, frames in zip(sessions, inside, strict=True)],
-            [s.only(~frames) for s, frames in zip(sessions, inside, strict=True)])
 
 
 def learn(model: Model, sessions: Sequence[PreparedSession], names: Iterable[str]) -> ModelFit:
@@ -87,7 +78,8 @@ def log_e_value(model: Model, sessions: Sequence[PreparedSession], effect: str) 
     shortest = min(float(np.ptp(session.times)) for session in sessions)
     fine = int(np.clip(shortest / SHORTEST, COARSE, FINE)) // 2 * 2
     for blocks in dict.fromkeys((COARSE, fine)):
-        even, odd = _parts(sessions, blocks, lambda block: block % 2 == 0)
+        even, odd = ([s.only(block_of(s, blocks) % 2 == half) for s in sessions]
+                     for half in (0, 1))
         for known, judged in ((even, odd), (odd, even)):
             learned = learn(bare, known, rest)
             found = fit_candidate(learned, effect)
@@ -158,7 +150,7 @@ def held_out_gap(fit: ModelFit, sessions: Sequence[PreparedSession],
     bare, names = replace(fit.model, effects=()), [e.id for e in fit.model.effects]
     errors: list[list[np.ndarray]] = [[] for _ in range(3 if truth else 2)]
     for block in range(BLOCKS):
-        _, rest = _parts(sessions, BLOCKS, partial(np.equal, block))
+        rest = [s.only(block_of(s, BLOCKS) != block) for s in sessions]
         before = learn(bare, rest, ())
         learned = [before, learn(bare, rest, names) if names else before]
         if truth:

@@ -91,11 +91,10 @@ class Intervals:
     def _parameter(self, k: int, parameter: Parameter) -> Estimate:
         x, std = float(self._fit.model.vector()[k]), float(self._std[k])
         slope = parameter.scale / x**2 if parameter.inverse and x else parameter.scale
-        low, high = parameter.fit_bounds
-        ends = self._profiles[k].ends() if k in self._profiles else (
-            max(x - ROOT * std, low), min(x + ROOT * std, high))
-        if _is_angle(parameter):
-            ends = x - ROOT * std, x + ROOT * std
+        if parameter.is_angle:  # without bounds
+            return Estimate.normal(parameter.from_fit(x), std * slope)
+        ends = (self._profiles[k].ends() if k in self._profiles
+                else (x - ROOT * std, x + ROOT * std))
         return Estimate(parameter.from_fit(x), std * slope,
                         *sorted(parameter.from_fit(end) for end in ends))
 
@@ -103,7 +102,7 @@ class Intervals:
     def _profiles(self) -> dict[int, _Profile]:
         """Of the parameters whose likelihood is no parabola, by their place in the vector."""
         return {k: found for k, (_, parameter) in enumerate(self._fit.model.parameters)
-                if self._complete and np.isfinite(self._std[k]) and not _is_angle(parameter)
+                if self._complete and np.isfinite(self._std[k]) and not parameter.is_angle
                 and (found := _follow(self._fit, k, float(self._std[k]), parameter))}
 
     def particles(self) -> tuple[Particle, ...]:
@@ -140,15 +139,16 @@ class Intervals:
 
     def diffusion(self) -> Estimate:
         """D [m²/s], averaged over sessions."""
-        return _mean([_diffusion(n) for n in self._fit.noises()])
+        return _mean([_diffusion(n) for n in self._noises])
 
     def localisation(self) -> Estimate:
         """σ [m], averaged over sessions; its interval may begin at nothing."""
-        return _mean([_localisation(n) for n in self._fit.noises()])
+        return _mean([_localisation(n) for n in self._noises])
 
-
-def _is_angle(parameter: Parameter) -> bool:
-    return parameter.shape and parameter.name.endswith('_rad')
+    @cached_property
+    def _noises(self) -> list[Noise]:
+        """D and σ of every session, as for a strobe: an exposure would add DE/3 to σ²."""
+        return [p.noise() for p in self._fit.session_fits]
 
 
 def _follow(fit: ModelFit, k: int, std: float, parameter: Parameter) -> _Profile | None:

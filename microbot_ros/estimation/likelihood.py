@@ -97,8 +97,8 @@ class SessionFit:
     """One session under a model of given effects and noise ratio: all that follows in closed form.
 
     `session` and `whitening` as given, `expected` by the model. `gram` (N, 3, 3): real inner
-    products of `white` by particle, ; `log_det` = ½ log|V|;
-    `count` of the increments used, of two numbers.
+    products of `white` by track; `log_det` = ½ log|V|; `count` of the increments used, of two
+    numbers.
     """
 
     session: PreparedSession
@@ -134,26 +134,26 @@ class SessionFit:
 
     @cached_property
     def velocity_phasor(self) -> np.ndarray:
-        """v e^{iφ} (N,) of every particle [m/s, for rollers m/s/Hz]; 0 where nothing drove it."""
+        """v e^{iφ} (N,) of every track [m/s, for rollers m/s/Hz]; 0 where nothing drove it."""
         solved = solve(self.gram[:, 1:, 1:], self.gram[:, 1:, :1])[..., 0]
         own: np.ndarray = solved[:, 0] + 1j * solved[:, 1]
         return own
 
     @cached_property
     def power(self) -> np.ndarray:
-        """Information (P,) about each axis of v e^{iφ}, times D; 0 where nothing drove it."""
+        """Information (N,) about each axis of v e^{iφ}, times D; 0 where nothing drove it."""
         power: np.ndarray = np.trace(self.gram[:, 1:, 1:], axis1=1, axis2=2) / 2
         return power
 
     @property
     def phasor_std(self) -> np.ndarray:
-        """Standard deviation (P,) of v e^{iφ} per axis; infinite where nothing drove it."""
+        """Standard deviation (N,) of v e^{iφ} per axis; infinite where nothing drove it."""
         driven = self.power > 0
         return np.sqrt(np.where(
             driven, self.diffusion / np.where(driven, self.power, 1), np.inf))
 
     def polar(self) -> Polar:
-        """Speed and φ of every particle (P,), with their spreads; NaN where nothing drove it."""
+        """Speed and φ of every track (N,), with their spreads; NaN where nothing drove it."""
         std = self.phasor_std
         return polar(self.velocity_phasor, np.where(np.isfinite(std), std, np.nan))
 
@@ -203,17 +203,19 @@ class SessionFit:
 
         What has a `key` is remembered by it for this session and noise, the latest few of them.
         """
-        known: dict[Hashable, np.ndarray] = vars(self.whitening).setdefault('_columns', {})
+        # With its session, as an id is given again once that is gone.
+        known: dict[Hashable, tuple[PreparedSession, np.ndarray]]
+        known = vars(self.whitening).setdefault('_columns', {})
         place = key and (id(self.session), key)
         if place in known:
-            return known[place]
+            return known[place][1]
         moved = np.ascontiguousarray(
             np.broadcast_to(column(), self.session.z.shape)[..., None], complex)
         white: np.ndarray = self.whitening.apply(self.session, moved)[0][..., 0]
         if place:
             if len(known) >= REMEMBERED:
                 del known[next(iter(known))]
-            known[place] = white
+            known[place] = self.session, white
         return white
 
     def with_noise_ratio(self, ratio: float) -> SessionFit:
@@ -288,7 +290,7 @@ def _columns(session: PreparedSession, expected: ExpectedDisplacement) -> np.nda
 
 
 def inner(columns: np.ndarray) -> np.ndarray:
-    """Real inner products (N, M, M) of complex `columns` (T, N, M), by particle."""
+    """Real inner products (N, M, M) of complex `columns` (T, N, M), by track."""
     real = np.ascontiguousarray(columns.transpose(1, 2, 0)).view(float)
     product: np.ndarray = real @ real.transpose(0, 2, 1)
     return product

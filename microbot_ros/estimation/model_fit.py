@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from microbot_ros.estimation.likelihood import (
     search_noise_ratio,
     solve,
 )
-from microbot_ros.estimation.noise import Noise
 from microbot_ros.estimation.phasor import Polar
 from microbot_ros.estimation.prepared_session import (
     ROTATIONAL_DIFFUSION,
@@ -80,13 +79,8 @@ class ModelFit:
         white = []
         for p in self.session_fits:
             here = p.expected.at(p.velocity_phasor)
-            columns = []
-            for model, step, key in zip(changed, steps, keys, strict=True):
-                def derivative(model: Model = model, step: float = step,
-                               p: SessionFit = p, here: np.ndarray = here) -> np.ndarray:
-                    moved = ExpectedDisplacement.of(model, p.session.timeline)
-                    return (moved.at(p.velocity_phasor) - here) / step
-                columns.append(p.white_column(key, derivative))
+            columns = [p.white_column(key, partial(_derivative, p, here, model, step))
+                       for model, step, key in zip(changed, steps, keys, strict=True)]
             white.append(np.stack(columns, axis=-1) / np.sqrt(p.diffusion) if columns
                          else np.empty((*p.session.z.shape, 0), complex))
         return tuple(white)
@@ -127,10 +121,6 @@ class ModelFit:
         visible = np.diag(total)[1:] > COLLINEAR * raw[1:]
         return total[1:, 1:], total[1:, 0], visible
 
-    def noises(self) -> list[Noise]:
-        """D and σ of every session, as for a strobe: an exposure would add DE/3 to σ²."""
-        return [p.noise() for p in self.session_fits]
-
     @cached_property
     def covariance(self) -> np.ndarray:
         """Of the effects' parameters in fit coordinates (P, P); infinite where not visible."""
@@ -143,6 +133,12 @@ class ModelFit:
         variance = np.diagonal(result)
         np.fill_diagonal(result, np.where(variance > 0, variance, np.inf))
         return result
+
+
+def _derivative(fit: SessionFit, here: np.ndarray, model: Model, step: float) -> np.ndarray:
+    """What a `model` that is a `step` away moves the tracks further than `here`, (T, N) [m]."""
+    moved = ExpectedDisplacement.of(model, fit.session.timeline)
+    return (moved.at(fit.velocity_phasor) - here) / step
 
 
 def _constant(model: Model, name: str, parameter: Parameter) -> Hashable:
@@ -183,7 +179,7 @@ def maximise(fit: ModelFit, iterations: int = 20, held: int | None = None) -> Mo
     if not fit.model.effects:
         return fit
     low, high = np.array([p.fit_bounds for _, p in fit.model.parameters]).T
-    angle = np.array([p.shape and p.name.endswith('_rad') for _, p in fit.model.parameters])
+    angle = np.array([p.is_angle for _, p in fit.model.parameters])
     low, high = np.where(angle, -np.inf, low), np.where(angle, np.inf, high)
     if held is not None:
         low[held] = high[held] = fit.model.vector()[held]
@@ -265,9 +261,8 @@ def whitening_on(model: Model, known: SessionFit, session: PreparedSession) -> W
     """The noise of a `known` fit of a `model`, for another `session` of the same particles."""
     if known.whitening.sensitivity is None:
         return known.whitening
-    heading = _heading_noise(model, session, known.velocity_phasor)
-    return Whitening(known.whitening.noise_ratio, known.whitening.diffusion_ratio, *heading,
-                     known.whitening.stretch)
+    sensitivity, retention = _heading_noise(model, session, known.velocity_phasor)
+    return replace(known.whitening, sensitivity=sensitivity, retention=retention)
 
 
 def _heading_noise(model: Model, session: PreparedSession,

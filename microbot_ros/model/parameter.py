@@ -35,6 +35,11 @@ class Parameter:
         """The name of the field that holds the value in SI: `wx` for `wx_um_s`."""
         return self.name.removesuffix(units.suffix(self.name))
 
+    @property
+    def is_angle(self) -> bool:
+        """Whether it is the same again a turn on: the direction or the phase of a shape."""
+        return self.shape and self.name.endswith('_rad')
+
     def to_fit(self, value: float) -> float:
         """The dimensionless coordinate used in fits: 0 at `null_value`."""
         return self.scale / value if self.inverse else (value - self.null_value) / self.scale

@@ -1,7 +1,9 @@
 """The likelihood is that of the dense Gaussian, and the filters make noise white."""
 
+import gc
 from dataclasses import replace
 from types import SimpleNamespace
+from weakref import ref
 
 import numpy as np
 import pytest
@@ -137,6 +139,26 @@ def test_a_stretched_picture_is_whitened_along_each_axis(heading):
     assert log_det == pytest.approx(
         np.linalg.slogdet(steps @ covariance @ steps.T)[1] / 2, abs=1e-9)
     assert used == count - 1
+
+
+def test_a_white_column_is_remembered_for_its_own_session_alone(film):
+    """One whitening serves many sessions, of which some are gone when others are made."""
+    whitening = Whitening(0.1)
+    model = Model.baseline(film(0, duration=4.0)[0].conditions, film(0, duration=4.0)[0].commands)
+
+    def remembered(seed):
+        session = prepare(film(seed, duration=4.0)[0])
+        part, = evaluate(model, [session], [whitening]).session_fits
+        column = session.z * np.arange(len(session.times))[:, None]
+        return (part.white_column('one', lambda: column),
+                part.white_column(None, lambda: column), ref(session))
+
+    for seed in range(4):
+        kept, plain, session = remembered(seed)
+        np.testing.assert_array_equal(kept, plain)
+        # Were it forgotten, another could be given its id, and with it its column.
+        gc.collect()
+        assert session() is not None
 
 
 def test_belief_is_the_kalman_filter_of_a_random_walk():
