@@ -139,7 +139,7 @@ def _all_different(sessions: list[PreparedSession]) -> None:
 def _runs(e: PreparedSession) -> set[int]:
     """Hashes of stretches of steps, wherever they lie and whenever they were made."""
     steps = np.rint(np.diff(e.z, axis=0) * 1e13)
-    steps[~(e.joined())] = np.nan
+    steps[~e.joined()] = np.nan
     return {
         hash(run.tobytes()) for track in np.ascontiguousarray(steps.T)
         for run in np.lib.stride_tricks.sliding_window_view(track, min(ALIKE, len(track)))
@@ -214,7 +214,7 @@ def at_a_wall(e: PreparedSession) -> np.ndarray:
     """
     swum = respond(Model.baseline(e.conditions, e.commands), e.timeline).propulsion
     swum = np.broadcast_to(swum, (len(e.times) - 1, len(e.ids)))
-    use = e.seen[1:] & e.seen[:-1]
+    use = e.joined()
     legs = e.commands.index_at(e.times[:-1])
     return np.array([
         _is_held(e.z[:-1, n][used], np.diff(e.z[:, n])[used], swum[used, n], legs[used])

@@ -146,8 +146,9 @@ class PreparedSession:
 
     def split_at_jumps(self) -> PreparedSession:
         """With another track after every step beyond any motion, if it has FEWEST rows."""
-        steps = np.where(self.joined(), np.abs(np.diff(self.z, axis=0)), 0.0)
-        usual = np.quantile(steps[self.joined()], 0.99) if self.joined().any() else 0.0
+        both = self.joined()
+        steps = np.where(both, np.abs(np.diff(self.z, axis=0)), 0.0)
+        usual = np.quantile(steps[both], 0.99) if both.any() else 0.0
         jumped = np.concatenate([np.zeros((1, self.z.shape[1]), bool), steps > JUMP * usual])
         if not jumped.any():
             return self

@@ -6,10 +6,10 @@ import re
 import shutil
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 import pytest
+from installed import install
 
 DOCS = Path(__file__).parents[2] / 'docs'
 EXAMPLE = DOCS / 'examples/my_effects'
@@ -59,17 +59,7 @@ for name in ('waypoint', 'predictive'):
 @pytest.fixture(scope='module')
 def installed(tmp_path_factory):
     """A folder on the path of Python with the example in it, as an installer leaves it."""
-    folder = tmp_path_factory.mktemp('site')
-    project = tomllib.loads((EXAMPLE / 'pyproject.toml').read_text())['project']
-    shutil.copytree(EXAMPLE / 'my_effects', folder / 'my_effects')
-    about = folder / f'{project["name"]}-{project["version"]}.dist-info'
-    about.mkdir()
-    (about / 'METADATA').write_text(
-        f'Metadata-Version: 2.1\nName: {project["name"]}\nVersion: {project["version"]}\n')
-    (about / 'entry_points.txt').write_text('\n'.join(
-        line for group, points in project['entry-points'].items()
-        for line in (f'[{group}]', *(f'{name} = {place}' for name, place in points.items()))))
-    return folder
+    return install(EXAMPLE, 'my_effects', tmp_path_factory.mktemp('site'))
 
 
 def python(site, *arguments):

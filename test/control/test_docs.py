@@ -2,13 +2,12 @@
 
 import os
 import re
-import shutil
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 import pytest
+from installed import install
 
 from microbot_ros.control import registry
 
@@ -34,16 +33,7 @@ print(round(np.arctan2(y, x), 6), kinds['northwards'].__module__)
 @pytest.fixture
 def installed(tmp_path):
     """A folder on the path of Python with the template in it, as an installer leaves it."""
-    project = tomllib.loads((TEMPLATE / 'pyproject.toml').read_text())['project']
-    shutil.copytree(TEMPLATE / 'my_lab', tmp_path / 'my_lab')
-    about = tmp_path / f'{project["name"]}-{project["version"]}.dist-info'
-    about.mkdir()
-    (about / 'METADATA').write_text(
-        f'Metadata-Version: 2.1\nName: {project["name"]}\nVersion: {project["version"]}\n')
-    (about / 'entry_points.txt').write_text('\n'.join(
-        line for group, points in project['entry-points'].items()
-        for line in (f'[{group}]', *(f'{name} = {place}' for name, place in points.items()))))
-    return tmp_path
+    return install(TEMPLATE, 'my_lab', tmp_path)
 
 
 def test_a_package_of_its_own_adds_a_controller(installed):
