@@ -142,11 +142,14 @@ def held_out_gap(fit: ModelFit, sessions: Sequence[PreparedSession],
 
     Of the first-order model and of that of a `fit`, as learned from the other blocks of prepared
     `sessions`. As the excess of one axis over what diffusion and localisation alone give; both
-    are those of `fit`. The effects of `truth`, where it is known, are not fitted. What depends on
-    position is taken where the particles were.
+    are those of `fit`, and so is the part of the sessions that is judged: no model foretells a
+    heading that chance has scattered. The effects of `truth`, where it is known, are not fitted.
+    What depends on position is taken where the particles were.
     """
     shortest = min(float(np.ptp(session.times)) for session in sessions)
     horizon = min(HORIZON, shortest / (2 * BLOCKS))
+    judged = [_explicable(session, p.session)
+              for session, p in zip(sessions, fit.session_fits, strict=True)]
     bare, names = replace(fit.model, effects=()), [e.id for e in fit.model.effects]
     errors: list[list[np.ndarray]] = [[] for _ in range(3 if truth else 2)]
     for block in range(BLOCKS):
@@ -158,10 +161,17 @@ def held_out_gap(fit: ModelFit, sessions: Sequence[PreparedSession],
             learned.append(fit_noise(evaluate(truth, rest, known)))
         for one, found in zip(learned, errors, strict=True):
             found += [_errors(one.model, p, session, block_of(session, BLOCKS) == block, horizon)
-                      for p, session in zip(one.session_fits, sessions, strict=True)]
+                      for p, session in zip(one.session_fits, judged, strict=True)]
     floor = _floor(fit, horizon)
     excess = [_excess(np.concatenate(found), floor) for found in errors]
     return Gap(horizon, excess[0], excess[1], floor, excess[2] if truth else float('nan'))
+
+
+def _explicable(session: PreparedSession, part: PreparedSession) -> PreparedSession:
+    """A `session` with the rows of the `part` of it that the model found can explain."""
+    pieces = np.zeros_like(session.pieces)
+    pieces[np.isin(session.times, part.times)] = part.pieces
+    return replace(session, pieces=pieces)
 
 
 def _excess(errors: np.ndarray, floor: float) -> float:
