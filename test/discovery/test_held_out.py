@@ -34,6 +34,16 @@ def test_gap_is_the_distance_that_the_drift_carries(drifting):
     assert gap.floor == pytest.approx(np.sqrt(2 * diffusion + 2 * 0.1e-6**2), rel=0.1)
 
 
+def test_headings_that_chance_has_scattered_are_no_gap(film):
+    """Turns of nearly 180° under a lag: what the lag can't foretell is not judged."""
+    session, _ = film(34, {'alignment_lag': {'tau_s': 0.4}}, duration=60.0, dwell=(0.4, 1.5))
+    lagging = StepwiseSelection(check_sessions([session])[0])
+    fit = lagging.fit(lagging.current.model.with_effect(EFFECTS['alignment_lag'](0.4)))
+    assert fit.session_fits[0].session.seen.sum() < lagging.sessions[0].seen.sum()
+    gap = held_out_gap(fit, lagging.sessions)
+    assert gap.after < 0.1 * gap.before
+
+
 def test_e_value_grows_for_what_is_there_and_not_for_what_is_not(drifting):
     there = drifting.current.model.with_effect(EFFECTS['uniform_drift'](0.5e-6, 0.0))
     assert log_e_value(there, drifting.sessions, 'uniform_drift') > 20
