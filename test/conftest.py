@@ -14,7 +14,7 @@ from _pytest.runner import runtestprotocol
 sys.path.insert(0, str(Path(__file__).parent))
 
 from domains import own_domain
-from stolen import STOLEN, Processors
+from stolen import Processors
 
 os.environ['ROS_DOMAIN_ID'] = str(own_domain())
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
@@ -34,12 +34,12 @@ def pytest_runtest_protocol(item: Any, nextitem: Any) -> bool:
     """Try a test again that failed while the host lent the processors to others."""
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
     for tried in range(1, _TRIES + 1):
-        processors = Processors()
-        reports = runtestprotocol(item, log=False, nextitem=nextitem)
-        if not any(report.failed for report in reports) or processors.stolen < STOLEN:
+        with Processors() as processors:
+            reports = runtestprotocol(item, log=False, nextitem=nextitem)
+        if not any(report.failed for report in reports) or processors.ours:
             break
         if tried < _TRIES:
-            print(f'\n{item.nodeid}: tried again, {processors.stolen:.0%} of processors stolen')
+            print(f'\n{item.nodeid}: tried again, {processors}')
             item._initrequest()
     for report in reports:
         item.ihook.pytest_runtest_logreport(report=report)
