@@ -233,9 +233,9 @@ class Yardstick:
         decay and slip, which would take most of it: the evidence that something else is there.
         """
         if effect in LISTED:
-            return self._left(self.path.t, self._caused(effect, parameters), beyond=False)
+            return self.left(self.path.t, self._caused(effect, parameters), beyond=False)
         session, _ = self.experiment.film({effect: parameters}, quiet=self.commands)
-        return self._left(*session.tracks.grid(), beyond=True)
+        return self.left(*session.tracks.grid(), beyond=True)
 
     def _caused(self, effect: str, parameters: Parameters) -> np.ndarray:
         """The displacement (T, N, 2) [m] that an effect adds up to along the path."""
@@ -258,16 +258,22 @@ class Yardstick:
         conditions = replace(self.experiment.conditions, reference_field=FIELD)
         return Model.baseline(conditions, self.commands)
 
-    def _left(self, times: np.ndarray, path: np.ndarray, beyond: bool) -> float:
-        """What of displacements (T, N, 2) the baseline can't absorb, whitened and squared."""
+    def left(self, times: np.ndarray, moved: np.ndarray, beyond: bool,
+             path: np.ndarray | None = None) -> float:
+        """What of displacements `moved` (T, N, 2) the baseline can't absorb, whitened and squared.
+
+        `beyond`: nor drift, decay, slip and the flow along the `path`, else along `moved`.
+        """
         keep = times >= self.commands.t[0]
-        times, z = times[keep], path[keep, :, 0] + 1j * path[keep, :, 1]
+        along_path = moved if path is None else path
+        times, z, place = times[keep], *(
+            part[keep, :, 0] + 1j * part[keep, :, 1] for part in (moved, along_path))
         swum = respond(self._baseline, Timeline(self.commands, times)).propulsion
         columns = [z, np.broadcast_to(_sum(swum), z.shape)]
         if beyond:
             age = times[:-1, None]
             aging = _sum(swum * age) * np.exp(1j * self.experiment.swarm['phi'])
-            x, y = (_sum(np.diff(times)[:, None] * part[:-1]) for part in (z.real, z.imag))
+            x, y = (_sum(np.diff(times)[:, None] * part[:-1]) for part in (place.real, place.imag))
             clock = np.broadcast_to(times[:, None] - times[0], z.shape)
             columns += [clock, 1j * clock, x, 1j * x, y, 1j * y, aging, 1j * aging]
         camera, body = self.experiment.camera, self.experiment.swarm[0]

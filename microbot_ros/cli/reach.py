@@ -111,8 +111,8 @@ def _swarm(model_file: Path | None, particles: tuple[str, ...], places: tuple[st
         if min(times) <= 0:
             raise InputError('--alignment-times-s', f'expected {count} positive times')
         lags = list(times)
-    return Swarm(
-        position, known.velocity_phasor, np.ones(count, complex), with_lags(model, lags), 0.0)
+    return Swarm(np.arange(count), position, known.velocity_phasor, np.ones(count, complex),
+                 with_lags(model, lags), 0.0)
 
 
 def _numbers(option: str, text: str, expected: str, count: int = 2) -> list[float]:

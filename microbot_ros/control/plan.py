@@ -38,10 +38,12 @@ class Plan:
 class Swarm:
     """The particles a plan is for, when it begins.
 
-    `position` (N,) complex [m]; `velocity` c = v e^{iφ} (N,) [m/s]; `heading` (N,): e^{i(θ − φ)};
-    `models` (N,): the model as each particle obeys it, differing in the alignment lag; `t` [s].
+    `ids` (N,); `position` (N,) complex [m]; `velocity` c = v e^{iφ} (N,) [m/s]; `heading` (N,):
+    e^{i(θ − φ)}; `models` (N,): the model as each particle obeys it, differing in the alignment
+    lag; `t` [s].
     """
 
+    ids: np.ndarray
     position: np.ndarray
     velocity: np.ndarray
     heading: np.ndarray
@@ -74,7 +76,8 @@ class Swarm:
         `field` (K, ..., 2) [T] in spans of `duration` (K,) [s]; `position` (K, ..., N) [m].
         """
         model = self.models[0]
-        places = Places(np.stack([position.real, position.imag], -1))
+        places = Places(np.stack([position.real, position.imag], -1), self.ids,
+                        np.angle(self.velocity))
         context = self._context(model, duration, model.field(field)[..., None, :], places)
         factor = np.broadcast_to(model.speed_factor(context), position.shape)
         drift = model.drift(context)
@@ -87,7 +90,9 @@ class Swarm:
         shape = (len(duration), *(1,) * (field.ndim - 2))
         span = duration.reshape(shape)
         middle = self.t + np.cumsum(duration).reshape(shape) - span / 2
-        return EffectContext(middle, span, field, np.ones(shape), model.reference_field, places)
+        # The command changes where a span begins.
+        return EffectContext(
+            middle, span, field, np.ones(shape), model.reference_field, places, span / 2)
 
 
 def with_lags(model: Model, lags: list[float | None]) -> tuple[Model, ...]:

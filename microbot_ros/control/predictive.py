@@ -131,7 +131,7 @@ class Predictive(Ensemble):
         models = with_lags(model.without_swings(), [
             lags[k] if 0 <= k < len(lags) else 0.0 for k in inputs.ids[rows].tolist()])
         swarm = self._follow(inputs, rows, Swarm(
-            as_complex(inputs.expected[rows]),
+            inputs.ids[rows], as_complex(inputs.expected[rows]),
             inputs.speed[rows] * np.exp(1j * inputs.phi[rows]),
             self._heading, models, inputs.delay))
         task = self._task(inputs, goals)
@@ -229,7 +229,7 @@ class Predictive(Ensemble):
 @functools.cache
 def _warm_up() -> None:
     """One plan from beginning to end, so that whatever compiles does it now, once a process."""
-    swarm = Swarm(np.zeros(2, complex), np.array([1e-6, 1e-6j]), np.ones(2, complex),
+    swarm = Swarm(np.arange(2), np.zeros(2, complex), np.array([1e-6, 1e-6j]), np.ones(2, complex),
                   with_lags(Model(1e-3), [0.1, 0.3]), 0.0)
     view = Workspace(np.array([-1e-4, -1e-4]), np.array([1e-4, 1e-4]))
     task = Task(np.array([1e-5, 1e-5j]), 1e-3, view, np.empty(0), np.empty(0), 1e-7, 0.01)

@@ -34,7 +34,7 @@ def field_along(inputs: ControllerInput, angle: float, strength: float) -> np.nd
     limit = inputs.limits.field
     strength = min(strength, limit)
     wanted = np.array([strength * math.cos(angle), strength * math.sin(angle)])
-    if inputs.model is None or not inputs.model.effects:
+    if inputs.model is None or inputs.model.is_first_order:
         return wanted
     command = wanted.copy()
     for _ in range(6):

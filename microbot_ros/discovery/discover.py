@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -15,9 +15,12 @@ from microbot_ros.discovery.evidence import FitEvidence
 from microbot_ros.discovery.held_out import held_out_gap, log_e_value
 from microbot_ros.discovery.input_checks import check_sessions
 from microbot_ros.discovery.intervals import Intervals
+from microbot_ros.discovery.learned.learn import Finding, learn_term, relearn, with_term
+from microbot_ros.discovery.learned.likeness import confirmation, looks_like
 from microbot_ros.discovery.next_experiment import next_experiment
 from microbot_ros.discovery.result import (
     Discovery,
+    Learned,
     Limit,
     NamedEffect,
     ResidualMap,
@@ -99,22 +102,60 @@ def _discover(selection: StepwiseSelection, remarks: tuple[str, ...],
         one.entry(Intervals(one.own.fit), bool(unexplained)) for one in weak]
     told = not doubts and any(one.sure and one.dwarfs for one in assessments)
     rivals = [rival.fit.model for one in assessments for rival in one.rivals]
+    verdict = _verdict(effects, bool(unexplained) and not told)
+    learned = _learned(selection, effects, report) if verdict == 'unnamed' else None
+    if learned:
+        fit = with_term(learned[0], learned[1].term)
+        known = Intervals(fit, complete=False)
     report('predicting what was held out')
     return Discovery(
-        verdict=_verdict(effects, bool(unexplained) and not told),
+        verdict=verdict,
         effects=tuple(sorted(effects, key=lambda e: (e.p_value, -e.delta_bic))),
-        gap=held_out_gap(fit, selection.sessions, truth),
+        gap=held_out_gap(fit, selection.sessions, truth,
+                         partial(relearn, learned[1]) if learned else None),
         maps_before=before, maps_after=after, unexplained=unexplained,
         selection=tuple(selection.steps),
         limits=tuple(limit for found in selection.open for limit in _limits(found)),
         baseline=known.particles(),
         diffusion=known.diffusion(),
         localisation=known.localisation(),
-        next_experiment=next_experiment(fit, rivals),
+        next_experiment=(confirmation(learned[1], FitEvidence(start).duration / 60) if learned
+                         else next_experiment(fit, rivals)),
         model=fit.model,
         particles=_particle_parameters(fit),
         remarks=(*remarks, *_confounded(start)),
+        learned=learned and _told(learned[1], fit),
     )
+
+
+def _told(found: Finding, fit: ModelFit) -> Learned:
+    """What was `found`, and what a `fit` with it still leaves."""
+    return Learned(found.term, looks_like(found), found.log_evidence, found.odds, tuple(
+        m.against for m in _worst(m for m in residual_maps(fit) if m.fires)))
+
+
+def _learned(selection: StepwiseSelection, effects: Sequence[NamedEffect],
+             report: Callable[[str], None]) -> tuple[ModelFit, Finding] | None:
+    """A term for what no effect explains, and the fit beside which it explains most.
+
+    Beside all effects that were found, or, since those that only stand in for it are in its way,
+    beside none but the established ones.
+    """
+    fit = selection.current
+    sure = {e.id for e in effects if e.status == 'established'}
+    beside = [fit]
+    if any(e.id not in sure for e in fit.model.effects):
+        beside.append(selection.fit(replace(fit.model, effects=tuple(
+            e for e in fit.model.effects if e.id in sure))))
+    found = [(one, term) for one in beside if (term := learn_term(one, report))]
+    return max(found, key=_support, default=None)
+
+
+def _support(found: tuple[ModelFit, Finding]) -> float:
+    """Log likelihood with a term, as BIC and the evidence have it."""
+    fit, term = found
+    price = np.log(fit.count) / 2 * len(fit.model.vector())
+    return float(fit.log_likelihood - price + term.log_evidence)
 
 
 def _verdict(effects: Sequence[NamedEffect], incomplete: bool) -> Verdict:

@@ -6,7 +6,7 @@ every fit begins anew from the frames that it may see.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +22,7 @@ from microbot_ros.estimation.model_fit import (
     fit_sessions,
     whitening_on,
 )
-from microbot_ros.estimation.prepared_session import PreparedSession
+from microbot_ros.estimation.prepared_session import FEWEST, PreparedSession
 from microbot_ros.model.model import Model
 
 HORIZON = 1.0
@@ -30,6 +30,9 @@ HORIZON = 1.0
 
 BLOCKS = 5
 """Blocks of time that are predicted in turn, each from all others."""
+
+TURN = 2.4
+"""Horizons, or times of the fewest frames that are of use, in a block where blocks take turns."""
 
 COARSE, FINE, SHORTEST = 4, 16, 4.0
 """Blocks of time that make the halves of a split likelihood, every other one: cut twice, since
@@ -110,6 +113,7 @@ def _log_ratio(without: ModelFit, other: ModelFit, sessions: Sequence[PreparedSe
 
 def _carried_over(model: Model, known: SessionFit, session: PreparedSession) -> SessionFit:
     """A `model` on another `session` of the particles and the noise of a `known` one."""
+    session = replace(session, phi=np.angle(known.velocity_phasor))
     expected = ExpectedDisplacement.of(model, session.timeline)
     located = session.with_filtered_positions(
         expected.at(known.velocity_phasor), known.whitening.noise_ratio)
@@ -136,35 +140,49 @@ def _gram(here: SessionFit, shift: np.ndarray, jacobian: np.ndarray) -> np.ndarr
 
 # The gap in prediction --------------------------------------------------------------------------
 
-def held_out_gap(fit: ModelFit, sessions: Sequence[PreparedSession],
-                 truth: Model | None = None) -> Gap:
+def held_out_gap(fit: ModelFit, sessions: Sequence[PreparedSession], truth: Model | None = None,
+                 relearn: Callable[[ModelFit], ModelFit] | None = None) -> Gap:
     """Open-loop prediction over a horizon, each block predicted from a fit to all others.
 
     Of the first-order model and of that of a `fit`, as learned from the other blocks of prepared
     `sessions`. As the excess of one axis over what diffusion and localisation alone give; both
     are those of `fit`, and so is the part of the sessions that is judged: no model foretells a
     heading that chance has scattered. The effects of `truth`, where it is known, are not fitted.
-    What depends on position is taken where the particles were.
+    What depends on position is taken where the particles were. `relearn` adds a term to a fit,
+    learned from what that leaves: blocks are short then, since no table tells of a time in which
+    nothing was seen.
     """
     shortest = min(float(np.ptp(session.times)) for session in sessions)
     horizon = min(HORIZON, shortest / (2 * BLOCKS))
     judged = [_explicable(session, p.session)
               for session, p in zip(sessions, fit.session_fits, strict=True)]
-    bare, names = replace(fit.model, effects=()), [e.id for e in fit.model.effects]
-    errors: list[list[np.ndarray]] = [[] for _ in range(3 if truth else 2)]
+    bare, names = replace(fit.model, effects=(), learned=()), [e.id for e in fit.model.effects]
+    errors: dict[str, list[np.ndarray]] = {}
     for block in range(BLOCKS):
-        rest = [s.only(block_of(s, BLOCKS) != block) for s in sessions]
-        before = learn(bare, rest, ())
-        learned = [before, learn(bare, rest, names) if names else before]
+        inside = [(_turns(s, horizon) if relearn else block_of(s, BLOCKS)) == block
+                  for s in sessions]
+        rest = [s.only(~hidden) for s, hidden in zip(sessions, inside, strict=True)]
+        learned = {'before': learn(bare, rest, ())}
+        learned['after'] = learn(bare, rest, names) if names else learned['before']
+        if relearn:
+            learned['learned'] = relearn(learned['after'])
         if truth:
-            known = [p.whitening for p in before.session_fits]
-            learned.append(fit_noise(evaluate(truth, rest, known)))
-        for one, found in zip(learned, errors, strict=True):
-            found += [_errors(one.model, p, session, block_of(session, BLOCKS) == block, horizon)
-                      for p, session in zip(one.session_fits, judged, strict=True)]
+            known = [p.whitening for p in learned['before'].session_fits]
+            learned['truth'] = fit_noise(evaluate(truth, rest, known))
+        for name, one in learned.items():
+            errors.setdefault(name, []).extend(
+                _errors(one.model, p, session, hidden, horizon) for p, session, hidden in zip(
+                    one.session_fits, judged, inside, strict=True))
     floor = _floor(fit, horizon)
-    excess = [_excess(np.concatenate(found), floor) for found in errors]
-    return Gap(horizon, excess[0], excess[1], floor, excess[2] if truth else float('nan'))
+    excess = {name: _excess(np.concatenate(found), floor) for name, found in errors.items()}
+    return Gap(horizon, excess['before'], excess['after'], floor, excess.get('truth', np.nan),
+               excess.get('learned', np.nan))
+
+
+def _turns(session: PreparedSession, horizon: float) -> np.ndarray:
+    """Which of BLOCKS every frame (T,) belongs to, where short blocks take turns."""
+    length = max(TURN * horizon, TURN * FEWEST * session.interval)
+    return ((session.times - session.times[0]) / length).astype(int) % BLOCKS
 
 
 def _explicable(session: PreparedSession, part: PreparedSession) -> PreparedSession:

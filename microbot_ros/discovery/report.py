@@ -19,6 +19,7 @@ from microbot_ros.discovery.report_figures import (
     draw_places,
     embedded,
 )
+from microbot_ros.discovery.report_learned import draw_learned
 from microbot_ros.discovery.report_prediction import predict
 from microbot_ros.discovery.report_residual import residual
 from microbot_ros.discovery.report_words import bare, chance, interval, listed, number
@@ -27,6 +28,7 @@ from microbot_ros.estimation.prepared_session import PreparedSession
 from microbot_ros.files import write_text
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.records import Session
+from microbot_ros.units import symbol
 
 _TEMPLATE = Path(__file__).with_name('report.html')
 _HASHED = {'.csv', '.yaml', '.mcap', '.db3', '.json'}
@@ -53,6 +55,7 @@ def page(found: Discovery, sessions: Sequence[Session], sources: Sequence[Path])
     environment.filters |= {
         name: getattr(report_words, name)
         for name in ('bare', 'chance', 'limit', 'number', 'odds', 'term', 'words')}
+    environment.filters['unit'] = symbol
     environment.globals |= {'interval': interval}
     template = environment.from_string(_TEMPLATE.read_text(encoding='utf-8'))
     left = residual(found, sessions[-1])
@@ -64,6 +67,7 @@ def page(found: Discovery, sessions: Sequence[Session], sources: Sequence[Path])
     return template.render(
         found=found, headline=headline(found), library=EFFECTS, sessions=sessions, fires=FIRES,
         speed=_SPEED[found.model.propulsion], prediction=prediction,
+        learned_figure=found.learned and embedded(draw_learned(found.learned.term)),
         gap_figure=embedded(draw_gap(found.gap)), maps_figure=maps and embedded(maps),
         places_figure=places and embedded(places), band_figure=embedded(draw_bands(prediction)),
         drive_figure=driven and embedded(draw_drive(driven, BEFORE, AFTER)),
@@ -88,7 +92,8 @@ def headline(found: Discovery) -> str:
             f'{_against(found)}.'
             + (f' Of what the library has, {listed(rest)} can only stand in for it.'
                if rest else '')
-            + (f' Established beside it: {told}.' if sure else ''))
+            + (f' Established beside it: {told}.' if sure else '')
+            + (f' {found.learned.sentence(found.gap.learned)}' if found.learned else ''))
 
 
 def _against(found: Discovery) -> str:

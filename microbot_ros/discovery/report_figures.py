@@ -40,11 +40,15 @@ def draw_gap(gap: Gap) -> Figure:
     figure = Figure(figsize=(7.5, 1.9), layout='constrained')
     axis = figure.subplots()
     bars = {'before': gap.before, 'after': gap.after, 'noise floor': gap.floor}
+    if np.isfinite(gap.learned):
+        bars = {'before': gap.before, 'after the names': gap.after,
+                'after the learned term': gap.learned, 'noise floor': gap.floor}
     if np.isfinite(gap.truth):
         bars['true model'] = gap.truth
     values = np.nan_to_num(list(bars.values())) * 1e6
-    colours = (BEFORE, AFTER, FLOOR, 'white')
-    drawn = axis.barh(list(bars), values, color=colours[:len(bars)], edgecolor='#444444')
+    colours = {'before': BEFORE, 'noise floor': FLOOR, 'true model': 'white'}
+    drawn = axis.barh(list(bars), values, color=[colours.get(name, AFTER) for name in bars],
+                      edgecolor='#444444')
     axis.bar_label(drawn, [f'{v:.3f} µm' for v in values], padding=4)
     axis.invert_yaxis()
     axis.margins(x=0.15)

@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from microbot_ros.model.learned_term import LearnedTerm
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.parameter import Parameter
 from microbot_ros.units import from_si, suffix, symbol
@@ -99,7 +100,8 @@ class Gap:
     """Held-out open-loop prediction over `horizon` [s]: excess over the noise floor [m].
 
     `before`, `after` and (where the truth is known) `truth` are √(RMS² − floor²) of one axis,
-    0 where there is no excess; `floor` = √(2D·horizon + 2σ²).
+    0 where there is no excess; `floor` = √(2D·horizon + 2σ²). `learned`: after the learned term
+    besides, where there is one.
     """
 
     horizon: float
@@ -107,6 +109,7 @@ class Gap:
     after: float
     floor: float
     truth: float = np.nan
+    learned: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -186,6 +189,48 @@ class Particle:
     force: Estimate
 
 
+_FRAMES = {'laboratory': 'in the laboratory', 'heading': 'along the heading',
+           'radial': 'towards neighbours'}
+
+
+@dataclass(frozen=True)
+class Learned:
+    """A `term` of no known cause, and the known physics that it `looks_like`, '' for none.
+
+    `log_evidence` over nothing, all that was looked at paid for; `odds` of covariate, frame and
+    what it acts on, the likeliest first; `left`: what still shows structure with it.
+    """
+
+    term: LearnedTerm
+    looks_like: str
+    log_evidence: float
+    odds: dict[tuple[str, str, str], float]
+    left: tuple[str, ...] = ()
+
+    def sentence(self, gap: float) -> str:
+        """What it is, for people; `gap` [m] is what is left with it."""
+        term = self.term
+        form = f': {term.formula}' if term.formula else ', a curve that no formula fits'
+        like = f' It looks like {self.looks_like}.' if self.looks_like else ''
+        rest = f' Something is left against {", ".join(self.left)}.' if self.left else ''
+        return (f'A term of the {term.acts_on} was learned against {term.against} '
+                f'({_FRAMES[term.frame]}){form}; {gap * 1e6:.2f} µm are left with it.{like}{rest} '
+                'A curve is not a cause.')
+
+    def as_json(self, gap: float) -> dict[str, Any]:
+        """The entry of `learned`; `gap` [m] is what is left with it."""
+        term = self.term
+        return {
+            'against': term.against, 'frame': term.frame, 'acts_on': term.acts_on,
+            'formula': term.formula, 'parameters': dict(term.parameters),
+            'looks_like': self.looks_like, 'gap_after_um': _edge('_um', gap),
+            'band_95': 'in model.yaml', 'log_evidence': self.log_evidence,
+            'odds': [{'against': against, 'frame': frame, 'acts_on': acts_on, 'odds': odds}
+                     for (against, frame, acts_on), odds in self.odds.items() if odds > 1e-3],
+            'left_against': list(self.left),
+        }
+
+
 @dataclass(frozen=True)
 class NextExperiment:
     """What to record to tell apart what this recording can't: a `sentence`, and `minutes`."""
@@ -203,7 +248,8 @@ class Discovery:
     `baseline`: every particle under the final model, with `diffusion` [m²/s] and `localisation`
     [m], means over sessions; `next_experiment`, None where nothing is open; `remarks`: sentences.
     `unexplained` are maps that fire with the final model, and maps of it less one effect that
-    explain more than this effect does: the worst first.
+    explain more than this effect does: the worst first. `learned`: a term for what is unnamed,
+    part of the model.
     """
 
     verdict: Verdict
@@ -221,6 +267,7 @@ class Discovery:
     model: Model
     particles: ParticleParameters
     remarks: tuple[str, ...] = ()
+    learned: Learned | None = None
 
     def sentences(self) -> list[str]:
         """The verdict for people, the effects, the gap, remarks."""
@@ -236,6 +283,8 @@ class Discovery:
         }[self.verdict]
         said += [effect.sentence() for effect in self.effects]
         gap = self.gap
+        if self.learned:
+            said.append(self.learned.sentence(gap.learned))
         said.append(
             f'Prediction {gap.horizon:.3g} s ahead, held out: {gap.before * 1e6:.2f} µm over the '
             f'noise floor of {gap.floor * 1e6:.2f} µm before, {gap.after * 1e6:.2f} µm after.')
@@ -256,6 +305,7 @@ class Discovery:
             'unexplained': [
                 {'against': m.against, 'p_value': m.p_value} for m in self.unexplained
             ],
+            'learned': [self.learned.as_json(self.gap.learned)] if self.learned else [],
             'not_supported': [
                 {'id': limit.id, 'parameter': limit.parameter.name,
                  'upper_limit_95': _edge(limit.parameter.name, limit.upper_limit)}

@@ -31,7 +31,7 @@ class ExpectedDisplacement:
         response = respond(model, timeline)
         if not any(effect.stage == 'observation' for effect in model.effects):
             along = _accumulate(response.propulsion)
-            still = not model.effects
+            still = model.is_first_order
             offset = np.zeros_like(along) if still else _accumulate(_complex(response.drift))
             return cls(offset, along, 1j * along, True)
         columns = response.columns()

@@ -310,8 +310,12 @@ def _fit_predictable(model: Model, sessions: Sequence[PreparedSession],
                      turning: Sequence[float]) -> ModelFit:
     parts = [predictable_part(session, model, one)
              for session, one in zip(sessions, turning, strict=True)]
-    fit = fit_with_noise(evaluate(model, parts, [Whitening(part.interval) for part in parts]))
+    # Terms that were learned may ask for φ, which nobody knows yet.
+    fit = fit_with_noise(evaluate(
+        replace(model, learned=()), parts, [Whitening(part.interval) for part in parts]))
     located = [
-        s.session.with_filtered_positions(
-            s.expected.at(s.velocity_phasor), s.whitening.noise_ratio) for s in fit.session_fits]
-    return fit_with_noise(evaluate(fit.model, located, [s.whitening for s in fit.session_fits]))
+        replace(s.session.with_filtered_positions(
+            s.expected.at(s.velocity_phasor), s.whitening.noise_ratio),
+            phi=np.angle(s.velocity_phasor)) for s in fit.session_fits]
+    return fit_with_noise(evaluate(replace(fit.model, learned=model.learned), located,
+                                   [s.whitening for s in fit.session_fits]))

@@ -16,7 +16,7 @@ from microbot_ros.estimation.heading_bank import HeadingBank
 from microbot_ros.estimation.monitor import Monitor
 from microbot_ros.estimation.noise import Noise, stokes_einstein
 from microbot_ros.estimation.population import AGAIN, Population, Readings
-from microbot_ros.estimation.propagation import HEADING_MEMORY, Propagator
+from microbot_ros.estimation.propagation import HEADING_MEMORY, Propagator, Swarm
 from microbot_ros.estimation.shared import SharedKnowledge
 from microbot_ros.estimation.track_faults import TrackFaults
 from microbot_ros.estimation.window import SECONDS
@@ -216,8 +216,8 @@ class Estimator:
         bank, noise = self._population.bank, shared.noise
         start = self._t if math.isfinite(self._t) else frame.t - 1e-3
         step = self._propagator.advance(
-            self._log, shared.delay.value, start, frame.t, bank.p[0]
-        )
+            self._log, shared.delay.value, start, frame.t,
+            Swarm(self._population.ids, bank.p[0], bank.velocity_phasor[0]))
         wander = (WANDER * np.abs(bank.velocity_phasor[0])) ** 2 * step.span
         if isinstance(bank, HeadingBank):
             bent = self._propagator.heading_deviation(
@@ -273,8 +273,8 @@ class Estimator:
             told = _of_restless(self._restless), *told
         now = self._t if math.isfinite(self._t) else 0.0
         ahead = self._propagator.look_ahead(
-            self._log, shared.delay.value, now, now + max(self.settings.horizon, 1e-6), state.p
-        )
+            self._log, shared.delay.value, now, now + max(self.settings.horizon, 1e-6),
+            Swarm(state.ids, state.p, state.velocity_phasor))
         return answer(state, ahead, shared, self.conditions, told, begun_anew,
                       self.model.gain_change_since_start(now))
 

@@ -62,7 +62,8 @@ class PreparedSession:
     from the displacement between two pieces; `causal_positions` (T, N, 2) [m]: positions as known
     from earlier and present frames only, for terms that depend on position (raw ones would bias
     them), NaN while a particle is not in view; `commands` on the same clock; `conditions` of the
-    rig; `jumps` (P,): how many steps too large for any motion each particle made.
+    rig; `jumps` (P,): how many steps too large for any motion each particle made; `phi` (N,)
+    [rad], where some fit has told it already, for terms that depend on the heading.
     """
 
     name: str
@@ -74,6 +75,7 @@ class PreparedSession:
     commands: Commands
     conditions: Conditions
     jumps: np.ndarray
+    phi: np.ndarray | None = None
 
     @classmethod
     def of(cls, session: Session) -> PreparedSession:
@@ -114,7 +116,7 @@ class PreparedSession:
     @cached_property
     def timeline(self) -> Timeline:
         """Commands and frames, ready to evaluate models on; ValueError with fewer than two."""
-        return Timeline(self.commands, self.times, self.causal_positions)
+        return Timeline(self.commands, self.times, self.causal_positions, self.ids, self.phi)
 
     @cached_property
     def interval(self) -> float:

@@ -11,6 +11,7 @@ from microbot_ros.model.alignment_kernel import integrate_direction
 from microbot_ros.model.increments import heading_response, respond
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.timeline import Timeline
+from microbot_ros.model.vectors import as_vectors
 
 HEADING_MEMORY = 10.0
 """Seconds of commands from which the course of a lagging heading is followed anew."""
@@ -25,6 +26,14 @@ class Step(NamedTuple):
     span: float
 
 
+class Swarm(NamedTuple):
+    """Who is where: `ids` (N,), `position` (N,) complex [m], `velocity_phasor` v e^{iφ} (N,)."""
+
+    ids: np.ndarray
+    position: np.ndarray
+    velocity_phasor: np.ndarray
+
+
 class Propagator:
     """Integrates a model's response exactly between frames, remembering the heading."""
 
@@ -34,14 +43,13 @@ class Propagator:
         """e^{i(θ−φ)} (1 or N,) at the last frame; zero where no field has been yet."""
 
     def advance(
-        self, log: CommandLog, delay: float, start: float, end: float, positions: np.ndarray,
+        self, log: CommandLog, delay: float, start: float, end: float, swarm: Swarm,
     ) -> Step:
         """What happens from `start` to `end` [s], the next frame; the heading goes on with it.
 
-        Under the commands of `log`, `delay` [s] late; `positions` (N,) complex [m] at `start`,
-        where effects that depend on place look.
+        Under the commands of `log`, `delay` [s] late; of a `swarm` as it is at `start`.
         """
-        step, self.heading = self._respond(log, delay, start, end, positions)
+        step, self.heading = self._respond(log, delay, start, end, swarm)
         return step
 
     def heading_deviation(
@@ -60,27 +68,29 @@ class Propagator:
         return bent.heading_sensitivity[0] @ [1, 1j], bent.heading_retention[0]
 
     def look_ahead(
-        self, log: CommandLog, delay: float, start: float, end: float, positions: np.ndarray,
+        self, log: CommandLog, delay: float, start: float, end: float, swarm: Swarm,
     ) -> Step:
         """As `advance` from the last frame at `start` [s] to `end` [s]; the heading stays.
 
-        Under the commands of `log` so far, `delay` [s] late, from `positions` (N,) complex [m].
+        Under the commands of `log` so far, `delay` [s] late, of a `swarm`.
         """
-        return self._respond(log, delay, start, end, positions)[0]
+        return self._respond(log, delay, start, end, swarm)[0]
 
     def _respond(
-        self, log: CommandLog, delay: float, start: float, end: float, positions: np.ndarray,
+        self, log: CommandLog, delay: float, start: float, end: float, swarm: Swarm,
     ) -> tuple[Step, np.ndarray]:
-        if not self.model.effects:
+        if self.model.is_first_order:
             path, heading = integrate_direction(
                 log.rows, delay, np.array([start, end]), self.heading[0],
                 self.model.propulsion == 'rolling')
             return Step(path, _NO_DRIFT, end - start), heading[1:]
-        vectors = np.stack([positions.real, positions.imag], axis=-1)
+        vectors = as_vectors(swarm.position)
+        # How long a command has stayed takes a look back.
+        memory = HEADING_MEMORY if self.model.learned else 0.0
         timeline = Timeline(
-            log.since(start - self.model.delay, delay), np.array([start, end]),
-            np.broadcast_to(vectors, (2, *vectors.shape)),
-        )
+            log.since(start - self.model.delay - memory, delay), np.array([start, end]),
+            np.broadcast_to(vectors, (2, *vectors.shape)), swarm.ids,
+            np.angle(swarm.velocity_phasor))
         # A heading common to all is carried on; one of each, or none yet, follows from commands.
         known = self.heading.size == 1 and self.heading[0] != 0
         response = respond(self.model, timeline, self.heading if known else None)

@@ -13,12 +13,31 @@ CLOSEST = 1e-6
 
 @dataclass(frozen=True)
 class Places:
-    """Where the particles are, `position` (..., N, 2) [m], NaN where one is missing."""
+    """Where the particles are, `position` (..., N, 2) [m], NaN where one is missing.
+
+    `number` (N,) integers and `direction` (N,) [rad], their φ, where it matters which they are.
+    """
 
     position: np.ndarray
+    number: np.ndarray | None = None
+    direction: np.ndarray | None = None
+
+    @property
+    def ids(self) -> np.ndarray:
+        """The numbers (N,) of the particles; ValueError where they were not given."""
+        if self.number is None:
+            raise ValueError('a term of this model needs to know which particle is which')
+        return self.number
+
+    @property
+    def phi(self) -> np.ndarray:
+        """φ (N,) [rad] of the particles; ValueError where it was not given."""
+        if self.direction is None:
+            raise ValueError('a term of this model needs φ of the particles; received none')
+        return self.direction
 
     @cached_property
-    def _separation(self) -> np.ndarray:
+    def separation(self) -> np.ndarray:
         """From neighbour j (last axis) to particle i, x + iy (..., N, N) [m]."""
         z = self.position[..., 0] + 1j * self.position[..., 1]
         return z[..., :, None] - z[..., None, :]
@@ -29,7 +48,7 @@ class Places:
 
         Zero for a particle and itself and where either is missing, so that neither acts.
         """
-        distance = np.abs(self._separation)
+        distance = np.abs(self.separation)
         distance[~np.isfinite(distance)] = np.inf
         return ~np.eye(distance.shape[-1], dtype=bool) / np.maximum(distance, CLOSEST)
 
@@ -42,7 +61,7 @@ class Places:
     def dipole_sums(self) -> tuple[np.ndarray, np.ndarray]:
         """Σⱼ e/r⁴ and Σⱼ e³/r⁴ (..., N) [m⁻⁴], e = e^{iα} from neighbour j towards particle i."""
         near = self._inverse_distance
-        e = np.where(near > 0, self._separation, 0.0) * near
+        e = np.where(near > 0, self.separation, 0.0) * near
         return (near**4 * e).sum(axis=-1), (near**4 * (e * e * e)).sum(axis=-1)
 
 
@@ -52,7 +71,8 @@ class EffectContext:
 
     `t` (..., 1) [s] is the middle of a span of length `span` (..., 1) [s] over which effects may
     average (zero: at an instant); `field` (..., 1, 2) [T] is the field after stage 1, the same
-    for all particles; `frequency` (..., 1) [Hz] the drive's rotation; `reference_field` [T].
+    for all particles; `frequency` (..., 1) [Hz] the drive's rotation; `reference_field` [T];
+    `since` (..., 1) [s] the time since the command last changed, None where nobody counts it.
     """
 
     t: np.ndarray
@@ -61,6 +81,7 @@ class EffectContext:
     frequency: np.ndarray
     reference_field: float
     places: Places | None = None
+    since: np.ndarray | None = None
 
     @cached_property
     def strength(self) -> np.ndarray:
@@ -79,6 +100,13 @@ class EffectContext:
             raise ValueError('an effect of this model needs positions; received none')
         return self.places
 
+    @property
+    def since_switch(self) -> np.ndarray:
+        """Time (..., 1) [s] since the command last changed; ValueError where nobody counts it."""
+        if self.since is None:
+            raise ValueError('a term of this model needs the time since the command changed')
+        return self.since
+
     def after(self, lead: int, places: Places | None = None) -> EffectContext:
         """The context without its first `lead` times, at these places."""
         return self._select(slice(lead, None), places)
@@ -90,5 +118,5 @@ class EffectContext:
     def _select(self, times: int | slice, places: Places | None) -> EffectContext:
         return EffectContext(
             self.t[times], self.span[times], self.field[times], self.frequency[times],
-            self.reference_field, places,
+            self.reference_field, places, None if self.since is None else self.since[times],
         )

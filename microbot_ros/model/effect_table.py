@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from decimal import Decimal
 from functools import cache
 from typing import Annotated, Any, cast
@@ -26,6 +26,12 @@ def build_effects(table: Mapping[str, Mapping[str, Decimal | float | str]]) -> t
         })
         for name, values in table.items()
     )
+
+
+def write_effects(effects: Iterable[Effect]) -> dict[str, dict[str, float]]:
+    """A table of `effects` as people write it, rounded as numbers are."""
+    return {effect.id: {p.name: p.display_units(value) for p, value in effect.values().items()}
+            for effect in effects}
 
 
 def read_effects(table: Any) -> tuple[Effect, ...]:

@@ -53,7 +53,7 @@ def respond(model: Model, timeline: Timeline, start: np.ndarray | None = None) -
     in closed form; terms that depend on position are taken at the timeline's positions. `start`
     (N,) is e^{i(θ−φ)} at the first frame; without it the heading follows from the commands.
     """
-    if not model.effects and (start is None or len(start) == 1):
+    if model.is_first_order and (start is None or len(start) == 1):
         return _directly(model, timeline, 0j if start is None else complex(start[0]))
     segments, course, context = integrate_heading(model, timeline, start)
     propulsion = segments.sum(course.path * model.speed_factor(context))

@@ -11,6 +11,7 @@ import numpy as np
 from microbot_ros.model.effect import STAGES, Effect
 from microbot_ros.model.effect_context import EffectContext, Places
 from microbot_ros.model.effects import BUILT_IN
+from microbot_ros.model.learned_term import LearnedTerm
 from microbot_ros.model.parameter import Parameter
 from microbot_ros.records import Commands, Conditions
 
@@ -53,12 +54,14 @@ class Model:
 
     `reference_field` [T] is the strength at which alignment times are stated; with `propulsion`
     'rolling' speeds are gains per rotation frequency. `effects` are kept in the order of the
-    library, at most one of a kind, so that models that say the same are equal.
+    library, at most one of a kind, so that models that say the same are equal. `learned` are
+    terms that no effect has a name for; they have no parameters to fit.
     """
 
     reference_field: float
     propulsion: Propulsion = 'catalytic'
     effects: tuple[Effect, ...] = field(default=())
+    learned: tuple[LearnedTerm, ...] = field(default=())
 
     def __post_init__(self) -> None:
         ids = [effect.id for effect in self.effects]
@@ -86,6 +89,15 @@ class Model:
 
     # Which effects it has -----------------------------------------------------------------------
 
+    @property
+    def _terms(self) -> tuple[Effect | LearnedTerm, ...]:
+        return *self.effects, *self.learned
+
+    @property
+    def is_first_order(self) -> bool:
+        """Whether it is the first-order model and nothing else."""
+        return not (self.effects or self.learned)
+
     def effect(self, name: str) -> Effect | None:
         """The effect of that name, or None."""
         return next((effect for effect in self.effects if effect.id == name), None)
@@ -108,7 +120,9 @@ class Model:
     def without_swings(self) -> Model:
         """The model without drifts that come and go, whose phase belongs to one recording."""
         return replace(self, effects=tuple(
-            e for e in self.effects if e.time_invariant or not e.overrides('drift')))
+            e for e in self.effects if e.time_invariant or not e.overrides('drift')),
+            learned=tuple(term for term in self.learned
+                          if term.against != 'time' or term.acts_on != 'velocity'))
 
     # Its parameters as one vector ---------------------------------------------------------------
 
@@ -136,12 +150,12 @@ class Model:
     @property
     def needs_position(self) -> bool:
         """Whether a particle's velocity depends on where it or others are."""
-        return any(effect.needs_position for effect in self.effects)
+        return any(one.needs_position for one in self._terms)
 
     @property
     def time_invariant(self) -> bool:
         """Whether nothing changes while the command stays."""
-        return all(effect.time_invariant for effect in self.effects)
+        return all(one.time_invariant for one in self._terms)
 
     @property
     def lags(self) -> bool:
@@ -174,7 +188,7 @@ class Model:
 
     def heading_offset(self, context: EffectContext) -> np.ndarray | float:
         """Stage 2: the angle (..., 1 or N) [rad] by which θ_B + φ is off."""
-        return sum(effect.heading_offset(context) for effect in self.effects)
+        return sum(one.heading_offset(context) for one in self._terms)
 
     def alignment_rate(self, context: EffectContext) -> np.ndarray | None:
         """Stage 2: κ (..., 1 or N) [1/s] of dθ/dt = κ sin(θ_B + φ − θ); None: at once."""
@@ -187,17 +201,18 @@ class Model:
         for effect in self.effects:
             if effect.stage == 'velocity':
                 factor = factor * effect.speed_factor(context)
+        for term in self.learned:
+            factor = factor * term.speed_factor(context)
         return factor
 
     def gain_change_since_start(self, t: float) -> complex:
         """What v e^{iφ} of the beginning has become at `t` [s], by what counts time alone."""
         changed, zero = 1.0 + 0j, np.zeros(1)
-        for effect in self.effects:
-            if not effect.time_invariant:
-                context = EffectContext(
-                    np.full(1, t), zero, np.zeros((1, 2)), zero, self.reference_field)
-                turn = np.exp(1j * effect.heading_offset(context))
-                changed *= complex(np.squeeze(effect.speed_factor(context) * turn))
+        context = EffectContext(np.full(1, t), zero, np.zeros((1, 2)), zero, self.reference_field)
+        terms: list[Effect | LearnedTerm] = [e for e in self.effects if not e.time_invariant]
+        for one in (*terms, *(term for term in self.learned if term.against == 'time')):
+            turn = np.exp(1j * one.heading_offset(context))
+            changed *= complex(np.squeeze(one.speed_factor(context) * turn))
         return changed
 
     def drift(self, context: EffectContext) -> np.ndarray | None:
@@ -205,6 +220,10 @@ class Model:
         total = None
         for effect in self.effects:
             drift = effect.drift(context) if effect.stage == 'velocity' else None
+            if drift is not None:
+                total = drift if total is None else total + drift
+        for term in self.learned:
+            drift = term.drift(context)
             if drift is not None:
                 total = drift if total is None else total + drift
         return total

@@ -12,6 +12,7 @@ import yaml
 
 from microbot_ros.files import Settings, read_yaml, write_text
 from microbot_ros.model.effect_table import EffectTable, build_effects
+from microbot_ros.model.learned_table import LearnedEntry, read_term, write_term
 from microbot_ros.model.model import Model, ParticleParameters, Propulsion
 from microbot_ros.units import exact_display, exact_si
 
@@ -31,6 +32,7 @@ class _ModelFile(Settings):
     reference_field_mT: Annotated[float, pydantic.Field(gt=0)]
     particles: tuple[_ParticleEntry, ...] = ()
     effects: EffectTable = pydantic.Field(default_factory=dict)
+    learned: tuple[LearnedEntry, ...] = ()
 
     @pydantic.model_validator(mode='after')
     def particles_fit(self) -> _ModelFile:
@@ -53,7 +55,8 @@ def read_model(path: str | Path) -> tuple[Model, ParticleParameters]:
     settings = read_yaml(path, _ModelFile)
     exact: dict[str, Any] = yaml.load(Path(path).read_text(encoding='utf-8'), Loader=_ExactLoader)
     reference = exact_si('reference_field_mT', exact['reference_field_mT'])
-    model = Model(reference, settings.propulsion, build_effects(exact.get('effects') or {}))
+    model = Model(reference, settings.propulsion, build_effects(exact.get('effects') or {}),
+                  tuple(map(read_term, exact.get('learned') or ())))
     name = _SPEED[settings.propulsion]
     rows = exact.get('particles') or []
     return model, ParticleParameters(
@@ -81,6 +84,7 @@ def write_model(path: str | Path, model: Model, particles: ParticleParameters) -
                 p.name: exact_display(p.name, v) for p, v in effect.values().items()}
             for effect in model.effects
         },
+        **({'learned': [write_term(term) for term in model.learned]} if model.learned else {}),
     }
     text = yaml.dump(content, Dumper=_ExactDumper, sort_keys=False)
     _ModelFile.model_validate(yaml.safe_load(text))

@@ -35,6 +35,11 @@ class Segments:
     """Commanded field (S, 1, 2) [T], zero before the first command."""
     frequency: np.ndarray
     """Commanded rotation (S, 1) [Hz]."""
+    since: np.ndarray | None
+    """Time (S, 1) [s] since the command last became another, zero before the first.
+
+    None where spans are whole: there nothing depends on it.
+    """
     lead: int
     frames: np.ndarray
 
@@ -57,7 +62,8 @@ class Segments:
     def context(self, model: Model) -> EffectContext:
         """The context in every span, the lead included, with the field after stage 1."""
         field = model.field(self.field)
-        return EffectContext(self.t, self.span, field, self.frequency, model.reference_field)
+        return EffectContext(self.t, self.span, field, self.frequency, model.reference_field,
+                             since=self.since)
 
 
 class Timeline:
@@ -66,16 +72,19 @@ class Timeline:
     `times` (T,) [s], ascending, T ≥ 2; `positions` (T, N, 2) [m] as the camera reports them, NaN
     for gaps: where terms that depend on position are evaluated, each over the interval that
     begins with it. For fits give filtered positions of earlier frames: raw ones bias such terms.
+    `ids` and `phi` (N,) [rad] of the particles, for terms that differ between them.
     """
 
     def __init__(self, commands: Commands, times: np.ndarray,
-                 positions: np.ndarray | None = None) -> None:
+                 positions: np.ndarray | None = None, ids: np.ndarray | None = None,
+                 phi: np.ndarray | None = None) -> None:
         times = np.asarray(times, dtype=float)
         if len(times) < 2 or not (times[1:] > times[:-1]).all():
             raise ValueError('times must be at least two, ascending')
         self.commands = commands
         self.times = times
         self.positions = positions
+        self._who = ids, phi
         self._segments: dict[tuple[float, bool], Segments] = {}
         self._places: dict[object, Places] = {}
 
@@ -92,7 +101,8 @@ class Timeline:
         interval = self.segments(model).interval
         key = self._key(model), tuple(e for e in model.effects if e.stage == 'observation')
         return _remembered(
-            self._places, key, lambda: Places(model.true_position(positions[:-1])[interval]))
+            self._places, key, lambda: Places(
+                model.true_position(positions[:-1])[interval], *self._who))
 
     def _key(self, model: Model) -> tuple[float, bool]:
         return model.delay, model.time_invariant and not model.needs_position
@@ -116,9 +126,27 @@ class Timeline:
             span=span,
             field=np.concatenate([commands.field, np.zeros((1, 2))]).take(row, axis=0),
             frequency=np.append(frequency, 0.0).take(row),
+            since=None if whole else self._since(start + span / 2, switches, row),
             lead=lead,
             frames=edges[lead:].searchsorted(times),
         )
+
+
+    def _since(self, middle: np.ndarray, switches: np.ndarray, row: np.ndarray) -> np.ndarray:
+        began = switches[last_change(self.commands.field, self.commands.frequency)]
+        return np.asarray(middle - np.append(began, np.inf).take(row).clip(max=middle))
+
+
+def last_change(field: np.ndarray, frequency: np.ndarray | None = None) -> np.ndarray:
+    """The row (K,) from which on each command has been what it is: repeats change nothing.
+
+    Of commands of `field` (K, 2) [T], or (K, N, 2), and `frequency` (K,) [Hz] of the rotation.
+    """
+    changed = (np.diff(field, axis=0) != 0).any(axis=tuple(range(1, field.ndim)))
+    if frequency is not None:
+        changed |= np.diff(frequency) != 0
+    rows = np.arange(len(field))
+    return np.maximum.accumulate(np.where(np.append(True, changed)[:len(rows)], rows, 0))
 
 
 def _remembered(cache: dict[Key, Value], key: Key, make: Callable[[], Value]) -> Value:

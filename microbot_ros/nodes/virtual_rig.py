@@ -23,6 +23,9 @@ from microbot_ros.errors import InputError
 from microbot_ros.files import read_yaml
 from microbot_ros.magnetics.coils import CoilSet
 from microbot_ros.magnetics.settings import CoilSettings
+from microbot_ros.model.effect_table import write_effects
+from microbot_ros.model.model import Model
+from microbot_ros.model.model_file import read_model
 from microbot_ros.model.particle import Fluid, rotational_drag
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import IMAGES_OUT, OK, WARN, RigNode
@@ -62,6 +65,8 @@ class VirtualRigParameters:
     alignment_ms: float = setting(
         5.0, 'Time constant with which a field of 5 mT turns the particles.',
         lower=0.1, upper=10000.0, read_only=True)
+    model_file: str = setting(
+        '', 'model.yaml whose effects and learned terms the particles obey.', read_only=True)
     effect: str = setting('', 'Effect hidden in the physics, by name.', read_only=True)
     effect_parameters: list[str] = setting(
         [], 'Its parameters, such as wx_um_s=0.4.', read_only=True)
@@ -126,13 +131,20 @@ class VirtualRigNode(RigNode):
             np.array(values.phis_rad), _spread(count, half, rng),
             speed=np.array(values.speeds_um_s) * 1e-6, heading=rng.uniform(-np.pi, np.pi, count))
         given = _named(values.effect_parameters, self.get_name())
-        effects = {values.effect: given} if values.effect else {}
-        if values.effect in INJECTABLE:
-            inject_effect(made, values.effect, given, _REFERENCE_FIELD)
-        world = make_world(made, rng, effects, _REFERENCE_FIELD, half)
+        model = self._model()
+        effects = write_effects(model.effects) | ({values.effect: given} if values.effect else {})
+        for effect, parameters in effects.items():
+            if effect in INJECTABLE:
+                inject_effect(made, effect, parameters, _REFERENCE_FIELD)
+        world = make_world(made, rng, effects, _REFERENCE_FIELD, model.learned, half)
         # The first step compiles; it must not happen while frames are due.
         world.advance(1e-3, FieldHistory(np.zeros(1), np.zeros((1, count, 2))))
         return world
+
+    def _model(self) -> Model:
+        """What the particles obey besides: of `model_file`, the first-order model without one."""
+        file = self.settings.model_file
+        return read_model(file)[0] if file else Model(_REFERENCE_FIELD)
 
     def _expose(self) -> None:
         began = time.monotonic()

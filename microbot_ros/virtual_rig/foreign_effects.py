@@ -17,7 +17,9 @@ from microbot_ros.model.effect_context import EffectContext, Places
 from microbot_ros.model.effect_table import read_effects
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.langevin import step_grid
+from microbot_ros.model.learned_term import LearnedTerm
 from microbot_ros.model.model import Model
+from microbot_ros.model.timeline import last_change
 from microbot_ros.virtual_rig.dynamics import coil_fields, felt_field
 from microbot_ros.virtual_rig.injected_effects import INJECTABLE, check
 from microbot_ros.virtual_rig.world import FieldHistory, World
@@ -50,17 +52,19 @@ def foreign_effects(effects: Given) -> tuple[Effect, ...]:
 
 def make_world(
     bodies: np.ndarray, rng: np.random.Generator, effects: Given, reference_field: float,
-    half_extent: tuple[float, float] = (np.inf, np.inf),
+    learned: Sequence[LearnedTerm] = (), half_extent: tuple[float, float] = (np.inf, np.inf),
 ) -> World:
-    """A `World` of `bodies`, by `rng` and within `half_extent`, that feels foreign `effects` too.
+    """A `World` of `bodies`, by `rng` and within `half_extent`, that feels foreign `effects` too,
+    and terms that were `learned`.
 
     Those that the physics knows are in the bodies already (`inject_effect`). Alignment is stated
     at `reference_field` [T]. ValueError as from `check_effect`.
     """
     foreign = foreign_effects(effects)
-    if not foreign:
+    if not (foreign or learned):
         return World(bodies, rng, half_extent)
-    return ForeignWorld(bodies, rng, half_extent, Model(reference_field, effects=foreign))
+    model = Model(reference_field, effects=foreign, learned=tuple(learned))
+    return ForeignWorld(bodies, rng, half_extent, model)
 
 
 class ForeignWorld(World):
@@ -124,8 +128,10 @@ class ForeignWorld(World):
         field[on] = history.field[rows[on], which[on]]
         if history.frequency is not None:
             frequency[on] = history.frequency[rows[on]]
+        changed = history.t[last_change(history.field, history.frequency)]
+        since = np.where(on, t - self.bodies['delay'] - changed[rows], 0.0)
         for i, body in enumerate(self.bodies):
             field[i] = felt_field(body, *coil_fields(body, *field[i]))
         return EffectContext(
             np.array([t]), np.array([length]), field, frequency, self._model.reference_field,
-            Places(self.position))
+            Places(self.position, np.arange(len(rows)), self.bodies['phi'].copy()), since)

@@ -12,6 +12,8 @@ import pydantic
 
 from microbot_ros.errors import InputError
 from microbot_ros.files import Settings, line_of, read_yaml
+from microbot_ros.model.effect_table import write_effects
+from microbot_ros.model.learned_term import LearnedTerm
 from microbot_ros.model.model import Model, ParticleParameters, Propulsion
 from microbot_ros.model.model_file import read_model
 from microbot_ros.model.particle import Fluid
@@ -182,7 +184,8 @@ class Scenario(Settings):
     """A whole scenario.
 
     `particles` are listed, or `model` names a `model.yaml` (its path from the scenario's folder)
-    whose particles start at random within ± `spread_um` and whose effects are added to `effects`.
+    whose particles start at random within ± `spread_um`, whose effects are added to `effects` and
+    whose learned terms act too.
     `alignment_ms` is how fast the field aligns them at the reference field. Either `commands` say
     what the field does, or a `controller` does.
     """
@@ -202,6 +205,12 @@ class Scenario(Settings):
     commands: CommandSettings | None = None
     controller: ControllerSettings | None = None
     effects: EffectSettings = pydantic.Field(default_factory=dict)
+    _learned: tuple[LearnedTerm, ...] = pydantic.PrivateAttr(default=())
+
+    @property
+    def learned(self) -> tuple[LearnedTerm, ...]:
+        """Terms that its `model` learned."""
+        return self._learned
 
     @pydantic.model_validator(mode='after')
     def particles_fit(self) -> Scenario:
@@ -295,7 +304,7 @@ def _with_model(path: Path, scenario: Scenario, model: Model) -> Scenario:
         raise InputError(
             path, f"'reference_field_mT': expected {model.reference_field * 1e3:g}, as in "
             f'{scenario.model}', line_of(path, 'reference_field_mT'))
-    found = {
-        effect.id: {p.name: p.display_units(value) for p, value in effect.values().items()}
-        for effect in model.effects}
-    return scenario.model_copy(update={'effects': found | scenario.effects})
+    found = write_effects(model.effects)
+    changed = scenario.model_copy(update={'effects': found | scenario.effects})
+    changed._learned = model.learned
+    return changed

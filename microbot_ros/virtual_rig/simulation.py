@@ -41,7 +41,7 @@ def run(scenario: Scenario, particles: ParticleParameters, source: str) -> Sessi
     heading = rng.uniform(-math.pi, math.pi, count)
     if scenario.physics == 'langevin':
         world = make_world(make_bodies(scenario, particles, start, heading), rng,
-                           scenario.effects, scenario.reference_field)
+                           scenario.effects, scenario.reference_field, scenario.learned)
         if scenario.controller and scenario.controller.pictures:
             # Particles have the names that the tracker gives them.
             return film(scenario, world, source)
@@ -125,14 +125,14 @@ def _model(scenario: Scenario, source: str) -> Model:
         key, _, problem = str(error).partition(': ')
         raise InputError(
             source, f"'effects.{key}': {problem}, for first_order physics") from None
-    return Model(scenario.reference_field, scenario.propulsion, effects)
+    return Model(scenario.reference_field, scenario.propulsion, effects, scenario.learned)
 
 
 def _newton_stokes(
     scenario: Scenario, particles: ParticleParameters, commands: Commands, times: np.ndarray,
     start: np.ndarray, heading: np.ndarray, source: str,
 ) -> np.ndarray:
-    if scenario.effects or scenario.propulsion != 'catalytic':
+    if scenario.effects or scenario.learned or scenario.propulsion != 'catalytic':
         raise InputError(
             source, "'physics': newton_stokes expects catalytic particles without effects")
     radius = scenario.radius

@@ -28,7 +28,8 @@ ANSWER = 4e-6 * np.exp(1j * np.array([0.3, 2.1]))
 
 def make(model=None, lags=(0.1, 0.3), start=(0j, 30e-6 + 0j)):
     model = Model(LIMIT) if model is None else model
-    return Swarm(np.array(start), ANSWER, np.ones(2, complex), with_lags(model, list(lags)), 0.0)
+    return Swarm(np.arange(2), np.array(start), ANSWER, np.ones(2, complex),
+                 with_lags(model, list(lags)), 0.0)
 
 
 def task(goal, view=EVERYWHERE, obstacles=(), clearance=()):
@@ -97,7 +98,7 @@ def test_different_lags_open_goals_that_one_field_can_not_serve(goal):
 def test_a_search_counts_on_the_drift():
     """Before any refinement: a plan that did not would end 5 µm off."""
     drift = UniformDrift(wx=1.0e-6, wy=0.5e-6)
-    swarm = Swarm(np.array([0j]), np.array([4e-6 + 0j]), np.ones(1, complex),
+    swarm = Swarm(np.arange(1), np.array([0j]), np.array([4e-6 + 0j]), np.ones(1, complex),
                   with_lags(Model(LIMIT, effects=(drift,)), [None]), 0.0)
     asked = task([-20e-6 + 0j])
     end = roll_out(swarm, search(swarm, asked), LIMIT).position[-1]
@@ -113,8 +114,8 @@ def test_equal_lags_open_nothing():
 
 
 def test_plans_go_round_obstacles_and_stay_in_view():
-    swarm = Swarm(np.array([-25e-6 + 0j]), np.array([4e-6 + 0j]), np.ones(1, complex),
-                  with_lags(Model(LIMIT), [0.05]), 0.0)
+    swarm = Swarm(np.arange(1), np.array([-25e-6 + 0j]), np.array([4e-6 + 0j]),
+                  np.ones(1, complex), with_lags(Model(LIMIT), [0.05]), 0.0)
     view = Workspace(np.array([-30e-6, -8e-6]), np.array([30e-6, 30e-6]))
     asked = task([25e-6 + 0j], view, [-1e-6j], [8e-6])
     _, rollout = refined(swarm, asked)

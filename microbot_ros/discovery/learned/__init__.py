@@ -1,0 +1,1 @@
+"""Learning a term where no effect of the library has a name for what is missing."""

@@ -1,0 +1,221 @@
+"""A curve by Gaussian processes of reduced rank, inside the whitened likelihood.
+
+A prior on the values at the knots, w ~ N(0, a·C), is cut to the leading eigenvectors of C
+(a Karhunen–Loève expansion; Solin and Särkkä 2020 for why that costs nothing), so that
+evidence and posterior follow from G and b (`moments`) in closed form (Rasmussen and Williams 2006,
+ch. 2 and 5). Length scales, strengths and kinds of kernel are averaged over, not chosen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from microbot_ros.discovery.learned.moments import Moments
+from microbot_ros.model.learned_term import PERIODIC, LearnedTerm
+
+KEPT = 1e-4
+"""Eigenvalue of a kernel, relative to the largest, from which on nothing is kept."""
+
+STRENGTHS = 10.0 ** np.arange(0.0, 5.1, 0.5)
+"""Evidence λ that a prior expects, averaged over."""
+
+LENGTHS = (0.08, 0.16, 0.32, 0.64)
+"""Length scales, in parts of the covariate's range."""
+
+TURNS = (0.35, 0.7, 1.4)
+"""Length scales of angles, as in exp(−2 sin²(Δ/2)/ℓ²)."""
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """One prior shape of a table: `basis` (K·C, R), orthogonal columns; its `kind`, for people.
+
+    `share` of the prior that all kernels divide among them.
+    """
+
+    kind: str
+    basis: np.ndarray
+    share: float
+
+
+def kernels(term: LearnedTerm) -> list[Kernel]:
+    """All that are tried for a table."""
+    found = list(_kernels(term))
+    total = sum(one.share for one in found)
+    return [Kernel(one.kind, one.basis, one.share / total) for one in found]
+
+
+def _kernels(term: LearnedTerm) -> Iterator[Kernel]:
+    free, components = _free(term), term.values.shape[1]
+    if term.against == 'position':
+        yield from _of_place(term, free, components)
+        return
+    x = term.axes[0]
+    apart = x[:, None] - x[None, :]
+    if term.against == 'particle':
+        yield Kernel('any', _spread(np.eye(len(x)), free, components), 1.0)
+        return
+    if term.against in PERIODIC:
+        for length in TURNS:
+            yield Kernel('smooth', _spread(
+                np.exp(-2 * np.sin(apart / 2) ** 2 / length**2), free, components), 1.0)
+        return
+    low, high = x[1], x[-2]
+    if term.against == 'neighbour distance':
+        x = np.log(np.maximum(x, low))
+        low, high = x[1], x[-2]
+        apart = x[:, None] - x[None, :]
+    for part in LENGTHS:
+        length = part * (high - low)
+        yield Kernel('smooth', _spread(np.exp(-0.5 * (apart / length) ** 2), free, components),
+                     1.0)
+        yield Kernel('rough', _spread(np.exp(-np.abs(apart) / (3 * length)), free, components),
+                     0.5)
+    if term.against == 'time':
+        frequencies = np.arange(1.5, 0.4 * len(x), 0.5) / (high - low)
+        for f in frequencies:
+            yield Kernel('swing', _spread(
+                np.cos(2 * np.pi * f * apart), free, components), 6.0 / len(frequencies))
+
+
+def _free(term: LearnedTerm) -> np.ndarray:
+    """Which knots (K,) may be other than zero: not the ends, where a term has faded."""
+    if term.against in (*PERIODIC, 'particle'):
+        return np.ones(len(term.values), bool)
+    inner = [np.r_[False, np.ones(len(axis) - 2, bool), False] for axis in term.axes]
+    if len(inner) == 1:
+        return inner[0]
+    grid: np.ndarray = (inner[0][:, None] & inner[1][None, :]).ravel()
+    return grid
+
+
+def _spread(covariance: np.ndarray, free: np.ndarray, components: int) -> np.ndarray:
+    """Leading eigenvectors of a `covariance` (K, K), scaled, for each of the components alike."""
+    one = _leading(np.where(free[:, None] & free[None, :], covariance, 0.0))
+    return np.kron(np.eye(components), one)
+
+
+def _leading(covariance: np.ndarray) -> np.ndarray:
+    values, vectors = np.linalg.eigh(covariance)
+    kept = values > KEPT * values[-1]
+    scaled: np.ndarray = vectors[:, kept] * np.sqrt(values[kept])
+    return scaled
+
+
+def _of_place(term: LearnedTerm, free: np.ndarray, components: int) -> Iterator[Kernel]:
+    """Fields of place: of any kind, and for velocities those without curl, or divergence."""
+    x, y = (part.ravel() for part in np.meshgrid(*term.axes, indexing='ij'))
+    dx, dy = x[:, None] - x[None, :], y[:, None] - y[None, :]
+    size = max(np.ptp(axis[1:-1]) for axis in term.axes)
+    for part in (0.2, 0.4, 0.8):
+        length = part * size
+        bell = np.exp(-0.5 * (dx**2 + dy**2) / length**2)
+        yield Kernel('any', _spread(bell, free, components), 1.0)
+        if components == 1:
+            continue
+        xx, yy, xy = 1 - (dx / length) ** 2, 1 - (dy / length) ** 2, -dx * dy / length**2
+        both = np.concatenate([free, free])
+        for kind, block in (
+                ('without circulation', [[xx, xy], [xy, yy]]),
+                ('without sources', [[yy, -xy], [-xy, xx]])):
+            covariance = np.block(block) * np.tile(bell, (2, 2))
+            yield Kernel(kind, _leading(
+                np.where(both[:, None] & both[None, :], covariance, 0.0)), 1.0)
+
+
+@dataclass(frozen=True)
+class _Reduced:
+    """A kernel on the data: eigenvalues (R,) of its information, what the data say along each
+    eigenvector (R,), and those (K·C, R) as tables."""
+
+    kernel: Kernel
+    information: np.ndarray
+    found: np.ndarray
+    tables: np.ndarray
+
+    @classmethod
+    def of(cls, kernel: Kernel, gram: np.ndarray, projection: np.ndarray) -> _Reduced:
+        inside = kernel.basis.T @ gram @ kernel.basis
+        values, vectors = np.linalg.eigh(inside)
+        tables = kernel.basis @ vectors
+        return cls(kernel, np.maximum(values, 0.0), tables.T @ projection, tables)
+
+    @cached_property
+    def amplitudes(self) -> np.ndarray:
+        """The prior variance a for every one of STRENGTHS."""
+        return STRENGTHS / max(float(self.information.sum()), 1e-300)
+
+    @cached_property
+    def log_evidence(self) -> np.ndarray:
+        """Log of the marginal likelihood over that of nothing, for every amplitude."""
+        a = self.amplitudes[:, None]
+        return (-0.5 * np.log1p(a * self.information) + 0.5 * a * self.found**2 / (
+            1 + a * self.information)).sum(axis=1)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """The posterior of a table from G (K, K) and b (K,), averaged over kernels and strengths."""
+
+    reduced: tuple[_Reduced, ...]
+
+    @classmethod
+    def of(cls, tried: list[Kernel], gram: np.ndarray, projection: np.ndarray) -> Curve:
+        """With the kernels `tried`."""
+        return cls(tuple(_Reduced.of(kernel, gram, projection) for kernel in tried))
+
+    @cached_property
+    def log_weights(self) -> np.ndarray:
+        """Log of prior times evidence (kernels, strengths)."""
+        return np.stack([
+            np.log(one.kernel.share / len(STRENGTHS)) + one.log_evidence for one in self.reduced])
+
+    @cached_property
+    def log_evidence(self) -> float:
+        """Log of the marginal likelihood of a table over that of none."""
+        return float(np.logaddexp.reduce(self.log_weights, axis=None))
+
+    @cached_property
+    def _weights(self) -> np.ndarray:
+        weights: np.ndarray = np.exp(self.log_weights - self.log_evidence)
+        return weights
+
+    @cached_property
+    def mean(self) -> np.ndarray:
+        """Expected values at the knots (K,)."""
+        total = np.zeros(len(self.reduced[0].tables))
+        for one, weights in zip(self.reduced, self._weights, strict=True):
+            for a, weight in zip(one.amplitudes, weights, strict=True):
+                if weight > 1e-6:
+                    total += weight * (one.tables @ (a * one.found / (1 + a * one.information)))
+        return total
+
+    def draws(self, count: int, rng: np.random.Generator) -> np.ndarray:
+        """Tables (count, K) as likely as the data and the priors have them."""
+        weights = self._weights.ravel()
+        picks = rng.choice(len(weights), size=count, p=weights / weights.sum())
+        found = np.empty((count, len(self.reduced[0].tables)))
+        for k, pick in enumerate(picks):
+            one = self.reduced[pick // len(STRENGTHS)]
+            a = one.amplitudes[pick % len(STRENGTHS)]
+            left = a / (1 + a * one.information)
+            found[k] = one.tables @ (
+                left * one.found + np.sqrt(left) * rng.standard_normal(len(left)))
+        return found
+
+    @property
+    def kind(self) -> str:
+        """The likeliest kind of kernel."""
+        by_kind: dict[str, float] = {}
+        for one, weights in zip(self.reduced, self._weights, strict=True):
+            by_kind[one.kernel.kind] = by_kind.get(one.kernel.kind, 0.0) + float(weights.sum())
+        return max(by_kind, key=by_kind.__getitem__)
+
+
+def curve_of(moments: Moments) -> Curve:
+    """The curve of a candidate from all rows."""
+    return Curve.of(kernels(moments.term), *moments.total)

@@ -1,0 +1,354 @@
+"""Formulas that a table may turn out to be: a small grammar, fitted through the moments.
+
+Formulas are linear in their coefficients, which follow in closed form; their shapes (times,
+places, frequencies) are searched. How well one does is measured on the raw increments, by G and b.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import product
+
+import numpy as np
+
+from microbot_ros.model.learned_term import AXES, PERIODIC, LearnedTerm
+from microbot_ros.units import from_si, suffix
+
+TRIED = 3
+"""Starts of a shape that are worth a search."""
+
+Shape = tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Formula:
+    """One `text` of the grammar: `basis(shape)` gives its columns (K·C, m) at the knots.
+
+    `names` of the shape parameters with their units, the grid of `starts` and the bounds; those of
+    the coefficients in `coefficients`.
+    """
+
+    text: str
+    basis: Callable[[Shape], np.ndarray]
+    coefficients: tuple[str, ...]
+    names: tuple[str, ...] = ()
+    starts: tuple[Shape, ...] = ((),)
+    low: Shape = ()
+    high: Shape = ()
+
+
+@dataclass(frozen=True)
+class FittedFormula:
+    """A `formula` at its best: `shape`, its `weights` (m,), the `gain` in log likelihood.
+
+    `rank` of its coefficients that the data can tell.
+    """
+
+    formula: Formula
+    shape: Shape
+    weights: np.ndarray
+    gain: float
+    rank: int
+
+    @property
+    def values(self) -> np.ndarray:
+        """At the knots (K·C,)."""
+        found: np.ndarray = self.formula.basis(self.shape) @ self.weights
+        return found
+
+    @property
+    def size(self) -> int:
+        """Numbers that were fitted."""
+        return self.rank + len(self.shape)
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Every number by name, in the unit of the name."""
+        shape = {name: float(from_si(name, x))
+                 for name, x in zip(self.formula.names, self.shape, strict=True)}
+        rest = {name: float(from_si(name, float(w)))
+                for name, w in zip(self.formula.coefficients, self.weights, strict=True)}
+        return shape | rest
+
+
+def fit(formula: Formula, gram: np.ndarray, projection: np.ndarray,
+        begin: Shape | None = None) -> FittedFormula:
+    """A `formula` at the maximum of the likelihood, from its best starts or from one shape."""
+    from scipy.optimize import minimize
+
+    def at(shape: Sequence[float]) -> FittedFormula:
+        return _solve(formula, tuple(float(s) for s in shape), gram, projection)
+
+    if not formula.names:
+        return at(())
+    low, high = np.array(formula.low), np.array(formula.high)
+    starts = [begin] if begin is not None else sorted(
+        formula.starts, key=lambda shape: -at(shape).gain)[:TRIED]
+    best = max((at(shape) for shape in starts), key=lambda one: one.gain)
+    for start in starts:
+        # A simplex finds its way over steps, where there is no slope.
+        first = np.clip(start, low, high)
+        simplex = np.vstack([first, *(
+            np.where(np.arange(len(first)) == k, np.where(
+                first + 0.1 * (high - low) <= high, first + 0.1 * (high - low),
+                first - 0.1 * (high - low)), first) for k in range(len(first)))])
+        found = minimize(
+            lambda shape: -at(shape).gain, first, method='Nelder-Mead',
+            bounds=list(zip(low, high, strict=True)),
+            options={'initial_simplex': simplex, 'maxfev': 60 * len(first), 'fatol': 0.02,
+                     'xatol': 1e-3 * float((high - low).min())})
+        one = at(np.clip(found.x, low, high))
+        best = one if one.gain > best.gain else best
+    return best
+
+
+def _solve(formula: Formula, shape: Shape, gram: np.ndarray,
+           projection: np.ndarray) -> FittedFormula:
+    columns = formula.basis(shape)
+    size = np.sqrt(np.maximum(np.einsum('km,km->m', columns, gram @ columns), 1e-300))
+    inside = (columns / size).T @ gram @ (columns / size)
+    right = (columns / size).T @ projection
+    values, vectors = np.linalg.eigh(inside)
+    kept = values > 1e-5
+    along = (vectors[:, kept].T @ right) / values[kept]
+    gain = 0.5 * float((vectors[:, kept].T @ right) @ along)
+    # A column that v and φ absorb has no size of its own.
+    rank = int(kept.sum())
+    return FittedFormula(formula, shape, (vectors[:, kept] @ along) / size, gain, rank)
+
+
+# The grammar ------------------------------------------------------------------------------------
+
+def grammar(term: LearnedTerm) -> list[Formula]:
+    """All formulas for a `term` of its covariate."""
+    near = _near(term)
+    if term.against == 'particle':
+        return []
+    if term.against == 'position':
+        return list(_of_place(_Table(term, near)))
+    if term.against in PERIODIC:
+        return list(_of_angle(_Table(term, near)))
+    return list(_of_line(_Table(term, near)))
+
+
+def _near(term: LearnedTerm) -> np.ndarray:
+    """Knots (K,) with data, or next to one: where a formula acts."""
+    if len(term.axes) == 1:
+        seen = term.seen
+        return np.asarray(seen | np.roll(seen, 1) | np.roll(seen, -1)) & (
+            np.ones(len(seen), bool) if term.against in PERIODIC
+            else np.r_[False, np.ones(len(seen) - 2, bool), False])
+    seen = term.seen.reshape([len(axis) for axis in term.axes])
+    grown = seen.copy()
+    for shift, axis in product((1, -1), (0, 1)):
+        grown |= np.roll(seen, shift, axis)
+    inside: np.ndarray = grown.ravel()
+    return inside
+
+
+@dataclass(frozen=True)
+class _Table:
+    """The knots of a `term`, the covariate at each, scaled to −1 … 1 over where data are."""
+
+    term: LearnedTerm
+    near: np.ndarray
+    x: np.ndarray = field(init=False)
+    y: np.ndarray = field(init=False)
+
+    def __post_init__(self) -> None:
+        axes = np.meshgrid(*self.term.axes, indexing='ij')
+        object.__setattr__(self, 'x', axes[0].ravel())
+        object.__setattr__(self, 'y', axes[-1].ravel())
+
+    @property
+    def middle(self) -> tuple[float, float]:
+        """Middle of where data are, of each axis."""
+        return tuple(float(axis[self.term.seen].min() + axis[self.term.seen].max()) / 2
+                     for axis in (self.x, self.y))  # type: ignore[return-value]
+
+    @property
+    def half(self) -> float:
+        """Half of the larger extent of where data are."""
+        return max(float(np.ptp(axis[self.term.seen])) / 2 for axis in (self.x, self.y)) or 1.0
+
+    @property
+    def unit(self) -> str:
+        """The suffix of the covariate's unit."""
+        return suffix(AXES[self.term.against][0])
+
+    def each(self, columns: Sequence[np.ndarray]) -> np.ndarray:
+        """Factors (K,) as columns (K·C, m·C): each component has coefficients of its own."""
+        stacked = np.stack([np.broadcast_to(c, self.x.shape) for c in columns], axis=1)
+        return np.kron(np.eye(self.term.values.shape[1]), stacked * self.near[:, None])
+
+    def field(self, columns: Sequence[np.ndarray]) -> np.ndarray:
+        """Complex velocities (K,) as columns (2K, m)."""
+        stacked = np.stack(columns, axis=1) * self.near[:, None]
+        return np.concatenate([stacked.real, stacked.imag])
+
+    def named(self, count: int, *, field: bool = False) -> tuple[str, ...]:
+        """Names of the coefficients of that many columns."""
+        ending = {'velocity': '_um_s', 'speed': '', 'heading': '_rad'}[self.term.acts_on]
+        if field or self.term.values.shape[1] == 1:
+            return tuple(f'c{k}{ending}' for k in range(count))
+        return tuple(f'c{k}{axis}{ending}'
+                     for axis in (name[:name.index('_')] if self.term.frame == 'radial'
+                                  else name[0] for name in self.term.names)
+                     for k in range(count))
+
+
+def _fixed(columns: np.ndarray) -> Callable[[Shape], np.ndarray]:
+    """A basis without a shape."""
+    return lambda _: columns
+
+
+def _of_line(t: _Table) -> Iterator[Formula]:
+    """Of a covariate on a line: `u` runs from −1 to 1 over where data are."""
+    (middle, _), half = t.middle, t.half
+    u = (t.x - middle) / half
+    low, span = middle - half, 2 * half
+    unit = t.unit
+    for degree, text in ((1, 'c0 + c1 u'), (2, 'c0 + c1 u + c2 u²'),
+                         (3, 'c0 + c1 u + c2 u² + c3 u³')):
+        powers = [u**k for k in range(degree + 1)]
+        yield Formula(text, _fixed(t.each(powers)), t.named(degree + 1))
+    falls = tuple((span * part,) for part in (0.05, 0.1, 0.2, 0.4, 0.8, 1.6))
+    yield Formula(
+        'c0 + c1 exp(−(x − x₀)/a)', lambda s: t.each([1.0 + 0 * u, np.exp(-(t.x - low) / s[0])]),
+        t.named(2), (f'a{unit}',), falls, (0.02 * span,), (3 * span,))
+    yield Formula(
+        'c0 exp(−(x − x₀)/a)', lambda s: t.each([np.exp(-(t.x - low) / s[0])]),
+        t.named(1), (f'a{unit}',), falls, (0.02 * span,), (3 * span,))
+    inside = tuple((low + span * part,) for part in np.linspace(0.06, 0.94, 23))
+    yield Formula(
+        'c0 + c1 H(x − a)', lambda s: t.each([1.0 + 0 * u, np.clip(
+            (t.x - s[0]) / _spacing(t) + 0.5, 0, 1)]), t.named(2), (f'a{unit}',),
+        tuple((float(x),) for x in t.x[2:-2]), (low,), (low + span,))
+    for n in (1, 2, 4):
+        yield Formula(
+            f'c0 + c1 {_power("x", n)}/({_power("x", n)} + {_power("a", n)})',
+            partial(_risen, t, n),
+            t.named(2), (f'a{unit}',), inside, (max(low, 1e-3 * span),), (low + 2 * span,))
+    if t.term.against == 'time':
+        yield Formula(
+            'c0 cos 2πat + c1 sin 2πat', lambda s: t.each([
+                np.cos(2 * np.pi * s[0] * t.x), np.sin(2 * np.pi * s[0] * t.x)]),
+            t.named(2), ('a_hz',), tuple((k / span,) for k in np.arange(1, len(t.x) / 3, 0.25)),
+            (0.5 / span,), (len(t.x) / 2.5 / span,))
+    if low > 0:
+        for n in (1, 2, 3, 4):
+            yield Formula(
+                f'c0 x{str(-n).translate(_RAISED)}',
+                _fixed(t.each([(low / np.maximum(t.x, low / 2)) ** n])), t.named(1))
+
+
+_RAISED = str.maketrans('-1234', '⁻¹²³⁴')
+
+
+def _power(name: str, n: int) -> str:
+    return name if n == 1 else name + str(n).translate(_RAISED)
+
+
+def _spacing(t: _Table) -> float:
+    return float(np.median(np.diff(t.term.axes[0])))
+
+
+def _risen(t: _Table, n: int, shape: Shape) -> np.ndarray:
+    """A constant and Hill's curve of the exponent `n`."""
+    risen = np.maximum(t.x, 0.0) ** n
+    return t.each([1.0 + 0 * t.x, risen / (risen + shape[0] ** n)])
+
+
+def _apart(t: _Table, shape: Shape) -> np.ndarray:
+    """From a place (shape[0], shape[1]) to every knot, complex."""
+    return np.asarray((t.x - shape[0]) + 1j * (t.y - shape[1]))
+
+
+def _about(t: _Table, turn: complex, fall: Callable[[np.ndarray, float], np.ndarray],
+           shape: Shape) -> np.ndarray:
+    """A velocity about a place, away from it where `turn` is 1, around it where i."""
+    w = _apart(t, shape)
+    return t.field([turn * w * fall(np.abs(w), shape[2])])
+
+
+def _of_angle(t: _Table) -> Iterator[Formula]:
+    one = 1.0 + 0 * t.x
+    for n in (1, 2, 3, 4):
+        times = '' if n == 1 else str(n)
+        yield Formula(
+            f'c0 + c1 cos {times}θ + c2 sin {times}θ',
+            _fixed(t.each([one, np.cos(n * t.x), np.sin(n * t.x)])), t.named(3))
+
+
+def _of_place(t: _Table) -> Iterator[Formula]:
+    (x0, y0), half = t.middle, t.half
+    u, v = (t.x - x0) / half, (t.y - y0) / half
+    one = 1.0 + 0 * u
+    yield Formula('c0 + c1 u + c2 v', lambda _: t.each([one, u, v]), t.named(3))
+    yield Formula('c0 + c1 u + c2 v + c3 u² + c4 uv + c5 v²',
+                  lambda _: t.each([one, u, v, u * u, u * v, v * v]), t.named(6))
+    angles = tuple(np.arange(12) * np.pi / 6)
+
+    def along(angle: float) -> np.ndarray:
+        return np.asarray(u * np.cos(angle) + v * np.sin(angle))
+
+    places = tuple(np.linspace(-0.9, 0.9, 5))
+    spots = tuple((half * x + x0, half * y + y0, half * a)
+                  for x, y, a in product(places, places, (0.2, 0.5)))
+    spot = (('x_um', 'y_um', 'a_um'), spots, (x0 - 1.3 * half, y0 - 1.3 * half, 0.08 * half),
+            (x0 + 1.3 * half, y0 + 1.3 * half, 2.0 * half))
+
+    def apart(s: Shape) -> np.ndarray:
+        return _apart(t, s)
+
+    if t.term.acts_on == 'velocity':
+        # One direction, with any profile across it: a channel, shear, a wall.
+        def profile(s: Shape, factors: Callable[[np.ndarray], list[np.ndarray]]) -> np.ndarray:
+            way = -1j * np.exp(1j * s[0])
+            return t.field([way * f for f in factors(along(s[0]))])
+
+        turns = tuple((a,) for a in angles[:6])
+        yield Formula('(c0 + c1 s + c2 s²) along, s across',
+                      lambda s: profile(s, lambda q: [1 + 0 * q, q, q * q]),
+                      t.named(3, field=True), ('angle_rad',), turns, (-np.pi,), (np.pi,))
+        yield Formula(
+            '(c0 cos ks + c1 sin ks) along, s across',
+            lambda s: profile(s, lambda q: [np.cos(s[1] * q), np.sin(s[1] * q)]),
+            t.named(2, field=True), ('angle_rad', 'k'),
+            tuple(product(angles[:6], (3.0, 4.5, 6.0))), (-np.pi, 3.0), (np.pi, 9.0))
+        yield Formula(
+            'c0 exp(−s/a) along',
+            lambda s: t.field([np.exp(1j * s[0] - (along(s[0]) + 1) / s[1])]),
+            t.named(1, field=True), ('angle_rad', 'a'), tuple(product(angles, (0.2, 0.6))),
+            (-2 * np.pi, 0.05), (2 * np.pi, 2.0))
+        for text, turn, fall in (
+                ('c0 (−y, x)/(r² + a²)', 1j, lambda r, a: a / (r**2 + a**2)),
+                ('c0 (x, y)/(r² + a²)', 1.0, lambda r, a: a / (r**2 + a**2)),
+                ('c0 (−y, x) exp(−r²/2a²)', 1j, lambda r, a: np.exp(-(r**2) / (2 * a**2)) / a),
+                ('c0 (x, y) exp(−r²/2a²)', 1.0, lambda r, a: np.exp(-(r**2) / (2 * a**2)) / a),
+                ('c0 (x, y)/(r + a)', 1.0, lambda r, a: 1 / (r + a))):
+            yield Formula(text, partial(_about, t, turn, fall), t.named(1, field=True), *spot)
+        yield Formula('c0 (x, y) about a place', lambda s: t.field([apart((*s, 0.0)) / half]),
+                      t.named(1, field=True), ('x_um', 'y_um'),
+                      tuple((x, y) for x, y, _ in spots[::2]), spot[2][:2], spot[3][:2])
+        return
+    yield Formula('c0 + c1 exp(−s/a)', lambda s: t.each([one, np.exp(-(along(s[0]) + 1) / s[1])]),
+                  t.named(2), ('angle_rad', 'a'), tuple(product(angles, (0.3, 1.0))),
+                  (-2 * np.pi, 0.05), (2 * np.pi, 3.0))
+    yield Formula(
+        'c0 + c1 cos(k·p) + c2 sin(k·p)', lambda s: t.each([
+            one, np.cos(s[0] * u + s[1] * v), np.sin(s[0] * u + s[1] * v)]),
+        t.named(3), ('kx', 'ky'),
+        tuple(product((0.0, 2.0, 4.0, 6.0), (-5.0, -2.5, 0.0, 2.5, 5.0))),
+        (-1.0, -9.0), (9.0, 9.0))
+    yield Formula(
+        'c0 + c1 H(s − a)', lambda s: t.each([one, np.clip(
+            (along(s[0]) - s[1]) * half / _spacing(t) + 0.5, 0, 1)]), t.named(2),
+        ('angle_rad', 'a'), tuple(product(angles[:6], (-0.5, -0.2, 0.0, 0.2, 0.5))),
+        (-np.pi, -1.0), (np.pi, 1.0))
+    yield Formula('c0 + c1 exp(−r²/2a²)', lambda s: t.each(
+        [one, np.exp(-np.abs(apart(s)) ** 2 / (2 * s[2] ** 2))]), t.named(2), *spot)
+    yield Formula('c0 + c1/(r² + a²)', lambda s: t.each(
+        [one, s[2] ** 2 / (np.abs(apart(s)) ** 2 + s[2] ** 2)]), t.named(2), *spot)

@@ -1,0 +1,225 @@
+"""From what is left to a term: which covariate and frame, which curve, which formula, how sure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from microbot_ros.discovery.learned.candidates import candidates
+from microbot_ros.discovery.learned.curve import Curve, curve_of, kernels
+from microbot_ros.discovery.learned.grammar import FittedFormula, grammar
+from microbot_ros.discovery.learned.grammar import fit as refit
+from microbot_ros.discovery.learned.moments import FOLDS, Moments
+from microbot_ros.estimation.model_fit import ModelFit, evaluate, fit_noise
+from microbot_ros.model.learned_term import LearnedTerm
+
+CONVINCING = float(np.log(1000))
+"""Log evidence that a term must have, once all that were looked at are paid for."""
+
+CHANCE = 0.05
+"""p in PASTIS' price k ln(n₀/p) for the k numbers of one of n₀ formulas."""
+
+DRAWN = 400
+"""Tables from which a band is made."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A `term` that was learned beside a `fit`: `curve` from its `moments`, and its odds.
+
+    `odds` {(against, frame, acts on): share} of all candidates, the likeliest first;
+    `log_evidence` over nothing at all, all candidates paid for; `formula` where one does better.
+    """
+
+    term: LearnedTerm
+    moments: Moments
+    curve: Curve
+    formula: FittedFormula | None
+    log_evidence: float
+    odds: dict[tuple[str, str, str], float]
+
+
+def learn_term(fit: ModelFit, report: Callable[[str], None] = lambda _: None) -> Finding | None:
+    """The term that best explains what a `fit` leaves; None where nothing is convincing."""
+    known = told(fit)
+    tables = candidates(known)
+    report(f'looking for a term, against {len(tables)} pairs of covariate and frame')
+    noise = [p.diffusion for p in known.session_fits]
+    first = _best(known, tables, noise)
+    if first is None or first.log_evidence < CONVINCING:
+        return None
+    # With what is missing in the noise, evidence would be too small, and its levels wrong.
+    better = with_term(known, first.term)
+    known, noise = _beside(known, better), [p.diffusion for p in better.session_fits]
+    found = _best(known, tables, noise)
+    if found is None or found.log_evidence < CONVINCING:
+        return None
+    report(f'{found.term.against}, {found.term.acts_on}: looking for a formula')
+    return finish(found)
+
+
+def told(fit: ModelFit) -> ModelFit:
+    """A `fit` whose sessions know φ of their particles."""
+    return ModelFit(fit.model, tuple(
+        replace(p, session=replace(p.session, phi=np.angle(p.velocity_phasor)))
+        for p in fit.session_fits))
+
+
+def with_term(fit: ModelFit, term: LearnedTerm) -> ModelFit:
+    """A `fit` with a `term` in its model, v, φ and noise at their maximum again."""
+    model = replace(fit.model, learned=(term,))
+    known = told(fit)
+    return fit_noise(evaluate(model, [p.session for p in known.session_fits],
+                              [p.whitening for p in fit.session_fits]))
+
+
+def relearn(found: Finding, fit: ModelFit) -> ModelFit:
+    """A `fit` of other rows with the term that was `found`, learned from these rows alone.
+
+    Which covariate, frame and formula is known from all rows; every number is learned anew.
+    """
+    known = told(fit)
+    table = replace(found.moments.term)
+    for _ in range(2):
+        noise = [p.diffusion for p in fit.session_fits]
+        moments = Moments.of(known, table, noise)
+        values = curve_of(moments).mean
+        if found.formula is not None:
+            values = refit(found.formula.formula, *moments.total,
+                           begin=found.formula.shape).values
+        fit = with_term(known, _filled(moments, values))
+        known = _beside(known, fit)
+    return fit
+
+
+def _beside(fit: ModelFit, better: ModelFit) -> ModelFit:
+    """The model of a `fit` with the noise, and at v and φ, of a `better` one."""
+    plain = evaluate(fit.model, [p.session for p in better.session_fits],
+                     [p.whitening for p in better.session_fits])
+    parts = []
+    for p, other in zip(plain.session_fits, better.session_fits, strict=True):
+        one = replace(p)
+        vars(one)['velocity_phasor'] = other.velocity_phasor
+        parts.append(one)
+    return ModelFit(fit.model, tuple(parts))
+
+
+def _best(known: ModelFit, tables: Sequence[LearnedTerm],
+          noise: Sequence[float]) -> Finding | None:
+    """The candidate of the largest evidence, with the posterior mean as its table."""
+    best: tuple[Moments, Curve] | None = None
+    evidence: dict[tuple[str, str, str], float] = {}
+    for table in tables:
+        moments = Moments.of(known, table, noise)
+        curve = curve_of(moments)
+        evidence[table.against, table.frame, table.acts_on] = curve.log_evidence
+        if best is None or curve.log_evidence > best[1].log_evidence:
+            best = moments, curve
+    if best is None:
+        return None
+    moments, curve = best
+    total = float(np.logaddexp.reduce(list(evidence.values())))
+    odds = {name: float(np.exp(one - total)) for name, one in sorted(
+        evidence.items(), key=lambda item: -item[1])}
+    return Finding(_filled(moments, curve.mean), moments, curve, None,
+                   curve.log_evidence - float(np.log(len(tables))), odds)
+
+
+def finish(found: Finding) -> Finding:
+    """With a formula, where one beats the curve on rows it was not fitted to, and the band."""
+    formula = best_formula(found.moments)
+    if formula is not None and not _beats(found.moments, formula):
+        formula = None
+    values = found.curve.mean if formula is None else formula.values
+    low, high = band(found, formula)
+    term = _filled(found.moments, values, low, high)
+    if formula is not None:
+        term = replace(term, formula=formula.formula.text, parameters=formula.parameters)
+    return replace(found, term=term, formula=formula)
+
+
+def best_formula(moments: Moments) -> FittedFormula | None:
+    """The formula of the grammar that pays best for its size; None where none pays."""
+    gram, projection = moments.total
+    rules = grammar(moments.term)
+    price = _price(moments.term)
+    fitted = [refit(rule, gram, projection) for rule in rules]
+    best = max(fitted, key=lambda one: one.gain - price * one.size, default=None)
+    return best if best is not None and best.gain > price * best.size else None
+
+
+def _price(term: LearnedTerm) -> float:
+    """What every number of a formula costs in log likelihood."""
+    return float(np.log(max(len(grammar(term)), 1) / CHANCE))
+
+
+def _beats(moments: Moments, formula: FittedFormula) -> bool:
+    """Whether a `formula` foretells rows it was not fitted to as well as the curve does.
+
+    Within one standard error, where the simpler is preferred (Breiman et al. 1984).
+    """
+    tried = kernels(moments.term)
+    gain = variance = 0.0
+    for fold in range(FOLDS):
+        parts = moments.without_fold(fold)
+        again = refit(formula.formula, *parts, begin=formula.shape)
+        curve = Curve.of(tried, *parts).mean
+        gain += moments.held_out(fold, again.values) - moments.held_out(fold, curve)
+        variance += moments.apart(fold, again.values, curve)
+    return gain > -float(np.sqrt(variance))
+
+
+def band(found: Finding, formula: FittedFormula | None) -> tuple[np.ndarray, np.ndarray]:
+    """Ends (K·C,) each of the 95 % band at every knot.
+
+    Of tables as likely as the data have them: curves, and those of a `formula` fitted to data
+    simulated from it, as many of either as their evidence has it.
+    """
+    rng = np.random.default_rng(0)
+    draws = found.curve.draws(DRAWN, rng)
+    if formula is not None:
+        # Beyond this the curve has no part in 95 % of anything.
+        more = np.clip(formula.gain - _price(found.moments.term) * formula.size
+                       - found.curve.log_evidence, -20.0, 20.0)
+        share = 1 / (1 + np.exp(-more))
+        kept = rng.random(DRAWN) > share
+        simulated = _formulas(formula, found.moments.total[0], rng)
+        draws = np.concatenate(
+            [draws[kept], simulated[rng.integers(len(simulated), size=DRAWN - kept.sum())]])
+    draws = centred(found.moments, draws)
+    low, high = np.quantile(draws, [0.025, 0.975], axis=0)
+    return low, high
+
+
+def _formulas(formula: FittedFormula, gram: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Tables of a `formula` fitted to data simulated from it."""
+    values, vectors = np.linalg.eigh(gram)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    draws = []
+    for _ in range(DRAWN // 8):
+        projection = gram @ formula.values + root @ rng.standard_normal(len(values))
+        draws.append(refit(formula.formula, gram, projection, begin=formula.shape).values)
+    return 2 * formula.values - np.array(draws)
+
+
+def centred(moments: Moments, tables: np.ndarray) -> np.ndarray:
+    """Tables (..., K·C) without what v and φ absorb: the mean of a factor, or of an angle."""
+    term = moments.term
+    if term.acts_on == 'velocity' or term.frame == 'radial':
+        return tables
+    weight = np.maximum(np.diagonal(moments.grams.sum(axis=(0, 1)))[3 + moments.count:], 0.0)
+    mean = tables @ weight / weight.sum()
+    shown: np.ndarray = (tables - mean[..., None]) * (weight > 0)
+    return shown
+
+
+def _filled(moments: Moments, values: np.ndarray, low: np.ndarray | None = None,
+            high: np.ndarray | None = None) -> LearnedTerm:
+    term, count = moments.term, moments.term.values.shape[1]
+    shown = [centred(moments, one).reshape(count, -1).T
+             for one in (values, values if low is None else low, values if high is None else high)]
+    if low is not None and high is not None:
+        shown[1], shown[2] = (one.reshape(count, -1).T for one in (low, high))
+    return replace(term, values=shown[0], low=shown[1], high=shown[2])

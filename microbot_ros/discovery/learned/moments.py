@@ -1,0 +1,133 @@
+"""All that the data say of a table: inner products with what the value of every knot displaces.
+
+White increments are independent, so their inner products, summed over rows, are sufficient: curves
+and formulas are then a matter of matrices as large as a table, however long the recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from microbot_ros.discovery.learned.candidates import columns
+from microbot_ros.estimation.likelihood import SessionFit, eliminate, inner
+from microbot_ros.estimation.model_fit import ModelFit
+from microbot_ros.model.learned_term import LearnedTerm
+
+FOLDS = 5
+SHORTEST = 2.0
+"""Seconds of one block of rows; every fifth block belongs to one fold."""
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Of one candidate `term` on a fit: `grams` (F, tracks, M, M) by fold of rows.
+
+    Columns are the data, v and φ, P parameters of effects, and the knots, in units of the noise;
+    `count` is P.
+    """
+
+    term: LearnedTerm
+    grams: np.ndarray
+    count: int
+
+    @classmethod
+    def of(cls, fit: ModelFit, term: LearnedTerm, noise: Sequence[float]) -> Moments:
+        """Of a `term` beside a `fit`, at a diffusion `noise` [m²/s] for each session."""
+        folds = []
+        for p, jacobian, diffusion in zip(fit.session_fits, fit.jacobian, noise, strict=True):
+            scale = np.sqrt(diffusion)
+            known = np.concatenate(
+                [p.white / scale, jacobian * np.sqrt(p.diffusion) / scale], axis=-1)
+            fold = _folds(p.session.times)
+            for n, moved in enumerate(columns(fit, p, term)):
+                white = np.concatenate(
+                    [known[:, n], whiten_track(p, n, moved) / scale], axis=-1)
+                folds.append(np.concatenate([
+                    inner(white[fold == k][:, None]) for k in range(FOLDS)]))
+        return cls(term, np.stack(folds, axis=1), fit.jacobian[0].shape[-1])
+
+    @cached_property
+    def total(self) -> tuple[np.ndarray, np.ndarray]:
+        """G (K, K) and b (K,) of all knots, with v, φ and the parameters of effects taken out."""
+        return self._reduced(range(FOLDS))
+
+    def without_fold(self, fold: int) -> tuple[np.ndarray, np.ndarray]:
+        """The same without the rows of one `fold`."""
+        return self._reduced([k for k in range(FOLDS) if k != fold])
+
+    def _reduced(self, folds: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+        gram = self.grams[list(folds)].sum(axis=0)
+        left = eliminate(gram).sum(axis=0)
+        if self.count:
+            own = slice(1, 1 + self.count)
+            rest = [0, *range(1 + self.count, len(left))]
+            mixed = left[own][:, rest]
+            left = left[np.ix_(rest, rest)] - mixed.T @ np.linalg.pinv(
+                left[own, own], rcond=1e-10, hermitian=True) @ mixed
+        return left[1:, 1:], left[1:, 0]
+
+    def held_out(self, fold: int, values: np.ndarray) -> float:
+        """Gain in log likelihood of the rows of a `fold` by table `values` (K,) learned elsewhere.
+
+        Over none at all; v, φ and effects are learned from the other rows, under each.
+        """
+        gains = []
+        for table in (values, np.zeros_like(values)):
+            gram = self.grams[[k for k in range(FOLDS) if k != fold]].sum(axis=0)
+            known = self._solved(gram, table)
+            judged = self.grams[fold]
+            gains.append(-0.5 * float(np.einsum('ni,nij,nj->', known, judged, known)))
+        return gains[0] - gains[1]
+
+    def apart(self, fold: int, one: np.ndarray, other: np.ndarray) -> float:
+        """How far two tables (K,) are from each other in the rows of a `fold`, squared.
+
+        In units of the noise: the variance of the difference of their log likelihoods.
+        """
+        gram = self.grams[[k for k in range(FOLDS) if k != fold]].sum(axis=0)
+        known = self._solved(gram, one) - self._solved(gram, other)
+        return float(np.einsum('ni,nij,nj->', known, self.grams[fold], known))
+
+    def _solved(self, gram: np.ndarray, table: np.ndarray) -> np.ndarray:
+        """Weights (tracks, M) of the columns whose sum is what is left."""
+        first = 3 + self.count
+        weights = np.zeros(gram.shape[:2])
+        weights[:, 0], weights[:, first:] = 1.0, -table
+        if self.count:
+            left = eliminate(gram).sum(axis=0)
+            plain = np.concatenate([[1.0], np.zeros(self.count), -table])
+            own = slice(1, 1 + self.count)
+            weights[:, 3:first] = -np.linalg.pinv(
+                left[own, own], rcond=1e-10, hermitian=True) @ (left[own] @ plain)
+        target = np.einsum('nij,nj->ni', gram[:, 1:3], weights)
+        square = gram[:, 1:3, 1:3] + 1e-9 * np.eye(2) * np.maximum(
+            np.trace(gram[:, 1:3, 1:3], axis1=1, axis2=2), 1e-300)[:, None, None]
+        weights[:, 1:3] = -np.linalg.solve(square, target[..., None])[..., 0]
+        return weights
+
+
+def whiten_track(p: SessionFit, n: int, moved: np.ndarray) -> np.ndarray:
+    """Displacements (T, M) [m] of the n-th track of a session, whitened but for D."""
+    session, one = p.session, slice(n, n + 1)
+    alone = replace(session, ids=session.ids[one], z=session.z[:, one],
+                    pieces=np.ascontiguousarray(session.pieces[:, one]),
+                    causal_positions=session.causal_positions[:, one], phi=None)
+    noise = p.whitening
+    if noise.sensitivity is not None and noise.retention is not None:
+        noise = replace(noise, sensitivity=np.ascontiguousarray(noise.sensitivity[:, one]),
+                        retention=np.ascontiguousarray(noise.retention[:, one]))
+    white: np.ndarray = noise.apply(alone, np.ascontiguousarray(moved[:, None]))[0][:, 0]
+    return white
+
+
+def _folds(times: np.ndarray) -> np.ndarray:
+    """The fold (T,) of every frame: blocks that take turns."""
+    duration = float(np.ptp(times))
+    length = max(SHORTEST, duration / 40)
+    if duration < 2 * FOLDS * length:
+        length = duration / (2 * FOLDS)
+    return ((times - times[0]) / length).astype(int) % FOLDS
