@@ -21,6 +21,9 @@ CONVINCING = float(np.log(1000))
 CHANCE = 0.05
 """p in PASTIS' price k ln(n₀/p) for the k numbers of one of n₀ formulas."""
 
+DECISIVE = 5.0
+"""Log evidence by which a curve rules a formula out (Kass and Raftery 1995: very strong)."""
+
 DRAWN = 400
 """Tables from which a band is made."""
 
@@ -130,7 +133,9 @@ def _best(known: ModelFit, tables: Sequence[LearnedTerm],
 def finish(found: Finding) -> Finding:
     """With a formula, where one beats the curve on rows it was not fitted to, and the band."""
     formula = best_formula(found.moments)
-    if formula is not None and not _beats(found.moments, formula):
+    if formula is not None and not (
+            _paid(formula, found.moments.term) > found.curve.log_evidence - DECISIVE
+            and _beats(found.moments, formula)):
         formula = None
     values = found.curve.mean if formula is None else formula.values
     low, high = band(found, formula)
@@ -144,15 +149,14 @@ def best_formula(moments: Moments) -> FittedFormula | None:
     """The formula of the grammar that pays best for its size; None where none pays."""
     gram, projection = moments.total
     rules = grammar(moments.term)
-    price = _price(moments.term)
     fitted = [refit(rule, gram, projection) for rule in rules]
-    best = max(fitted, key=lambda one: one.gain - price * one.size, default=None)
-    return best if best is not None and best.gain > price * best.size else None
+    best = max(fitted, key=lambda one: _paid(one, moments.term), default=None)
+    return best if best is not None and _paid(best, moments.term) > 0 else None
 
 
-def _price(term: LearnedTerm) -> float:
-    """What every number of a formula costs in log likelihood."""
-    return float(np.log(max(len(grammar(term)), 1) / CHANCE))
+def _paid(formula: FittedFormula, term: LearnedTerm) -> float:
+    """Gain in log likelihood of a `formula`, less what its numbers cost."""
+    return float(formula.gain - np.log(len(grammar(term)) / CHANCE) * formula.size)
 
 
 def _beats(moments: Moments, formula: FittedFormula) -> bool:
@@ -181,8 +185,7 @@ def band(found: Finding, formula: FittedFormula | None) -> tuple[np.ndarray, np.
     draws = found.curve.draws(DRAWN, rng)
     if formula is not None:
         # Beyond this the curve has no part in 95 % of anything.
-        more = np.clip(formula.gain - _price(found.moments.term) * formula.size
-                       - found.curve.log_evidence, -20.0, 20.0)
+        more = np.clip(_paid(formula, found.moments.term) - found.curve.log_evidence, -20.0, 20.0)
         share = 1 / (1 + np.exp(-more))
         kept = rng.random(DRAWN) > share
         simulated = _formulas(formula, found.moments.total[0], rng)

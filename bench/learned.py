@@ -1,0 +1,178 @@
+"""Terms learned where no effect of the library has a name, on a hundred worlds that have one.
+
+Twenty kinds, five of each; eight kinds are of the grammar, twelve are not (`_unlisted_worlds`).
+Beside them sessions with nothing hidden, and with effects of the library, in which nothing may be
+learned. `out/learned.json` has every session.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import time
+import traceback
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from bench._hidden_suite import blind
+from bench._score_card import run
+from bench._unlisted_worlds import KINDS, Filmed, film
+from bench.discovery import interval
+from bench.figure import Figure
+from microbot_ros.discovery.discover import discover
+from microbot_ros.discovery.input_checks import check_sessions
+from microbot_ros.discovery.learned.candidates import columns
+from microbot_ros.discovery.learned.learn import told
+from microbot_ros.discovery.result import Discovery
+from microbot_ros.estimation.model_fit import fit_sessions
+from microbot_ros.files import write_text
+from microbot_ros.model.learned_term import LearnedTerm
+from microbot_ros.model.model import Model
+
+ENOUGH = 1 / 3
+"""Part of the gap that may be left."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one session: of a `kind` of world, 'null', or an effect of the library."""
+
+    kind: str
+    seed: int
+    verdict: str = ''
+    learned: str = ''
+    right: bool = False
+    formula: str | None = None
+    formula_right: bool | None = None
+    before: float = np.nan
+    after: float = np.nan
+    covered: float = np.nan
+    seconds: float = np.nan
+    error: str = ''
+
+
+def figures() -> list[Figure]:
+    """All of them."""
+    outcomes = run(cases(), judge)
+    write_text(Path('out/learned.json'), json.dumps(
+        [dataclasses.asdict(one) for one in outcomes], indent=1) + '\n')
+    return score(outcomes)
+
+
+def cases(worlds: int = 5, nulls: int = 200, named: int = 100) -> list[tuple[str, int]]:
+    """(what is hidden, seed) of every session."""
+    from bench._hidden_effects import LISTED
+
+    listed = list(LISTED)
+    return [*((kind, seed) for seed in range(1, worlds + 1) for kind in KINDS),
+            *(('null', 300_000 + k) for k in range(nulls)),
+            *((listed[k % len(listed)], 310_000 + k) for k in range(named))]
+
+
+def judge(case: tuple[str, int]) -> Outcome:
+    """Look at one session."""
+    kind, seed = case
+    outcome = Outcome(kind, seed)
+    try:
+        if kind in KINDS:
+            return _of_world(outcome, film(kind, seed))
+        hidden = () if kind == 'null' else (kind,)
+        commands = ('paper', 'fast')[seed % 2]
+        found, spent = _timed(blind(seed, commands, hidden, 100.0 if hidden else 0.0).session)
+        return replace(outcome, verdict=found.verdict, seconds=spent, learned=_what(found))
+    except Exception:  # one that fails must not lose the rest
+        return replace(outcome, error=traceback.format_exc())
+
+
+def _timed(session: object) -> tuple[Discovery, float]:
+    began = time.process_time()
+    found = discover([session])  # type: ignore[list-item]
+    return found, time.process_time() - began
+
+
+def _what(found: Discovery) -> str:
+    if not found.learned:
+        return ''
+    term = found.learned.term
+    return f'{term.against}, {term.frame}, {term.acts_on}'
+
+
+def _of_world(outcome: Outcome, filmed: Filmed) -> Outcome:
+    found, spent = _timed(filmed.session)
+    outcome = replace(outcome, verdict=found.verdict, seconds=spent, learned=_what(found),
+                      before=found.gap.before, after=found.gap.after)
+    if not found.learned:
+        return outcome
+    term, kind = found.learned.term, filmed.kind
+    right = term.against in kind.against and (term.frame, term.acts_on) == (
+        kind.frame, kind.acts_on)
+    return replace(
+        outcome, right=right, formula=term.formula, after=found.gap.learned,
+        formula_right=None if kind.formula is None else right and kind.formula in (
+            term.formula or ''),
+        covered=_covered(term, filmed) if right else np.nan)
+
+
+def _covered(term: LearnedTerm, filmed: Filmed) -> float:
+    """Which part of the band of a `term`, by what each knot moves, holds what was done.
+
+    What was done is brought to the knots by least squares, without noise, at the true speeds.
+    """
+    prepared, _ = check_sessions([filmed.session])
+    fit = told(fit_sessions(Model.baseline(
+        prepared[0].conditions, prepared[0].commands), prepared))
+    p = replace(fit.session_fits[0])
+    session = p.session
+    own = filmed.swarm['speed'] * np.exp(1j * filmed.swarm['phi'])
+    vars(p)['velocity_phasor'] = own[session.ids]
+    times = session.times + filmed.session.tracks.t.min()
+    done = filmed.velocities(times) * np.diff(times)[:, None]
+    gram, right = 0.0, 0.0
+    for n, column in enumerate(columns(fit, p, term)):
+        used = session.joined()[:, n]
+        step, moved = np.diff(column, axis=0)[used], done[used, session.ids[n]]
+        design = np.concatenate([step.real, step.imag])
+        gram = gram + design.T @ design
+        right = right + design.T @ np.concatenate([moved.real, moved.imag])
+    gram = np.asarray(gram)
+    weight = np.diagonal(gram)
+    true = np.linalg.lstsq(gram + 1e-6 * weight.mean() * np.eye(len(gram)), right, rcond=None)[0]
+    if term.acts_on != 'velocity' and term.frame != 'radial':
+        mean = true @ weight / weight.sum()
+        true = (1 + true) / (1 + mean) - 1 if term.acts_on == 'speed' else true - mean
+    low, high = term.low.T.ravel(), term.high.T.ravel()
+    shown = weight > 0.02 * weight.max()
+    return float(np.average(((true >= low) & (true <= high))[shown], weights=weight[shown]))
+
+
+def score(outcomes: Sequence[Outcome]) -> list[Figure]:
+    """The figures of all outcomes."""
+    worlds = [o for o in outcomes if o.kind in KINDS]
+    nulls = [o for o in outcomes if o.kind == 'null']
+    named = [o for o in outcomes if o.kind not in (*KINDS, 'null')]
+    closed = [bool(o.after <= ENOUGH * o.before) for o in worlds]
+    covered = float(np.nanmean([o.covered for o in worlds]))
+    formulas = [bool(o.formula_right) for o in worlds if KINDS[o.kind].formula is not None]
+    longest = max(o.seconds for o in worlds)
+    return [
+        _share('held-out gap at most a third', closed, 0.9),
+        _share('right covariate and frame', [o.right for o in worlds], 0.9),
+        _share('formula right, where the grammar has it', formulas, 0.8),
+        Figure(17, 'bands cover', 100 * covered, '%', '90–98', '', 0.9 <= covered <= 0.98),
+        _share('nothing missing: a term learned', [bool(o.learned) for o in nulls], 0.01,
+               most=True),
+        _share('effect of the library: a term learned in its place',
+               [bool(o.learned) for o in named], 0.02, most=True),
+        Figure(17, 'longest search with a term', longest, 's', '≤ 60', '', longest <= 60),
+    ]
+
+
+def _share(name: str, hits: Sequence[bool], target: float, *, most: bool = False) -> Figure:
+    share = float(np.mean(hits))
+    low, high = interval(sum(hits), len(hits))
+    return Figure(17, name, 100 * share, '%', f'{"≤" if most else "≥"} {100 * target:g}',
+                  f'{sum(hits)} of {len(hits)}, {100 * low:.0f}–{100 * high:.0f} %',
+                  share <= target if most else share >= target)
