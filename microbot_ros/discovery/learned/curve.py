@@ -9,7 +9,7 @@ ch. 2 and 5). Length scales, strengths and kinds of kernel are averaged over, no
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -167,6 +167,10 @@ class Curve:
     def of(cls, tried: list[Kernel], gram: np.ndarray, projection: np.ndarray) -> Curve:
         """With the kernels `tried`."""
         return cls(tuple(_Reduced.of(kernel, gram, projection) for kernel in tried))
+
+    def given(self, projection: np.ndarray) -> Curve:
+        """The same kernels on other data of the same design, `projection` b (K,)."""
+        return Curve(tuple(replace(one, found=one.tables.T @ projection) for one in self.reduced))
 
     @cached_property
     def log_weights(self) -> np.ndarray:
