@@ -15,7 +15,12 @@ from microbot_ros.discovery.evidence import FitEvidence
 from microbot_ros.discovery.held_out import held_out_gap, log_e_value
 from microbot_ros.discovery.input_checks import check_sessions
 from microbot_ros.discovery.intervals import Intervals
-from microbot_ros.discovery.learned.learn import Finding, learn_term, relearn, with_term
+from microbot_ros.discovery.learned.learn import (
+    Finding,
+    learn_terms,
+    relearn,
+    with_terms,
+)
 from microbot_ros.discovery.learned.likeness import confirmation, looks_like
 from microbot_ros.discovery.next_experiment import next_experiment
 from microbot_ros.discovery.result import (
@@ -105,57 +110,68 @@ def _discover(selection: StepwiseSelection, remarks: tuple[str, ...],
     verdict = _verdict(effects, bool(unexplained) and not told)
     learned = _learned(selection, effects, report) if verdict == 'unnamed' else None
     if learned:
-        fit = with_term(learned[0], learned[1].term)
+        fit = learned.fit
         known = Intervals(fit, complete=False)
     report('predicting what was held out')
     return Discovery(
         verdict=verdict,
         effects=tuple(sorted(effects, key=lambda e: (e.p_value, -e.delta_bic))),
         gap=held_out_gap(fit, selection.sessions, truth,
-                         partial(relearn, learned[1]) if learned else None),
+                         partial(relearn, learned.findings) if learned else None),
         maps_before=before, maps_after=after, unexplained=unexplained,
         selection=tuple(selection.steps),
         limits=tuple(limit for found in selection.open for limit in _limits(found)),
         baseline=known.particles(),
         diffusion=known.diffusion(),
         localisation=known.localisation(),
-        next_experiment=(confirmation(learned[1], FitEvidence(start).duration / 60) if learned
-                         else next_experiment(fit, rivals)),
+        next_experiment=(
+            confirmation(learned.findings[0], FitEvidence(start).duration / 60) if learned
+            else next_experiment(fit, rivals)),
         model=fit.model,
         particles=_particle_parameters(fit),
         remarks=(*remarks, *_confounded(start)),
-        learned=learned and _told(learned[1], fit),
+        learned=_told(learned) if learned else (),
     )
 
 
-def _told(found: Finding, fit: ModelFit) -> Learned:
-    """What was `found`, and what a `fit` with it still leaves."""
-    return Learned(found.term, looks_like(found), found.log_evidence, found.odds, tuple(
-        m.against for m in _worst(m for m in residual_maps(fit) if m.fires)))
+@dataclass(frozen=True)
+class _Terms:
+    """Terms that were learned: the `findings`, and the `fit` with them."""
+
+    findings: tuple[Finding, ...]
+    fit: ModelFit
 
 
 def _learned(selection: StepwiseSelection, effects: Sequence[NamedEffect],
-             report: Callable[[str], None]) -> tuple[ModelFit, Finding] | None:
-    """A term for what no effect explains, and the fit beside which it explains most.
+             report: Callable[[str], None]) -> _Terms | None:
+    """Terms for what no effect explains, where they explain most.
 
     Beside all effects that were found, or, since those that only stand in for it are in its way,
     beside none but the established ones.
     """
-    fit = selection.current
     sure = {e.id for e in effects if e.status == 'established'}
-    beside = [fit]
-    if any(e.id not in sure for e in fit.model.effects):
-        beside.append(selection.fit(replace(fit.model, effects=tuple(
-            e for e in fit.model.effects if e.id in sure))))
-    found = [(one, term) for one in beside if (term := learn_term(one, report))]
+    beside = [selection.current]
+    if any(e.id not in sure for e in beside[0].model.effects):
+        beside.append(selection.fit(replace(beside[0].model, effects=tuple(
+            e for e in beside[0].model.effects if e.id in sure))))
+    found = [_Terms(findings, with_terms(fit, findings)) for fit in beside
+             if (findings := learn_terms(fit, report))]
     return max(found, key=_support, default=None)
 
 
-def _support(found: tuple[ModelFit, Finding]) -> float:
-    """Log likelihood with a term, as BIC and the evidence have it."""
-    fit, term = found
-    price = np.log(fit.count) / 2 * len(fit.model.vector())
-    return float(fit.log_likelihood - price + term.log_evidence)
+def _support(terms: _Terms) -> float:
+    """Log likelihood with terms, as BIC prices effects and the evidence the terms."""
+    fit, found = terms.fit, terms.findings
+    price = np.log(fit.count) / 2 * len(fit.model.vector()) + sum(
+        one.gain - one.log_evidence for one in found)
+    return float(fit.log_likelihood - price)
+
+
+def _told(learned: _Terms) -> tuple[Learned, ...]:
+    """What was `learned`, and what is left with all of it."""
+    left = tuple(m.against for m in _worst(m for m in residual_maps(learned.fit) if m.fires))
+    return tuple(Learned(found.term, looks_like(found), found.log_evidence, found.odds, left)
+                 for found in learned.findings)
 
 
 def _verdict(effects: Sequence[NamedEffect], incomplete: bool) -> Verdict:

@@ -67,7 +67,7 @@ def page(found: Discovery, sessions: Sequence[Session], sources: Sequence[Path])
     return template.render(
         found=found, headline=headline(found), library=EFFECTS, sessions=sessions, fires=FIRES,
         speed=_SPEED[found.model.propulsion], prediction=prediction,
-        learned_figure=found.learned and embedded(draw_learned(found.learned.term)),
+        learned=[(one, embedded(draw_learned(one.term))) for one in found.learned],
         gap_figure=embedded(draw_gap(found.gap)), maps_figure=maps and embedded(maps),
         places_figure=places and embedded(places), band_figure=embedded(draw_bands(prediction)),
         drive_figure=driven and embedded(draw_drive(driven, BEFORE, AFTER)),
@@ -93,7 +93,7 @@ def headline(found: Discovery) -> str:
             + (f' Of what the library has, {listed(rest)} can only stand in for it.'
                if rest else '')
             + (f' Established beside it: {told}.' if sure else '')
-            + (f' {found.learned.sentence(found.gap.learned)}' if found.learned else ''))
+            + ''.join(f' {one.sentence()}' for one in found.learned))
 
 
 def _against(found: Discovery) -> str:

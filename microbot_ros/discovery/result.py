@@ -207,18 +207,17 @@ class Learned:
     odds: dict[tuple[str, str, str], float]
     left: tuple[str, ...] = ()
 
-    def sentence(self, gap: float) -> str:
-        """What it is, for people; `gap` [m] is what is left with it."""
+    def sentence(self) -> str:
+        """What it is, for people."""
         term = self.term
         form = f': {term.formula}' if term.formula else ', a curve that no formula fits'
         like = f' It looks like {self.looks_like}.' if self.looks_like else ''
-        rest = f' Something is left against {", ".join(self.left)}.' if self.left else ''
+        rest = f' Something is left against {", ".join(self.left[:3])}.' if self.left else ''
         return (f'A term of the {term.acts_on} was learned against {term.against} '
-                f'({_FRAMES[term.frame]}){form}; {gap * 1e6:.2f} µm are left with it.{like}{rest} '
-                'A curve is not a cause.')
+                f'({_FRAMES[term.frame]}){form}.{like}{rest} A curve is not a cause.')
 
     def as_json(self, gap: float) -> dict[str, Any]:
-        """The entry of `learned`; `gap` [m] is what is left with it."""
+        """The entry of `learned`; `gap` [m] is what is left with all that was learned."""
         term = self.term
         return {
             'against': term.against, 'frame': term.frame, 'acts_on': term.acts_on,
@@ -248,8 +247,8 @@ class Discovery:
     `baseline`: every particle under the final model, with `diffusion` [m²/s] and `localisation`
     [m], means over sessions; `next_experiment`, None where nothing is open; `remarks`: sentences.
     `unexplained` are maps that fire with the final model, and maps of it less one effect that
-    explain more than this effect does: the worst first. `learned`: a term for what is unnamed,
-    part of the model.
+    explain more than this effect does: the worst first. `learned`: terms for what is unnamed,
+    parts of the model.
     """
 
     verdict: Verdict
@@ -267,7 +266,7 @@ class Discovery:
     model: Model
     particles: ParticleParameters
     remarks: tuple[str, ...] = ()
-    learned: Learned | None = None
+    learned: tuple[Learned, ...] = ()
 
     def sentences(self) -> list[str]:
         """The verdict for people, the effects, the gap, remarks."""
@@ -283,11 +282,11 @@ class Discovery:
         }[self.verdict]
         said += [effect.sentence() for effect in self.effects]
         gap = self.gap
-        if self.learned:
-            said.append(self.learned.sentence(gap.learned))
+        said += [one.sentence() for one in self.learned]
         said.append(
             f'Prediction {gap.horizon:.3g} s ahead, held out: {gap.before * 1e6:.2f} µm over the '
-            f'noise floor of {gap.floor * 1e6:.2f} µm before, {gap.after * 1e6:.2f} µm after.')
+            f'noise floor of {gap.floor * 1e6:.2f} µm before, {gap.after * 1e6:.2f} µm after'
+            + (f', {gap.learned * 1e6:.2f} µm with what was learned.' if self.learned else '.'))
         return [*said, *(f'! {remark}' for remark in self.remarks)]
 
     def as_json(self) -> dict[str, Any]:
@@ -305,7 +304,7 @@ class Discovery:
             'unexplained': [
                 {'against': m.against, 'p_value': m.p_value} for m in self.unexplained
             ],
-            'learned': [self.learned.as_json(self.gap.learned)] if self.learned else [],
+            'learned': [one.as_json(self.gap.learned) for one in self.learned],
             'not_supported': [
                 {'id': limit.id, 'parameter': limit.parameter.name,
                  'upper_limit_95': _edge(limit.parameter.name, limit.upper_limit)}

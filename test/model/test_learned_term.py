@@ -86,7 +86,8 @@ def test_without_a_field_or_a_place_it_does_nothing():
     still = replace(context(), field=np.zeros((1, 1, 2)))
     assert OF_ANGLE.heading_offset(still)[0, 0] == 0
     lost = OF_PLACE.drift(context(place=[[[np.nan, np.nan], [0, 0]]]))
-    assert np.isfinite(lost).all() and (lost[0, 0] == 0).all()
+    assert np.isfinite(lost).all()
+    assert (lost[0, 0] == 0).all()
     np.testing.assert_array_equal(lost[0, 1], OF_PLACE.drift(context(place=[[[0, 0]]]))[0, 0])
 
 
@@ -103,7 +104,8 @@ def test_neighbours_feel_each_other_alike_and_nobody_who_is_far_or_missing():
 
 def test_a_speed_is_never_negative():
     factor = OF_SPEED.speed_factor(context(since=0.0))
-    assert OF_SPEED.values.min() < -1 and factor[0, 0] == 0
+    assert OF_SPEED.values.min() < -1
+    assert factor[0, 0] == 0
 
 
 def test_it_says_where_it_was_learned():
@@ -168,13 +170,15 @@ def test_a_table_that_cannot_be_is_refused_in_one_line(tmp_path, change, message
     path.write_text(text.replace(*change, 1))
     with pytest.raises(InputError) as raised:
         read_model(path)
-    assert message in str(raised.value) and '\n' not in str(raised.value)
+    assert message in str(raised.value)
+    assert '\n' not in str(raised.value)
 
 
 def test_terms_are_compared_by_what_they_hold():
-    assert OF_TIME == replace(OF_TIME, values=OF_TIME.values.copy())
-    assert OF_TIME != replace(OF_TIME, values=OF_TIME.values * 2)
-    assert OF_TIME != 'a term' and len({OF_TIME, replace(OF_TIME)}) == 1
+    assert replace(OF_TIME, values=OF_TIME.values.copy()) == OF_TIME
+    assert replace(OF_TIME, values=OF_TIME.values * 2) != OF_TIME
+    assert OF_TIME != 'a term'
+    assert len({OF_TIME, replace(OF_TIME)}) == 1
 
 
 def test_simulate_runs_with_it(tmp_path):

@@ -113,7 +113,7 @@ def probed(model: Model, against: Against) -> Model:
     nothing = np.zeros((4 if against == 'position' else 2, 1))
     probe = LearnedTerm(against, 'heading', 'speed', axes, nothing, nothing, nothing,
                         np.zeros(len(nothing), bool))
-    return replace(model, learned=(probe,))
+    return replace(model, learned=(*model.learned, probe))
 
 
 def spans(model: Model, against: Against,

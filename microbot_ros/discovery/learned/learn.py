@@ -18,6 +18,12 @@ from microbot_ros.model.learned_term import LearnedTerm
 CONVINCING = float(np.log(1000))
 """Log evidence that a term must have, once all that were looked at are paid for."""
 
+HELD_OUT = float(np.log(20))
+"""Gain in log likelihood that a curve must bring to rows that it was not learned from."""
+
+MOST = 3
+"""Terms that are learned, at most."""
+
 CHANCE = 0.05
 """p in PASTIS' price k ln(n₀/p) for the k numbers of one of n₀ formulas."""
 
@@ -46,24 +52,77 @@ class Finding:
     log_evidence: float
     odds: dict[tuple[str, str, str], float]
 
+    @property
+    def gain(self) -> float:
+        """Log likelihood of the data with the term over that without, as far as rows tell."""
+        gram, projection = self.moments.total
+        values = self.curve.mean
+        return float(projection @ values - 0.5 * values @ gram @ values)
+
+
+def learn_terms(fit: ModelFit,
+                report: Callable[[str], None] = lambda _: None) -> tuple[Finding, ...]:
+    """The terms that explain what a `fit` leaves, one after the other; none if nothing convinces.
+
+    Each beside those before it, which are then learned again beside each other.
+    """
+    findings: list[Finding] = []
+    while len(findings) < MOST:
+        found = learn_term(with_terms(fit, findings), report)
+        if found is None:
+            break
+        findings.append(found)
+        if len(findings) > 1:
+            findings = again_beside_each_other(fit, findings)
+    return tuple(map(finish, findings))
+
+
+def again_beside_each_other(fit: ModelFit, findings: Sequence[Finding]) -> list[Finding]:
+    """The `findings`, each learned again from what a `fit` with all others leaves."""
+    learned = list(findings)
+    for k in range(len(learned)):
+        others = [one for i, one in enumerate(learned) if i != k]
+        moments, curve = _moments_of(with_terms(fit, others), learned[k].moments.term)
+        values = curve.mean if (formula := learned[k].formula) is None else refit(
+            formula.formula, *moments.total, begin=formula.shape).values
+        learned[k] = replace(learned[k], moments=moments, curve=curve,
+                             term=_filled(moments, values))
+    return learned
+
+
+def _moments_of(fit: ModelFit, table: LearnedTerm) -> tuple[Moments, Curve]:
+    """What the sessions of a `fit` say of a `table`, at the noise that is left with it."""
+    known = told(fit)
+    for last in (False, True):
+        noise = [p.diffusion for p in fit.session_fits]
+        moments = Moments.of(known, table, noise)
+        curve = curve_of(moments)
+        if not last:
+            fit = with_term(known, _filled(moments, curve.mean))
+            known = _beside(known, fit)
+    return moments, curve
+
+
+def with_terms(fit: ModelFit, findings: Sequence[Finding]) -> ModelFit:
+    """A `fit` with the terms of all `findings` in its model."""
+    for found in findings:
+        fit = with_term(fit, found.term)
+    return fit
+
 
 def learn_term(fit: ModelFit, report: Callable[[str], None] = lambda _: None) -> Finding | None:
-    """The term that best explains what a `fit` leaves; None where nothing is convincing."""
+    """The term that best explains what a `fit` leaves, as a curve; None where none convinces."""
     known = told(fit)
     tables = candidates(known)
     report(f'looking for a term, against {len(tables)} pairs of covariate and frame')
     noise = [p.diffusion for p in known.session_fits]
     first = _best(known, tables, noise)
-    if first is None or first.log_evidence < CONVINCING:
+    if first is None:
         return None
     # With what is missing in the noise, evidence would be too small, and its levels wrong.
     better = with_term(known, first.term)
     known, noise = _beside(known, better), [p.diffusion for p in better.session_fits]
-    found = _best(known, tables, noise)
-    if found is None or found.log_evidence < CONVINCING:
-        return None
-    report(f'{found.term.against}, {found.term.acts_on}: looking for a formula')
-    return finish(found)
+    return _best(known, tables, noise)
 
 
 def told(fit: ModelFit) -> ModelFit:
@@ -75,29 +134,23 @@ def told(fit: ModelFit) -> ModelFit:
 
 def with_term(fit: ModelFit, term: LearnedTerm) -> ModelFit:
     """A `fit` with a `term` in its model, v, φ and noise at their maximum again."""
-    model = replace(fit.model, learned=(term,))
+    model = replace(fit.model, learned=(*fit.model.learned, term))
     known = told(fit)
     return fit_noise(evaluate(model, [p.session for p in known.session_fits],
                               [p.whitening for p in fit.session_fits]))
 
 
-def relearn(found: Finding, fit: ModelFit) -> ModelFit:
-    """A `fit` of other rows with the term that was `found`, learned from these rows alone.
+def relearn(findings: Sequence[Finding], fit: ModelFit) -> ModelFit:
+    """A `fit` of other rows with the terms of `findings`, learned from these rows alone.
 
-    Which covariate, frame and formula is known from all rows; every number is learned anew.
+    Which covariates, frames and formulas is known from all rows; every number is learned anew.
     """
-    known = told(fit)
-    table = replace(found.moments.term)
-    for _ in range(2):
-        noise = [p.diffusion for p in fit.session_fits]
-        moments = Moments.of(known, table, noise)
-        values = curve_of(moments).mean
-        if found.formula is not None:
-            values = refit(found.formula.formula, *moments.total,
-                           begin=found.formula.shape).values
-        fit = with_term(known, _filled(moments, values))
-        known = _beside(known, fit)
-    return fit
+    learned: list[Finding] = []
+    for found in findings:
+        learned.append(again_beside_each_other(fit, [*learned, found])[-1])
+    if len(learned) > 1:
+        learned = again_beside_each_other(fit, learned)
+    return with_terms(fit, learned)
 
 
 def _beside(fit: ModelFit, better: ModelFit) -> ModelFit:
@@ -114,23 +167,31 @@ def _beside(fit: ModelFit, better: ModelFit) -> ModelFit:
 
 def _best(known: ModelFit, tables: Sequence[LearnedTerm],
           noise: Sequence[float]) -> Finding | None:
-    """The candidate of the largest evidence, with the posterior mean as its table."""
-    best: tuple[Moments, Curve] | None = None
-    evidence: dict[tuple[str, str, str], float] = {}
+    """The candidate of the largest evidence that foretells rows it was not learned from."""
+    found = []
     for table in tables:
         moments = Moments.of(known, table, noise)
-        curve = curve_of(moments)
-        evidence[table.against, table.frame, table.acts_on] = curve.log_evidence
-        if best is None or curve.log_evidence > best[1].log_evidence:
-            best = moments, curve
-    if best is None:
-        return None
-    moments, curve = best
-    total = float(np.logaddexp.reduce(list(evidence.values())))
-    odds = {name: float(np.exp(one - total)) for name, one in sorted(
-        evidence.items(), key=lambda item: -item[1])}
-    return Finding(_filled(moments, curve.mean), moments, curve, None,
-                   curve.log_evidence - float(np.log(len(tables))), odds)
+        found.append((moments, curve_of(moments)))
+    found.sort(key=lambda one: -one[1].log_evidence)
+    total = float(np.logaddexp.reduce([curve.log_evidence for _, curve in found]))
+    odds: dict[tuple[str, str, str], float] = {
+        (m.term.against, m.term.frame, m.term.acts_on): float(np.exp(curve.log_evidence - total))
+        for m, curve in found}
+    paid = float(np.log(max(len(tables), 1)))
+    for moments, curve in found:
+        if curve.log_evidence - paid < CONVINCING:
+            return None
+        if _foretells(moments) > HELD_OUT:
+            return Finding(_filled(moments, curve.mean), moments, curve, None,
+                           curve.log_evidence - paid, odds)
+    return None
+
+
+def _foretells(moments: Moments) -> float:
+    """Gain in log likelihood of every fold of rows by the curve of the others."""
+    tried = kernels(moments.term)
+    return sum(moments.held_out(fold, Curve.of(tried, *moments.without_fold(fold)).mean)
+               for fold in range(FOLDS))
 
 
 def finish(found: Finding) -> Finding:
@@ -214,7 +275,8 @@ def centred(moments: Moments, tables: np.ndarray) -> np.ndarray:
         return tables
     weight = np.maximum(np.diagonal(moments.grams.sum(axis=(0, 1)))[3 + moments.count:], 0.0)
     mean = tables @ weight / weight.sum()
-    shown: np.ndarray = (tables - mean[..., None]) * (weight > 0)
+    # Where a table does nothing, beyond what it is about, it goes on doing nothing.
+    shown: np.ndarray = np.where(tables == 0, 0.0, tables - mean[..., None])
     return shown
 
 
