@@ -35,7 +35,7 @@ def command(scenario_yaml: Path, out: Path, json_path: Path | None) -> None:
     from microbot_ros.session import write_session
     from microbot_ros.units import exact_display
     from microbot_ros.virtual_rig.scenario import read_scenario
-    from microbot_ros.virtual_rig.simulation import run
+    from microbot_ros.virtual_rig.simulation import run, strays
 
     scenario, particles = read_scenario(scenario_yaml)
     console = Console(stderr=True, highlight=False)
@@ -56,4 +56,6 @@ def command(scenario_yaml: Path, out: Path, json_path: Path | None) -> None:
     if json_path:
         result = truth | {'rows': len(session.tracks.t), 'session': str(out)}
         write_text(json_path, json.dumps(result, indent=1) + '\n')
+    for remark in strays(scenario, particles, session):
+        console.print(f'! {remark}')
     console.print(f'{out}: {len(session.tracks.t)} positions, {len(session.commands.t)} commands')

@@ -84,7 +84,7 @@ class Estimator:
         self._opening: list[_Frame] | None = []
         self._monitor = Monitor()
         self._track_faults = TrackFaults()
-        self._faults: list[str] = []
+        self._faults: tuple[str, ...] = ()
         self._restless: set[int] = set()
         self._next_question = -np.inf
         self._t = -np.inf
@@ -259,7 +259,11 @@ class Estimator:
         if self._t >= self._next_question:
             self._next_question = self._t + 1.0
             moving = bool(self._propagator.heading.any())
-            self._faults = self._track_faults.find(state, self._log.last, moving)
+            self._faults = (
+                *self._track_faults.find(state, self._log.last, moving),
+                *self._propagator.beyond_learned(
+                    self._log, (self._shared or self._knowledge(np.empty(0))).delay.value,
+                    self._t, Swarm(state.ids, state.p, state.velocity_phasor)))
         # What was noted before the first frame counts from that frame on.
         self._notes = {
             text: max(at, self._t) if math.isinf(at) else at

@@ -8,7 +8,7 @@ import numpy as np
 
 from microbot_ros.estimation.commands import CommandLog
 from microbot_ros.model.alignment_kernel import integrate_direction
-from microbot_ros.model.increments import heading_response, respond
+from microbot_ros.model.increments import beyond_learned, heading_response, respond
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.timeline import Timeline
 from microbot_ros.model.vectors import as_vectors
@@ -76,6 +76,27 @@ class Propagator:
         """
         return self._respond(log, delay, start, end, swarm)[0]
 
+    def beyond_learned(self, log: CommandLog, delay: float, t: float,
+                       swarm: Swarm) -> tuple[str, ...]:
+        """Sentences on who of a `swarm` at `t` [s] is where a learned term knows nothing."""
+        if not self.model.learned:
+            return ()
+        found = beyond_learned(self.model, self._timeline(log, delay, t, t + 1e-6, swarm))
+        return tuple(
+            f'particle {", ".join(map(str, swarm.ids[np.broadcast_to(out[0], swarm.ids.shape)]))} '
+            f'is beyond where a term was learned against {against}: it fades there'
+            for against, out in found.items() if out.any() and len(swarm.ids))
+
+    def _timeline(self, log: CommandLog, delay: float, start: float, end: float,
+                  swarm: Swarm) -> Timeline:
+        vectors = as_vectors(swarm.position)
+        # How long a command has stayed takes a look back.
+        memory = HEADING_MEMORY if self.model.learned else 0.0
+        return Timeline(
+            log.since(start - self.model.delay - memory, delay), np.array([start, end]),
+            np.broadcast_to(vectors, (2, *vectors.shape)), swarm.ids,
+            np.angle(swarm.velocity_phasor))
+
     def _respond(
         self, log: CommandLog, delay: float, start: float, end: float, swarm: Swarm,
     ) -> tuple[Step, np.ndarray]:
@@ -84,13 +105,7 @@ class Propagator:
                 log.rows, delay, np.array([start, end]), self.heading[0],
                 self.model.propulsion == 'rolling')
             return Step(path, _NO_DRIFT, end - start), heading[1:]
-        vectors = as_vectors(swarm.position)
-        # How long a command has stayed takes a look back.
-        memory = HEADING_MEMORY if self.model.learned else 0.0
-        timeline = Timeline(
-            log.since(start - self.model.delay - memory, delay), np.array([start, end]),
-            np.broadcast_to(vectors, (2, *vectors.shape)), swarm.ids,
-            np.angle(swarm.velocity_phasor))
+        timeline = self._timeline(log, delay, start, end, swarm)
         # A heading common to all is carried on; one of each, or none yet, follows from commands.
         known = self.heading.size == 1 and self.heading[0] != 0
         response = respond(self.model, timeline, self.heading if known else None)

@@ -22,6 +22,11 @@ class Places:
     number: np.ndarray | None = None
     direction: np.ndarray | None = None
 
+    def led_by(self, lead: int) -> Places:
+        """The same after so many spans more, in which particles are where they are at first."""
+        before = np.repeat(self.position[:1], lead, axis=0)
+        return Places(np.concatenate([before, self.position]), self.number, self.direction)
+
     @property
     def ids(self) -> np.ndarray:
         """The numbers (N,) of the particles; ValueError where they were not given."""

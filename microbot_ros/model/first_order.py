@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from microbot_ros.model.effect_context import EffectContext, Places
@@ -54,7 +56,10 @@ def _spread(response: Response, velocity: np.ndarray, start: np.ndarray) -> np.n
 
 def _step(model: Model, particles: ParticleParameters, timeline: Timeline, start: np.ndarray,
           begin: np.ndarray | None) -> np.ndarray:
-    segments, course, context = integrate_heading(model, timeline, begin)
+    # What turns headings by place is asked at every step.
+    local = tuple(one for one in model.learned if one.needs_position and one.acts_on == 'heading')
+    rest = replace(model, learned=tuple(one for one in model.learned if one not in local))
+    segments, course, context = integrate_heading(rest, timeline, begin)
     mean = particles.velocity_phasor * (course.path / context.span)
     position = np.empty((len(timeline.times), *start.shape))
     position[0] = p = start
@@ -62,7 +67,9 @@ def _step(model: Model, particles: ParticleParameters, timeline: Timeline, start
     frame = 1
     for k, h in enumerate(context.span[:, 0].tolist()):
         def velocity(at: np.ndarray, k: int = k) -> np.ndarray:
-            return _velocity(model, context.at(k, Places(at)), mean[k])
+            there = context.at(k, Places(at, particles.ids, particles.phi))
+            turned = sum(one.heading_offset(there) for one in local)
+            return _velocity(model, there, mean[k] * np.exp(1j * turned))
 
         k1 = velocity(p)
         k2 = velocity(p + h / 2 * k1)

@@ -45,6 +45,8 @@ def integrate_heading(
     inside = context.after(segments.lead, timeline.places(model))
     if start is not None:
         return segments, heading_course(model, inside, start), inside
+    if model.turns_by_place and inside.places is not None:
+        context = context.after(0, inside.places.led_by(segments.lead))
     return segments, heading_course(model, context).after(segments.lead), inside
 
 

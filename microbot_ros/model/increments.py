@@ -82,6 +82,18 @@ def increments(model: Model, particles: ParticleParameters, timeline: Timeline) 
     return respond(model, timeline).increments(particles)
 
 
+def beyond_learned(model: Model, timeline: Timeline) -> dict[str, np.ndarray]:
+    """Which particles (T−1, 1 or N) are where no data were when a term of a `model` was learned.
+
+    By covariate, in the frame intervals of a `timeline`: there the term fades to nothing.
+    """
+    if not model.learned:
+        return {}
+    segments, _, context = integrate_heading(model, timeline)
+    return {term.against: segments.sum((~term.inside(context)).astype(int)) > 0
+            for term in model.learned}
+
+
 @dataclass(frozen=True)
 class HeadingResponse:
     """How a small turn of the heading at a frame is felt until the next.

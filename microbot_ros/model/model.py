@@ -153,6 +153,11 @@ class Model:
         return any(one.needs_position for one in self._terms)
 
     @property
+    def turns_by_place(self) -> bool:
+        """Whether headings depend on where particles are, or on which they are."""
+        return any(term.needs_position and term.acts_on == 'heading' for term in self.learned)
+
+    @property
     def time_invariant(self) -> bool:
         """Whether nothing changes while the command stays."""
         return all(one.time_invariant for one in self._terms)

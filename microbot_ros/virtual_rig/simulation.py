@@ -10,9 +10,11 @@ import numpy as np
 from microbot_ros.errors import InputError
 from microbot_ros.model.effect_table import read_effects
 from microbot_ros.model.first_order import simulate
+from microbot_ros.model.increments import beyond_learned
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.newton_stokes import newton_stokes
 from microbot_ros.model.particle import Particle, rotational_drag, sphere_mass, stokes_drag
+from microbot_ros.model.timeline import Timeline
 from microbot_ros.records import Commands, Session
 from microbot_ros.virtual_rig.body import bodies
 from microbot_ros.virtual_rig.closed_loop import LoopFeedback, film, make_feedback, tell_fault
@@ -55,6 +57,18 @@ def run(scenario: Scenario, particles: ParticleParameters, source: str) -> Sessi
     # The particles keep the names that the scenario or its model gave them.
     named = replace(session.tracks, particle=particles.ids[session.tracks.particle])
     return replace(session, tracks=named)
+
+
+def strays(scenario: Scenario, particles: ParticleParameters, session: Session) -> list[str]:
+    """Sentences on how much of a `session` of a scenario was beyond what its terms know."""
+    model = Model(scenario.reference_field, scenario.propulsion, learned=scenario.learned)
+    times, positions = session.tracks.grid()
+    known = dict(zip(particles.ids.tolist(), particles.phi.tolist(), strict=True))
+    ids = session.tracks.particles
+    phi = np.array([known.get(name, math.nan) for name in ids.tolist()])
+    beyond = beyond_learned(model, Timeline(session.commands, times, positions, ids, phi))
+    return [f'{100 * out.mean():.0f} % of the time particles were beyond where a term was learned '
+            f'against {against}: it fades there' for against, out in beyond.items() if out.any()]
 
 
 def starting_places(
