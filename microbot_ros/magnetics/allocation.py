@@ -133,18 +133,6 @@ class Allocator:
         fields = magnitude * np.stack([np.cos(angles), np.sin(angles)], axis=1)
         return max(float(np.abs(self.allocate(field).currents).max()) for field in fields)
 
-    def power_ratio(self, direction: ArrayLike) -> float:
-        """Heat for a field along a direction (2,), limits aside, over the least possible heat.
-
-        What cancelling the gradient costs; 1 where none is cancelled or none is left to cancel.
-        ValueError as `largest`.
-        """
-        unit = _unit(direction)
-        weighted = self.matrix / self._resistance
-        least = weighted.T @ np.linalg.solve(weighted @ self.matrix.T, unit)
-        spent = self._unlimited @ unit
-        return float((spent**2 @ self._resistance) / (least**2 @ self._resistance))
-
     def _limited(self, field: np.ndarray) -> np.ndarray:
         """The cheapest currents (4,) [A] within the limits for a field (2,) [T] in reach."""
         slopes, offsets = self._faces
