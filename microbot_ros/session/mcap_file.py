@@ -5,7 +5,6 @@ from __future__ import annotations
 import fcntl
 import struct
 from bisect import bisect_left
-from collections import OrderedDict, defaultdict
 from collections.abc import Collection, Iterator
 from operator import attrgetter
 from pathlib import Path
@@ -25,8 +24,6 @@ from microbot_ros.session.mcap_recovery import BROKEN, complete_index, recover_s
 from microbot_ros.session.mcap_writer import MAGIC, closing_bytes
 
 _FOOTER_BYTES = 9 + 20 + len(MAGIC)
-_OPENED = 4
-"""Chunks that stay open: several readers of one recording go through it side by side."""
 
 
 class Message(NamedTuple):
@@ -36,14 +33,6 @@ class Message(NamedTuple):
     type: str
     t_ns: int
     data: bytes
-
-
-class _OpenChunk(NamedTuple):
-    """The content of a chunk; by channel where its messages begin and end, and their times [ns].
-    """
-
-    data: bytes
-    places: dict[int, list[tuple[int, int, int]]]
 
 
 class McapFile:
@@ -56,7 +45,6 @@ class McapFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._opened: OrderedDict[int, _OpenChunk] = OrderedDict()
         try:
             self._file = path.open('rb')
         except OSError as error:
@@ -164,28 +152,15 @@ class McapFile:
     def _inside(
         self, index: ChunkIndex, wanted: dict[int, tuple[str, str]], start_ns: int, end_ns: int,
     ) -> list[Message]:
-        data, places = self._open(index)
-        found = sorted((begin, end, t_ns, channel) for channel in places.keys() & wanted
-                       for begin, end, t_ns in places[channel] if start_ns <= t_ns < end_ns)
-        return [Message(*wanted[channel], t_ns, data[begin:end])
-                for begin, end, t_ns, channel in found]
-
-    def _open(self, index: ChunkIndex) -> _OpenChunk:
-        start = index.chunk_start_offset
-        if start in self._opened:
-            self._opened.move_to_end(start)
-            return self._opened[start]
-        places = defaultdict(list)
         try:
             data = chunk_data(self._file, index)
-            for channel, t_ns, _, begin, end in chunk_messages(data):
-                places[channel].append((begin, end, t_ns))
+            return [
+                Message(*wanted[channel], t_ns, data[begin:end])
+                for channel, t_ns, _, begin, end in chunk_messages(data)
+                if channel in wanted and start_ns <= t_ns < end_ns
+            ]
         except BROKEN as error:
             raise InputError(self.path, f'expected sound chunks ({error})') from None
-        if len(self._opened) == _OPENED:
-            self._opened.popitem(last=False)
-        self._opened[start] = _OpenChunk(data, places)
-        return self._opened[start]
 
     def _bare_messages(
         self, wanted: dict[int, tuple[str, str]], start_ns: int, end_ns: int,
