@@ -11,16 +11,12 @@ import math
 import numpy as np
 from numba import njit, types
 
+from microbot_ros.model.alignment_kernel import given
 
-def _given(dtype: types.Type, dimensions: int) -> types.Array:
-    """Any contiguous array: one that may be written to would be compiled a second time."""
-    return types.Array(dtype, dimensions, 'C', readonly=True)
-
-
-_ROWS = (_given(types.float64, 1), _given(types.int64, 2))
+_ROWS = (given(types.float64, 1, 'C'), given(types.int64, 2, 'C'))
 
 
-@njit([(*_ROWS, _given(kind, 3), types.float64) for kind in (types.complex128, types.float64)],
+@njit([(*_ROWS, given(kind, 3, 'C'), types.float64) for kind in (types.complex128, types.float64)],
       cache=True)
 def whiten_columns(times, pieces, columns, noise_ratio):  # type: ignore[no-untyped-def]
     """White increments of `columns` (T, N, M), of unit variance per axis, by the local-level gain.
@@ -164,8 +160,8 @@ def _heading_noise(h, diffusion_ratio, sensitivity, retention):  # type: ignore[
             diffusion_ratio * (1 - retention**2) / rate)
 
 
-@njit([(*_ROWS, _given(types.complex128, 3), types.float64, types.float64, types.float64,
-        _given(types.complex128, 2), _given(types.float64, 2))], cache=True)
+@njit([(*_ROWS, given(types.complex128, 3, 'C'), types.float64, types.float64, types.float64,
+        given(types.complex128, 2, 'C'), given(types.float64, 2, 'C'))], cache=True)
 def whiten_with_heading(  # type: ignore[no-untyped-def]
         times, pieces, columns, ratio_x, ratio_y, diffusion_ratio, sensitivity, retention):
     """White increments of complex `columns` (T, N, M) where headings are noisy as well.

@@ -126,8 +126,9 @@ class Population:
     def known(self, t: float) -> Mixture:
         """The estimates at `t` [s]; of a restless particle's c, what is known of any."""
         known, restless = self.bank.combined(), self._restless_until > t
-        known.velocity_phasor[restless] = known.cross[restless] = 0
-        known.phasor_var[restless] = self._phasor_prior_var
+        if restless.any():
+            known.velocity_phasor[restless] = known.cross[restless] = 0
+            known.phasor_var[restless] = self._phasor_prior_var
         return known
 
     def correct_velocity_phasors(self, factor: complex) -> None:

@@ -70,7 +70,7 @@ class AllocationStage:
         """
         if not np.isfinite(field).all():
             return np.full(4, np.nan)
-        return self._allocator.allocate(field).currents
+        return self._allocator.cheapest(field)[0]
 
     def field(self, currents: np.ndarray) -> np.ndarray:
         """The field (2,) [T] at the centre of the workspace, of currents (4,) [A]."""

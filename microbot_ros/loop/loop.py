@@ -86,13 +86,14 @@ class Loop:
         if refusal := self.gate.arm(t):
             raise RuntimeError(refusal)
 
-    def measured(self, currents: np.ndarray, t: float) -> None:
-        """The amplifier reads currents (4,) [A] back at `t` [s]."""
+    def measured(self, currents: np.ndarray, t: float) -> np.ndarray:
+        """The amplifier reads currents (4,) [A] back at `t` [s]; the field (2,) [T] they make."""
         self.gate.measured(currents.tolist(), t)
         field = self.allocation.field(currents)
         self.model.field(t, field)
         if self._tracker is not None:
             self._tracker.field(t, field)
+        return field
 
     def step(self, image: np.ndarray, t: float) -> LoopStep:
         """Take an `image` (H, W) that was exposed at `t` [s].

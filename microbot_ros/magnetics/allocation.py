@@ -86,19 +86,25 @@ class Allocator:
 
         A zero field cancels the background. ValueError for NaN or infinity: nothing to drive.
         """
-        wanted = np.asarray(wanted, dtype=float)
-        magnitude = math.hypot(*wanted)
+        currents, saturated = self.cheapest(np.asarray(wanted, dtype=float))
+        field = self.matrix @ currents + self._background
+        return Allocation(currents, field, float(currents**2 @ self._resistance), saturated)
+
+    def cheapest(self, wanted: np.ndarray) -> tuple[np.ndarray, bool]:
+        """Of what `allocate` gives for a field (2,) [T], the currents (4,) [A] and `saturated`.
+
+        ValueError as there.
+        """
+        magnitude = math.hypot(*wanted.tolist())
         if not magnitude < math.inf:
             raise ValueError(f'wanted field must be finite; received {wanted}')
         currents = self._unlimited @ (wanted - self._background)
-        saturated = False
-        if not (np.abs(currents) <= self._limits).all():
-            largest = self.largest(wanted) if magnitude > 0 else 0.0
-            saturated = magnitude > largest
-            target = wanted * (largest / magnitude) if saturated else wanted
-            currents = self._limited(target - self._background)
-        field = self.matrix @ currents + self._background
-        return Allocation(currents, field, float(currents**2 @ self._resistance), saturated)
+        if (np.abs(currents) <= self._limits).all():
+            return currents, False
+        largest = self.largest(wanted) if magnitude > 0 else 0.0
+        saturated = magnitude > largest
+        target = wanted * (largest / magnitude) if saturated else wanted
+        return self._limited(target - self._background), saturated
 
     def currents(self, wanted: np.ndarray) -> np.ndarray:
         """The currents (K, 4) [A] that `allocate` gives for each field `wanted` (K, 2) [T].
@@ -107,7 +113,7 @@ class Allocator:
         """
         found = (wanted - self._background) @ self._unlimited.T
         for row in np.flatnonzero(~(np.abs(found) <= self._limits).all(axis=1)).tolist():
-            found[row] = self.allocate(wanted[row]).currents
+            found[row], _ = self.cheapest(wanted[row])
         return np.asarray(found)
 
     def largest(self, direction: ArrayLike) -> float:
@@ -126,18 +132,6 @@ class Allocator:
         angles = np.radians(np.arange(360.0))
         fields = magnitude * np.stack([np.cos(angles), np.sin(angles)], axis=1)
         return max(float(np.abs(self.allocate(field).currents).max()) for field in fields)
-
-    def power_ratio(self, direction: ArrayLike) -> float:
-        """Heat for a field along a direction (2,), limits aside, over the least possible heat.
-
-        What cancelling the gradient costs; 1 where none is cancelled or none is left to cancel.
-        ValueError as `largest`.
-        """
-        unit = _unit(direction)
-        weighted = self.matrix / self._resistance
-        least = weighted.T @ np.linalg.solve(weighted @ self.matrix.T, unit)
-        spent = self._unlimited @ unit
-        return float((spent**2 @ self._resistance) / (least**2 @ self._resistance))
 
     def _limited(self, field: np.ndarray) -> np.ndarray:
         """The cheapest currents (4,) [A] within the limits for a field (2,) [T] in reach."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 import numba
 import numpy as np
@@ -16,9 +17,13 @@ does; within this angle noise decides, not the equation.
 """
 
 
-def _given(dtype: types.Type, dimensions: int) -> types.Array:
-    """Any array: a broadcast one, or one that may be written to, would be compiled anew."""
-    return types.Array(dtype, dimensions, 'A', readonly=True)
+def given(dtype: types.Type, dimensions: int, layout: Literal['A', 'C'] = 'A') -> types.Array:
+    """Arrays of so many `dimensions` and a `dtype` that a compiled function reads.
+
+    Their `layout` is any, 'A', or contiguous, 'C'. One that may be written to would otherwise be
+    compiled anew.
+    """
+    return types.Array(dtype, dimensions, layout, readonly=True)
 
 
 @numba.njit(cache=True, error_model='numpy')
@@ -86,8 +91,8 @@ def _span(relative, rate, h):  # type: ignore[no-untyped-def]
     return C, Sn, dC, dS, cos1, sin1, retention
 
 
-@numba.njit([(_given(types.complex128, 1), _given(types.complex128, 2),
-             _given(types.float64, 2), _given(types.float64, 1))], cache=True)
+@numba.njit([(given(types.complex128, 1), given(types.complex128, 2),
+             given(types.float64, 2), given(types.float64, 1))], cache=True)
 def integrate_alignment(start, target, rate, span):  # type: ignore[no-untyped-def]
     """Solve dχ/dt = κ sin(ψ − χ) through S spans of constant ψ and κ, n headings at once.
 
@@ -126,7 +131,7 @@ def integrate_alignment(start, target, rate, span):  # type: ignore[no-untyped-d
     return heading, path, sensitivity, retention
 
 
-@numba.njit([(_given(types.int64, 1), _given(types.complex128, 2), _given(types.float64, 2))],
+@numba.njit([(given(types.int64, 1), given(types.complex128, 2), given(types.float64, 2))],
             cache=True)
 def chain_intervals(first, sensitivity, retention):  # type: ignore[no-untyped-def]
     """Derivatives over whole frame intervals from those over their spans.

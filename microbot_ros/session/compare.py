@@ -6,6 +6,7 @@ import dataclasses
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -164,19 +165,28 @@ def _entries(
 
 def _leaves(value: Any, path: str) -> Iterator[tuple[str, Any]]:
     """Every leaf of a message by its path: 'header.stamp.sec', 'points.x', 'poses[3].x'."""
-    if is_cloud(value):
+    names = _fields(value.__class__)
+    if isinstance(value, list):
+        for place, item in enumerate(value):
+            yield from _leaves(item, f'{path[:-1]}[{place}].')
+    elif not names:
+        yield path[:-1], value
+    elif is_cloud(value):
         points = cloud_table(value)
         for name in points.dtype.names or ():
             yield f'points.{name}', points[name]
         yield from _leaves(value.header, 'header.')
-    elif dataclasses.is_dataclass(value):
-        for field in dataclasses.fields(value):
-            yield from _leaves(getattr(value, field.name), f'{path}{field.name}.')
-    elif isinstance(value, list):
-        for place, item in enumerate(value):
-            yield from _leaves(item, f'{path[:-1]}[{place}].')
     else:
-        yield path[:-1], value
+        for name in names:
+            yield from _leaves(getattr(value, name), f'{path}{name}.')
+
+
+@cache
+def _fields(kind: type) -> tuple[str, ...]:
+    """The names of a message's fields; none for what is no message."""
+    if not dataclasses.is_dataclass(kind):
+        return ()
+    return tuple(field.name for field in dataclasses.fields(kind))
 
 
 def _partings(

@@ -39,8 +39,6 @@ class LoopFeedback:
     def __init__(self, loop: Loop, noise: float) -> None:
         self._noise = noise
         self.loop = _armed(loop)
-        self.steps: list[LoopStep] = []
-        """What each frame gave."""
 
     def __call__(self, t: float, seen: np.ndarray) -> np.ndarray:
         """The field (2,) [T] after a frame at `t` [s] with positions `seen` (N, 2) [m], NaN where
@@ -48,8 +46,7 @@ class LoopFeedback:
         """
         rows = np.flatnonzero(np.isfinite(seen).all(axis=1))
         particles = particles_at(rows, seen[rows], self._noise)
-        self.steps.append(self.loop.steer(particles, t))
-        return _flowing(self.loop, self.steps[-1])
+        return self.loop.measured(self.loop.steer(particles, t).currents, t)
 
 
 def make_feedback(scenario: Scenario, source: str) -> LoopFeedback:
@@ -75,7 +72,7 @@ def film(scenario: Scenario, world: World, source: str) -> Session:
     for t in (np.arange(math.floor(scenario.duration_s * rate) + 1) / rate).tolist():
         world.advance(t, _history(rows, t))
         steps.append(loop.step(microscope.render(world.position, world.heading, t), t))
-        rows.append((t, _flowing(loop, steps[-1])))
+        rows.append((t, loop.measured(steps[-1].currents, t)))
     tell_fault(loop, source)
     commands = Commands(np.array([t for t, _ in rows]), np.array([field for _, field in rows]))
     return Session(_tracks(steps), commands, scenario.conditions)
@@ -127,12 +124,6 @@ def _armed(loop: Loop) -> Loop:
     loop.measured(np.zeros(4), 0.0)
     loop.arm(0.0)
     return loop
-
-
-def _flowing(loop: Loop, step: LoopStep) -> np.ndarray:
-    """The field (2,) [T] of the currents that a step affirms, which are read back at once."""
-    loop.measured(step.currents, step.t)
-    return loop.allocation.field(step.currents)
 
 
 def _history(rows: list[tuple[float, np.ndarray]], now: float) -> FieldHistory:

@@ -43,10 +43,17 @@ def world(seed: int, count: int = 1) -> World:
 
 def steered(seed: int, seconds: float) -> tuple[np.ndarray, list[LoopStep]]:
     """The last place (2,) [m] of a particle that has a goal, and every step."""
-    feedback = LoopFeedback(loop(), 0.1e-6)
+    made, steps = loop(), list[LoopStep]()
+    feedback, steer = LoopFeedback(made, 0.1e-6), made.steer
+
+    def noted(seen: np.ndarray, t: float) -> LoopStep:
+        steps.append(steer(seen, t))
+        return steps[-1]
+
+    made.steer = noted  # type: ignore[method-assign]
     _, path = record_session(world(seed), feedback, Camera(30.0, noise=0.1e-6), seconds,
                              np.random.default_rng(seed))
-    return path.position[-1, 0], feedback.steps
+    return path.position[-1, 0], steps
 
 
 def armed(made: Loop) -> Loop:

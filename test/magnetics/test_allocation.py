@@ -138,8 +138,6 @@ def test_nothing_is_driven_for_a_field_that_is_no_number(bad):
 def test_zero_field_has_no_direction():
     with pytest.raises(ValueError, match='must be finite and not zero'):
         Allocator(CoilSet()).largest((0, 0))
-    with pytest.raises(ValueError, match='must be finite and not zero'):
-        Allocator(CoilSet()).power_ratio((0, 0))
 
 
 @settings(max_examples=30, deadline=None)
@@ -157,9 +155,7 @@ def test_spare_currents_cancel_what_gradient_they_can_at_a_price(coils, angle):
     assert np.abs(slope.T @ maps @ found.currents).max() < 1e-6 * np.linalg.norm(
         slope) * np.linalg.norm(maps @ least.allocate(wanted).currents)
     ratio = found.power / least.allocate(wanted).power
-    assert cancelling.power_ratio(direction(angle)) == pytest.approx(ratio, rel=1e-6)
     assert ratio >= 1 - 1e-9
-    assert least.power_ratio(direction(angle)) == pytest.approx(1, rel=1e-9)
 
 
 def test_gradient_of_an_uneven_rig_at_its_centre_cancels():

@@ -74,13 +74,14 @@ def test_goals_are_taken_each_time_beside_a_recorder_that_was_there_first(
         assert client.until(lambda: has(0, True), 1.0)
 
 
-@pytest.mark.parametrize('words', [
-    ('goal', '1,1'), ('arm',), ('record',), ('set', 'controller', 'controller', 'hold')])
-def test_a_node_that_is_not_there_is_one_and_the_reason(words: tuple[str, ...]) -> None:
-    node = {'goal': 'controller', 'arm': 'coil_driver', 'record': 'recorder'}.get(
-        words[0], 'controller')
-    assert _microbot(*words) == (1, '', f'microbot: {node} was not found in the namespace / '
-                                 'within 5 s: is it running?\n')
+def test_a_node_that_is_not_there_is_one_and_the_reason() -> None:
+    asked = {('goal', '1,1'): 'controller', ('arm',): 'coil_driver', ('record',): 'recorder',
+             ('set', 'controller', 'controller', 'hold'): 'controller'}
+    commands = {words: _start(*words) for words in asked}
+    for words, node in asked.items():
+        assert _end(commands[words]) == (
+            1, '', f'microbot: {node} was not found in the namespace / within 5 s: is it '
+            'running?\n')
 
 
 def test_what_is_no_name_is_two() -> None:
