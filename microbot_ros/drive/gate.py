@@ -229,8 +229,6 @@ class Gate:
         if not (math.isfinite(now_s) and self._now_s <= now_s):
             self.trip(Reason.CLOCK, f'from {self._now_s} to {now_s}')
             return False
-        if now_s == self._now_s:
-            return True
         elapsed = now_s - self._now_s  # infinite at first, when there is no heat to keep
         keep = math.exp(-elapsed / self.limits.thermal_s)
         flowing = zip(self.heat, self.output, self._measured, strict=True)
