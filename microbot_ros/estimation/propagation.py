@@ -78,7 +78,10 @@ class Propagator:
 
     def beyond_learned(self, log: CommandLog, delay: float, t: float,
                        swarm: Swarm) -> tuple[str, ...]:
-        """Sentences on who of a `swarm` at `t` [s] is where a learned term knows nothing."""
+        """Sentences on who of a `swarm` at `t` [s] is where a learned term knows nothing.
+
+        Under the commands of `log`, `delay` [s] late.
+        """
         if not self.model.learned:
             return ()
         found = beyond_learned(self.model, self._timeline(log, delay, t, t + 1e-6, swarm))

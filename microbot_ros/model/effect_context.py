@@ -23,7 +23,7 @@ class Places:
     direction: np.ndarray | None = None
 
     def led_by(self, lead: int) -> Places:
-        """The same after so many spans more, in which particles are where they are at first."""
+        """The same after `lead` spans more, in which particles are where they are at first."""
         before = np.repeat(self.position[:1], lead, axis=0)
         return Places(np.concatenate([before, self.position]), self.number, self.direction)
 

@@ -107,7 +107,7 @@ def _values(fit: ModelFit, against: Against) -> np.ndarray | None:
 
 
 def probed(model: Model, against: Against) -> Model:
-    """A `model` that looks at a covariate, and does nothing with it."""
+    """A `model` that looks at a covariate, `against` which a term may be drawn, idly."""
     axis = np.array([0.0, 1.0])
     axes = (axis, axis) if against == 'position' else (axis,)
     nothing = np.zeros((4 if against == 'position' else 2, 1))
@@ -118,7 +118,9 @@ def probed(model: Model, against: Against) -> Model:
 
 def spans(model: Model, against: Against,
           p: SessionFit) -> tuple[Segments, Course, EffectContext]:
-    """The spans of a session under a `model` that looks at a covariate: course and context."""
+    """The spans of `p`, a session, under a `model` that looks at the covariate `against` which a
+    term is drawn: with course and context.
+    """
     return integrate_heading(probed(model, against), p.session.timeline)
 
 

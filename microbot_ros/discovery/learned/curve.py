@@ -165,7 +165,7 @@ class Curve:
 
     @classmethod
     def of(cls, tried: list[Kernel], gram: np.ndarray, projection: np.ndarray) -> Curve:
-        """With the kernels `tried`."""
+        """With the kernels `tried`, from `gram` G and `projection` b."""
         return cls(tuple(_Reduced.of(kernel, gram, projection) for kernel in tried))
 
     def given(self, projection: np.ndarray) -> Curve:

@@ -26,8 +26,8 @@ Shape = tuple[float, ...]
 class Formula:
     """One `text` of the grammar: `basis(shape)` gives its columns (K·C, m) at the knots.
 
-    `names` of the shape parameters with their units, the grid of `starts` and the bounds; those of
-    the coefficients in `coefficients`.
+    `names` of the shape parameters with their units, the grid of `starts` and the bounds `low` and
+    `high`; names of the coefficients in `coefficients`.
     """
 
     text: str
@@ -75,7 +75,10 @@ class FittedFormula:
 
 def fit(formula: Formula, gram: np.ndarray, projection: np.ndarray,
         begin: Shape | None = None) -> FittedFormula:
-    """A `formula` at the maximum of the likelihood, from its best starts or from one shape."""
+    """A `formula` at the maximum of the likelihood that `gram` G and `projection` b make.
+
+    From its best starts, or from the shape `begin` alone.
+    """
     from scipy.optimize import minimize
 
     def at(shape: Sequence[float]) -> FittedFormula:

@@ -64,7 +64,8 @@ def learn_terms(fit: ModelFit,
                 report: Callable[[str], None] = lambda _: None) -> tuple[Finding, ...]:
     """The terms that explain what a `fit` leaves, one after the other; none if nothing convinces.
 
-    Each beside those before it, which are then learned again beside each other.
+    Each beside those before it, which are then learned again beside each other. `report` is told
+    what is being done.
     """
     findings: list[Finding] = []
     while len(findings) < MOST:
@@ -111,7 +112,10 @@ def with_terms(fit: ModelFit, findings: Sequence[Finding]) -> ModelFit:
 
 
 def learn_term(fit: ModelFit, report: Callable[[str], None] = lambda _: None) -> Finding | None:
-    """The term that best explains what a `fit` leaves, as a curve; None where none convinces."""
+    """The term that best explains what a `fit` leaves, as a curve; None where none convinces.
+
+    `report` is told what is being done.
+    """
     known = told(fit)
     tables = candidates(known)
     report(f'looking for a term, against {len(tables)} pairs of covariate and frame')

@@ -111,7 +111,7 @@ class Moments:
 
 
 def whiten_track(p: SessionFit, n: int, moved: np.ndarray) -> np.ndarray:
-    """Displacements (T, M) [m] of the n-th track of a session, whitened but for D."""
+    """Displacements `moved` (T, M) [m] of the n-th track of a session, whitened but for D."""
     session, one = p.session, slice(n, n + 1)
     alone = replace(session, ids=session.ids[one], z=session.z[:, one],
                     pieces=np.ascontiguousarray(session.pieces[:, one]),
