@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -49,6 +50,9 @@ def command(sessions: tuple[Path, ...], out: Path, jobs: int, live: bool, second
       microbot discover out/lagging --out out/discovered
       microbot discover --live --seconds 60 --out out/live
     """
+    # Of matrices as small as these several threads make nothing but heat: five times the
+    # processor, and no time left for other jobs. Read by OpenBLAS when it is loaded, so from here.
+    os.environ.setdefault('OMP_NUM_THREADS', '1')
     from rich.console import Console
 
     from microbot_ros.session import read_session
