@@ -240,7 +240,7 @@ def _beats(moments: Moments, formula: FittedFormula) -> bool:
         curve = Curve.of(tried, *parts).mean
         gain += moments.held_out(fold, again.values) - moments.held_out(fold, curve)
         variance += moments.apart(fold, again.values, curve)
-    return gain > -float(np.sqrt(variance))
+    return gain > -float(np.sqrt(max(variance, 0.0)))
 
 
 def band(found: Finding, formula: FittedFormula | None) -> tuple[np.ndarray, np.ndarray]:
