@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import jinja2
+import markupsafe
 
 from microbot_ros.discovery import report_words
 from microbot_ros.discovery.report_drive import draw_drive, drive
@@ -35,18 +36,20 @@ _SPEED = {'catalytic': 'v_um_s', 'rolling': 'gain_um_s_hz'}
 
 
 def write_report(folder: Path, found: Discovery, sessions: Sequence[Session],
-                 sources: Sequence[Path]) -> None:
+                 sources: Sequence[Path], asked: str = '') -> None:
     """Write `report.html` into a `folder`.
 
-    `sessions` are those that `found` came from, in the same order, read from `sources`.
+    `sessions` are those that `found` came from, in the same order, read from `sources`; `asked`
+    is HTML on how they came about, where discovery drove.
     """
-    write_text(Path(folder) / 'report.html', page(found, sessions, sources))
+    write_text(Path(folder) / 'report.html', page(found, sessions, sources, asked))
 
 
-def page(found: Discovery, sessions: Sequence[Session], sources: Sequence[Path]) -> str:
+def page(found: Discovery, sessions: Sequence[Session], sources: Sequence[Path],
+         asked: str = '') -> str:
     """The report on what was `found` as HTML that needs nothing else.
 
-    `sessions` and `sources` as for `write_report`; the same data give the same page.
+    `sessions`, `sources` and `asked` as for `write_report`; the same data give the same page.
     """
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
@@ -68,7 +71,7 @@ def page(found: Discovery, sessions: Sequence[Session], sources: Sequence[Path])
         places_figure=places and embedded(places), band_figure=embedded(draw_bands(prediction)),
         drive_figure=driven and embedded(draw_drive(driven, BEFORE, AFTER)),
         hashes=[line for source in sources for line in digests(Path(source))],
-        versions=report_words.versions())
+        versions=report_words.versions(), asked=markupsafe.Markup(asked))
 
 
 def headline(found: Discovery) -> str:

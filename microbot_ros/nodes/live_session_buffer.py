@@ -59,6 +59,11 @@ class LiveSessionBuffer:
         """How many seconds have been collected."""
         return self._frames[-1][0] - self._frames[0][0] if self._frames else 0.0
 
+    @property
+    def begin(self) -> float:
+        """The stamp [s] of the first frame that was collected; NaN without any."""
+        return self._frames[0][0] if self._frames else math.nan
+
     def forget(self) -> None:
         """Collect anew from now on, but for the commands still in force."""
         self._client.spin(_BACKLOG_SECONDS)

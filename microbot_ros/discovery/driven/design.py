@@ -34,8 +34,8 @@ STEP = 0.2
 RECENT = 2.0
 """Seconds within which a particle must have been seen last to count as present."""
 
-PROPOSED, IMPROVED = 24, 24
-"""Plans that are drawn, and changes that are tried on the best of them."""
+RANDOM, PROPOSED, IMPROVED = 3, 24, 24
+"""Random steps and plans of other kinds that are drawn; changes tried on the best of them."""
 
 MARGIN = 10e-6
 """Distance from the edge of the view [m] that particles should keep."""
@@ -96,12 +96,15 @@ class Search:
 
 @dataclass(frozen=True)
 class Design:
-    """The `plan` chosen, what each question is expected to gain by it, `gains` (Q,), and by the
-    best plan for it alone of all that were tried, `best` (Q,)."""
+    """The `plan` chosen.
+
+    `best` (Q,): what each question is expected to gain by the best plan for it alone of all that
+    were tried; `worth`: how many times as long random steps are expected to take.
+    """
 
     plan: Plan
-    gains: np.ndarray
     best: np.ndarray
+    worth: float = 1.0
 
 
 def random_steps(rng: np.random.Generator, duration: float, limits: Range) -> Plan:
@@ -122,19 +125,21 @@ def choose_plan(fit: ModelFit, questions: Sequence[Question], search: Search, be
     changed as long as that makes it better. ValueError where no particle is in view.
     """
     trial = _Trial.of(fit, questions, search, begin, limits)
-    drawn = [_draw(rng, duration, limits) for _ in range(PROPOSED)]
+    drawn = [random_steps(rng, duration, limits) for _ in range(RANDOM)]
+    drawn += [_draw(rng, duration, limits) for _ in range(PROPOSED)]
     tried = [trial.score(plan) for plan in drawn]
     price = _Price.of(trial, tried, duration)
     costs = [price(one) for one in tried]
     best = int(np.argmin(costs))
-    plan, outcome, cost = drawn[best], tried[best], costs[best]
+    plan, cost = drawn[best], costs[best]
     for k in range(IMPROVED):
         other = _change(rng, plan, drawn[int(rng.integers(len(drawn)))], limits, k)
         score = trial.score(other)
         tried.append(score)
         if price(score) < cost:
-            plan, outcome, cost = other, score, price(score)
-    return Design(plan, outcome.gains, np.max([one.gains for one in tried], axis=0))
+            plan, cost = other, price(score)
+    return Design(plan, np.max([one.gains for one in tried], axis=0),
+                  float(np.median(costs[:RANDOM])) / cost)
 
 
 # What a plan is worth ---------------------------------------------------------------------------

@@ -92,13 +92,15 @@ class Look:
     """A look after an experiment, `seconds` since the first began.
 
     Its `plan` in words; why it was broken off, `stopped`, '' where it was not; the `insight`,
-    None where there was not enough to look at.
+    None where there was not enough to look at; how much longer random steps would have taken for
+    what was expected of it, `saved` [s].
     """
 
     plan: str
     stopped: str
     seconds: float
     insight: Insight | None
+    saved: float = 0.0
 
     @property
     def odds(self) -> dict[str, float]:
@@ -143,21 +145,22 @@ def drive(rig: Rig, minutes: float, report: Callable[[str], None] = lambda _: No
     """
     result, rng = Driven(), np.random.default_rng(seed)
     plan: Plan | None = random_steps(rng, min(EXPERIMENT, 60 * minutes), rig.limits)
-    question = 'looking around'
+    question, saved = 'looking around:', 0.0
     while plan is not None:
         report(f'{question} {plan.sentence()}')
         played = rig.play(plan)
         if len(played.session.tracks.t):
             result.experiments.append(played.session)
         insight = _look(result)
-        result.looks.append(Look(plan.sentence(), played.stopped, rig.seconds, insight))
+        result.looks.append(
+            Look(plan.sentence(), played.stopped, rig.seconds, insight, saved))
         plan = None
         if played.stopped:
             result.decided, result.reason = 'stopped', played.stopped
         elif _settled(result):
             result.decided = 'settled'
         elif (left := 60 * minutes - rig.seconds) >= SHORTEST:
-            plan = _next(result, left, rig.limits, rng, designer)
+            plan, saved = _next(result, left, rig.limits, rng, designer)
             question = insight.question if insight else 'nothing to be said yet:'
     return result
 
@@ -182,23 +185,24 @@ def _settled(result: Driven) -> bool:
 
 
 def _next(result: Driven, left: float, limits: Range, rng: np.random.Generator,
-          designer: Designer) -> Plan | None:
-    """The next plan for the seconds that are `left`; None where there is no use in one."""
+          designer: Designer) -> tuple[Plan | None, float]:
+    """The next plan for the seconds that are `left`, None where there is no use in one; and the
+    seconds that it saves."""
     insight, duration = result.looks[-1].insight, min(EXPERIMENT, left)
     if insight is None:
-        return random_steps(rng, duration, limits)
+        return random_steps(rng, duration, limits), 0.0
     known, asked = insight.known, questions(insight.known)
     begin = float(known.fit.session_fits[0].session.times[-1]) + THOUGHT
     try:
         design = designer(known.fit, asked, search(known), begin, duration, limits, rng)
     except ValueError as error:
         result.decided, result.reason = 'stopped', str(error)
-        return None
+        return None, 0.0
     result.twins = twins(known, insight.judgement, hopeless(asked, design, left))
     if result.twins:
         result.decided = 'undecidable'
-        return None
-    return design.plan
+        return None, 0.0
+    return design.plan, duration * (max(design.worth, 1.0) - 1)
 
 
 def _plain(name: str) -> str:
