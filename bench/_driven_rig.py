@@ -9,14 +9,14 @@ import numpy as np
 from microbot_ros.control.contract import Workspace
 from microbot_ros.discovery.driven.design import Range
 from microbot_ros.discovery.driven.drive import Played
-from microbot_ros.discovery.driven.plan import Plan
+from microbot_ros.discovery.driven.plan import Plan, marking_time
 from microbot_ros.records import Commands, Conditions, Session, Tracks
 from microbot_ros.virtual_rig.record_session import Camera, as_tracks, detection_errors, picture
 from microbot_ros.virtual_rig.world import FieldHistory, World
 
 VIEW = Workspace(np.array([-140e-6, -104e-6]), np.array([140e-6, 104e-6]))
 PAUSE = 2.0
-"""Seconds without a field between experiments, in which it is thought."""
+"""Seconds between experiments in which it is thought."""
 
 _KEPT = 3.0
 """Seconds for which the world may look back for a field."""
@@ -43,13 +43,16 @@ class SimulatedRig:
         return self._world.t
 
     def play(self, plan: Plan) -> Played:
-        """Play a `plan`, then let go for a while."""
+        """Play a `plan` after a pause for thought, in which the particles mark time."""
         begin = self._world.t
-        told = _then(plan.commands(begin), begin + plan.duration)
+        whole = plan
+        if begin > 0:
+            most = None if self.limits.frequency is None else self.limits.frequency[1]
+            whole = marking_time(self.limits.field, most).lasting(PAUSE).then(plan)
+        told = whole.commands(begin)
         self._past = _after(self._past, told, begin - _KEPT)
-        history = FieldHistory.uniform(self._past)
-        tracks = self._film(begin, plan.duration, history)
-        self._world.advance(begin + plan.duration + PAUSE, history)
+        tracks = self._film(begin, whole.duration, FieldHistory.uniform(self._past))
+        self._world.advance(begin + whole.duration, FieldHistory.uniform(self._past))
         return Played(Session(tracks, told, self._conditions, 'experiment'))
 
     def _film(self, begin: float, duration: float, history: FieldHistory) -> Tracks:
@@ -66,12 +69,6 @@ class SimulatedRig:
             seen[k] = world.observe(picture(world.bodies, (first + second) / 2, t))
         seen[~self.limits.workspace.holds(seen)] = np.nan
         return as_tracks(opens + shutter / 2, seen + errors)
-
-
-def _then(commands: Commands, end: float) -> Commands:
-    """`commands`, and nothing from the `end` on."""
-    return Commands(np.append(commands.t, end), np.vstack([commands.field, np.zeros(2)]),
-                    None if commands.frequency is None else np.append(commands.frequency, 0.0))
 
 
 def _after(past: Commands, told: Commands, since: float) -> Commands:

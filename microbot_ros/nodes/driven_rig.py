@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,15 +11,13 @@ from types import TracebackType
 
 import numpy as np
 from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import Bool
 
 from microbot_ros.control.contract import Workspace
 from microbot_ros.discovery.driven.design import Range
 from microbot_ros.discovery.driven.drive import Played
-from microbot_ros.discovery.driven.plan import Plan
+from microbot_ros.discovery.driven.plan import Plan, marking_time
 from microbot_ros.errors import RigError
 from microbot_ros.nodes.graph_client import GraphClient
-from microbot_ros.nodes.lifecycle import LATCHED
 from microbot_ros.nodes.live_session_buffer import LiveSessionBuffer
 from microbot_ros.records import Commands, Session
 
@@ -27,9 +26,6 @@ CONTROLLER, AT_REST = 'experiment', 'hold'
 
 UNSEEN = 3.0
 """Seconds without a particle, or without a word of the controller, that end an experiment."""
-
-LATE = 10.0
-"""Seconds that a plan may take longer than it should."""
 
 _HEARD = 5.0
 """So long a rig may take to say how it is [s]."""
@@ -48,15 +44,16 @@ class DrivenRig:
 
     def __init__(self, client: GraphClient, keep: Callable[[Session], None]) -> None:
         self._client, self._keep = client, keep
-        self._recent = LiveSessionBuffer(client, _LONGEST)
+        self._recent = LiveSessionBuffer(client, _LONGEST, applied=True)
         self._conditions = self._recent.conditions()
         self._origin = math.nan
         self._armed: bool | None = None
         self._said: dict[str, str] = {}
         self._heard = self._seen = -math.inf
-        self._complaint = ''
+        self._complaint, self._ending = '', False
+        self._thinking = threading.Event()
+        self._listener: threading.Thread | None = None
         node = client.node
-        node.create_subscription(Bool, 'coil_driver/armed', self._on_armed, LATCHED)
         node.create_subscription(PointCloud2, 'particles', self._on_particles, 10)
         client.watch_progress(self._on_progress)
         client.watch_health(self._on_health)
@@ -85,8 +82,13 @@ class DrivenRig:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
                  trace: TracebackType | None) -> None:
+        self._attend()
         if self._said.get('controller', CONTROLLER) == CONTROLLER:
             self._client.set('controller', controller=AT_REST)
+
+    def tell_to_end(self) -> None:
+        """Let the experiment that is played be the last; from any thread, or a signal."""
+        self._ending = True
 
     @property
     def seconds(self) -> float:
@@ -95,27 +97,45 @@ class DrivenRig:
         return now - self._origin if math.isfinite(self._origin) else 0.0
 
     def play(self, plan: Plan) -> Played:
-        """Have the controller play a `plan`; to its end, or until something stops it."""
-        self._recent.forget()
+        """Have the controller play a `plan`; to its end, or until something stops it.
+
+        Then the particles mark time until the next, which is part of that one's recording.
+        """
+        self._attend()
         if stopped := self._trouble():
             return Played(self._recorded(), stopped)
-        stamp = self._client.send_plan(_ended(plan)).stamp
+        rolling = self.limits.frequency
+        after = marking_time(self.limits.field, rolling and rolling[1])
         self._seen = self._heard = time.monotonic()
-        deadline = time.monotonic() + plan.duration + LATE
-        stopped = ''
-        while not (stopped or self._done(stamp)):
-            self._client.spin(0.05)
+        self._client.send_plan(_ended(plan.then(after)))
+        deadline = time.monotonic() + plan.duration
+        while not stopped and (left := deadline - time.monotonic()) > 0:
+            self._client.spin(min(left, 0.05))
             stopped = self._trouble()
-            if time.monotonic() > deadline:
-                stopped = stopped or 'the controller did not play the plan to its end'
         session = self._recorded()
+        self._recent.go_on()
         if len(session.tracks.t):
             self._keep(session)
+        self._listen()
         return Played(session, stopped)
 
-    def _done(self, stamp: float) -> bool:
-        said = self._said
-        return said.get('done') == 'True' and float(said.get('plan_stamp_s', 'nan')) == stamp
+    def _listen(self) -> None:
+        """Take in, in a thread, what comes while it is thought: when a command came is when it
+        was taken in."""
+        self._thinking.set()
+        self._listener = threading.Thread(target=self._take_in, name='listener', daemon=True)
+        self._listener.start()
+
+    def _take_in(self) -> None:
+        while self._thinking.is_set():
+            self._client.spin(0.05)
+
+    def _attend(self) -> None:
+        """Serve the graph in this thread again."""
+        self._thinking.clear()
+        if self._listener is not None:
+            self._listener.join()
+            self._listener = None
 
     def _trouble(self) -> str:
         """What stops an experiment; '' while nothing does."""
@@ -124,6 +144,8 @@ class DrivenRig:
             return f'an operator let {name} drive'
         if not self._armed:
             return f'the gate is disarmed ({self._complaint or "no reason was given"})'
+        if self._ending:
+            return 'told to end'
         if self._said.get('result') == 'fault':
             return 'the controller has a fault'
         if math.isfinite(self._seen) and now - self._seen > UNSEEN:
@@ -144,9 +166,6 @@ class DrivenRig:
         commands = replace(session.commands, t=session.commands.t + late)
         return Session(tracks, commands, self._conditions, 'experiment')
 
-    def _on_armed(self, message: Bool) -> None:
-        self._armed = bool(message.data)
-
     def _on_particles(self, message: PointCloud2) -> None:
         if message.width:
             self._seen = time.monotonic()
@@ -154,9 +173,10 @@ class DrivenRig:
     def _on_progress(self, _: bytes, __: str, values: dict[str, str]) -> None:
         self._heard, self._said = time.monotonic(), values
 
-    def _on_health(self, node: str, level: bytes, sentence: str, _: dict[str, str]) -> None:
-        if node == 'coil_driver' and level != b'\0':
-            self._complaint = sentence
+    def _on_health(self, node: str, level: bytes, sentence: str, values: dict[str, str]) -> None:
+        if node == 'coil_driver' and 'armed' in values and self._client.alone(node):
+            self._armed = values['armed'] == 'True'
+            self._complaint = '' if level == b'\0' else sentence
 
 
 def _ended(plan: Plan) -> Commands:

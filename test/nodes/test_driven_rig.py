@@ -7,8 +7,6 @@ fine physics in it. Everything else is as always: model, controller, coil driver
 from __future__ import annotations
 
 import json
-import os
-import signal
 import subprocess
 import sys
 import threading
@@ -19,7 +17,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import MagneticField, PointCloud2
 
@@ -147,22 +144,22 @@ def stand(tmp_path: Path, emulator: object) -> Iterator[Callable[..., Stand]]:
 
 def test_a_rig_that_is_not_ours_is_asked_until_it_is_settled(
         stand: Callable[..., Stand], emulator: object) -> None:
-    here = stand('alignment_lag', {'tau_s': 0.4})
+    here = stand('coil_gain_mismatch', {'gain_ratio': 1.25})
     process = here.discover('--minutes', '3', '--apply')
     out, err = here.ended(process, 230.0)
     assert process.returncode == 0, err
     found = here.result()
     assert found['decided'] == 'settled', (out, err)
     assert [(e['id'], e['status']) for e in found['effects']] == [
-        ('alignment_lag', 'established')]
-    tau = found['effects'][0]['parameters']['tau_s']
-    assert abs(tau['value'] - 0.4) < 0.1
+        ('coil_gain_mismatch', 'established')]
+    ratio = found['effects'][0]['parameters']['gain_ratio']
+    assert abs(ratio['value'] - 1.25) < 4 * ratio['std']
     played = found['experiments']
-    assert 'alignment_lag' in played[-1]['odds']
+    assert played[-1]['odds']['coil_gain_mismatch'] > 0.98
     assert found['minutes'] < 3.2
     sessions = [read_session(here.out / one['session']) for one in played]
     again = discover(sessions[:2])
-    assert 'alignment_lag' in [e.id for e in again.effects]
+    assert 'coil_gain_mismatch' in [e.id for e in again.effects]
     here.until(lambda: emulator.zero, 10.0)
     with_model = {here.client.get(node, 'model_file')['model_file']
                   for node in ('model', 'controller')}
@@ -187,7 +184,7 @@ def _stops(here: Stand, emulator: object, go_wrong: Callable[[], None]) -> dict:
 
 def test_what_goes_wrong_ends_in_no_current_and_is_written_down(
         stand: Callable[..., Stand], emulator: object) -> None:
-    here = stand('alignment_lag', {'tau_s': 0.4})
+    here = stand('coil_gain_mismatch', {'gain_ratio': 1.25})
     for go_wrong, again in (
             (lambda: here.client.set('controller', controller='open_loop'), None),
             (lambda: here.client.arm(False), here.client.arm),
@@ -204,7 +201,7 @@ def test_what_goes_wrong_ends_in_no_current_and_is_written_down(
 
 
 def test_nothing_is_driven_without_an_armed_gate(stand: Callable[..., Stand]) -> None:
-    here = stand('alignment_lag', {'tau_s': 0.4})
+    here = stand('coil_gain_mismatch', {'gain_ratio': 1.25})
     here.client.arm(False)
     process = here.discover('--minutes', '1')
     _, err = here.ended(process)

@@ -383,9 +383,6 @@ def _draw(rng: np.random.Generator, duration: float, limits: Range) -> Plan:
     if rng.random() < 0.6:
         lower = rng.uniform(0.15, 0.6, int(rng.integers(1, 3)))
         level = rng.choice(np.append(1.0, lower), count)
-    if rng.random() < 0.15:
-        level[rng.random(count) < 0.15] = 0.0
-        level[0] = 1.0
     return Plan(angle, limits.field * level, hold, _frequencies(rng, count, limits)).lasting(
         duration)
 
@@ -427,8 +424,4 @@ def _change(rng: np.random.Generator, plan: Plan, other: Plan, limits: Range, k:
     if kind == 3:
         return replace(plan, angle=plan.angle + rng.uniform(-np.pi, np.pi))
     cut = rng.uniform(0.2, 0.8) * duration
-    parts = [plan.lasting(cut), other.lasting(duration - cut)]
-    rows = [[getattr(part, name) for part in parts] for name in (
-        'angle', 'strength', 'hold', 'frequency')]
-    return Plan(*(None if row[0] is None else np.concatenate(row)  # type: ignore[arg-type]
-                  for row in rows))
+    return plan.lasting(cut).then(other.lasting(duration - cut))

@@ -1,55 +1,65 @@
-"""Experiments as one recording: the same particles on one clock, with breaks between."""
+"""Experiments as one recording: the same particles on one clock, with breaks where it paused."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from microbot_ros.records import Commands, Session, Tracks
 
-SETTLING = 1.0
-"""Seconds after an experiment has begun that are not looked at: the headings come from what was
-commanded before, which is not part of it."""
+PAUSE = 1.0
+"""Seconds without a frame from which an experiment does not go on with the one before."""
+
+SETTLING = 2.0
+"""Seconds after a pause that are not looked at: where particles head comes from what was
+commanded in it, which is not told."""
+
+TINY = 1e-4
+"""Seconds after a frame at which what is in force there is told."""
 
 
 def join(experiments: Sequence[Session]) -> Session:
-    """`experiments` on one clock, in their order, as one session with breaks between.
+    """`experiments` on one clock, in their order, as one session.
 
-    Particles keep their ids, and with them v and φ; what counts time goes on through the pauses.
-    The field of a pause is not told: each experiment's first command holds back to the last frame
-    of the one before, and the frames in which headings find into it (SETTLING) are left out. So
-    are those after the last command let go at an experiment's end. ValueError for none, and where
-    one begins before the one before ended.
+    Particles keep their ids, and with them v and φ; what counts time goes on. Where one does not
+    go on with the one before, for longer than PAUSE, there is a break: what is seen in SETTLING is
+    left out, and the first field holds back to the last frame before. Left out is what comes
+    after the last field of an experiment, too; of a frame that two have, the second. ValueError
+    where nothing is seen under a field, and where one begins before the one before has ended.
     """
-    if not experiments:
-        raise ValueError('expected at least one experiment')
-    tracks, commands, breaks, last = [], [], [], -np.inf
-    for number, one in enumerate(experiments):
+    tracks: list[Tracks] = []
+    commands: list[Commands] = []
+    breaks: list[float] = []
+    last = -np.inf
+    for number, one in enumerate(experiments, 1):
         begin, end = _driven(one)
-        keep = (one.tracks.t >= begin + (SETTLING if number else 0.0)) & (one.tracks.t < end)
-        if not keep.any():
+        whole = _between(one.tracks, begin, end)
+        if len(whole.t) and whole.t[0] < last:
+            raise ValueError(f'experiment {number} begins before the one before has ended')
+        whole = _between(whole, np.nextafter(last, np.inf), end)
+        if not len(whole.t):
             continue
-        t = one.tracks.t[keep]
-        if t[0] <= last:
-            raise ValueError(f'experiment {number + 1} begins before the one before has ended')
-        rows = one.commands.index_at(begin)
-        inside = np.arange(len(one.commands.t)) >= max(int(rows), 0)
-        inside &= one.commands.t < end
-        start = one.commands.t[inside]
-        if np.isfinite(last):
-            breaks.append(t[0])
-            start = np.concatenate([[(last + t[0]) / 2], start[1:]])
-        commands.append(Commands(
-            start, one.commands.field[inside],
-            None if one.commands.frequency is None else one.commands.frequency[inside]))
-        tracks.append(Tracks(*(getattr(one.tracks, name)[keep] for name in (
-            't', 'particle', 'position', 'theta', 'sigma'))))
-        last = float(t[-1])
+        told = _in_force(one.commands, max(begin, last), end)
+        if np.isfinite(last) and whole.t[0] - last > PAUSE:
+            whole = _between(whole, begin + SETTLING, end)
+            told = replace(told, t=np.append((last + begin) / 2, told.t[1:]))
+            breaks.append(begin)
+        if len(whole.t):
+            tracks.append(whole)
+            commands.append(told)
+            last = float(whole.t[-1])
     if not tracks:
         raise ValueError('expected frames under a field in one experiment at least')
-    return Session(_tracks(tracks), _commands(commands), experiments[0].conditions, 'experiments',
-                   np.array(breaks))
+    names = ('t', 'particle', 'position', 'theta', 'sigma')
+    turns = [part.frequency for part in commands if part.frequency is not None]
+    return Session(
+        Tracks(*(np.concatenate([getattr(part, name) for part in tracks]) for name in names)),
+        Commands(np.concatenate([part.t for part in commands]),
+                 np.concatenate([part.field for part in commands]),
+                 np.concatenate(turns) if turns else None),
+        experiments[0].conditions, 'experiments', np.array(breaks))
 
 
 def _driven(one: Session) -> tuple[float, float]:
@@ -62,13 +72,16 @@ def _driven(one: Session) -> tuple[float, float]:
     return float(one.commands.t[first]), float(end)
 
 
-def _tracks(parts: Sequence[Tracks]) -> Tracks:
-    return Tracks(*(np.concatenate([getattr(part, name) for part in parts]) for name in (
-        't', 'particle', 'position', 'theta', 'sigma')))
+def _between(tracks: Tracks, begin: float, end: float) -> Tracks:
+    keep = (tracks.t >= begin) & (tracks.t < end)
+    return Tracks(tracks.t[keep], tracks.particle[keep], tracks.position[keep],
+                  tracks.theta[keep], tracks.sigma[keep])
 
 
-def _commands(parts: Sequence[Commands]) -> Commands:
-    turns = [part.frequency for part in parts if part.frequency is not None]
-    return Commands(
-        np.concatenate([part.t for part in parts]), np.concatenate([part.field for part in parts]),
-        np.concatenate(turns) if turns else None)
+def _in_force(commands: Commands, begin: float, end: float) -> Commands:
+    """The rows in force after `begin` [s], from then on, and before `end` [s]."""
+    rows = slice(max(int(commands.index_at(begin)), 0), int(np.searchsorted(commands.t, end)))
+    t = commands.t[rows].copy()
+    t[:1] = np.maximum(t[:1], begin + TINY)
+    return Commands(t, commands.field[rows],
+                    None if commands.frequency is None else commands.frequency[rows])

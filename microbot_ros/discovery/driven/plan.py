@@ -9,6 +9,9 @@ import numpy as np
 
 from microbot_ros.records import Commands
 
+MARKING, STEP = 60.0, 1.5
+"""Seconds for which particles are kept where they are at most, and of a leg to and fro."""
+
 
 @dataclass(frozen=True)
 class Plan:
@@ -50,14 +53,24 @@ class Plan:
     def lasting(self, seconds: float) -> Plan:
         """Its beginning, or all of it again and again, so that it takes just so many `seconds`."""
         times = max(math.ceil(seconds / self.duration - 1e-9), 1)
-        long = Plan(*(None if row is None else np.tile(row, times) for row in (
-            self.angle, self.strength, self.hold, self.frequency)))  # type: ignore[arg-type]
+        long = Plan(*(None if row is None else np.tile(row, times)
+                      for row in self._rows))  # type: ignore[arg-type]
         end = np.cumsum(long.hold)
         count = min(int(np.searchsorted(end, seconds - 1e-9)) + 1, len(end))
         hold = long.hold[:count].copy()
         hold[-1] -= end[count - 1] - seconds
         return replace(long, angle=long.angle[:count], strength=long.strength[:count], hold=hold,
                        frequency=None if long.frequency is None else long.frequency[:count])
+
+    def then(self, other: Plan) -> Plan:
+        """This, and an `other` after it; both for particles of one kind."""
+        return Plan(*(
+            None if row is None or next_ is None else np.concatenate([row, next_])
+            for row, next_ in zip(self._rows, other._rows, strict=True)))  # type: ignore[arg-type]
+
+    @property
+    def _rows(self) -> tuple[np.ndarray | None, ...]:
+        return self.angle, self.strength, self.hold, self.frequency
 
     def sentence(self) -> str:
         """What it does, in a few words: how it turns, how long it holds, at which strengths."""
@@ -79,3 +92,14 @@ class Plan:
         if not driven.all():
             said += f', without a field for {self.hold[~driven].sum():.0f} s'
         return f'{said}, for {self.duration:.0f} s'
+
+
+def marking_time(strength: float, frequency: float | None = None) -> Plan:
+    """To and fro along two lines at a `strength` [T], and a `frequency` [Hz] of rollers.
+
+    Swimmers that are left alone swim away: this keeps them where they are, for MARKING seconds at
+    most, while it is thought what to play next.
+    """
+    count = round(MARKING / STEP)
+    return Plan(np.resize([0.0, np.pi, np.pi / 2, -np.pi / 2], count), np.full(count, strength),
+                np.full(count, STEP), None if frequency is None else np.full(count, frequency))
