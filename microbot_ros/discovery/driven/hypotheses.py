@@ -38,6 +38,10 @@ MOST = 3
 WORTH = 1.0
 """Gain in log odds from which an effect is taken into the model, to look on beside it."""
 
+LIKELIER = 0.5
+"""Log odds by which a rival must be ahead, to take an effect's place: twins stay where they are.
+"""
+
 
 def log_bayes_factor(found: CandidateFit) -> float:
     """Natural log of the odds that what was seen gives an effect, against the fit without it."""
@@ -177,7 +181,7 @@ def _exchange(slots: Sequence[Slot]) -> Model | None:
         if slot.own.evidence < np.log(len(EFFECTS)):
             return slot.rest.model
         for rival in slot.rivals:
-            if slot.behind(rival) < (0.0 if rival.found.shape_seen else -CLEARLY):
+            if slot.behind(rival) < (-LIKELIER if rival.found.shape_seen else -CLEARLY):
                 return rival.found.fit.model
     return None
 
