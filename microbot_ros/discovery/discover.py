@@ -81,7 +81,10 @@ def discover(sessions: Sequence[Session],
 
 def conclude(selection: StepwiseSelection, remarks: tuple[str, ...],
              report: Callable[[str], None], truth: Model | None = None) -> Discovery:
-    """The result of a `selection` that has been made; the rest as for `discover`."""
+    """The result of a `selection` that has been made, with `remarks` on its sessions.
+
+    `report` and `truth` as for `discover`.
+    """
     report('mapping what is left')
     start = selection.start
     before = residual_maps(start)

@@ -16,7 +16,7 @@ from microbot_ros.control.contract import Workspace
 from microbot_ros.discovery.driven.design import Range
 from microbot_ros.discovery.driven.drive import Played
 from microbot_ros.discovery.driven.plan import Plan, marking_time
-from microbot_ros.errors import RigError
+from microbot_ros.errors import InputError, RigError
 from microbot_ros.nodes.graph_client import GraphClient
 from microbot_ros.nodes.live_session_buffer import LiveSessionBuffer
 from microbot_ros.records import Commands, Session
@@ -115,7 +115,10 @@ class DrivenRig:
         session = self._recorded()
         self._recent.go_on()
         if len(session.tracks.t):
-            self._keep(session)
+            try:
+                self._keep(session)
+            except (OSError, InputError) as error:
+                stopped = stopped or f'the experiment could not be written ({error})'
         self._listen()
         return Played(session, stopped)
 

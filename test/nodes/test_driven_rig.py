@@ -164,15 +164,16 @@ def test_a_rig_that_is_not_ours_is_asked_until_it_is_settled(
     with_model = {here.client.get(node, 'model_file')['model_file']
                   for node in ('model', 'controller')}
     assert with_model == {str(here.out / 'model.yaml')}
+    assert 'held a particle' in (here.out / 'report.html').read_text()
 
 
-def _stops(here: Stand, emulator: object, go_wrong: Callable[[], None]) -> dict:
+def _stops(here: Stand, emulator: object, go_wrong: Callable[..., None]) -> dict:
     """What is written where something goes wrong in the middle of an experiment."""
     process = here.discover('--minutes', '2')
     here.until(lambda: here.rig.field > 1e-3)
     start = time.monotonic()
     here.until(lambda: time.monotonic() > start + 6.0)
-    go_wrong()
+    go_wrong(process)
     _, err = here.ended(process, 60.0)
     assert process.returncode in (0, 1), err
     here.until(lambda: emulator.zero, 10.0)
@@ -186,10 +187,11 @@ def test_what_goes_wrong_ends_in_no_current_and_is_written_down(
         stand: Callable[..., Stand], emulator: object) -> None:
     here = stand('coil_gain_mismatch', {'gain_ratio': 1.25})
     for go_wrong, again in (
-            (lambda: here.client.set('controller', controller='open_loop'), None),
-            (lambda: here.client.arm(False), here.client.arm),
-            (lambda: setattr(here.rig, 'gone', True), lambda: setattr(here.rig, 'gone', False)),
-            (lambda: setattr(here.rig, 'dark', True), lambda: setattr(here.rig, 'dark', False))):
+            (lambda _: here.client.set('controller', controller='open_loop'), None),
+            (lambda _: here.client.arm(False), here.client.arm),
+            (lambda _: setattr(here.rig, 'gone', True), lambda: setattr(here.rig, 'gone', False)),
+            (lambda _: setattr(here.rig, 'dark', True), lambda: setattr(here.rig, 'dark', False)),
+            (lambda process: process.terminate(), lambda: None)):
         found = _stops(here, emulator, go_wrong)
         assert found['minutes'] > 0
         if again is None:
@@ -198,6 +200,19 @@ def test_what_goes_wrong_ends_in_no_current_and_is_written_down(
         else:
             again()
         here.client.spin(1.0)
+
+
+def test_a_full_disk_ends_it_in_no_current(
+        stand: Callable[..., Stand], emulator: object) -> None:
+    here = stand('coil_gain_mismatch', {'gain_ratio': 1.25})
+    here.out.mkdir()
+    (here.out / 'experiment-1').write_text('no place for a folder')
+    process = here.discover('--minutes', '2')
+    out, err = here.ended(process, 100.0)
+    assert process.returncode == 0, err
+    assert 'could not be written' in out
+    assert here.result()['decided'] == 'stopped'
+    here.until(lambda: emulator.zero, 10.0)
 
 
 def test_nothing_is_driven_without_an_armed_gate(stand: Callable[..., Stand]) -> None:

@@ -108,7 +108,10 @@ class Design:
 
 
 def random_steps(rng: np.random.Generator, duration: float, limits: Range) -> Plan:
-    """Directions drawn from the circle, held for 0.3 to 6 s, at full, half and quarter field."""
+    """For a `duration` [s]: directions from the circle, each held for 0.3 to 6 s, by `rng`.
+
+    At full, half and quarter field of the `limits`.
+    """
     count = int(duration / 0.3) + 1
     hold = np.exp(rng.uniform(np.log(0.3), np.log(6.0), count))
     return Plan(

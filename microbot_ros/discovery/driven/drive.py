@@ -41,7 +41,8 @@ UNEXPLAINED = 3
 
 @dataclass(frozen=True)
 class Played:
-    """An experiment as it was recorded, and why it was broken off; '' where it was not."""
+    """An experiment as it was recorded, and why it was broken off, `stopped`; '' where it was not.
+    """
 
     session: Session
     stopped: str = ''
