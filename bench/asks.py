@@ -54,7 +54,10 @@ COVARIATES = {
 
 @dataclasses.dataclass(frozen=True)
 class Run:
-    """What came of one world: who `asked`, what was `hidden`, what was `named`."""
+    """What came of one world: who `asked`, what was `hidden`, what was `named`.
+
+    `minutes` until the names were there, for good and alone; until the end where they never were.
+    """
 
     asked: str
     hidden: tuple[str, ...]
@@ -189,7 +192,9 @@ def _told(asked: str, hidden: tuple[str, ...], seed: int, driven: Driven) -> Run
     judgement = insight.judgement
     ever = {name for look in driven.looks if look.insight
             for name in look.insight.judgement.named} if asked == 'nothing' else set()
-    return Run(asked, hidden, seed, driven.decided, driven.seconds / 60,
+    after = driven.named_after
+    minutes = (driven.seconds if after is None else after) / 60
+    return Run(asked, hidden, seed, driven.decided, minutes,
                tuple(ever) or judgement.named,
                tuple(itertools.chain.from_iterable(judgement.open.values())),
                tuple(m.against for m in judgement.left), driven.twins)

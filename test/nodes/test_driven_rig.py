@@ -145,7 +145,7 @@ def stand(tmp_path: Path, emulator: object) -> Iterator[Callable[..., Stand]]:
 def test_a_rig_that_is_not_ours_is_asked_until_it_is_settled(
         stand: Callable[..., Stand], emulator: object) -> None:
     here = stand('coil_gain_mismatch', {'gain_ratio': 1.25})
-    process = here.discover('--minutes', '3', '--apply')
+    process = here.discover('--minutes', '1.2', '--apply')
     out, err = here.ended(process, 230.0)
     assert process.returncode == 0, err
     found = here.result()
@@ -156,7 +156,7 @@ def test_a_rig_that_is_not_ours_is_asked_until_it_is_settled(
     assert abs(ratio['value'] - 1.25) < 4 * ratio['std']
     played = found['experiments']
     assert played[-1]['odds']['coil_gain_mismatch'] > 0.98
-    assert found['minutes'] < 3.2
+    assert found['minutes'] < 1.4
     sessions = [read_session(here.out / one['session']) for one in played]
     again = discover(sessions[:2])
     assert 'coil_gain_mismatch' in [e.id for e in again.effects]

@@ -35,6 +35,9 @@ SHORTEST = 10.0
 THOUGHT = 2.0
 """Seconds from the end of one experiment to the beginning of the next, about."""
 
+SCRUTINY = 240.0
+"""Seconds before which no name is final: what is in no list needs time to show beside it."""
+
 UNEXPLAINED = 3
 """Looks in a row at which something is left, for it to be in no list."""
 
@@ -85,7 +88,8 @@ class Insight:
         if judgement.left:
             return f'something that depends on {judgement.left[0].against}?'
         beside = ' too' if self.known.slots else ''
-        return f'{_plain(judgement.pending[0])}{beside}?' if judgement.pending else 'anything?'
+        return f'{_plain(judgement.pending[0])}{beside}?' if judgement.pending else (
+            'anything else?' if self.known.slots else 'anything?')
 
 
 @dataclass(frozen=True)
@@ -129,6 +133,18 @@ class Driven:
         return self.looks[-1].seconds if self.looks else 0.0
 
     @property
+    def named_after(self) -> float | None:
+        """Seconds after which the names of the end were there, and alone, for good; None: never.
+        """
+        since = None
+        for look in reversed(self.looks):
+            if not (look.insight and self.insight and look.insight.judgement.settled
+                    and look.insight.judgement.named == self.insight.judgement.named):
+                break
+            since = look.seconds
+        return since
+
+    @property
     def insight(self) -> Insight | None:
         """The last there was."""
         return next((look.insight for look in reversed(self.looks) if look.insight), None)
@@ -156,11 +172,13 @@ def drive(rig: Rig, minutes: float, report: Callable[[str], None] = lambda _: No
         result.looks.append(
             Look(plan.sentence(), played.stopped, rig.seconds, insight, saved))
         plan = None
+        left = 60 * minutes - rig.seconds
         if played.stopped:
             result.decided, result.reason = 'stopped', played.stopped
-        elif _settled(result):
+        elif _unexplained(result) or (insight and insight.judgement.settled and (
+                rig.seconds >= SCRUTINY or left < SHORTEST)):
             result.decided = 'settled'
-        elif (left := 60 * minutes - rig.seconds) >= SHORTEST:
+        elif left >= SHORTEST:
             plan, saved = _next(result, left, rig.limits, rng, designer)
             question = insight.question if insight else 'nothing to be said yet:'
     return result
@@ -174,15 +192,13 @@ def _look(result: Driven) -> Insight | None:
     except (InputError, ValueError):
         return None
     known = consider(prepared[0], before.known.names if before else ())
-    return Insight(known, judge(known, len(result.looks) + 1))
+    return Insight(known, judge(known))
 
 
-def _settled(result: Driven) -> bool:
+def _unexplained(result: Driven) -> bool:
+    """Whether something has been left for so long that it is in no list."""
     recent = [look.insight for look in result.looks[-UNEXPLAINED:]]
-    if recent[-1] is None:
-        return False
-    unexplained = len(recent) == UNEXPLAINED and all(one and one.judgement.left for one in recent)
-    return recent[-1].judgement.settled or unexplained
+    return len(recent) == UNEXPLAINED and all(one and one.judgement.left for one in recent)
 
 
 def _next(result: Driven, left: float, limits: Range, rng: np.random.Generator,

@@ -18,7 +18,7 @@ import numpy as np
 
 from microbot_ros.discovery.driven.design import Design, Question, Search
 from microbot_ros.discovery.driven.hypotheses import Hypotheses, Slot
-from microbot_ros.discovery.result import FIRES, ResidualMap
+from microbot_ros.discovery.result import ResidualMap
 from microbot_ros.discovery.score_tests import residual_maps
 from microbot_ros.model.effects import EFFECTS
 
@@ -70,26 +70,28 @@ class Judgement:
         return alone and not self.pending and not self.left
 
 
-def judge(known: Hypotheses, looks: int) -> Judgement:
-    """What follows from what is `known` at so many `looks`."""
+def judge(known: Hypotheses) -> Judgement:
+    """What follows from what is `known`."""
     named = tuple(slot.own.id for slot in known.slots
                   if slot.own.evidence >= enough() and slot.own.found.shape_seen)
     open_ = {slot.own.id: tuple(r.id for r in slot.rivals if slot.behind(r) < RIVAL)
              for slot in known.slots if slot.own.id in named}
     pending = [slot.own.id for slot in known.slots if slot.own.id not in named]
     pending += [one.id for one in known.more if one.evidence > PENDING]
-    return Judgement(named, open_, tuple(pending), _left(known, looks))
+    return Judgement(named, open_, tuple(pending), _left(known))
 
 
-def _left(known: Hypotheses, looks: int) -> tuple[ResidualMap, ...]:
-    """Maps that fire beside the model, or explain more than an effect of it does."""
-    least = FIRES * 2 / (looks * (looks + 1))  # over all looks together
-    maps = [m for m in residual_maps(known.fit) if m.p_value < least]
+def _left(known: Hypotheses) -> tuple[ResidualMap, ...]:
+    """Maps that fire beside the model, or explain more than an effect of it does.
+
+    They only ever keep a name back, so that looking again makes no name likelier.
+    """
+    maps = [m for m in residual_maps(known.fit) if m.fires]
     for slot in known.slots:
         if slot.own.evidence >= enough():
             most = slot.own.found.log_p + np.log(len(EFFECTS)) - BETTER
             maps += [m for m in residual_maps(slot.rest)
-                     if m.p_value < least and not m.cut_out and m.log_p < most]
+                     if m.fires and not m.cut_out and m.log_p < most]
     return tuple(sorted(maps, key=lambda m: m.p_value))
 
 
