@@ -167,39 +167,49 @@ def test_a_rig_that_is_not_ours_is_asked_until_it_is_settled(
     assert 'held a particle' in (here.out / 'report.html').read_text()
 
 
-def _stops(here: Stand, emulator: object, go_wrong: Callable[..., None]) -> dict:
-    """What is written where something goes wrong in the middle of an experiment."""
+def _operator(here: Stand, _: object) -> None:
+    here.client.set('controller', controller='open_loop')
+
+
+def _disarmed(here: Stand, _: object) -> None:
+    here.client.arm(False)
+
+
+def _gone(here: Stand, _: object) -> None:
+    here.rig.gone = True
+
+
+def _dark(here: Stand, _: object) -> None:
+    here.rig.dark = True
+
+
+def _told(_: Stand, process: subprocess.Popen[str]) -> None:
+    process.terminate()
+
+
+@pytest.mark.parametrize(('go_wrong', 'reason'), [
+    (_operator, 'open_loop'), (_disarmed, 'gate'), (_gone, 'particle'), (_dark, ''),
+    (_told, 'told')])
+def test_what_goes_wrong_ends_in_no_current_and_is_written_down(
+        stand: Callable[..., Stand], emulator: object, go_wrong: Callable[..., None],
+        reason: str) -> None:
+    here = stand('coil_gain_mismatch', {'gain_ratio': 1.25})
     process = here.discover('--minutes', '2')
     here.until(lambda: here.rig.field > 1e-3)
     start = time.monotonic()
     here.until(lambda: time.monotonic() > start + 6.0)
-    go_wrong(process)
-    _, err = here.ended(process, 60.0)
+    go_wrong(here, process)
+    out, err = here.ended(process, 100.0)
     assert process.returncode in (0, 1), err
-    here.until(lambda: emulator.zero, 10.0)
     found = here.result()
     assert found['decided'] == 'stopped'
+    assert reason in out + err
+    assert found['minutes'] > 0
     assert (here.out / 'experiment-1' / 'tracks.csv').is_file()
-    return found
-
-
-def test_what_goes_wrong_ends_in_no_current_and_is_written_down(
-        stand: Callable[..., Stand], emulator: object) -> None:
-    here = stand('coil_gain_mismatch', {'gain_ratio': 1.25})
-    for go_wrong, again in (
-            (lambda _: here.client.set('controller', controller='open_loop'), None),
-            (lambda _: here.client.arm(False), here.client.arm),
-            (lambda _: setattr(here.rig, 'gone', True), lambda: setattr(here.rig, 'gone', False)),
-            (lambda _: setattr(here.rig, 'dark', True), lambda: setattr(here.rig, 'dark', False)),
-            (lambda process: process.terminate(), lambda: None)):
-        found = _stops(here, emulator, go_wrong)
-        assert found['minutes'] > 0
-        if again is None:
-            assert here.client.get('controller', 'controller')['controller'] == 'open_loop'
-            here.client.set('controller', controller='hold')
-        else:
-            again()
-        here.client.spin(1.0)
+    drives = here.client.get('controller', 'controller')['controller']
+    assert drives == ('open_loop' if go_wrong is _operator else 'hold')
+    if go_wrong is not _operator:
+        here.until(lambda: emulator.zero, 10.0)
 
 
 def test_a_full_disk_ends_it_in_no_current(

@@ -188,8 +188,11 @@ class _Price:
         weight = np.concatenate([trial.weight, odds])
         spent = self.duration + float(asked[trial.weight >= 1].max(initial=0.0))
         spent += float(weight @ np.concatenate([asked, sought]) / max(weight.sum(), 1e-9))
-        shown = np.min(outcome.shown / np.maximum(STARVED * self.usual_shown, 1e-30), initial=1.0)
-        return spent * (1 + STRAY * outcome.astray) / max(float(shown), 1e-3)
+        shown = outcome.shown / np.maximum(self.usual_shown, 1e-30)
+        # Where nothing is asked, what is in no list is all there is to look for.
+        share = (np.min(shown / STARVED, initial=1.0) if trial.questions else
+                 np.exp(np.log(np.maximum(shown, 1e-3)).mean()))
+        return spent * (1 + STRAY * outcome.astray) / max(float(share), 1e-3)
 
 
 @dataclass(frozen=True)
