@@ -83,9 +83,9 @@ def _write(driven: Driven, folders: list[Path], out: Path, json_path: Path | Non
         raise RigError(driven.reason or 'too little was seen to learn anything')
     console = Console(highlight=False)
     for line in result[0].sentences():
-        console.print(line)
+        console.print(line, soft_wrap=True)
     console.print(f'{driven.decided.replace("_", " ")} after {driven.seconds / 60:.1f} min'
-                  + (f': {driven.reason}' if driven.reason else ''))
+                  + (f': {driven.reason}' if driven.reason else ''), soft_wrap=True)
     return result[0]
 
 

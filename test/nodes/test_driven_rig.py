@@ -195,7 +195,7 @@ def test_what_goes_wrong_ends_in_no_current_and_is_written_down(
         reason: str) -> None:
     here = stand('coil_gain_mismatch', {'gain_ratio': 1.25})
     process = here.discover('--minutes', '2')
-    here.until(lambda: here.rig.field > 1e-3)
+    here.until(lambda: here.rig.field > 1e-3, 120.0)
     start = time.monotonic()
     here.until(lambda: time.monotonic() > start + 6.0)
     go_wrong(here, process)
