@@ -52,6 +52,7 @@ setup(
         ],
         'microbot_ros.controllers': [
             'ensemble = microbot_ros.control.ensemble:Ensemble',
+            'experiment = microbot_ros.control.experiment:Experiment',
             'formation = microbot_ros.control.formation:Formation',
             'hold = microbot_ros.control.hold:Hold',
             'open_loop = microbot_ros.control.open_loop:OpenLoop',

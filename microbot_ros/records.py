@@ -93,9 +93,14 @@ class Conditions:
 
 @dataclass(frozen=True)
 class Session:
-    """One recording: what was seen, what was commanded, under which conditions; its `name`."""
+    """One recording: what was seen, what was commanded, under which conditions; its `name`.
+
+    `breaks` (K,) [s], ascending, are where what was seen was joined: nothing is known of the way
+    from the last frame before one to the first at or after it.
+    """
 
     tracks: Tracks
     commands: Commands
     conditions: Conditions = field(default_factory=Conditions)
     name: str = ''
+    breaks: np.ndarray = field(default_factory=lambda: np.empty(0))

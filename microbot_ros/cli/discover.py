@@ -34,10 +34,18 @@ if TYPE_CHECKING:
               help='With --live: how much of the recent past to look at, each time.')
 @click.option('--rounds', type=click.IntRange(0), default=0, metavar='N',
               help='With --live: end after N looks; 0 goes on until Ctrl-C.')
+@click.option('--drive', is_flag=True,
+              help='Instead of sessions: have the running, armed rig play what tells most, until '
+              'the question is settled.')
+@click.option('--minutes', type=FiniteFloatRange(0.5, 600), default=10.0, show_default=True,
+              help='With --drive: how long at most.')
+@click.option('--apply', 'apply_', is_flag=True,
+              help='With --drive: give the model found to the model node and the controllers.')
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
               help='Also write the content of result.json here.')
 def command(sessions: tuple[Path, ...], out: Path, jobs: int, live: bool, seconds: float,
-            rounds: int, json_path: Path | None) -> None:
+            rounds: int, drive: bool, minutes: float, apply_: bool,
+            json_path: Path | None) -> None:
     """Find where SESSION and the first-order model part, and name the effect that is missing.
 
     Several sessions of one rig are explained together. Writes result.json (verdict, effects with
@@ -49,6 +57,7 @@ def command(sessions: tuple[Path, ...], out: Path, jobs: int, live: bool, second
       microbot simulate config/scenario_lag.yaml --out out/lagging
       microbot discover out/lagging --out out/discovered
       microbot discover --live --seconds 60 --out out/live
+      microbot discover --drive --minutes 6 --out out/driven
     """
     # Of matrices as small as these several threads make nothing but heat: five times the
     # processor, and no time left for other jobs. Read by OpenBLAS when it is loaded, so from here.
@@ -57,11 +66,18 @@ def command(sessions: tuple[Path, ...], out: Path, jobs: int, live: bool, second
 
     from microbot_ros.session import read_session
 
-    if bool(sessions) == live:
-        raise click.UsageError('expected either SESSION... or --live')
+    if bool(sessions) + live + drive != 1:
+        raise click.UsageError('expected either SESSION... or --live or --drive')
+    if apply_ and not drive:
+        raise click.UsageError('--apply is for --drive')
     progress = Console(stderr=True, highlight=False)
     if live:
         _watch(out, seconds, rounds, jobs, json_path, progress)
+        return
+    if drive:
+        from microbot_ros.cli.discover_drive import drive_rig
+
+        drive_rig(out, minutes, apply_, json_path, progress)
         return
     with progress.status('reading'):
         recordings = [read_session(path) for path in sessions]

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 Places = list[tuple[float, float]]
 
-_NO_GOALS = ('hold', 'open_loop', 'teleop', 'path_following')
-_NO_PATHS = ('hold', 'open_loop', 'teleop', 'waypoint', 'ensemble', 'formation', 'predictive',
-             'roller')
+_NO_GOALS = ('experiment', 'hold', 'open_loop', 'teleop', 'path_following')
+_NO_PATHS = ('experiment', 'hold', 'open_loop', 'teleop', 'waypoint', 'ensemble', 'formation',
+             'predictive', 'roller')
 """The controllers of this package that do not act on goals, on a path."""
 
 _HEALTH_SECONDS = 1.5

@@ -20,6 +20,7 @@ import numpy as np
 
 from microbot_ros.control.field_record import FieldRecord
 from microbot_ros.model.model import Model
+from microbot_ros.records import Commands
 
 INTERFACE_VERSION = 1
 """Raised when a controller written for the contract before would no longer work."""
@@ -150,7 +151,8 @@ class ControllerInput:
     particles will be when a command given now takes effect, `delay` [s] later, as far as that is
     known.
     `field` (2,) and `frequency` are the command before, `record` those of the last seconds.
-    `joystick` (2,), within the unit circle, is a person's hand. `path` (P, 2).
+    `joystick` (2,), within the unit circle, is a person's hand. `path` (P, 2). `plan`: a row of
+    fields that somebody wants played, on a clock that begins with it; its last row is its end.
     """
 
     t: float
@@ -175,6 +177,7 @@ class ControllerInput:
     model: Model | None = None
     expected: np.ndarray = dataclasses.field(default_factory=NO_PLACES.copy)
     record: FieldRecord = dataclasses.field(default_factory=FieldRecord)
+    plan: Commands | None = None
 
     def index(self, particle: int) -> int:
         """The row of a particle; ParticleLostError where it is not seen."""

@@ -61,12 +61,12 @@ class OpenLoop(Controller):
     def activate(self, inputs: ControllerInput) -> None:
         """Start the list from its beginning; refuse one that the limits of `inputs` do not allow.
         """
-        _check(self._commands, inputs.limits)
+        check_limits(self._commands, inputs.limits)
         self._begun = inputs.t
 
     def compute(self, inputs: ControllerInput) -> FieldCommand:
         """The row of the moment of `inputs`."""
-        _check(self._commands, inputs.limits)
+        check_limits(self._commands, inputs.limits)
         if self._begun is None:
             self._begun = inputs.t
         elapsed = inputs.t - self._begun
@@ -114,7 +114,8 @@ def _from_file(parameters: OpenLoopParameters) -> tuple[Commands, float]:
     return Commands(t, field, table.columns['frequency_hz']), float(t[-1] + last)
 
 
-def _check(commands: Commands, limits: Limits) -> None:
+def check_limits(commands: Commands, limits: Limits) -> None:
+    """NoSolutionError where `commands` ask for more than the `limits` allow."""
     strongest = float(np.hypot(*commands.field.T).max())
     if not strongest <= limits.field * (1 + 1e-9):
         raise NoSolutionError(f'the list asks for {strongest * 1e3:g} mT; '

@@ -83,16 +83,19 @@ def discover(sessions: Sequence[Session],
         if jobs > 1:
             run = stack.enter_context(ProcessPoolExecutor(jobs)).map
         selection = StepwiseSelection(prepared, partial(search, run=run))
-        return _discover(selection, remarks, report, truth)
+        selection.run(report)
+        return conclude(selection, remarks, report, truth)
 
 
-def _discover(selection: StepwiseSelection, remarks: tuple[str, ...],
-              report: Callable[[str], None], truth: Model | None) -> Discovery:
-    start = selection.current
-    report('mapping what the first-order model leaves')
-    before = residual_maps(start)
-    selection.run(report)
+def conclude(selection: StepwiseSelection, remarks: tuple[str, ...],
+             report: Callable[[str], None], truth: Model | None = None) -> Discovery:
+    """The result of a `selection` that has been made, with `remarks` on its sessions.
+
+    `report` and `truth` as for `discover`.
+    """
     report('mapping what is left')
+    start = selection.start
+    before = residual_maps(start)
     after = residual_maps(selection.current) if selection.current.model.effects else before
     report('comparing with what could stand in')
     left = [m for m in after if m.fires]

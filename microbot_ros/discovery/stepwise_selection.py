@@ -45,12 +45,14 @@ def search(fit: ModelFit, names: Iterable[str],
 class StepwiseSelection:
     """Selection of effects, from the first-order model on, for prepared `sessions`.
 
-    `search` fits candidates. `current` is the fit of the model so far, `steps` tell how it came
+    `search` fits candidates. `start` is the fit of the
+    first-order model, `current` that of the model so far, `steps` tell how it came
     about, `open` holds what the last search found beside it.
     """
 
     sessions: Sequence[PreparedSession]
     search: Search = search
+    start: ModelFit = field(init=False)
     current: ModelFit = field(init=False)
     steps: list[SelectionStep] = field(default_factory=list)
     open: list[CandidateFit] = field(default_factory=list)
@@ -59,7 +61,7 @@ class StepwiseSelection:
 
     def __post_init__(self) -> None:
         first = self.sessions[0]
-        self.current = self.fit(Model.baseline(first.conditions, first.commands))
+        self.start = self.current = self.fit(Model.baseline(first.conditions, first.commands))
 
     def fit(self, model: Model) -> ModelFit:
         """A `model` fitted to what of the sessions it can explain."""

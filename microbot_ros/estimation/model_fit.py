@@ -71,7 +71,7 @@ class ModelFit:
 
         At fixed v and φ, in units of the noise.
         """
-        steps = _steps(self.model)
+        steps = difference_steps(self.model)
         x = self.model.vector()
         changed = [self.model.with_vector(x + step * unit)
                    for step, unit in zip(steps, np.eye(len(x)), strict=True)]
@@ -154,7 +154,7 @@ def _constant(model: Model, name: str, parameter: Parameter) -> Hashable:
     return name, parameter.name, shape, around
 
 
-def _steps(model: Model) -> np.ndarray:
+def difference_steps(model: Model) -> np.ndarray:
     """Steps of the difference quotients, away from the upper bounds."""
     x = model.vector()
     high = np.array([p.fit_bounds[1] for _, p in model.parameters])

@@ -81,7 +81,7 @@ class PreparedSession:
     def of(cls, session: Session) -> PreparedSession:
         """The frames of `session` from the first field on: before it, headings are unknown.
 
-        All frames where there is no field at all. Tracks are whole.
+        All frames where there is no field at all. Tracks are whole, but for the session's breaks.
         """
         times, positions = session.tracks.grid()
         first = times[0] if len(times) else 0.0
@@ -90,9 +90,10 @@ class PreparedSession:
         keep = times >= (start if np.isfinite(start) else -np.inf)
         times, positions = times[keep], positions[keep]
         z = positions[..., 0] + 1j * positions[..., 1]
+        part = 1 + np.searchsorted(session.breaks - first, times, side='right')
         return cls(
             session.name, session.tracks.particles, times, np.nan_to_num(z),
-            np.isfinite(z).astype(int),
+            np.where(np.isfinite(z), part[:, None], 0),
             positions, commands, session.conditions, np.zeros(z.shape[1], int))
 
     @cached_property

@@ -20,6 +20,7 @@ from microbot_ros.errors import InputError
 from microbot_ros.loop.points import numbers
 from microbot_ros.model.model import Model
 from microbot_ros.model.model_file import read_model
+from microbot_ros.records import Commands
 from microbot_ros.settings import setting
 
 
@@ -87,6 +88,7 @@ class ControllerStage:
         self.outcome = Outcome(None, Result.STALE, 'no poses yet')
         """What came of the last frame."""
         self.goals, self.path = Goals(), np.empty((0, 2))
+        self.plan: Commands | None = None
         self.joystick_remark = ''
         """Why a joystick that was deflected counts as centred; '' where none does."""
         self._joystick, self._joystick_t = np.zeros(2), -math.inf
@@ -120,6 +122,20 @@ class ControllerStage:
     def follow(self, path: np.ndarray) -> None:
         """A new path (P, 2) [m], from the next frame on."""
         self.path = path
+        self._begin_anew()
+
+    def play(self, plan: Commands) -> None:
+        """A new plan on a clock of its own, from the next frame on, for a controller that plays.
+
+        ValueError for one that can't be played: its numbers must be finite, its times ascend
+        from 0, and its last row, the end, be after them.
+        """
+        turns = np.zeros(1) if plan.frequency is None else plan.frequency
+        if not all(np.isfinite(rows).all() for rows in (plan.t, plan.field, turns)):
+            raise ValueError('expected finite numbers')
+        if len(plan.t) < 2 or plan.t[0] != 0 or not (np.diff(plan.t) > 0).all():
+            raise ValueError('expected two rows at least, at times that ascend from 0')
+        self.plan = plan
         self._begin_anew()
 
     def _begin_anew(self) -> None:
@@ -193,7 +209,7 @@ class ControllerStage:
             position=rows[:2].T.copy(), sigma=x_std, theta=theta, speed=speed, phi=phi,
             speed_std=speed_std, phi_std=phi_std, limits=self._limits, workspace=self._workspace,
             delay=values.delay_ms * 1e-3, goals=self.goals, path=self.path,
-            joystick=self._joystick_at(t), model=self._present_model())
+            joystick=self._joystick_at(t), model=self._present_model(), plan=self.plan)
 
     def _joystick_at(self, t: float) -> np.ndarray:
         """The stick (2,) at an exposure `t` [s]: centred where it was silent for too long.

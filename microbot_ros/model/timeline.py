@@ -161,7 +161,8 @@ def _remembered(cache: dict[Key, Value], key: Key, make: Callable[[], Value]) ->
 def _subdivide(edges: np.ndarray) -> np.ndarray:
     """The edges with more between them, so that spans are cut equally to LONGEST at most."""
     span = np.diff(edges)
-    parts = np.ceil(span / LONGEST - 1e-9).astype(int)  # frames of just LONGEST stay whole
+    # Frames of just LONGEST stay whole; rounding may leave next to nothing between two edges.
+    parts = np.maximum(np.ceil(span / LONGEST - 1e-9), 1).astype(int)
     if parts.max() <= 1:
         return edges
     number = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)

@@ -15,6 +15,7 @@ from geometry_msgs.msg import Point, PoseArray, PoseStamped, Vector3Stamped
 from nav_msgs.msg import Path
 from sensor_msgs.msg import Joy, PointCloud2
 from std_msgs.msg import Header, String
+from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from microbot_ros.control.contract import FieldCommand, Goals, Result, no_field
@@ -85,7 +86,7 @@ class ControllerNode(RigNode):
 
     def setup(self) -> None:
         self.stage.begin()
-        self._goals_stamp = self._path_stamp = 0.0
+        self._goals_stamp = self._path_stamp = self._plan_stamp = 0.0
         self._rolling = False
         self._commands = self.publisher(Vector3Stamped, 'field/command')
         self._markers = self.publisher(MarkerArray, 'markers')
@@ -99,6 +100,7 @@ class ControllerNode(RigNode):
         self.subscribe(PoseStamped, 'goal_pose', self._on_goal_pose)
         self.subscribe(PointCloud2, 'particle_goals', self._on_particle_goals)
         self.subscribe(Path, 'path', self._on_path)
+        self.subscribe(JointTrajectory, 'field/plan', self._on_plan)
         self.subscribe(Joy, 'joy', self._on_joy, NEWEST)
         self.every(0.05, self._watch)
         self._progress = self.publisher(DiagnosticStatus, '~/progress')
@@ -119,7 +121,8 @@ class ControllerNode(RigNode):
         outcome, name = self.stage.outcome, self.stage.manager.active
         values: dict[str, object] = {
             'controller': name, 'result': outcome.result.value, 'goals': len(self.stage.goals),
-            'goals_stamp_s': repr(self._goals_stamp), 'path_stamp_s': repr(self._path_stamp)}
+            'goals_stamp_s': repr(self._goals_stamp), 'path_stamp_s': repr(self._path_stamp),
+            'plan_stamp_s': repr(self._plan_stamp)}
         if outcome.command is not None:
             values['distance_um'] = outcome.command.progress.distance * 1e6
             values['done'] = outcome.command.progress.done
@@ -164,6 +167,17 @@ class ControllerNode(RigNode):
         self.stage.follow(np.array([
             (p.pose.position.x, p.pose.position.y) for p in message.poses]).reshape(-1, 2))
         self._path_stamp = messages.to_seconds(message.header.stamp)
+        self._tell()
+
+    def _on_plan(self, message: JointTrajectory) -> None:
+        stamp = messages.to_seconds(message.header.stamp)
+        if stamp == self._plan_stamp:
+            return  # told twice, it is not played twice
+        try:
+            self.stage.play(messages.plan_rows(message))
+        except ValueError as error:
+            raise messages.MessageError(f'field/plan: {error}') from None
+        self._plan_stamp = stamp
         self._tell()
 
     def _on_joy(self, message: Joy) -> None:

@@ -29,6 +29,7 @@ from microbot_ros.errors import InputError, RigError
 from microbot_ros.loop.points import GOAL
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.transport import stay_local
+from microbot_ros.records import Commands
 
 _FIND_SECONDS = 5.0
 """So long a node may take to be seen: what a process says of itself when it starts may be lost,
@@ -216,6 +217,11 @@ class GraphClient:
                                np.zeros(len(positions)), self.node.get_clock().now().to_msg())
         return self._hand_over('path', Path(header=array.header, poses=[
             PoseStamped(header=array.header, pose=pose) for pose in array.poses]), 'path')
+
+    def send_plan(self, commands: Commands) -> Taken:
+        """Send a plan, whose last row is its end, until the controller has taken it."""
+        return self._hand_over('field/plan', messages.plan(
+            commands, self.node.get_clock().now().to_msg()), 'plan')
 
     def watch_progress(self, tell: Tell) -> None:
         """Call `tell(level, sentence, values)` several times a second for the controller's."""

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Vector3Stamped
-from sensor_msgs.msg import JointState, PointCloud2
+from sensor_msgs.msg import JointState, MagneticField, PointCloud2
 
 from microbot_ros import units
 from microbot_ros.loop.points import PARTICLE
@@ -24,23 +24,34 @@ _BACKLOG_SECONDS = 0.5
 """What waited while nobody listened is taken in much less."""
 
 
+_SAME_FIELD = 3e-5
+"""Fields [T] that are nearer than this are the same, read with an error."""
+
+
 class LiveSessionBuffer:
     """Keeps the last `seconds` of the graph of a `client`: `particles`, the commanded field, how
-    fast it rolls, and whether the gate let it through.
+    fast it rolls, and whether the gate let it through. `applied`: in place of the commanded field
+    the one that is read back, as far as it differs from what was read before.
     """
 
-    def __init__(self, client: GraphClient, seconds: float) -> None:
+    def __init__(self, client: GraphClient, seconds: float, applied: bool = False) -> None:
         self._seconds = seconds
         self._frames: deque[tuple[float, np.ndarray]] = deque()
         self._commands: dict[str, deque[tuple[float, ...]]] = {}
         self._client = client
         subscribe = client.node.create_subscription
         subscribe(PointCloud2, 'particles', self._on_particles, 200)
+        if applied:
+            subscribe(MagneticField, 'field/applied', self._taker(
+                'field/command', lambda m: (m.magnetic_field.x, m.magnetic_field.y),
+                _SAME_FIELD), 200)
         for topic, kind, value in (
-            ('field/command', Vector3Stamped, lambda m: (m.vector.x, m.vector.y)),
+            *([] if applied else [
+                ('field/command', Vector3Stamped, lambda m: (m.vector.x, m.vector.y))]),
             ('field/rotation', Vector3Stamped,
              lambda m: (math.hypot(m.vector.x, m.vector.y) / math.tau,)),
-            ('coils/applied', JointState, lambda m: (float(any(m.effort)),)),
+            *([] if applied else [
+                ('coils/applied', JointState, lambda m: (float(any(m.effort)),))]),
         ):
             subscribe(kind, topic, self._taker(topic, value), 200)
 
@@ -59,10 +70,20 @@ class LiveSessionBuffer:
         """How many seconds have been collected."""
         return self._frames[-1][0] - self._frames[0][0] if self._frames else 0.0
 
+    @property
+    def begin(self) -> float:
+        """The stamp [s] of the first frame that was collected; NaN without any."""
+        return self._frames[0][0] if self._frames else math.nan
+
     def forget(self) -> None:
         """Collect anew from now on, but for the commands still in force."""
         self._client.spin(_BACKLOG_SECONDS)
         self._frames.clear()
+
+    def go_on(self) -> None:
+        """Keep the last frame only, and the commands since: what comes goes on from there."""
+        while len(self._frames) > 1:
+            self._frames.popleft()
 
     def session(self) -> Session:
         """What was collected; times [s] count from the first frame of it."""
@@ -96,7 +117,8 @@ class LiveSessionBuffer:
             while len(rows) > 1 and rows[1][0] < self._frames[0][0]:
                 rows.popleft()
 
-    def _taker(self, topic: str, value: Callable[[Any], tuple[float, ...]]) -> Callable[..., None]:
+    def _taker(self, topic: str, value: Callable[[Any], tuple[float, ...]],
+               same: float = 0.0) -> Callable[..., None]:
         rows = self._commands[topic] = deque()
 
         def take(message: Any) -> None:
@@ -105,6 +127,9 @@ class LiveSessionBuffer:
             t = messages.to_seconds(message.header.stamp)
             now = messages.to_seconds(self._client.node.get_clock().now().to_msg())
             t = now if abs(now - t) < _LIVE_SECONDS else t
+            new = value(message)
+            if same and rows and math.dist(new, rows[-1][1:]) < same:
+                return
             if not rows or t > rows[-1][0]:
-                rows.append((t, *value(message)))
+                rows.append((t, *new))
         return take

@@ -8,12 +8,14 @@ from typing import Any
 
 import cv2
 import numpy as np
-from builtin_interfaces.msg import Time
+from builtin_interfaces.msg import Duration, Time
 from geometry_msgs.msg import Pose, PoseArray, Vector3, Vector3Stamped
 from sensor_msgs.msg import Image, JointState, MagneticField, PointCloud2, PointField
 from std_msgs.msg import Header
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from microbot_ros.loop.points import ESTIMATE
+from microbot_ros.records import Commands
 
 WORKSPACE = 'workspace'
 """Frame of every position and every field: x right, y up."""
@@ -23,6 +25,8 @@ TRUTH = np.dtype([
     ('phi', '<f4'),
 ])
 """A point of `virtual_rig/truth`: SI. For judging the others; no node reads it."""
+
+_PLANNED = ['bx', 'by', 'frequency']
 
 _POINT_TYPES = {
     'i1': PointField.INT8, 'u1': PointField.UINT8, 'i2': PointField.INT16,
@@ -191,6 +195,36 @@ def field_vector(field: np.ndarray, stamp: Time) -> Vector3Stamped:
     message = Vector3Stamped(header=Header(stamp=stamp, frame_id=WORKSPACE))
     message.vector.x, message.vector.y = float(field[0]), float(field[1])
     return message
+
+
+def plan_rows(message: JointTrajectory) -> Commands:
+    """A plan as it comes on `field/plan`: the rows of a `message`, times from its beginning.
+
+    Joints `bx` and `by` [T], and `frequency` [Hz] of a rolling field; MessageError for others.
+    """
+    in_workspace(message.header)
+    names = list(message.joint_names)
+    if names not in (_PLANNED[:2], _PLANNED):
+        raise MessageError(f'expected joints {", ".join(_PLANNED)}, found {", ".join(names)}')
+    if any(len(point.positions) != len(names) for point in message.points):
+        raise MessageError(f'expected {len(names)} positions at every point')
+    rows = np.array([point.positions for point in message.points], float).reshape(-1, len(names))
+    t = np.array([p.time_from_start.sec + p.time_from_start.nanosec * 1e-9
+                  for p in message.points])
+    return Commands(t, rows[:, :2], rows[:, 2] if len(names) > 2 else None)
+
+
+def plan(commands: Commands, stamp: Time) -> JointTrajectory:
+    """A plan for `field/plan`, of a `stamp` that tells it from others: `commands` from 0 on."""
+    rows = commands.field if commands.frequency is None else np.column_stack(
+        [commands.field, commands.frequency])
+    result = JointTrajectory(header=Header(stamp=stamp, frame_id=WORKSPACE),
+                             joint_names=_PLANNED[:rows.shape[1]])
+    for t, row in zip(commands.t.tolist(), rows.tolist(), strict=True):
+        at = to_stamp(t)
+        result.points.append(JointTrajectoryPoint(
+            positions=row, time_from_start=Duration(sec=at.sec, nanosec=at.nanosec)))
+    return result
 
 
 def magnetic_field(field: np.ndarray, stamp: Time) -> MagneticField:

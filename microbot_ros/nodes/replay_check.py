@@ -30,8 +30,8 @@ STAGES = (
           'particles', ('particles/poses',)),
     Stage('model', ('particles', 'field/applied', 'field/command', 'field/rotation'),
           'model/state'),
-    Stage('controller', ('model/state', 'goals', 'particle_goals', 'goal_pose', 'path', 'joy'),
-          'field/command', ('field/rotation',)),
+    Stage('controller', ('model/state', 'goals', 'particle_goals', 'goal_pose', 'path',
+                         'field/plan', 'joy'), 'field/command', ('field/rotation',)),
     Stage('coil_driver', ('field/command',), 'coils/command'),
 )
 """The nodes whose answers follow from what is recorded, in the order of the graph."""

@@ -9,6 +9,7 @@ from rcl_interfaces.msg import ParameterEvent
 from rclpy.qos import QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
 from sensor_msgs.msg import Image, JointState, Joy, MagneticField, PointCloud2, TimeReference
 from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 _IMAGES = QoSProfile(depth=50, reliability=QoSReliabilityPolicy.BEST_EFFORT)
@@ -30,6 +31,7 @@ TOPICS: dict[str, tuple[type, QoSProfile]] = {
     'goals': (PoseArray, KEPT),
     'particle_goals': (PointCloud2, KEPT),
     'path': (Path, KEPT),
+    'field/plan': (JointTrajectory, KEPT),
     'joy': (Joy, KEPT),
     'field/command': (Vector3Stamped, KEPT),
     'field/rotation': (Vector3Stamped, KEPT),

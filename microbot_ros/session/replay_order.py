@@ -12,7 +12,7 @@ from microbot_ros.session.playback import Source
 from microbot_ros.session.recording import Message, is_topic
 
 CHANGES = 'parameter_events'
-GOALS = ('goals', 'particle_goals', 'goal_pose', 'path', 'joy')
+GOALS = ('goals', 'particle_goals', 'goal_pose', 'path', 'field/plan', 'joy')
 """What people tell the controller, at any time."""
 _HEARD = 'model/state'
 """What sets the controller going: a goal that comes later waits until it is done."""

@@ -16,6 +16,7 @@ from sensor_msgs.msg import Image, PointCloud2, PointField
 
 from microbot_ros.loop.points import ESTIMATE, PARTICLE
 from microbot_ros.nodes import messages
+from microbot_ros.records import Commands
 
 STAMP = Time(sec=1_700_000_000, nanosec=123_456_789)
 
@@ -132,3 +133,24 @@ def test_points_in_another_frame_are_refused(frame: str) -> None:
     message.header.frame_id = frame
     with pytest.raises(messages.MessageError, match=f"the frame 'workspace'; received '{frame}'"):
         messages.points(message, PARTICLE)
+
+
+@pytest.mark.parametrize('rolling', [False, True])
+def test_a_plan_comes_out_as_it_went_in(rolling: bool) -> None:
+    plan = Commands(np.array([0.0, 1.25, 60.5]), np.array([[1e-3, 0], [0, -2e-3], [0, 0]]),
+                    np.array([1.0, 5.0, 0.0]) if rolling else None)
+    back = messages.plan_rows(messages.plan(plan, messages.to_stamp(12.5)))
+    assert back.t == pytest.approx(plan.t)
+    assert back.field.tolist() == plan.field.tolist()
+    assert (back.frequency is None) == (not rolling)
+
+
+def test_a_plan_of_other_joints_is_refused() -> None:
+    message = messages.plan(Commands(np.zeros(1), np.zeros((1, 2))), messages.to_stamp(0.0))
+    message.joint_names = ['elbow', 'wrist']
+    with pytest.raises(messages.MessageError, match='bx, by'):
+        messages.plan_rows(message)
+    message.joint_names = ['bx', 'by']
+    message.points[0].positions = [1.0]
+    with pytest.raises(messages.MessageError, match='2 positions'):
+        messages.plan_rows(message)

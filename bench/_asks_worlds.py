@@ -1,0 +1,80 @@
+"""Worlds to be asked: effects hidden at so much evidence a minute of random steps."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from bench._driven_rig import SimulatedRig
+from bench._hidden_effects import KINDS, Hideout, Parameters
+from bench._hidden_suite import FIELD, FLUID, Experiment, Yardstick
+from microbot_ros.control.contract import Workspace
+from microbot_ros.discovery.driven.design import Range, random_steps
+from microbot_ros.records import Conditions
+from microbot_ros.virtual_rig.injected_effects import inject_effect
+from microbot_ros.virtual_rig.record_session import Camera, draw_swarm
+from microbot_ros.virtual_rig.world import World
+
+MINUTE = 60.0
+FREQUENCY = (1.0, 20.0)
+
+
+def hidden_world(seed: int, effects: tuple[str, ...], evidence: float = 10.0,
+                 ) -> tuple[SimulatedRig, dict[str, Parameters]]:
+    """A rig drawn by `seed`, and what is hidden in it: `effects` of that `evidence` λ each.
+
+    A minute of random steps would hold so much. Where the strongest that a rig may have holds
+    less, another one is drawn.
+    """
+    for attempt in range(200):
+        rng = np.random.default_rng([seed, attempt, 18])
+        experiment, extent = _draw(rng, effects)
+        plan = experiment.control()
+        _, path = experiment.film({})
+        if not experiment.apart(path):
+            continue
+        yardstick = Yardstick(experiment, plan, path)
+        hidden: dict[str, Parameters] = {}
+        for effect in effects:
+            shaped = KINDS[effect].shaped(Hideout(rng, extent * 1e6, MINUTE))
+            strength = yardstick.strength(effect, shaped, evidence)
+            if strength is None:
+                break
+            hidden[effect] = shaped(strength)
+        if len(hidden) == len(effects):
+            return _rig(experiment, hidden, seed), hidden
+    raise RuntimeError(f'seed {seed}: {effects} can’t be hidden')
+
+
+def _rig(experiment: Experiment, hidden: dict[str, Parameters], seed: int) -> SimulatedRig:
+    swarm, rng = experiment.swarm.copy(), np.random.default_rng([seed, 19])
+    for effect, parameters in hidden.items():
+        inject_effect(swarm, effect, parameters, FIELD)
+    rolling = experiment.conditions.propulsion == 'rolling'
+    return SimulatedRig(World(swarm, rng), experiment.camera, experiment.conditions, FIELD, rng,
+                        FREQUENCY if rolling else None)
+
+
+def _draw(rng: np.random.Generator, effects: tuple[str, ...]) -> tuple[Experiment, float]:
+    pairs = any(KINDS[effect].pairs for effect in effects)
+    rolling = 'drive_response' in effects
+    count = 7 if pairs else 4
+    radius = 2.5e-6
+    extent = (9 * radius if pairs else 25e-6) * math.sqrt(count)
+    swarm = draw_swarm(rng, count, FLUID, FIELD, radius=radius, half_extent=extent,
+                       spacing=7 * radius if pairs else 20e-6, aligns_in=5e-5)
+    if pairs:  # alike, so that they stay near each other without touching
+        swarm['phi'] = swarm['phi'][0] + rng.uniform(-0.3, 0.3, count)
+    if rolling:
+        swarm['gain'], swarm['speed'] = swarm['speed'] / 8, 0.0
+    camera = Camera(20.0, 0.5, 0.1e-6, missed=0.05, run=3.0, dropped=0.02)
+    conditions = Conditions(propulsion='rolling' if rolling else 'catalytic', radius=radius,
+                            viscosity=FLUID.viscosity, reference_field=FIELD)
+    view = Workspace(np.full(2, -np.inf), np.full(2, np.inf))
+    legs = random_steps(rng, MINUTE, Range(FIELD, view, FREQUENCY if rolling else None))
+    commands = legs.commands()
+    return Experiment(swarm, lambda: commands, camera, MINUTE, conditions,
+                      int(rng.integers(2**31))), extent
+
+

@@ -1,0 +1,74 @@
+"""What was found by driving, as every other search tells it: numbers, model, page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from microbot_ros.discovery.discover import conclude
+from microbot_ros.discovery.driven.drive import Driven, Insight
+from microbot_ros.discovery.driven.joined import join
+from microbot_ros.discovery.input_checks import check_sessions
+from microbot_ros.discovery.result import Discovery, NamedEffect, Status, Verdict
+from microbot_ros.discovery.stepwise_selection import StepwiseSelection
+from microbot_ros.records import Session
+
+
+def discovered(driven: Driven, report: Callable[[str], None] = lambda _: None,
+               ) -> tuple[Discovery, Session] | None:
+    """The result on all experiments, and these as one session; None where nothing was learned.
+
+    The model is the one that was taken in the end, and what is established was decided while
+    driving: no p-value is asked again about data that ended when it suited. `report` is told what
+    is being done.
+    """
+    insight = driven.insight
+    if insight is None:
+        return None
+    session = join(driven.experiments)
+    prepared, remarks = check_sessions([session])
+    selection = StepwiseSelection(prepared)
+    selection.current = selection.fit(insight.known.fit.model)
+    selection.open = [one.found for one in insight.known.more]
+    found = conclude(selection, (*_remarks(driven), *remarks), report)
+    effects = tuple(_judged(effect, insight) for effect in found.effects)
+    left = insight.judgement.left
+    return replace(found, effects=effects, unexplained=left, verdict=_verdict(effects, bool(left)),
+                   next_experiment=None), session
+
+
+def _verdict(effects: tuple[NamedEffect, ...], left: bool) -> Verdict:
+    if left:
+        return 'unnamed'
+    return 'named' if any(e.status == 'established' for e in effects) else 'consistent'
+
+
+def _judged(effect: NamedEffect, insight: Insight) -> NamedEffect:
+    judgement = insight.judgement
+    rivals = judgement.open.get(effect.id, ())
+    status: Status = 'established' if effect.id in judgement.named else 'suggested'
+    if judgement.left:
+        status = 'proxy'
+    return replace(effect, status=status, indistinguishable_from=rivals)
+
+
+def _remarks(driven: Driven) -> tuple[str, ...]:
+    remarks = [f'{one.replace("_", " ")} and {other.replace("_", " ")}: no command of this rig '
+               'tells them apart.' for one, other in driven.twins]
+    if driven.reason:
+        remarks.append(f'The experiments were stopped: {driven.reason}.')
+    if driven.decided == 'out_of_time':
+        remarks.append('Time was out before the question was settled.')
+    return tuple(remarks)
+
+
+def as_json(driven: Driven) -> dict[str, Any]:
+    """The fields of `result.json` that only a search that drives has."""
+    return {
+        'decided': driven.decided, 'minutes': driven.seconds / 60,
+        'experiments': [
+            {'session': f'experiment-{number}', 'plan': look.plan,
+             'odds': {name or 'nothing': odds for name, odds in look.odds.items()}}
+            for number, look in enumerate(driven.looks, 1)],
+    }

@@ -1,0 +1,433 @@
+"""The commands that tell most: sequences of fields, by what they are expected to decide.
+
+Two explanations of all that was seen, a and b, expect displacements μ_a and μ_b. What a plan tells
+them apart by is the expected growth of
+
+    S = ½ min ‖W(μ_a − μ_b)‖²,
+
+W whitening, the minimum over v and φ of every particle and over b's parameters, of the past and
+the plan together, since what the past has fixed a plan need not fix again. The log likelihood
+ratio of the two grows by S if a holds, and but for second order by the same if b does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from microbot_ros.control.contract import Workspace
+from microbot_ros.discovery.driven.plan import Plan
+from microbot_ros.estimation.expected_displacement import ExpectedDisplacement
+from microbot_ros.estimation.likelihood import SessionFit, Whitening, eliminate, inner
+from microbot_ros.estimation.model_fit import ModelFit, difference_steps
+from microbot_ros.estimation.prepared_session import PreparedSession
+from microbot_ros.model.effects import EFFECTS
+from microbot_ros.model.first_order import simulate
+from microbot_ros.model.increments import as_vectors
+from microbot_ros.model.model import Model, ParticleParameters
+
+STEP = 0.2
+"""Seconds between the frames of a plan that is tried out."""
+
+RECENT = 2.0
+"""Seconds within which a particle must have been seen last to count as present."""
+
+RANDOM, PROPOSED, IMPROVED = 3, 24, 24
+"""Random steps and plans of other kinds that are drawn; changes tried on the best of them."""
+
+MARGIN = 10e-6
+"""Distance from the edge of the view [m] that particles should keep."""
+
+STRAY = 20.0
+"""What a plan pays for the part of its time that particles would spend out of view."""
+
+LONGEST = 20.0
+"""Times its own duration for which a plan is thought ahead."""
+
+FAINT = 10.0 / 2 / 60
+"""Log evidence a second that usual plans bring, for an effect that has not shown yet."""
+
+LITTLE = 0.02
+"""Strength, in fit coordinates, at which it is asked what a plan shows of an effect."""
+
+STARVED = 0.2
+"""Part of what plans usually show of a covariate below which a plan pays for what it hides."""
+
+
+@dataclass(frozen=True)
+class Range:
+    """What a rig can be asked for.
+
+    The strongest `field` [T]; the `workspace` that is in view; `frequency` [Hz], lowest and
+    highest of a rolling field, None for particles that swim by themselves.
+    """
+
+    field: float
+    workspace: Workspace
+    frequency: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Question:
+    """Two explanations to be told apart: `first` and `second`, fits to the same data.
+
+    `missing` is the log evidence that is still to come until it is decided, above 0, and `weight`
+    what its answer is worth beside others.
+    """
+
+    first: ModelFit
+    second: ModelFit
+    missing: float
+    weight: float = 1.0
+
+
+@dataclass(frozen=True)
+class Search:
+    """Effects that have not shown yet: how likely each is, `odds` by name, and what is `missing`.
+
+    Of their strength nothing is known: a plan is held against what plans usually show of them.
+    """
+
+    odds: Mapping[str, float]
+    missing: float
+
+
+@dataclass(frozen=True)
+class Design:
+    """The `plan` chosen.
+
+    `best` (Q,): what each question is expected to gain by the best plan for it alone of all that
+    were tried; `worth`: how many times as long random steps are expected to take.
+    """
+
+    plan: Plan
+    best: np.ndarray
+    worth: float = 1.0
+
+
+def random_steps(rng: np.random.Generator, duration: float, limits: Range) -> Plan:
+    """For a `duration` [s]: directions from the circle, each held for 0.3 to 6 s, by `rng`.
+
+    At full, half and quarter field of the `limits`.
+    """
+    count = int(duration / 0.3) + 1
+    hold = np.exp(rng.uniform(np.log(0.3), np.log(6.0), count))
+    return Plan(
+        rng.uniform(-np.pi, np.pi, count), limits.field * rng.choice([1.0, 0.5, 0.25], count),
+        hold, _frequencies(rng, count, limits)).lasting(duration)
+
+
+def choose_plan(fit: ModelFit, questions: Sequence[Question], search: Search, begin: float,
+                duration: float, limits: Range, rng: np.random.Generator) -> Design:
+    """The plan of `duration` [s] that answers `questions` soonest, from `begin` [s] on.
+
+    On the clock of the session of a `fit`, the present explanation of it. What is still in
+    `search` of counts by its odds. Plans of several kinds are drawn by `rng`; the best is then
+    changed as long as that makes it better. ValueError where no particle is in view.
+    """
+    trial = _Trial.of(fit, questions, search, begin, limits)
+    drawn = [random_steps(rng, duration, limits) for _ in range(RANDOM)]
+    drawn += [_draw(rng, duration, limits) for _ in range(PROPOSED)]
+    tried = [trial.score(plan) for plan in drawn]
+    price = _Price.of(trial, tried, duration)
+    costs = [price(one) for one in tried]
+    best = int(np.argmin(costs))
+    plan, cost = drawn[best], costs[best]
+    for k in range(IMPROVED):
+        other = _change(rng, plan, drawn[int(rng.integers(len(drawn)))], limits, k)
+        score = trial.score(other)
+        tried.append(score)
+        if price(score) < cost:
+            plan, cost = other, price(score)
+    return Design(plan, np.max([one.gains for one in tried], axis=0),
+                  float(np.median(costs[:RANDOM])) / cost)
+
+
+# What a plan is worth ---------------------------------------------------------------------------
+
+@dataclass(frozen=True)
+class _Outcome:
+    """What is expected of a plan: `gains` (Q,) of the questions, the information (E,) about each
+    effect in `search` and (C,) about each covariate it has `shown`, and which part of their time
+    particles are `astray`."""
+
+    gains: np.ndarray
+    search: np.ndarray
+    shown: np.ndarray
+    astray: float
+
+
+@dataclass(frozen=True)
+class _Price:
+    """What a plan costs: the seconds until all is answered, as far as these can be foreseen.
+
+    The longest question and the mean by weight; more for a covariate that is hidden, beside what
+    plans of that `duration` [s] usually show, and for particles astray.
+    """
+
+    trial: _Trial
+    duration: float
+    usual_search: np.ndarray
+    usual_shown: np.ndarray
+
+    @classmethod
+    def of(cls, trial: _Trial, drawn: Sequence[_Outcome], duration: float) -> _Price:
+        return cls(trial, duration, np.median([one.search for one in drawn], axis=0),
+                   np.median([one.shown for one in drawn], axis=0))
+
+    def __call__(self, outcome: _Outcome) -> float:
+        trial, longest = self.trial, LONGEST * self.duration
+        asked = np.minimum(
+            trial.missing * self.duration / np.maximum(outcome.gains, 1e-9), longest)
+        share = np.where(self.usual_search > 0, outcome.search / np.where(
+            self.usual_search > 0, self.usual_search, 1.0), 1.0)
+        sought = np.minimum(trial.search.missing / (FAINT * np.maximum(share, 1e-9)), longest)
+        odds = np.array(list(trial.search.odds.values()))
+        weight = np.concatenate([trial.weight, odds])
+        spent = self.duration + float(asked[trial.weight >= 1].max(initial=0.0))
+        spent += float(weight @ np.concatenate([asked, sought]) / max(weight.sum(), 1e-9))
+        shown = outcome.shown / np.maximum(self.usual_shown, 1e-30)
+        # Where nothing is asked, what is in no list is all there is to look for.
+        share = (np.min(shown / STARVED, initial=1.0) if trial.questions else
+                 np.exp(np.log(np.maximum(shown, 1e-3)).mean()))
+        return spent * (1 + STRAY * outcome.astray) / max(float(share), 1e-3)
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """Plans tried out on the particles that are in view, all questions at once.
+
+    `tracks` of those particles in the session of `fit`, that `start` (N, 2) [m] where they were
+    last; `past`: for each question the inner products (N, M, M) of its columns over what was seen;
+    `little`: for each strength of the effects in `search` their place there and the model with a
+    little of it, `seen` (N, M, M) the inner products of what these do.
+    """
+
+    fit: ModelFit
+    questions: Sequence[Question]
+    search: Search
+    little: Sequence[tuple[int, Model]]
+    seen: np.ndarray
+    tracks: np.ndarray
+    start: np.ndarray
+    begin: float
+    limits: Range
+    past: Sequence[np.ndarray]
+    missing: np.ndarray
+    weight: np.ndarray
+
+    @classmethod
+    def of(cls, fit: ModelFit, questions: Sequence[Question], search: Search, begin: float,
+           limits: Range) -> _Trial:
+        present = fit.session_fits[0].session
+        recent = present.times > present.times[-1] - RECENT
+        seen = np.where(present.seen[recent], present.z[recent], np.nan)
+        tracks = np.flatnonzero(np.isfinite(seen).any(axis=0))
+        if not tracks.size:
+            raise ValueError('no particle is in view')
+        seen = seen[:, tracks]
+        last = len(seen) - 1 - np.isfinite(seen[::-1]).argmax(axis=0)
+        little = _little(fit.model, search.odds)
+        everywhere = slice(None)
+        return cls(
+            fit, questions, search, little,
+            _gram(fit.session_fits[0], _strengths(fit, little, present, everywhere)), tracks,
+            as_vectors(seen[last, np.arange(len(tracks))]), begin, limits,
+            [_gram(q.second.session_fits[0], _columns(q, _seen(q), everywhere))
+             for q in questions],
+            np.array([q.missing for q in questions]), np.array([q.weight for q in questions]))
+
+    def score(self, plan: Plan) -> _Outcome:
+        """What is expected of a `plan`."""
+        commands = plan.commands(self.begin)
+        times = self.begin + np.arange(0.0, plan.duration, STEP)
+        known = self.fit.session_fits[0]
+        particles = ParticleParameters.from_velocity_phasor(
+            known.session.ids[self.tracks], known.velocity_phasor[self.tracks])
+        # Where they come by is what matters, not to the last micrometre.
+        plain = replace(self.fit.model, effects=tuple(
+            e for e in self.fit.model.effects if not e.needs_position))
+        places = simulate(plain, particles, commands, times, self.start)
+        z = places[..., 0] + 1j * places[..., 1]
+        trial = replace(
+            known.session, ids=known.session.ids[self.tracks], times=times, z=z,
+            pieces=np.ones(z.shape, int), causal_positions=places, commands=commands,
+            jumps=np.zeros(len(self.tracks), int))
+        gains = [self._gain(question, past, trial)
+                 for question, past in zip(self.questions, self.past, strict=True)]
+        astray = 1 - float(self.limits.workspace.holds(places, MARGIN).mean())
+        return _Outcome(np.array(gains), self._sought(trial), _shown(self.fit, trial), astray)
+
+    def _sought(self, trial: PreparedSession) -> np.ndarray:
+        """Information (E,) that a trial adds about the effects in search, what v and φ leave."""
+        fit = self.fit.session_fits[0]
+        columns = _strengths(self.fit, self.little, trial, self.tracks)
+        white = Whitening(fit.whitening.noise_ratio).apply(trial, columns)[0]
+        total = self.seen.copy()
+        total[self.tracks] += inner(white) / fit.diffusion
+        added = np.diagonal(eliminate(total).sum(0) - eliminate(self.seen).sum(0))[1:]
+        result = np.zeros(len(self.search.odds))
+        np.add.at(result, [place for place, _ in self.little], np.maximum(added, 0.0))
+        return result
+
+    def _gain(self, question: Question, past: np.ndarray, trial: PreparedSession) -> float:
+        fit = question.second.session_fits[0]
+        columns = _columns(question, trial, self.tracks)
+        white = Whitening(fit.whitening.noise_ratio).apply(trial, columns)[0]
+        total = past.copy()
+        total[self.tracks] += inner(white) / fit.diffusion
+        return max(_separation(total) - _separation(past), 0.0)
+
+
+def _seen(question: Question) -> PreparedSession:
+    return question.second.session_fits[0].session
+
+
+def _columns(question: Question, session: PreparedSession, tracks: np.ndarray | slice,
+             ) -> np.ndarray:
+    """What tells the two apart, v and φ of the second, and its parameters: (T, N, 3 + P) [m].
+
+    In `session`, which has the `tracks` of the one that was fitted.
+    """
+    own, other = (one.session_fits[0].velocity_phasor[tracks]
+                  for one in (question.first, question.second))
+    model, timeline = question.second.model, session.timeline
+    expected = ExpectedDisplacement.of(model, timeline)
+    here = expected.at(other)
+    columns = [ExpectedDisplacement.of(question.first.model, timeline).at(own) - here,
+               expected.along, expected.across]
+    x = model.vector()
+    for k, step in enumerate(difference_steps(model)):
+        x[k] += step
+        moved = ExpectedDisplacement.of(model.with_vector(x), timeline)
+        columns.append((moved.at(other) - here) / step)
+        x[k] -= step
+    return np.stack([np.broadcast_to(column, session.z.shape) for column in columns], axis=-1)
+
+
+def _little(model: Model, names: Iterable[str]) -> list[tuple[int, Model]]:
+    """For every strength of the effects `names`, their place and a `model` with a little of it."""
+    return [(place, model.with_effect(replace(
+        EFFECTS[name].null(), **{p.field: p.from_fit(min(LITTLE, p.fit_bounds[1]))})))
+        for place, name in enumerate(names)
+        for p in EFFECTS[name].parameters() if not p.shape]
+
+
+def _strengths(fit: ModelFit, little: Sequence[tuple[int, Model]], session: PreparedSession,
+               tracks: np.ndarray | slice) -> np.ndarray:
+    """Nothing, v and φ, and what a little of each strength does: columns (T, N, 3 + L) [m]."""
+    phasor, timeline = fit.session_fits[0].velocity_phasor[tracks], session.timeline
+    expected = ExpectedDisplacement.of(fit.model, timeline)
+    here = expected.at(phasor)
+    moved = [ExpectedDisplacement.of(model, timeline).at(phasor) - here for _, model in little]
+    columns = [np.zeros(1), expected.along, expected.across, *moved]
+    return np.stack([np.broadcast_to(one, session.z.shape) for one in columns], axis=-1).astype(
+        complex)
+
+
+def _gram(fit: SessionFit, columns: np.ndarray) -> np.ndarray:
+    """Inner products (N, M, M) of `columns` (T, N, M) [m] in units of the noise of a `fit`."""
+    plain = Whitening(fit.whitening.noise_ratio)
+    return inner(plain.apply(fit.session, np.ascontiguousarray(columns))[0]) / fit.diffusion
+
+
+def _separation(gram: np.ndarray) -> float:
+    """½ of what is left of the first column, v and φ of all and shared parameters projected off.
+    """
+    left = eliminate(gram).sum(axis=0)
+    if len(left) == 1:
+        return float(left[0, 0]) / 2
+    weights = np.linalg.pinv(left[1:, 1:], rcond=1e-10, hermitian=True) @ left[1:, 0]
+    return max(float(left[0, 0] - left[0, 1:] @ weights), 0.0) / 2
+
+
+def _shown(fit: ModelFit, trial: PreparedSession) -> np.ndarray:
+    """How much (C,) a trial would show of what is in no list, covariate by covariate.
+
+    Of smooth velocities that depend on place, heading, strength, age or the time since a switch,
+    the power that v and φ leave.
+    """
+    step = np.diff(trial.z, axis=0, prepend=trial.z[:1])
+    along = np.abs(step) > 0
+    heading = np.where(along, step / np.where(along, np.abs(step), 1.0), 0)
+    t = trial.times[:, None] - trial.times[0]
+    commands = trial.commands
+    since = t - (commands.t - trial.times[0])[commands.index_at(trial.times)][:, None]
+    level = np.hypot(*commands.field_at(trial.times).T)[:, None]
+    place = trial.z - trial.z.mean(axis=0)
+    extent = max(float(np.abs(place).max()), 1e-6)
+    x, y = place.real / extent, place.imag / extent
+    groups: Iterable[Sequence[np.ndarray]] = (
+        (x + 0j, y + 0j, 1j * x, 1j * y, x * y + 0j),
+        (heading**2, heading.conj() ** 2, heading**3, 1 + 0 * heading),
+        (heading * level / max(float(level.max()), 1e-30),),
+        (heading * t / t[-1],),
+        (heading * np.exp(-since / 0.5),))
+    expected = ExpectedDisplacement.of(fit.model, trial.timeline)
+    own = [np.zeros_like(trial.z), expected.along, expected.across]
+    columns = own + [np.cumsum(one, axis=0) * STEP for group in groups for one in group]
+    noise = fit.session_fits[0].whitening.noise_ratio
+    white = Whitening(noise).apply(trial, np.ascontiguousarray(np.stack(
+        [np.broadcast_to(one, trial.z.shape) for one in columns], axis=-1)))[0]
+    power = np.diagonal(eliminate(inner(white)).sum(axis=0))[1:]
+    ends = np.cumsum([len(group) for group in groups])
+    return np.array([part.sum() for part in np.split(power, ends[:-1])])
+
+
+# Drawing plans ----------------------------------------------------------------------------------
+
+def _draw(rng: np.random.Generator, duration: float, limits: Range) -> Plan:
+    """A plan of some kind: how long, how far and in which senses it turns are all drawn."""
+    usual = np.exp(rng.uniform(np.log(0.4), np.log(duration / 3)))
+    spread = rng.choice([1.0, 1.6, 4.0])
+    count = int(duration / (usual / spread)) + 2
+    hold = usual * np.exp(rng.uniform(-np.log(spread), np.log(spread), count))
+    angle = _angles(rng, count)
+    level = np.ones(count)
+    if rng.random() < 0.6:
+        lower = rng.uniform(0.15, 0.6, int(rng.integers(1, 3)))
+        level = rng.choice(np.append(1.0, lower), count)
+    return Plan(angle, limits.field * level, hold, _frequencies(rng, count, limits)).lasting(
+        duration)
+
+
+def _angles(rng: np.random.Generator, count: int) -> np.ndarray:
+    """From anywhere on the circle; by turns of one or two sizes; or to and fro."""
+    kind = rng.integers(4)
+    if kind == 0:
+        return rng.uniform(-np.pi, np.pi, count)
+    turn = rng.choice(np.radians([15, 30, 60, 90, 120, 150, 165, 175]), 2)
+    sense = rng.choice([-1.0, 1.0], count) if kind == 1 else np.resize([1.0, -1.0], count)
+    turns = sense * (np.resize(turn, count) if kind < 3 else np.pi - 0.05)
+    if kind == 3:  # there and back, along another line now and then
+        turns += np.where(np.arange(count) % 4 == 3, rng.uniform(-np.pi, np.pi, count), 0.0)
+    return rng.uniform(-np.pi, np.pi) + np.cumsum(turns)
+
+
+def _frequencies(rng: np.random.Generator, count: int, limits: Range) -> np.ndarray | None:
+    if limits.frequency is None:
+        return None
+    low, high = np.log(limits.frequency)
+    return np.exp(rng.uniform(low, high, count))
+
+
+def _change(rng: np.random.Generator, plan: Plan, other: Plan, limits: Range, k: int) -> Plan:
+    """A plan with a part changed: one kind of change after the other."""
+    duration = plan.duration
+    kind, count = k % 5, len(plan.hold)
+    here = rng.random(count) < max(0.25, 1 / count)
+    if kind == 0:
+        return replace(plan, angle=plan.angle + here * rng.normal(0.0, 0.7, count))
+    if kind == 1:
+        level = np.where(here, limits.field * rng.choice([1.0, 1.0, 0.5, 0.3, 0.15], count),
+                         plan.strength)
+        return replace(plan, strength=level)
+    if kind == 2:
+        return replace(plan, hold=plan.hold * np.exp(here * rng.normal(0.0, 0.6, count))).lasting(
+            duration)
+    if kind == 3:
+        return replace(plan, angle=plan.angle + rng.uniform(-np.pi, np.pi))
+    cut = rng.uniform(0.2, 0.8) * duration
+    return plan.lasting(cut).then(other.lasting(duration - cut))

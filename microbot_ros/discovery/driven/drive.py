@@ -1,0 +1,226 @@
+"""The loop: play, look, ask, play again, until the question is settled, or cannot be."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal, Protocol
+
+import numpy as np
+
+from microbot_ros.discovery.driven.design import Design, Range, choose_plan, random_steps
+from microbot_ros.discovery.driven.hypotheses import Hypotheses, consider
+from microbot_ros.discovery.driven.joined import join
+from microbot_ros.discovery.driven.plan import Plan
+from microbot_ros.discovery.driven.verdict import (
+    Judgement,
+    hopeless,
+    judge,
+    questions,
+    search,
+    twins,
+)
+from microbot_ros.discovery.input_checks import check_sessions
+from microbot_ros.errors import InputError
+from microbot_ros.records import Session
+
+Decided = Literal['settled', 'undecidable', 'out_of_time', 'stopped']
+
+EXPERIMENT = 20.0
+"""Seconds that an experiment takes."""
+
+SHORTEST = 10.0
+"""Seconds left for which another one is not begun."""
+
+THOUGHT = 2.0
+"""Seconds from the end of one experiment to the beginning of the next, about."""
+
+SCRUTINY = 240.0
+"""Seconds before which no name is final: what is in no list needs time to show beside it."""
+
+UNEXPLAINED = 3
+"""Looks in a row at which something is left, for it to be in no list."""
+
+
+@dataclass(frozen=True)
+class Played:
+    """An experiment as it was recorded, and why it was broken off, `stopped`; '' where it was not.
+    """
+
+    session: Session
+    stopped: str = ''
+
+
+class Rig(Protocol):
+    """What is driven: a rig, or a simulated one."""
+
+    @property
+    def limits(self) -> Range:
+        """What it can be asked for."""
+
+    @property
+    def seconds(self) -> float:
+        """Since the first experiment began."""
+
+    def play(self, plan: Plan) -> Played:
+        """Play a `plan` to its end, and record it."""
+
+
+@dataclass(frozen=True)
+class Insight:
+    """What follows from all experiments so far: `known` hypotheses, and the `judgement` on them.
+    """
+
+    known: Hypotheses
+    judgement: Judgement
+
+    @property
+    def question(self) -> str:
+        """What is open, as it is asked."""
+        judgement = self.judgement
+        for slot in self.known.slots:
+            rivals = judgement.open.get(slot.own.id, tuple(
+                one.id for one in slot.rivals[:2] if one.evidence > 0))
+            if rivals:
+                return ' or '.join(_plain(n) for n in (slot.own.id, *rivals[:2])) + '?'
+            if slot.own.id not in judgement.named:
+                return f'{_plain(slot.own.id)} or chance?'
+        if judgement.left:
+            return f'something that depends on {judgement.left[0].against}?'
+        beside = ' too' if self.known.slots else ''
+        return f'{_plain(judgement.pending[0])}{beside}?' if judgement.pending else (
+            'anything else?' if self.known.slots else 'anything?')
+
+
+@dataclass(frozen=True)
+class Look:
+    """A look after an experiment, `seconds` since the first began.
+
+    Its `plan` in words; why it was broken off, `stopped`, '' where it was not; the `insight`,
+    None where there was not enough to look at; how much longer random steps would have taken for
+    what was expected of it, `saved` [s].
+    """
+
+    plan: str
+    stopped: str
+    seconds: float
+    insight: Insight | None
+    saved: float = 0.0
+
+    @property
+    def odds(self) -> dict[str, float]:
+        """The probability of each effect, and of none (''); empty where nothing is known."""
+        return {} if self.insight is None else self.insight.known.odds()
+
+
+@dataclass
+class Driven:
+    """All that was driven and seen: `experiments`, with a look after each, and how it ended.
+
+    `decided` and, where it was stopped, the `reason`; `twins`: pairs of effects that no command
+    tells apart.
+    """
+
+    experiments: list[Session] = field(default_factory=list)
+    looks: list[Look] = field(default_factory=list)
+    decided: Decided = 'out_of_time'
+    reason: str = ''
+    twins: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def seconds(self) -> float:
+        """From the beginning of the first experiment to the end of the last."""
+        return self.looks[-1].seconds if self.looks else 0.0
+
+    @property
+    def named_after(self) -> float | None:
+        """Seconds after which the names of the end were there, and alone, for good; None: never.
+        """
+        since = None
+        for look in reversed(self.looks):
+            if not (look.insight and self.insight and look.insight.judgement.settled
+                    and look.insight.judgement.named == self.insight.judgement.named):
+                break
+            since = look.seconds
+        return since
+
+    @property
+    def insight(self) -> Insight | None:
+        """The last there was."""
+        return next((look.insight for look in reversed(self.looks) if look.insight), None)
+
+
+Designer = Callable[..., Design]
+
+
+def drive(rig: Rig, minutes: float, report: Callable[[str], None] = lambda _: None,
+          seed: int = 0, designer: Designer = choose_plan) -> Driven:
+    """Drive a `rig` for as many `minutes` at most, until what is missing is settled.
+
+    `report` is told each step in a sentence; `seed` decides what is drawn. `designer` has the
+    signature of `choose_plan`. What stops a rig ends it with what was learned so far.
+    """
+    result, rng = Driven(), np.random.default_rng(seed)
+    plan: Plan | None = random_steps(rng, min(EXPERIMENT, 60 * minutes), rig.limits)
+    question, saved = 'looking around:', 0.0
+    while plan is not None:
+        report(f'{question} {plan.sentence()}')
+        played = rig.play(plan)
+        if len(played.session.tracks.t):
+            result.experiments.append(played.session)
+        insight = _look(result)
+        result.looks.append(
+            Look(plan.sentence(), played.stopped, rig.seconds, insight, saved))
+        plan = None
+        left = 60 * minutes - rig.seconds
+        if played.stopped:
+            result.decided, result.reason = 'stopped', played.stopped
+        elif _unexplained(result) or (insight and insight.judgement.settled and (
+                rig.seconds >= SCRUTINY or left < SHORTEST)):
+            result.decided = 'settled'
+        elif left >= SHORTEST:
+            plan, saved = _next(result, left, rig.limits, rng, designer)
+            question = insight.question if insight else 'nothing to be said yet:'
+    return result
+
+
+def _look(result: Driven) -> Insight | None:
+    """At all experiments together; None where they are not enough."""
+    before = result.insight
+    try:
+        prepared, _ = check_sessions([join(result.experiments)])
+    except (InputError, ValueError):
+        return None
+    known = consider(prepared[0], before.known.names if before else ())
+    return Insight(known, judge(known))
+
+
+def _unexplained(result: Driven) -> bool:
+    """Whether something has been left for so long that it is in no list."""
+    recent = [look.insight for look in result.looks[-UNEXPLAINED:]]
+    return len(recent) == UNEXPLAINED and all(one and one.judgement.left for one in recent)
+
+
+def _next(result: Driven, left: float, limits: Range, rng: np.random.Generator,
+          designer: Designer) -> tuple[Plan | None, float]:
+    """The next plan for the seconds that are `left`, None where there is no use in one; and the
+    seconds that it saves."""
+    insight, duration = result.looks[-1].insight, min(EXPERIMENT, left)
+    if insight is None:
+        return random_steps(rng, duration, limits), 0.0
+    known, asked = insight.known, questions(insight.known)
+    begin = float(known.fit.session_fits[0].session.times[-1]) + THOUGHT
+    try:
+        design = designer(known.fit, asked, search(known), begin, duration, limits, rng)
+    except ValueError as error:
+        result.decided, result.reason = 'stopped', str(error)
+        return None, 0.0
+    result.twins = twins(known, insight.judgement, hopeless(asked, design, left))
+    if result.twins:
+        result.decided = 'undecidable'
+        return None, 0.0
+    return design.plan, duration * (max(design.worth, 1.0) - 1)
+
+
+def _plain(name: str) -> str:
+    return name.replace('_', ' ')

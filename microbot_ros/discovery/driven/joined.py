@@ -1,0 +1,87 @@
+"""Experiments as one recording: the same particles on one clock, with breaks where it paused."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from microbot_ros.records import Commands, Session, Tracks
+
+PAUSE = 1.0
+"""Seconds without a frame from which an experiment does not go on with the one before."""
+
+SETTLING = 2.0
+"""Seconds after a pause that are not looked at: where particles head comes from what was
+commanded in it, which is not told."""
+
+TINY = 1e-4
+"""Seconds after a frame at which what is in force there is told."""
+
+
+def join(experiments: Sequence[Session]) -> Session:
+    """`experiments` on one clock, in their order, as one session.
+
+    Particles keep their ids, and with them v and φ; what counts time goes on. Where one does not
+    go on with the one before, for longer than PAUSE, there is a break: what is seen in SETTLING is
+    left out, and the first field holds back to the last frame before. Left out is what comes
+    after the last field of an experiment, too; of a frame that two have, the second. ValueError
+    where nothing is seen under a field, and where one begins before the one before has ended.
+    """
+    tracks: list[Tracks] = []
+    commands: list[Commands] = []
+    breaks: list[float] = []
+    last = -np.inf
+    for number, one in enumerate(experiments, 1):
+        begin, end = _driven(one)
+        whole = _between(one.tracks, begin, end)
+        if len(whole.t) and whole.t[0] < last:
+            raise ValueError(f'experiment {number} begins before the one before has ended')
+        whole = _between(whole, np.nextafter(last, np.inf), end)
+        if not len(whole.t):
+            continue
+        told = _in_force(one.commands, max(begin, last), end)
+        if np.isfinite(last) and whole.t[0] - last > PAUSE:
+            whole = _between(whole, begin + SETTLING, end)
+            told = replace(told, t=np.append((last + begin) / 2, told.t[1:]))
+            breaks.append(begin)
+        if len(whole.t):
+            tracks.append(whole)
+            commands.append(told)
+            last = float(whole.t[-1])
+    if not tracks:
+        raise ValueError('expected frames under a field in one experiment at least')
+    names = ('t', 'particle', 'position', 'theta', 'sigma')
+    turns = [part.frequency for part in commands if part.frequency is not None]
+    return Session(
+        Tracks(*(np.concatenate([getattr(part, name) for part in tracks]) for name in names)),
+        Commands(np.concatenate([part.t for part in commands]),
+                 np.concatenate([part.field for part in commands]),
+                 np.concatenate(turns) if turns else None),
+        experiments[0].conditions, 'experiments', np.array(breaks))
+
+
+def _driven(one: Session) -> tuple[float, float]:
+    """From when on the field flows in an experiment, and until when [s]; never: both 0."""
+    on = np.hypot(*one.commands.field.T) > 0
+    if not on.any():
+        return 0.0, 0.0
+    first, final = np.flatnonzero(on)[[0, -1]]
+    end = one.commands.t[final + 1] if final + 1 < len(on) else np.inf
+    return float(one.commands.t[first]), float(end)
+
+
+def _between(tracks: Tracks, begin: float, end: float) -> Tracks:
+    keep = (tracks.t >= begin) & (tracks.t < end)
+    return Tracks(tracks.t[keep], tracks.particle[keep], tracks.position[keep],
+                  tracks.theta[keep], tracks.sigma[keep])
+
+
+def _in_force(commands: Commands, begin: float, end: float) -> Commands:
+    """The rows in force after `begin` [s], from then on, and before `end` [s]."""
+    rows = slice(max(int(commands.index_at(begin)), 0), int(np.searchsorted(commands.t, end)))
+    t = commands.t[rows].copy()
+    t[:1] = np.maximum(t[:1], begin + TINY)
+    return Commands(t, commands.field[rows],
+                    None if commands.frequency is None else commands.frequency[rows])

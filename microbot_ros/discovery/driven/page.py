@@ -1,0 +1,68 @@
+"""The part of the report on how the question was asked: plans in words, odds over time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import jinja2
+from matplotlib.figure import Figure
+
+from microbot_ros.discovery.driven.drive import Driven, Look
+from microbot_ros.discovery.report_figures import FLOOR, embedded
+
+_TEMPLATE = Path(__file__).with_name('page.html')
+
+_SHOWN = 0.05
+"""Odds that an effect must have had once, to be drawn."""
+
+_ENDINGS = {
+    'settled': 'The question was settled.',
+    'undecidable': 'No command of this rig settles the question.',
+    'out_of_time': 'Time was out before the question was settled.',
+    'stopped': 'The experiments were stopped',
+}
+
+
+def section(driven: Driven) -> str:
+    """What was `driven` as HTML, for `report.write_report`."""
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment.filters['likeliest'] = likeliest
+    figure = draw_odds(driven)
+    ending = _ENDINGS[driven.decided] + (f': {driven.reason}.' if driven.reason else '')
+    return environment.from_string(_TEMPLATE.read_text(encoding='utf-8')).render(
+        driven=driven, ending=ending, figure=figure and embedded(figure),
+        saved=sum(look.saved for look in driven.looks) / 60)
+
+
+def likeliest(look: Look) -> list[tuple[str, float]]:
+    """The two things that were likeliest at a `look`, in words, with their odds."""
+    ranked = sorted(look.odds.items(), key=lambda one: -one[1])[:2]
+    return [(_words(name), share) for name, share in ranked]
+
+
+def draw_odds(driven: Driven) -> Figure | None:
+    """The odds of what was ever likely over the minutes; None where nothing was known."""
+    looks = [look for look in driven.looks if look.odds]
+    names = sorted({name for look in looks for name, share in look.odds.items()
+                    if share > _SHOWN})
+    if not names:
+        return None
+    figure = Figure(figsize=(8, 3), layout='constrained')
+    axis = figure.subplots()
+    minutes = [look.seconds / 60 for look in looks]
+    for k, name in enumerate(names):
+        axis.plot(minutes, [look.odds.get(name, 0.0) for look in looks],
+                  color=f'C{k % 10}' if name else FLOOR, marker='osv^D'[k % 5], ms=4,
+                  ls='-' if name else '--', label=_words(name))
+    axis.set_xlim(0, None)
+    axis.set_ylim(-0.02, 1.02)
+    axis.set_xlabel('minutes')
+    axis.set_ylabel('probability')
+    axis.spines[['top', 'right']].set_visible(False)
+    figure.legend(loc='outside right upper', frameon=False)
+    return figure
+
+
+def _words(name: str) -> str:
+    return name.replace('_', ' ') or 'nothing'

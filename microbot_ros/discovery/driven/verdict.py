@@ -1,0 +1,149 @@
+"""When a question is settled, and when no command can settle it.
+
+The evidence for an effect, averaged over the library, is a mixture of likelihood ratios of
+predictive densities, each experiment foretold from those before: given v, φ and D as the first
+frames leave them it is a nonnegative martingale where the effect is not there, however the
+commands are chosen from what was seen. By Ville's inequality (1939) it ever exceeds 1/α with a
+chance of α at most, so that it may be looked at after every experiment, and the end may depend on
+it (Robbins 1970; Grünwald, de Heide and Koolen 2024). The same holds for the odds of a name
+against each rival, with the rival's own parameters averaged over what may be known of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from microbot_ros.discovery.driven.design import Design, Question, Search
+from microbot_ros.discovery.driven.hypotheses import Hypotheses, Slot
+from microbot_ros.discovery.result import ResidualMap
+from microbot_ros.discovery.score_tests import residual_maps
+from microbot_ros.model.effects import EFFECTS
+
+FALSE = 0.01
+"""Chance of a name where nothing is missing, over all looks together."""
+
+RIVAL = float(np.log(1 / FALSE))
+"""Log odds against each rival from which a name is alone."""
+
+CREDIBLE = 1.0
+"""Log evidence from which what could be there, beside or in place, is asked for."""
+
+PENDING = 1.5
+"""Log evidence from which something more may be there, and the end is not yet."""
+
+HOPELESS = 0.5
+"""Log odds that all the minutes left must bring at least, for a question to be worth asking."""
+
+ASKED = 4
+"""Rivals of an effect, and effects beside, that are asked for at a time."""
+
+BETTER = 2.0
+"""Log p by which a map has to explain more than an effect, to put it in doubt."""
+
+
+def enough() -> float:
+    """Log evidence from which an effect is named: the chance FALSE, over the whole library."""
+    return float(np.log(len(EFFECTS) / FALSE))
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What is known after a look.
+
+    `named` effects, and of these the rivals that are still open, `open`; `pending`: effects that
+    are in the model or may join it, but are not named yet; `left`: what no effect explains, the
+    worst first.
+    """
+
+    named: tuple[str, ...]
+    open: dict[str, tuple[str, ...]]
+    pending: tuple[str, ...]
+    left: tuple[ResidualMap, ...]
+
+    @property
+    def settled(self) -> bool:
+        """Whether all names are alone, complete and nothing is left."""
+        alone = bool(self.named) and not any(self.open.values())
+        return alone and not self.pending and not self.left
+
+
+def judge(known: Hypotheses) -> Judgement:
+    """What follows from what is `known`."""
+    named = tuple(slot.own.id for slot in known.slots
+                  if slot.own.evidence >= enough() and slot.own.found.shape_seen)
+    open_ = {slot.own.id: tuple(r.id for r in slot.rivals if slot.behind(r) < RIVAL)
+             for slot in known.slots if slot.own.id in named}
+    pending = [slot.own.id for slot in known.slots if slot.own.id not in named]
+    pending += [one.id for one in known.more if one.evidence > PENDING]
+    return Judgement(named, open_, tuple(pending), _left(known))
+
+
+def _left(known: Hypotheses) -> tuple[ResidualMap, ...]:
+    """Maps that fire beside the model, or explain more than an effect of it does.
+
+    They only ever keep a name back, so that looking again makes no name likelier.
+    """
+    maps = [m for m in residual_maps(known.fit) if m.fires]
+    for slot in known.slots:
+        if slot.own.evidence >= enough():
+            most = slot.own.found.log_p + np.log(len(EFFECTS)) - BETTER
+            maps += [m for m in residual_maps(slot.rest)
+                     if m.fires and not m.cut_out and m.log_p < most]
+    return tuple(sorted(maps, key=lambda m: m.p_value))
+
+
+def questions(known: Hypotheses) -> list[Question]:
+    """What is to be told apart next, the present model's own rivals first."""
+    asked = []
+    for slot in known.slots:
+        asked += _of_slot(known, slot)
+    shown = [one for one in known.more if one.evidence > CREDIBLE][:ASKED]
+    odds = known.odds()
+    asked += [Question(one.found.fit, known.fit, enough() - one.evidence, odds.get(one.id, 0.1))
+              for one in shown]
+    if not known.slots:
+        asked += [Question(first.found.fit, second.found.fit,
+                           max(RIVAL - first.evidence + second.evidence, 1.0), odds[second.id])
+                  for k, first in enumerate(shown) for second in shown[k + 1:]]
+    return asked
+
+
+def search(known: Hypotheses) -> Search:
+    """What has not shown yet, and may."""
+    odds = known.odds()
+    share = 1.0 if not known.slots else 0.2 / max(len(known.more), 1)
+    return Search({one.id: odds.get(one.id, 0.0) if not known.slots else share
+                   for one in known.more if one.evidence <= CREDIBLE}, enough())
+
+
+def _of_slot(known: Hypotheses, slot: Slot) -> list[Question]:
+    asked = []
+    if slot.own.evidence < enough():
+        asked.append(Question(known.fit, slot.rest, enough() - slot.own.evidence))
+    rivals = [one for one in slot.rivals
+              if slot.behind(one) < RIVAL and one.evidence > CREDIBLE]
+    return asked + [Question(known.fit, one.found.fit, RIVAL - slot.behind(one))
+                    for one in rivals[:ASKED]]
+
+
+def hopeless(asked: Sequence[Question], design: Design, seconds: float) -> list[Question]:
+    """Which of the questions `asked` no plan that was tried would help in the `seconds` left."""
+    reach = design.best * seconds / design.plan.duration
+    return [question for question, gain in zip(asked, reach, strict=True) if gain < HOPELESS]
+
+
+def twins(known: Hypotheses, judgement: Judgement,
+          beyond: Sequence[Question]) -> tuple[tuple[str, str], ...]:
+    """Pairs of a named effect and a rival that nothing tells apart.
+
+    () while anything else is open: what is `beyond` reach must be all that is left to ask.
+    """
+    if judgement.left or judgement.pending or not judgement.named:
+        return ()
+    fits = {id(question.second) for question in beyond}
+    pairs = tuple((slot.own.id, rival.id) for slot in known.slots for rival in slot.rivals
+                  if id(rival.found.fit) in fits)
+    return pairs if len(pairs) == sum(map(len, judgement.open.values())) else ()

@@ -1,0 +1,319 @@
+"""Discovery that drives: plans, experiments as one recording, odds, design, and when it ends."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bench._asks_worlds import hidden_world
+from bench.asks import _twin
+from microbot_ros.control.contract import Workspace
+from microbot_ros.discovery.driven.conclusion import as_json, discovered
+from microbot_ros.discovery.driven.design import (
+    Question,
+    Range,
+    Search,
+    choose_plan,
+    random_steps,
+)
+from microbot_ros.discovery.driven.drive import Driven, Played, drive
+from microbot_ros.discovery.driven.hypotheses import SCALES, consider, log_bayes_factor
+from microbot_ros.discovery.driven.joined import PAUSE, SETTLING, join
+from microbot_ros.discovery.driven.page import section
+from microbot_ros.discovery.driven.plan import Plan, marking_time
+from microbot_ros.discovery.driven.verdict import enough, judge, questions
+from microbot_ros.discovery.search import compare, fit_candidate
+from microbot_ros.discovery.stepwise_selection import without
+from microbot_ros.estimation.model_fit import fit_sessions
+from microbot_ros.estimation.prepared_session import prepare
+from microbot_ros.model.model import Model
+from microbot_ros.records import Commands, Session, Tracks
+
+FIELD = 5e-3
+VIEW = Workspace(np.array([-140e-6, -104e-6]), np.array([140e-6, 104e-6]))
+RIG = Range(FIELD, VIEW)
+ROLLING = Range(FIELD, VIEW, (1.0, 20.0))
+
+# Plans ------------------------------------------------------------------------------------------
+
+HOLDS = st.lists(st.floats(0.05, 30.0), min_size=1, max_size=20)
+
+
+@given(HOLDS, st.floats(0.5, 90.0))
+def test_a_plan_lasts_as_long_as_it_is_asked_to_and_begins_as_it_did(holds, seconds):
+    hold = np.array(holds)
+    plan = Plan(np.arange(len(hold)) * 1.0, np.full(len(hold), FIELD), hold)
+    cut = plan.lasting(seconds)
+    assert cut.duration == pytest.approx(seconds, abs=1e-6)
+    at = np.linspace(0.0, min(seconds, plan.duration) - 0.02, 50)
+    before, after = plan.commands(), cut.commands()
+    same = before.index_at(at) == after.index_at(at)
+    edges = np.abs(at[:, None] - before.t).min(axis=1) < 1e-6
+    assert (same | edges).all()
+
+
+@pytest.mark.parametrize('broken', [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize('row', ['angle', 'strength', 'hold', 'frequency'])
+def test_a_plan_holds_numbers_only(row, broken):
+    rows = {name: np.ones(3) for name in ('angle', 'strength', 'hold', 'frequency')}
+    Plan(**rows)
+    rows[row] = np.array([1.0, broken, 1.0])
+    with pytest.raises(ValueError, match='finite'):
+        Plan(**rows)
+
+
+@pytest.mark.parametrize(('strength', 'hold'), [(-1e-9, 1.0), (1.0, 0.0), (1.0, -1.0)])
+def test_a_plan_has_no_negative_fields_and_takes_time(strength, hold):
+    with pytest.raises(ValueError, match='negative'):
+        Plan(np.zeros(1), np.array([strength]), np.array([hold]))
+
+
+def test_who_marks_time_stays():
+    plan = marking_time(FIELD)
+    field = plan.commands().field
+    walked = np.cumsum(field / FIELD * plan.hold[:, None], axis=0)
+    assert np.abs(walked[3::4]).max() < 1e-9
+    assert np.abs(walked).max() < 1.6
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 1000), st.floats(5.0, 60.0))
+def test_random_steps_keep_the_limits(seed, duration):
+    for limits in (RIG, ROLLING):
+        plan = random_steps(np.random.default_rng(seed), duration, limits)
+        assert plan.duration == pytest.approx(duration)
+        assert plan.strength.max() <= FIELD
+        assert (plan.frequency is None) == (limits.frequency is None)
+        if plan.frequency is not None:
+            assert 1.0 <= plan.frequency.min() <= plan.frequency.max() <= 20.0
+
+
+# Experiments as one recording -------------------------------------------------------------------
+
+def _experiment(begin, duration, field=FIELD, told_from=None):
+    t = np.arange(begin, begin + duration, 0.05)
+    tracks = Tracks(np.repeat(t, 2), np.tile([3, 7], len(t)), np.zeros((2 * len(t), 2)),
+                    np.full(2 * len(t), np.nan), np.full(2 * len(t), np.nan))
+    start = begin if told_from is None else told_from
+    switches = np.array([start, begin + duration / 2, begin + duration])
+    fields = np.array([[field, 0.0], [0.0, field], [0.0, 0.0]])
+    return Session(tracks, Commands(switches, fields))
+
+
+def test_experiments_that_go_on_are_one_recording_without_a_break():
+    joined = join([_experiment(0.0, 10.0), _experiment(10.0, 10.0)])
+    assert joined.breaks.size == 0
+    assert len(np.unique(joined.tracks.t)) == 400
+    assert (np.diff(joined.commands.t) > 0).all()
+    assert (np.hypot(*joined.commands.field.T) > 0).all()
+    assert (np.diff(prepare(joined).pieces, axis=0) == 0).all()
+
+
+def test_a_pause_cuts_tracks_and_what_follows_it_is_left_out():
+    joined = join([_experiment(0.0, 10.0), _experiment(10.0 + 2 * PAUSE, 10.0)])
+    prepared = prepare(joined)
+    across = np.flatnonzero(np.diff(prepared.times) > PAUSE)
+    assert len(across) == 1
+    assert not prepared.joined()[across].any()
+    assert prepared.times[across[0] + 1] >= 10.0 + 2 * PAUSE + SETTLING - 1e-9
+    # The clock and the particles are the same, and nothing but the field is told of the pause.
+    assert prepared.ids.tolist() == [3, 7]
+    assert (np.hypot(*joined.commands.field.T) > 0).all()
+
+
+def test_when_it_was_recorded_changes_nothing():
+    early, late = ([_experiment(at, 10.0), _experiment(at + 15.0, 10.0)] for at in (0.0, 4096.0))
+    first, second = prepare(join(early)), prepare(join(late))
+    assert np.allclose(first.times, second.times, atol=1e-6)
+    assert (first.pieces == second.pieces).all()
+    assert np.allclose(first.commands.t[1:], second.commands.t[1:], atol=1e-6)
+
+
+def test_experiments_must_come_one_after_the_other():
+    with pytest.raises(ValueError, match='before the one before has ended'):
+        join([_experiment(0.0, 10.0), _experiment(5.0, 10.0)])
+    with pytest.raises(ValueError, match='under a field'):
+        join([_experiment(0.0, 10.0, field=0.0)])
+    with pytest.raises(ValueError, match='under a field'):
+        join([])
+
+
+# Odds -------------------------------------------------------------------------------------------
+
+def _asked(seed, effects, evidence=10.0, experiments=2):
+    rig, hidden = hidden_world(seed, effects, evidence)
+    rng = np.random.default_rng(seed)
+    played = [rig.play(random_steps(rng, 20.0, rig.limits)).session for _ in range(experiments)]
+    return rig, played, hidden
+
+
+def test_the_evidence_is_the_integral_over_the_strength():
+    _, played, _ = _asked(3, ('coil_pull',), 40.0)
+    session = prepare(join(played))
+    plain = fit_sessions(Model.baseline(session.conditions, session.commands), [session])
+    found = fit_candidate(plain, 'coil_pull')
+    # By brute force, on a grid of strengths, at the noise of the fit.
+    base = without(found.fit, 'coil_pull')
+    x = np.linspace(-3.0, 3.0, 4001) * 0.2
+    centre = found.fit.model.vector()[0]
+    costs = np.array([found.fit.under(found.fit.model.with_vector(np.array([centre + d]))).cost
+                      for d in x])
+    likelihood = np.exp((base.cost - costs) / 2)
+    prior = np.mean([np.exp(-((centre + x) ** 2) / (2 * s**2)) / np.sqrt(2 * np.pi * s**2)
+                     for s in SCALES], axis=0)
+    brute = float(np.log(np.sum(likelihood * prior) * (x[1] - x[0])))
+    assert log_bayes_factor(compare(found.fit, base, 'coil_pull')) == pytest.approx(brute, abs=0.1)
+
+
+def test_what_is_hidden_is_likeliest_and_odds_are_odds():
+    _, played, _ = _asked(1, ('coil_gain_mismatch',), 60.0)
+    known = consider(prepare(join(played)))
+    assert known.names == ('coil_gain_mismatch',)
+    odds = known.odds()
+    assert odds['coil_gain_mismatch'] > 0.9
+    assert all(0.0 <= share <= 1.0 for share in odds.values())
+    assert judge(known).named == ('coil_gain_mismatch',)
+
+
+def test_where_nothing_is_hidden_nothing_is_likelier():
+    _, played, _ = _asked(5, ())
+    known = consider(prepare(join(played)))
+    odds = known.odds()
+    assert max(odds, key=odds.__getitem__) == ''
+    assert sum(odds.values()) == pytest.approx(1.0)
+    assert not judge(known).named
+
+
+# Design -----------------------------------------------------------------------------------------
+
+@pytest.fixture(name='late', scope='module')
+def fixture_late():
+    """A world with a delay, and what was seen of it."""
+    rig, played, _ = _asked(0, ('command_delay',), 25.0)
+    session = prepare(join(played))
+    plain = fit_sessions(Model.baseline(session.conditions, session.commands), [session])
+    return rig, [fit_candidate(plain, name).fit for name in ('command_delay', 'alignment_lag')]
+
+
+def _design(late, seed=0, limits=None, questions_=None):
+    rig, (delay, lag) = late
+    begin = float(delay.session_fits[0].session.times[-1]) + 1.0
+    asked = [Question(delay, lag, 5.0)] if questions_ is None else questions_
+    return choose_plan(delay, asked, Search({}, enough()), begin, 20.0, limits or rig.limits,
+                       np.random.default_rng(seed))
+
+
+def test_a_delay_and_a_lag_are_told_apart_sooner_than_by_random_steps(late):
+    design = _design(late)
+    assert design.worth > 1.5
+    assert design.best[0] > 0
+    assert design.plan.duration == pytest.approx(20.0)
+
+
+def test_the_same_seed_asks_the_same_and_keeps_the_limits(late):
+    one, other = _design(late, 3), _design(late, 3)
+    assert (one.plan.angle == other.plan.angle).all()
+    assert one.plan.strength.max() <= FIELD * (1 + 1e-12)
+    weak = _design(late, 3, limits=Range(1e-3, VIEW))
+    assert weak.plan.strength.max() <= 1e-3 * (1 + 1e-12)
+
+
+def test_nobody_to_ask_is_said(late):
+    _, (delay, lag) = late
+    fit = delay.session_fits[0]
+    gone = fit.session.times > fit.session.times[-1] - 5.0
+    session = replace(fit.session, pieces=np.where(gone[:, None], 0, fit.session.pieces))
+    unseen = replace(delay, session_fits=(replace(fit, session=session),))
+    with pytest.raises(ValueError, match='no particle is in view'):
+        _design((late[0], (unseen, lag)))
+
+
+def test_what_is_the_same_can_not_be_told_apart(late):
+    _, (delay, _) = late
+    design = _design(late, questions_=[Question(delay, delay, 5.0)])
+    assert design.best[0] < 1e-6
+
+
+# The loop ---------------------------------------------------------------------------------------
+
+def test_it_ends_when_it_is_settled_and_says_how_it_came_to_that():
+    rig, _ = hidden_world(1, ('coil_gain_mismatch',), 60.0)
+    said = []
+    driven = drive(rig, 1.5, said.append)
+    assert driven.decided == 'settled'
+    assert driven.named_after < driven.seconds
+    assert driven.insight.judgement.named == ('coil_gain_mismatch',)
+    assert driven.seconds < 120
+    assert said[0].startswith('looking around: turning by')
+    found, session = discovered(driven)
+    assert found.verdict == 'named'
+    assert [(e.id, e.status) for e in found.effects] == [('coil_gain_mismatch', 'established')]
+    assert session.tracks.t[-1] <= driven.seconds
+    told = as_json(driven)
+    assert told['decided'] == 'settled'
+    assert told['experiments'][-1]['odds']['coil_gain_mismatch'] > 0.98
+    page = section(driven)
+    assert 'The question was settled.' in page
+    assert 'data:image/svg+xml' in page
+
+
+def test_twins_are_told_before_time_is_out():
+    rig, _ = hidden_world(1, ('coil_gain_mismatch',), 60.0)
+    with _twin('coil_gain_mismatch'):
+        driven = drive(rig, 6.0)
+    assert driven.decided == 'undecidable'
+    assert set(driven.twins[0]) == {'coil_gain_mismatch', 'coil_gain_mismatch_twin'}
+    assert driven.seconds < 180
+
+
+class _Broken:
+    """A rig that ends its second experiment early."""
+
+    def __init__(self, rig):
+        self._rig, self._count = rig, 0
+        self.limits = rig.limits
+
+    @property
+    def seconds(self):
+        return self._rig.seconds
+
+    def play(self, plan):
+        self._count += 1
+        if self._count == 1:
+            return self._rig.play(plan)
+        return Played(self._rig.play(plan.lasting(5.0)).session, 'the gate is disarmed')
+
+
+def test_what_stops_a_rig_ends_it_with_what_was_learned():
+    rig, _ = hidden_world(2, ('uniform_drift',), 10.0)
+    driven = drive(_Broken(rig), 5.0)
+    assert (driven.decided, driven.reason) == ('stopped', 'the gate is disarmed')
+    assert len(driven.experiments) == 2
+    found, _ = discovered(driven)
+    assert any('the gate is disarmed' in remark for remark in found.remarks)
+
+
+def test_too_little_time_ends_in_time_and_names_nothing_rashly():
+    rig, _ = hidden_world(2, (), 10.0)
+    driven = drive(rig, 0.75)
+    assert driven.decided == 'out_of_time'
+    assert driven.seconds <= 0.75 * 60 + 3.0
+    assert not driven.insight.judgement.named
+
+
+def test_nothing_seen_is_nothing_learned():
+    driven = Driven()
+    assert discovered(driven) is None
+    assert as_json(driven) == {'decided': 'out_of_time', 'minutes': 0.0, 'experiments': []}
+
+
+def test_a_hint_is_asked_about_before_anything_is_named():
+    _, played, _ = _asked(0, ('command_delay',), 25.0, experiments=3)
+    known = consider(prepare(join(played)))
+    asked = questions(known)
+    assert asked
+    assert all(question.missing > 0 for question in asked)

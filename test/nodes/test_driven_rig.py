@@ -1,0 +1,235 @@
+"""Discovery that drives, over a real graph: a rig whose inside is not ours, and what may stop it.
+
+The rig is one node that publishes `particles` and follows `field/applied`, with particles of the
+fine physics in it. Everything else is as always: model, controller, coil driver, amplifier.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from rclpy.node import Node
+from sensor_msgs.msg import MagneticField, PointCloud2
+
+from microbot_ros.discovery.discover import discover
+from microbot_ros.loop.points import PARTICLE
+from microbot_ros.model.particle import Fluid
+from microbot_ros.nodes import messages
+from microbot_ros.nodes.graph import Graph
+from microbot_ros.nodes.graph_client import GraphClient
+from microbot_ros.session import read_session
+from microbot_ros.virtual_rig.injected_effects import inject_effect
+from microbot_ros.virtual_rig.record_session import draw_swarm
+from microbot_ros.virtual_rig.world import FieldHistory, World
+
+pytestmark = [pytest.mark.graph, pytest.mark.timeout(240)]
+
+FIELD, RATE = 5e-3, 30.0
+FLUID = Fluid(1.245e-3)
+
+
+class ForeignRig:
+    """A node of somebody else: 30 times a second where its particles are, moved by the field that
+    is applied. `stuck`, `gone` and `dark` are what may go wrong in it.
+    """
+
+    def __init__(self, node: Node, effect: str, parameters: dict[str, float]) -> None:
+        rng = np.random.default_rng(4)
+        swarm = draw_swarm(rng, 4, FLUID, FIELD, radius=2.3e-6, half_extent=50e-6, spacing=20e-6,
+                           aligns_in=5e-5)
+        inject_effect(swarm, effect, parameters, FIELD)
+        self._node, self._world, self._rng = node, World(swarm, rng), rng
+        self._changes = [(-1.0, np.zeros(2))]
+        self._begun = time.monotonic()
+        self.gone = self.dark = False
+        self._out = node.create_publisher(PointCloud2, 'particles', 10)
+        node.create_subscription(MagneticField, 'field/applied', self._on_field, 50)
+        node.create_timer(1 / RATE, self._expose)
+
+    def _on_field(self, message: MagneticField) -> None:
+        field = np.array([message.magnetic_field.x, message.magnetic_field.y])
+        if not np.allclose(field, self._changes[-1][1], atol=1e-7):
+            self._changes = [*self._changes[-500:], (time.monotonic() - self._begun, field)]
+
+    @property
+    def field(self) -> float:
+        """The strength that is applied now [T]."""
+        return float(np.hypot(*self._changes[-1][1]))
+
+    def _expose(self) -> None:
+        t = np.array([t for t, _ in self._changes])
+        field = np.array([f for _, f in self._changes])[:, None]
+        self._world.advance(time.monotonic() - self._begun, FieldHistory(t, field))
+        if self.dark:
+            return
+        seen = self._world.position + self._rng.normal(0.0, 5e-8, (4, 2))
+        points = np.zeros(0 if self.gone else 4, PARTICLE)
+        if not self.gone:
+            points['id'], points['x'], points['y'] = np.arange(4), *seen.T
+            points['theta'], points['sigma'] = np.nan, 5e-8
+        self._out.publish(messages.cloud(points, self._node.get_clock().now().to_msg()))
+
+
+class Stand:
+    """The graph with a foreign rig, armed, and `microbot discover --drive` beside it."""
+
+    def __init__(self, folder: Path, emulator: object, effect: str,
+                 parameters: dict[str, float]) -> None:
+        self.out = folder / 'driven'
+        file = folder / 'graph.yaml'
+        file.write_text(yaml.safe_dump({name: {'ros__parameters': values} for name, values in {
+            'model': {'radius_um': 2.3, 'viscosity_mPa_s': 1.245},
+            'controller': {'deadline_ms': 100.0},
+            'coil_driver': {'port': str(emulator.port), 'command_timeout_ms': 400.0,
+                            'max_command_age_ms': 400.0},
+        }.items()}))
+        self._graph = Graph(lambda *_: None)
+        for node in ('model', 'controller', 'coil_driver'):
+            self._graph.start_nodes([node], file)
+        self._graph.wait_ready(60.0)
+        self.client = GraphClient('test')
+        self.rig = ForeignRig(self.client.node, effect, parameters)
+        self._serving = threading.Event()
+        self.client.spin(1.0)
+        self.client.arm()
+
+    def discover(self, *options: str) -> subprocess.Popen[str]:
+        """Begin to drive."""
+        return subprocess.Popen(
+            [sys.executable, '-m', 'microbot_ros.cli', 'discover', '--drive', '--out',
+             str(self.out), *options], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+    def until(self, true: Callable[[], object], seconds: float = 60.0) -> None:
+        """Let the rig live until something is true; fail if it does not become so."""
+        assert self.client.until(true, seconds), 'did not happen in time'
+
+    def ended(self, process: subprocess.Popen[str], seconds: float = 60.0) -> tuple[str, str]:
+        """What it said, once it has ended."""
+        self.until(lambda: process.poll() is not None, seconds)
+        out, err = process.communicate()
+        return out, err
+
+    def result(self) -> dict:
+        """What was written."""
+        return json.loads((self.out / 'result.json').read_text())
+
+    def end(self) -> None:
+        """Leave nothing running."""
+        self.client.__exit__()
+        self._graph.__exit__()
+
+
+@pytest.fixture
+def stand(tmp_path: Path, emulator: object) -> Iterator[Callable[..., Stand]]:
+    """Makes the graph; ends it afterwards."""
+    made: list[Stand] = []
+
+    def make(effect: str, parameters: dict[str, float]) -> Stand:
+        made.append(Stand(tmp_path, emulator, effect, parameters))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.end()
+
+
+def test_a_rig_that_is_not_ours_is_asked_until_it_is_settled(
+        stand: Callable[..., Stand], emulator: object) -> None:
+    here = stand('coil_gain_mismatch', {'gain_ratio': 1.25})
+    process = here.discover('--minutes', '1.2', '--apply')
+    out, err = here.ended(process, 230.0)
+    assert process.returncode == 0, err
+    found = here.result()
+    assert found['decided'] == 'settled', (out, err)
+    assert [(e['id'], e['status']) for e in found['effects']] == [
+        ('coil_gain_mismatch', 'established')]
+    ratio = found['effects'][0]['parameters']['gain_ratio']
+    assert abs(ratio['value'] - 1.25) < 4 * ratio['std']
+    played = found['experiments']
+    assert played[-1]['odds']['coil_gain_mismatch'] > 0.98
+    assert found['minutes'] < 1.4
+    sessions = [read_session(here.out / one['session']) for one in played]
+    again = discover(sessions[:2])
+    assert 'coil_gain_mismatch' in [e.id for e in again.effects]
+    here.until(lambda: emulator.zero, 10.0)
+    with_model = {here.client.get(node, 'model_file')['model_file']
+                  for node in ('model', 'controller')}
+    assert with_model == {str(here.out / 'model.yaml')}
+    assert 'held a particle' in (here.out / 'report.html').read_text()
+
+
+def _operator(here: Stand, _: object) -> None:
+    here.client.set('controller', controller='open_loop')
+
+
+def _disarmed(here: Stand, _: object) -> None:
+    here.client.arm(False)
+
+
+def _gone(here: Stand, _: object) -> None:
+    here.rig.gone = True
+
+
+def _dark(here: Stand, _: object) -> None:
+    here.rig.dark = True
+
+
+def _told(_: Stand, process: subprocess.Popen[str]) -> None:
+    process.terminate()
+
+
+@pytest.mark.parametrize(('go_wrong', 'reason'), [
+    (_operator, 'open_loop'), (_disarmed, 'gate'), (_gone, 'particle'), (_dark, ''),
+    (_told, 'told')])
+def test_what_goes_wrong_ends_in_no_current_and_is_written_down(
+        stand: Callable[..., Stand], emulator: object, go_wrong: Callable[..., None],
+        reason: str) -> None:
+    here = stand('coil_gain_mismatch', {'gain_ratio': 1.25})
+    process = here.discover('--minutes', '2')
+    here.until(lambda: here.rig.field > 1e-3, 120.0)
+    start = time.monotonic()
+    here.until(lambda: time.monotonic() > start + 6.0)
+    go_wrong(here, process)
+    out, err = here.ended(process, 100.0)
+    assert process.returncode in (0, 1), err
+    found = here.result()
+    assert found['decided'] == 'stopped'
+    assert reason in out + err
+    assert found['minutes'] > 0
+    assert (here.out / 'experiment-1' / 'tracks.csv').is_file()
+    drives = here.client.get('controller', 'controller')['controller']
+    assert drives == ('open_loop' if go_wrong is _operator else 'hold')
+    if go_wrong is not _operator:
+        here.until(lambda: emulator.zero, 10.0)
+
+
+def test_a_full_disk_ends_it_in_no_current(
+        stand: Callable[..., Stand], emulator: object) -> None:
+    here = stand('coil_gain_mismatch', {'gain_ratio': 1.25})
+    here.out.mkdir()
+    (here.out / 'experiment-1').write_text('no place for a folder')
+    process = here.discover('--minutes', '2')
+    out, err = here.ended(process, 100.0)
+    assert process.returncode == 0, err
+    assert 'could not be written' in out
+    assert here.result()['decided'] == 'stopped'
+    here.until(lambda: emulator.zero, 10.0)
+
+
+def test_nothing_is_driven_without_an_armed_gate(stand: Callable[..., Stand]) -> None:
+    here = stand('coil_gain_mismatch', {'gain_ratio': 1.25})
+    here.client.arm(False)
+    process = here.discover('--minutes', '1')
+    _, err = here.ended(process)
+    assert process.returncode == 1
+    assert 'the gate is not armed' in err
+    assert here.rig.field == 0
