@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 
@@ -16,6 +14,7 @@ from microbot_ros.discovery.held_out import held_out_gap, log_e_value
 from microbot_ros.discovery.input_checks import check_sessions
 from microbot_ros.discovery.intervals import Intervals
 from microbot_ros.discovery.next_experiment import next_experiment
+from microbot_ros.discovery.processes import Run, in_processes, serially
 from microbot_ros.discovery.result import (
     Discovery,
     Limit,
@@ -70,16 +69,13 @@ def discover(sessions: Sequence[Session],
     share the candidates. Raises InputError where nothing can be learnt, and says what could.
     """
     prepared, remarks = check_sessions(sessions)
-    with ExitStack() as stack:
-        run: Callable[..., Iterable[CandidateFit | None]] = map
-        if jobs > 1:
-            run = stack.enter_context(ProcessPoolExecutor(jobs)).map
-        selection = StepwiseSelection(prepared, partial(search, run=run))
-        return _discover(selection, remarks, report, truth)
+    run: Run = partial(in_processes, jobs=jobs) if jobs > 1 else serially
+    selection = StepwiseSelection(prepared, partial(search, run=run))
+    return _discover(selection, remarks, report, truth, run)
 
 
 def _discover(selection: StepwiseSelection, remarks: tuple[str, ...],
-              report: Callable[[str], None], truth: Model | None) -> Discovery:
+              report: Callable[[str], None], truth: Model | None, run: Run) -> Discovery:
     start = selection.current
     report('mapping what the first-order model leaves')
     before = residual_maps(start)
@@ -88,11 +84,11 @@ def _discover(selection: StepwiseSelection, remarks: tuple[str, ...],
     after = residual_maps(selection.current) if selection.current.model.effects else before
     report('comparing with what could stand in')
     left = [m for m in after if m.fires]
-    assessments = [_Assessment.of(selection, effect.id, left)
+    assessments = [_Assessment.of(selection, effect.id, left, run)
                    for effect in selection.current.model.effects]
     doubts = [m for one in assessments for m in one.doubts]
     unexplained = _worst(left + doubts)
-    weak = [] if assessments else _suggestions(selection.open, selection.sessions)
+    weak = [] if assessments else _suggestions(selection.open, selection.sessions, run)
     fit = selection.current
     known = Intervals(fit, complete=all(one.dwarfs for one in assessments))
     effects = [one.entry(known, bool(doubts)) for one in assessments] + [
@@ -103,7 +99,7 @@ def _discover(selection: StepwiseSelection, remarks: tuple[str, ...],
     return Discovery(
         verdict=_verdict(effects, bool(unexplained) and not told),
         effects=tuple(sorted(effects, key=lambda e: (e.p_value, -e.delta_bic))),
-        gap=held_out_gap(fit, selection.sessions, truth),
+        gap=held_out_gap(fit, selection.sessions, truth, run),
         maps_before=before, maps_after=after, unexplained=unexplained,
         selection=tuple(selection.steps),
         limits=tuple(limit for found in selection.open for limit in _limits(found)),
@@ -147,7 +143,7 @@ class _Assessment:
 
     @classmethod
     def of(cls, selection: StepwiseSelection, name: str,
-           left: Iterable[ResidualMap]) -> _Assessment:
+           left: Iterable[ResidualMap], run: Run) -> _Assessment:
         """Of the effect `name` of the model selected so far, beside which maps find so much
         `left`.
         """
@@ -159,7 +155,7 @@ class _Assessment:
         dwarfs = _dwarfs(own, maps, left)
         if not dwarfs and not alone:
             return cls(own, float('nan'), False, False, [], [], dwarfs)
-        gain = _paid_log_e_value(selection.current.model, selection.sessions, name)
+        gain = _paid_log_e_value(selection.current.model, selection.sessions, name, run)
         sure = own.shape_seen and own.delta_bic > CLOSE and not is_cancelled(
             selection.current, name) and (gain > HELD_OUT or alone)
         most = own.log_p + np.log(len(EFFECTS)) - BETTER if sure else 0.0
@@ -207,13 +203,14 @@ def _worst(maps: Iterable[ResidualMap]) -> tuple[ResidualMap, ...]:
     return tuple(found.values())
 
 
-def _paid_log_e_value(model: Model, sessions: Sequence[PreparedSession], name: str) -> float:
+def _paid_log_e_value(model: Model, sessions: Sequence[PreparedSession], name: str,
+                      run: Run) -> float:
     """The e-value of an effect that was the best of the library: each could have been it."""
-    return log_e_value(model, sessions, name) - float(np.log(len(EFFECTS)))
+    return log_e_value(model, sessions, name, run) - float(np.log(len(EFFECTS)))
 
 
-def _suggestions(found: Sequence[CandidateFit],
-                 sessions: Sequence[PreparedSession]) -> list[_Assessment]:
+def _suggestions(found: Sequence[CandidateFit], sessions: Sequence[PreparedSession],
+                 run: Run) -> list[_Assessment]:
     """The best of what is too weak for a model that has none yet, or seen from one side only."""
     likely = [c for c in found if c.p_value * len(found) < SUGGESTED]
     if not likely:
@@ -222,7 +219,7 @@ def _suggestions(found: Sequence[CandidateFit],
     first = likely[0]
     best = next((c for c in likely if c.shape_seen and not clearly_better(first, c)), first)
     rivals = [c for c in found if c is not best and _close(c, best)]
-    gain = _paid_log_e_value(best.fit.model, sessions, best.id)
+    gain = _paid_log_e_value(best.fit.model, sessions, best.id, run)
     return [_Assessment(best, gain, False, False, rivals, [])]
 
 

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from microbot_ros.discovery.processes import Run, serially
 from microbot_ros.discovery.result import Gap
 from microbot_ros.discovery.search import fit_candidate
 from microbot_ros.estimation.expected_displacement import ExpectedDisplacement
@@ -58,7 +59,8 @@ def learn(model: Model, sessions: Sequence[PreparedSession], names: Iterable[str
 
 # The gain in likelihood -------------------------------------------------------------------------
 
-def log_e_value(model: Model, sessions: Sequence[PreparedSession], effect: str) -> float:
+def log_e_value(model: Model, sessions: Sequence[PreparedSession], effect: str,
+                run: Run = serially) -> float:
     """Natural log of an e-value for an `effect` of a `model`: its mean is at most 1 without it.
 
     Half of each recording foretells, with effects, v and φ learned from it alone, by what m the
@@ -74,16 +76,20 @@ def log_e_value(model: Model, sessions: Sequence[PreparedSession], effect: str) 
     learned too. E is the mean over all choices of the half that foretells.
     """
     rest = [e.id for e in model.effects if e.id != effect]
-    bare, logs = replace(model, effects=()), []
+    bare = replace(model, effects=())
     shortest = min(float(np.ptp(session.times)) for session in sessions)
     fine = int(np.clip(shortest / SHORTEST, COARSE, FINE)) // 2 * 2
-    for blocks in dict.fromkeys((COARSE, fine)):
-        even, odd = ([s.only(block_of(s, blocks) % 2 == half) for s in sessions]
-                     for half in (0, 1))
-        for known, judged in ((even, odd), (odd, even)):
-            learned = learn(bare, known, rest)
-            found = fit_candidate(learned, effect)
-            logs.append(0.0 if found is None else _log_ratio(learned, found.fit, judged))
+
+    def judged(choice: tuple[int, int]) -> float:
+        blocks, half = choice
+        known, other = ([s.only(block_of(s, blocks) % 2 == which) for s in sessions]
+                        for which in (half, 1 - half))
+        learned = learn(bare, known, rest)
+        found = fit_candidate(learned, effect)
+        return 0.0 if found is None else _log_ratio(learned, found.fit, other)
+
+    logs = list(run(judged, [
+        (blocks, half) for blocks in dict.fromkeys((COARSE, fine)) for half in (0, 1)]))
     return float(np.logaddexp.reduce(logs) - np.log(len(logs)))
 
 
@@ -137,7 +143,7 @@ def _gram(here: SessionFit, shift: np.ndarray, jacobian: np.ndarray) -> np.ndarr
 # The gap in prediction --------------------------------------------------------------------------
 
 def held_out_gap(fit: ModelFit, sessions: Sequence[PreparedSession],
-                 truth: Model | None = None) -> Gap:
+                 truth: Model | None = None, run: Run = serially) -> Gap:
     """Open-loop prediction over a horizon, each block predicted from a fit to all others.
 
     Of the first-order model and of that of a `fit`, as learned from the other blocks of prepared
@@ -151,17 +157,19 @@ def held_out_gap(fit: ModelFit, sessions: Sequence[PreparedSession],
     judged = [_explicable(session, p.session)
               for session, p in zip(sessions, fit.session_fits, strict=True)]
     bare, names = replace(fit.model, effects=()), [e.id for e in fit.model.effects]
-    errors: list[list[np.ndarray]] = [[] for _ in range(3 if truth else 2)]
-    for block in range(BLOCKS):
+
+    def errors_in(block: int) -> list[np.ndarray]:
         rest = [s.only(block_of(s, BLOCKS) != block) for s in sessions]
         before = learn(bare, rest, ())
         learned = [before, learn(bare, rest, names) if names else before]
         if truth:
             known = [p.whitening for p in before.session_fits]
             learned.append(fit_noise(evaluate(truth, rest, known)))
-        for one, found in zip(learned, errors, strict=True):
-            found += [_errors(one.model, p, session, block_of(session, BLOCKS) == block, horizon)
-                      for p, session in zip(one.session_fits, judged, strict=True)]
+        return [np.concatenate([
+            _errors(one.model, p, session, block_of(session, BLOCKS) == block, horizon)
+            for p, session in zip(one.session_fits, judged, strict=True)]) for one in learned]
+
+    errors = zip(*run(errors_in, range(BLOCKS)), strict=True)
     floor = _floor(fit, horizon)
     excess = [_excess(np.concatenate(found), floor) for found in errors]
     return Gap(horizon, excess[0], excess[1], floor, excess[2] if truth else float('nan'))

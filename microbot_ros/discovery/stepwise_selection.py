@@ -9,11 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import compress
 
 import numpy as np
 
+from microbot_ros.discovery.processes import Run, serially
 from microbot_ros.discovery.result import Candidate, SelectionStep
-from microbot_ros.discovery.search import CandidateFit, compare, fit_candidate
+from microbot_ros.discovery.search import CandidateFit, compare, look_at, polish
 from microbot_ros.estimation.expected_displacement import ExpectedDisplacement
 from microbot_ros.estimation.likelihood import SessionFit, eliminate, inner
 from microbot_ros.estimation.model_fit import ModelFit, fit_sessions, fit_with_noise
@@ -28,16 +30,24 @@ MOST = 4
 CLEARLY = 3.0
 """Gain in log p for which one effect is preferred to another: a factor of 20."""
 
+REACH = 20.0
+"""How far a candidate's log p may lie behind the best at first sight and still be polished."""
+
 Search = Callable[[ModelFit, Iterable[str]], list[CandidateFit]]
 
 
-def search(fit: ModelFit, names: Iterable[str],
-           run: Callable[..., Iterable[CandidateFit | None]] = map) -> list[CandidateFit]:
+def search(fit: ModelFit, names: Iterable[str], run: Run = serially) -> list[CandidateFit]:
     """Every candidate among `names` that the data can show beside a `fit`, best first.
 
-    The least likely by chance. `run` is `map`, or that of an executor.
+    The least likely by chance. What at first sight lies far behind the best stays as it is then,
+    unless it makes headings remember, since then it shows with noise of its own. `run` as
+    `serially` or `in_processes`.
     """
-    found = [one for one in run(partial(fit_candidate, fit), names) if one is not None]
+    seen = [one for one in run(partial(look_at, fit), list(names)) if one is not None]
+    best = min((one.log_p for one in seen), default=0.0)
+    near = [one.log_p < best + REACH or one.fit.model.lags != fit.model.lags for one in seen]
+    polished = iter(run(partial(polish, fit=fit), list(compress(seen, near))))
+    found = [next(polished) if is_near else one for one, is_near in zip(seen, near, strict=True)]
     return sorted(found, key=lambda one: one.log_p)
 
 

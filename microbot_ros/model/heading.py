@@ -45,7 +45,10 @@ def integrate_heading(
     inside = context.after(segments.lead, timeline.places(model))
     if start is not None:
         return segments, heading_course(model, inside, start), inside
-    return segments, heading_course(model, context).after(segments.lead), inside
+    course = timeline.part(
+        model.answering('latency', 'field', 'heading_offset', 'alignment_rate'), model,
+        lambda: heading_course(model, context).after(segments.lead))
+    return segments, course, inside
 
 
 def heading_course(

@@ -150,8 +150,12 @@ def test_a_white_column_is_remembered_for_its_own_session_alone(film):
         session = prepare(film(seed, duration=4.0)[0])
         part, = evaluate(model, [session], [whitening]).session_fits
         column = session.z * np.arange(len(session.times))[:, None]
-        return (part.white_column('one', lambda: column),
-                part.white_column(None, lambda: column), ref(session))
+        plain, = part.white_columns([(None, lambda: column)]).T
+        # What is remembered, and what is not beside it.
+        first, again = (part.white_columns([(None, lambda: -column), ('one', lambda: column)])
+                        for _ in range(2))
+        np.testing.assert_array_equal(first, again)
+        return again[..., 1].T, plain, ref(session)
 
     for seed in range(4):
         kept, plain, session = remembered(seed)
