@@ -44,12 +44,17 @@ def block_of(session: PreparedSession, blocks: int) -> np.ndarray:
 
 
 def learn(model: Model, sessions: Sequence[PreparedSession], names: Iterable[str]) -> ModelFit:
-    """The effects `names` fitted to `sessions` in their order, beside a `model` without them.
+    """The effects `names` fitted to `sessions` in their order, beside a `model` without them."""
+    return _learn_beside(fit_sessions(model, sessions), sessions, names)
+
+
+def _learn_beside(fit: ModelFit, sessions: Sequence[PreparedSession],
+                  names: Iterable[str]) -> ModelFit:
+    """The effects `names` fitted to `sessions` in their order, beside a `fit` to these.
 
     From starting points of their own, so that no other fit leaves a trace. An effect with a shape
     that these sessions don't show is left out: it would be made up.
     """
-    fit = fit_sessions(model, sessions)
     for name in names:
         found = fit_candidate(fit, name)
         if found and (not found.has_shape or (found.shape_seen and found.delta_bic > 0)):
@@ -160,8 +165,8 @@ def held_out_gap(fit: ModelFit, sessions: Sequence[PreparedSession],
 
     def errors_in(block: int) -> list[np.ndarray]:
         rest = [s.only(block_of(s, BLOCKS) != block) for s in sessions]
-        before = learn(bare, rest, ())
-        learned = [before, learn(bare, rest, names) if names else before]
+        before = fit_sessions(bare, rest)
+        learned = [before, _learn_beside(before, rest, names)]
         if truth:
             known = [p.whitening for p in before.session_fits]
             learned.append(fit_noise(evaluate(truth, rest, known)))

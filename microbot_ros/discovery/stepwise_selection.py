@@ -64,6 +64,7 @@ class StepwiseSelection:
     current: ModelFit = field(init=False)
     steps: list[SelectionStep] = field(default_factory=list)
     open: list[CandidateFit] = field(default_factory=list)
+    _before: set[frozenset[str]] = field(init=False, default_factory=set)
     _rivals: dict[str, list[CandidateFit]] = field(init=False, default_factory=dict)
     _rivals_of: ModelFit | None = field(init=False, default=None)
 
@@ -73,6 +74,7 @@ class StepwiseSelection:
 
     def fit(self, model: Model) -> ModelFit:
         """A `model` fitted to what of the sessions it can explain."""
+        self._before.add(frozenset(e.id for e in model.effects))
         return fit_sessions(model, self.sessions)
 
     def run(self, report: Callable[[str], None]) -> None:
@@ -114,15 +116,23 @@ class StepwiseSelection:
         return tuple(removed)
 
     def _exchange(self, report: Callable[[str], None]) -> bool:
-        """Exchange one effect for one that explains clearly more in its place."""
+        """Exchange one effect for one that explains clearly more in its place.
+
+        Not for one that makes a model which was there before: where none suits, each model has
+        something that one of the others explains better.
+        """
         for effect in self.current.model.effects:
             own = contribution(self.current, effect.id)
             best = next((rival for rival in self.rivals(effect.id) if rival.shape_seen), None)
-            if best is not None and clearly_better(best, own):
+            if best is not None and clearly_better(best, own) and not self._had(best.fit.model):
                 report(f'{best.id} instead of {effect.id}')
                 self.current = self.fit(best.fit.model)
                 return True
         return False
+
+    def _had(self, model: Model) -> bool:
+        """Whether a model of the same effects was the best before."""
+        return frozenset(e.id for e in model.effects) in self._before
 
     def rivals(self, name: str) -> list[CandidateFit]:
         """What could stand in place of the effect `name`, best first; found once per fit."""

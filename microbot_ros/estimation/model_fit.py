@@ -318,20 +318,20 @@ def fit_sessions(model: Model, sessions: Sequence[PreparedSession]) -> ModelFit:
     filter under the model believes.
     """
     fit = _fit_predictable(model, sessions, [ROTATIONAL_DIFFUSION] * len(sessions))
-    if not fit.model.lags:
-        return fit
-    # What a lag can explain depends on how long it is, and on how noisy headings are.
-    return _fit_predictable(
-        fit.model, sessions, [s.whitening.diffusion_ratio * s.diffusion for s in fit.session_fits])
-
-
-def _fit_predictable(model: Model, sessions: Sequence[PreparedSession],
-                     turning: Sequence[float]) -> ModelFit:
-    parts = [predictable_part(session, model, one)
-             for session, one in zip(sessions, turning, strict=True)]
-    start = evaluate(model, parts, [Whitening(part.interval) for part in parts])
-    fit = fit_with_noise(start, near=False)
+    if fit.model.lags:
+        # What a lag can explain depends on how long it is, and on how noisy headings are.
+        fit = _fit_predictable(fit.model, sessions, [
+            s.whitening.diffusion_ratio * s.diffusion for s in fit.session_fits])
     located = [
         s.session.with_filtered_positions(
             s.expected.at(s.velocity_phasor), s.whitening.noise_ratio) for s in fit.session_fits]
     return fit_with_noise(evaluate(fit.model, located, [s.whitening for s in fit.session_fits]))
+
+
+def _fit_predictable(model: Model, sessions: Sequence[PreparedSession],
+                     turning: Sequence[float]) -> ModelFit:
+    """A `model` at the positions as they are, whose headings diffuse by `turning` [rad²/s]."""
+    parts = [predictable_part(session, model, one)
+             for session, one in zip(sessions, turning, strict=True)]
+    start = evaluate(model, parts, [Whitening(part.interval) for part in parts])
+    return fit_with_noise(start, near=False)
