@@ -210,7 +210,7 @@ def _paid_log_e_value(model: Model, sessions: Sequence[PreparedSession], name: s
 
 
 def _suggestions(found: Sequence[CandidateFit], sessions: Sequence[PreparedSession],
-                 run: Run) -> list[_Assessment]:
+                 run: Run = serially) -> list[_Assessment]:
     """The best of what is too weak for a model that has none yet, or seen from one side only."""
     likely = [c for c in found if c.p_value * len(found) < SUGGESTED]
     if not likely:

@@ -43,10 +43,11 @@ def search(fit: ModelFit, names: Iterable[str], run: Run = serially) -> list[Can
     unless it makes headings remember, since then it shows with noise of its own. `run` as
     `serially` or `in_processes`.
     """
-    seen = [one for one in run(partial(look_at, fit), list(names)) if one is not None]
+    kept = [one for p in fit.session_fits for one in (p.session, p.whitening)]
+    seen = [one for one in run(partial(look_at, fit), list(names), kept) if one is not None]
     best = min((one.log_p for one in seen), default=0.0)
     near = [one.log_p < best + REACH or one.fit.model.lags != fit.model.lags for one in seen]
-    polished = iter(run(partial(polish, fit=fit), list(compress(seen, near))))
+    polished = iter(run(partial(polish, fit=fit), list(compress(seen, near)), kept))
     found = [next(polished) if is_near else one for one, is_near in zip(seen, near, strict=True)]
     return sorted(found, key=lambda one: one.log_p)
 
