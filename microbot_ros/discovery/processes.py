@@ -30,7 +30,7 @@ class Run(Protocol):
 
 def serially(call: Callable[[Given], Found], items: Sequence[Given],
              kept: Sequence[object] = ()) -> Iterable[Found]:  # noqa: ARG001
-    """What `call` returns for each of `items`, one after the other."""
+    """What `call` returns for each of `items`, one after the other; all are `kept` anyhow."""
     return [call(item) for item in items]
 
 

@@ -270,7 +270,11 @@ def whiten_with_heading(  # type: ignore[no-untyped-def]
 @njit(cache=True)
 def whitened_products_with_heading(  # type: ignore[no-untyped-def]
         times, pieces, z, offset, along, noise_ratio, diffusion_ratio, sensitivity, retention):
-    """`whitened_products` where headings are noisy as well, as in `whiten_with_heading`."""
+    """`whitened_products` where headings are noisy as well.
+
+    `times`, `pieces`, `z`, `offset`, `along` and `noise_ratio` as there; `diffusion_ratio`,
+    `sensitivity` and `retention` as in `whiten_with_heading`.
+    """
     T, N = z.shape
     products, log_det, used, product = np.zeros((N, 3, 3)), 0.0, 0, 1.0
     noises = _heading_noises(times, diffusion_ratio, retention)

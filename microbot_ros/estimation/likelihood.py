@@ -213,7 +213,7 @@ class SessionFit:
 
     def white_columns(
             self, columns: Sequence[tuple[Hashable, Callable[[], np.ndarray]]]) -> np.ndarray:
-        """Other displacements (T, N) [m], each with a key, whitened (T, N, P), but for D.
+        """Other `columns`, displacements (T, N) [m] with a key each, whitened (T, N, P) but for D.
 
         Whose key is not None is remembered by it for this session and noise, the latest few of
         them. The rest are whitened together, since most of the work is the same for all.
@@ -305,14 +305,14 @@ def climb(at: Callable[[float], SessionFit], low: float, high: float,
         known[u] = at(u).restricted_log_likelihood
 
     if near is not None:
-        step, middle = _BRACKET / 2, min(max(near, low), high)
+        step = _BRACKET / 2
+        middle = min(max(near, low + step), high - step)
         look(middle)
         yield None
-        edges = [max(low, middle - step), min(high, middle + step)]
+        edges = [middle - step, middle + step]
         for edge in edges:
-            if edge not in known:
-                look(edge)
-                yield None
+            look(edge)
+            yield None
         for side, bound in ((0, low), (1, high)):
             while edges[side] != bound and known[edges[side]] == max(known.values()):
                 step *= 3
@@ -336,9 +336,6 @@ def climb(at: Callable[[float], SessionFit], low: float, high: float,
             right = low + _GOLDEN * (high - low)
     best = max(known, key=known.__getitem__)
     around = np.array(sorted(known, key=known.__getitem__)[-3:])
-    if len(around) < 3:  # at a bound
-        yield at(best)
-        return
     bend, slope, _ = np.polyfit(around - best, [known[u] - known[best] for u in around], 2)
     vertex = best - slope / (2 * bend) if bend < 0 else best
     yield at(float(np.clip(vertex, low, high)))
