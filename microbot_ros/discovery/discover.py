@@ -66,7 +66,8 @@ def discover(sessions: Sequence[Session],
 
     Sessions share the effects; every session has its own particles and noise. `report` is told
     what is being done; `truth`, where it is known, is only judged by its gap; `jobs` processes
-    share the candidates. Raises InputError where nothing can be learnt, and says what could.
+    share candidates, maps, halves, blocks and plans. Raises InputError where nothing can be
+    learnt, and says what could.
     """
     prepared, remarks = check_sessions(sessions)
     run: Run = partial(in_processes, jobs=jobs) if jobs > 1 else serially
@@ -78,10 +79,11 @@ def _discover(selection: StepwiseSelection, remarks: tuple[str, ...],
               report: Callable[[str], None], truth: Model | None, run: Run) -> Discovery:
     start = selection.current
     report('mapping what the first-order model leaves')
-    before = residual_maps(start)
+    before = residual_maps(start, run)
     selection.run(report)
     report('mapping what is left')
-    after = residual_maps(selection.current) if selection.current.model.effects else before
+    after = (residual_maps(selection.current, run) if selection.current.model.effects
+             else before)
     report('comparing with what could stand in')
     left = [m for m in after if m.fires]
     assessments = [_Assessment.of(selection, effect.id, left, run)
@@ -106,7 +108,7 @@ def _discover(selection: StepwiseSelection, remarks: tuple[str, ...],
         baseline=known.particles(),
         diffusion=known.diffusion(),
         localisation=known.localisation(),
-        next_experiment=next_experiment(fit, rivals),
+        next_experiment=next_experiment(fit, rivals, run),
         model=fit.model,
         particles=_particle_parameters(fit),
         remarks=(*remarks, *_confounded(start)),
@@ -148,7 +150,7 @@ class _Assessment:
         `left`.
         """
         rest = without(selection.current, name)
-        own, maps = compare(selection.current, rest, name), residual_maps(rest)
+        own, maps = compare(selection.current, rest, name), residual_maps(rest, run)
         # Halves of a recording in which the frequency was stepped once predict nothing.
         alone = (EFFECTS[name].is_drive_curve
                  and curve_p_value(selection.current, name) < BACKWARD)

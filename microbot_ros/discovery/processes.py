@@ -8,6 +8,7 @@ caller has himself nor what follows from the rest.
 from __future__ import annotations
 
 import copyreg
+import gc
 import io
 import multiprocessing
 import pickle
@@ -59,7 +60,8 @@ def in_processes(call: Callable[[Given], Found], items: Sequence[Given],
     _work = _Work(call, items, kept)
     try:
         context = multiprocessing.get_context('fork')
-        with ProcessPoolExecutor(min(jobs, len(items)), context) as pool:
+        # Frozen, what is inherited is not copied because garbage is looked for in it.
+        with ProcessPoolExecutor(min(jobs, len(items)), context, gc.freeze) as pool:
             return [_Reader(io.BytesIO(found), kept).load()
                     for found in pool.map(_found, range(len(items)))]
     finally:
