@@ -173,6 +173,10 @@ def _heading_noises(times, diffusion_ratio, retention):  # type: ignore[no-untyp
     return out
 
 
+NEGLIGIBLE = 1e-12
+"""Covariance of x and y, relative to their variances, that is none."""
+
+
 @njit(cache=True)
 def _ahead(covariance, h, side, spread, mixed, turned, b, q):  # type: ignore[no-untyped-def]
     """The covariance of place and heading (xx, xy, yy, xa, ya, aa) an interval h later.
@@ -180,6 +184,8 @@ def _ahead(covariance, h, side, spread, mixed, turned, b, q):  # type: ignore[no
     `b` and `q`: sensitivity and retention; the rest as `_heading_noise` has it.
     """
     xx, xy, yy, xa, ya, aa = covariance
+    if aa == 0 and turned == 0:  # the field holds the heading, as it mostly does
+        return xx + 2 * h, xy, yy + 2 * h, 0.0, 0.0, 0.0
     u, v = b.real, b.imag
     i, j = u * side, v * side
     xx += 2 * u * xa + u * u * aa + spread * i * i + 2 * h
@@ -197,6 +203,10 @@ def _seen(covariance, ratio_x, ratio_y):  # type: ignore[no-untyped-def]
     """
     xx, xy, yy, xa, ya, aa = covariance
     sx, sy = xx + ratio_x, yy + ratio_y
+    if aa == 0 and abs(xy) < NEGLIGIBLE * sx:  # before it is a number too small to be fast
+        gx, gy = xx / sx, yy / sy
+        return ((ratio_x * gx, 0.0, ratio_y * gy, 0.0, 0.0, 0.0), (gx, 0.0, 0.0, gy, 0.0, 0.0),
+                (1 / math.sqrt(sx), 0.0, 1 / math.sqrt(sy)), sx * sy)
     det = sx * sy - xy * xy
     over = 1 / det
     gxx, gxy = (xx * sy - xy * xy) * over, (xy * sx - xx * xy) * over

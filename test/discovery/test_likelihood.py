@@ -140,6 +140,23 @@ def test_products_are_those_of_what_is_white():
     assert found[1:] == (pytest.approx(log_det, rel=1e-12), used)
 
 
+def test_a_heading_that_the_field_holds_is_one_that_hardly_turns():
+    """Before, within and after a spell without a field, in which it turns as it likes."""
+    rng = np.random.default_rng(2)
+    times = np.arange(60) * 0.03
+    columns = rng.normal(size=(60, 2, 3)) + 1j * rng.normal(size=(60, 2, 3))
+    pieces = np.ones((60, 2), int)
+    free = (np.arange(59) > 20) & (np.arange(59) < 30)
+    sensitivity = np.where(free[:, None], [0.3 + 0.1j, -0.2j], 0)
+    held = np.where(free[:, None], [1.0, 1.0], 0.0)
+    for ratios in ((0.05, 0.05), (0.05, 0.08)):
+        still, hardly = (
+            whiten_with_heading(times, pieces, columns, *ratios, 2.0, sensitivity, retention)
+            for retention in (held, np.maximum(held, 1e-10)))
+        assert still[0] == pytest.approx(hardly[0], rel=1e-9)
+        assert still[1:] == pytest.approx(hardly[1:], rel=1e-9)
+
+
 @given(st.floats(0, 10), st.floats(0, 10), st.floats(0.3, 3))
 def test_uphill_from_anywhere_is_where_the_whole_range_has_its_maximum(peak, near, width):
     def at(u):
