@@ -46,7 +46,8 @@ class Outcome:
     `names` (id, status), plainest first; `rivals`: what those names can't be told from, all
     together; `covered`: per parameter of a right name, whether its 95 % interval holds the truth;
     `excess`: held-out gap before, after, of the true model, and floor [m]; `unknowns` and `rows`:
-    k and n of the theoretical limit k ln n; `rivals_said`: how many terms each rival kept.
+    k and n of the theoretical limit k ln n; `seconds` of CPU time; `rivals_said`: how many terms
+    each rival kept.
     """
 
     case: Case
@@ -87,9 +88,9 @@ def judge(case: Case) -> Outcome:
     """Draw a case, search it, compare with the truth."""
     session = case.draw()
     known = all(effect in EFFECTS and effect != 'drive_response' for effect in case.effects)
-    began = time.perf_counter()
+    began = time.process_time()
     found = discover([session.session], truth=true_model(session) if known else None)
-    seconds = time.perf_counter() - began
+    seconds = time.process_time() - began
     gap = found.gap
     rows = len(session.session.tracks.t) - len(session.session.tracks.particles)
     return Outcome(

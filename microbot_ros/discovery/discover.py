@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -23,6 +21,7 @@ from microbot_ros.discovery.learned.learn import (
 )
 from microbot_ros.discovery.learned.likeness import confirmation, looks_like
 from microbot_ros.discovery.next_experiment import next_experiment
+from microbot_ros.discovery.processes import Run, in_processes, serially
 from microbot_ros.discovery.result import (
     Discovery,
     Learned,
@@ -75,35 +74,35 @@ def discover(sessions: Sequence[Session],
 
     Sessions share the effects; every session has its own particles and noise. `report` is told
     what is being done; `truth`, where it is known, is only judged by its gap; `jobs` processes
-    share the candidates. Raises InputError where nothing can be learnt, and says what could.
+    share candidates, maps, halves, blocks and plans. Raises InputError where nothing can be
+    learnt, and says what could.
     """
     prepared, remarks = check_sessions(sessions)
-    with ExitStack() as stack:
-        run: Callable[..., Iterable[CandidateFit | None]] = map
-        if jobs > 1:
-            run = stack.enter_context(ProcessPoolExecutor(jobs)).map
-        selection = StepwiseSelection(prepared, partial(search, run=run))
-        selection.run(report)
-        return conclude(selection, remarks, report, truth)
+    run: Run = partial(in_processes, jobs=jobs) if jobs > 1 else serially
+    selection = StepwiseSelection(prepared, partial(search, run=run))
+    selection.run(report)
+    return conclude(selection, remarks, report, truth, run)
 
 
 def conclude(selection: StepwiseSelection, remarks: tuple[str, ...],
-             report: Callable[[str], None], truth: Model | None = None) -> Discovery:
+             report: Callable[[str], None], truth: Model | None = None,
+             run: Run = serially) -> Discovery:
     """The result of a `selection` that has been made, with `remarks` on its sessions.
 
-    `report` and `truth` as for `discover`.
+    `report` and `truth` as for `discover`; `run` shares the work.
     """
     report('mapping what is left')
     start = selection.start
-    before = residual_maps(start)
-    after = residual_maps(selection.current) if selection.current.model.effects else before
+    before = residual_maps(start, run)
+    after = (residual_maps(selection.current, run) if selection.current.model.effects
+             else before)
     report('comparing with what could stand in')
     left = [m for m in after if m.fires]
-    assessments = [_Assessment.of(selection, effect.id, left)
+    assessments = [_Assessment.of(selection, effect.id, left, run)
                    for effect in selection.current.model.effects]
     doubts = [m for one in assessments for m in one.doubts]
     unexplained = _worst(left + doubts)
-    weak = [] if assessments else _suggestions(selection.open, selection.sessions)
+    weak = [] if assessments else _suggestions(selection.open, selection.sessions, run)
     fit = selection.current
     known = Intervals(fit, complete=all(one.dwarfs for one in assessments))
     effects = [one.entry(known, bool(doubts)) for one in assessments] + [
@@ -119,7 +118,7 @@ def conclude(selection: StepwiseSelection, remarks: tuple[str, ...],
     return Discovery(
         verdict=verdict,
         effects=tuple(sorted(effects, key=lambda e: (e.p_value, -e.delta_bic))),
-        gap=held_out_gap(fit, selection.sessions, truth,
+        gap=held_out_gap(fit, selection.sessions, truth, run,
                          partial(relearn, learned.findings) if learned else None),
         maps_before=before, maps_after=after, unexplained=unexplained,
         selection=tuple(selection.steps),
@@ -129,7 +128,7 @@ def conclude(selection: StepwiseSelection, remarks: tuple[str, ...],
         localisation=known.localisation(),
         next_experiment=(
             confirmation(learned.findings[0], FitEvidence(start).duration / 60) if learned
-            else next_experiment(fit, rivals)),
+            else next_experiment(fit, rivals, run)),
         model=fit.model,
         particles=_particle_parameters(fit),
         remarks=(*remarks, *_confounded(start)),
@@ -207,19 +206,19 @@ class _Assessment:
 
     @classmethod
     def of(cls, selection: StepwiseSelection, name: str,
-           left: Iterable[ResidualMap]) -> _Assessment:
+           left: Iterable[ResidualMap], run: Run) -> _Assessment:
         """Of the effect `name` of the model selected so far, beside which maps find so much
         `left`.
         """
         rest = without(selection.current, name)
-        own, maps = compare(selection.current, rest, name), residual_maps(rest)
+        own, maps = compare(selection.current, rest, name), residual_maps(rest, run)
         # Halves of a recording in which the frequency was stepped once predict nothing.
         alone = (EFFECTS[name].is_drive_curve
                  and curve_p_value(selection.current, name) < BACKWARD)
         dwarfs = _dwarfs(own, maps, left)
         if not dwarfs and not alone:
             return cls(own, float('nan'), False, False, [], [], dwarfs)
-        gain = _paid_log_e_value(selection.current.model, selection.sessions, name)
+        gain = _paid_log_e_value(selection.current.model, selection.sessions, name, run)
         sure = own.shape_seen and own.delta_bic > CLOSE and not is_cancelled(
             selection.current, name) and (gain > HELD_OUT or alone)
         most = own.log_p + np.log(len(EFFECTS)) - BETTER if sure else 0.0
@@ -267,13 +266,14 @@ def _worst(maps: Iterable[ResidualMap]) -> tuple[ResidualMap, ...]:
     return tuple(found.values())
 
 
-def _paid_log_e_value(model: Model, sessions: Sequence[PreparedSession], name: str) -> float:
+def _paid_log_e_value(model: Model, sessions: Sequence[PreparedSession], name: str,
+                      run: Run) -> float:
     """The e-value of an effect that was the best of the library: each could have been it."""
-    return log_e_value(model, sessions, name) - float(np.log(len(EFFECTS)))
+    return log_e_value(model, sessions, name, run) - float(np.log(len(EFFECTS)))
 
 
-def _suggestions(found: Sequence[CandidateFit],
-                 sessions: Sequence[PreparedSession]) -> list[_Assessment]:
+def _suggestions(found: Sequence[CandidateFit], sessions: Sequence[PreparedSession],
+                 run: Run = serially) -> list[_Assessment]:
     """The best of what is too weak for a model that has none yet, or seen from one side only."""
     likely = [c for c in found if c.p_value * len(found) < SUGGESTED]
     if not likely:
@@ -282,7 +282,7 @@ def _suggestions(found: Sequence[CandidateFit],
     first = likely[0]
     best = next((c for c in likely if c.shape_seen and not clearly_better(first, c)), first)
     rivals = [c for c in found if c is not best and _close(c, best)]
-    gain = _paid_log_e_value(best.fit.model, sessions, best.id)
+    gain = _paid_log_e_value(best.fit.model, sessions, best.id, run)
     return [_Assessment(best, gain, False, False, rivals, [])]
 
 

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from microbot_ros.discovery.processes import Run, serially
 from microbot_ros.discovery.result import Gap
 from microbot_ros.discovery.search import fit_candidate
 from microbot_ros.estimation.expected_displacement import ExpectedDisplacement
@@ -46,12 +47,17 @@ def block_of(session: PreparedSession, blocks: int) -> np.ndarray:
 
 
 def learn(model: Model, sessions: Sequence[PreparedSession], names: Iterable[str]) -> ModelFit:
-    """The effects `names` fitted to `sessions` in their order, beside a `model` without them.
+    """The effects `names` fitted to `sessions` in their order, beside a `model` without them."""
+    return _learn_beside(fit_sessions(model, sessions), sessions, names)
+
+
+def _learn_beside(fit: ModelFit, sessions: Sequence[PreparedSession],
+                  names: Iterable[str]) -> ModelFit:
+    """The effects `names` fitted to `sessions` in their order, beside a `fit` to these.
 
     From starting points of their own, so that no other fit leaves a trace. An effect with a shape
     that these sessions don't show is left out: it would be made up.
     """
-    fit = fit_sessions(model, sessions)
     for name in names:
         found = fit_candidate(fit, name)
         if found and (not found.has_shape or (found.shape_seen and found.delta_bic > 0)):
@@ -61,7 +67,8 @@ def learn(model: Model, sessions: Sequence[PreparedSession], names: Iterable[str
 
 # The gain in likelihood -------------------------------------------------------------------------
 
-def log_e_value(model: Model, sessions: Sequence[PreparedSession], effect: str) -> float:
+def log_e_value(model: Model, sessions: Sequence[PreparedSession], effect: str,
+                run: Run = serially) -> float:
     """Natural log of an e-value for an `effect` of a `model`: its mean is at most 1 without it.
 
     Half of each recording foretells, with effects, v and φ learned from it alone, by what m the
@@ -77,16 +84,20 @@ def log_e_value(model: Model, sessions: Sequence[PreparedSession], effect: str) 
     learned too. E is the mean over all choices of the half that foretells.
     """
     rest = [e.id for e in model.effects if e.id != effect]
-    bare, logs = replace(model, effects=()), []
+    bare = replace(model, effects=())
     shortest = min(float(np.ptp(session.times)) for session in sessions)
     fine = int(np.clip(shortest / SHORTEST, COARSE, FINE)) // 2 * 2
-    for blocks in dict.fromkeys((COARSE, fine)):
-        even, odd = ([s.only(block_of(s, blocks) % 2 == half) for s in sessions]
-                     for half in (0, 1))
-        for known, judged in ((even, odd), (odd, even)):
-            learned = learn(bare, known, rest)
-            found = fit_candidate(learned, effect)
-            logs.append(0.0 if found is None else _log_ratio(learned, found.fit, judged))
+
+    def judged(choice: tuple[int, int]) -> float:
+        blocks, half = choice
+        known, other = ([s.only(block_of(s, blocks) % 2 == which) for s in sessions]
+                        for which in (half, 1 - half))
+        learned = learn(bare, known, rest)
+        found = fit_candidate(learned, effect)
+        return 0.0 if found is None else _log_ratio(learned, found.fit, other)
+
+    logs = list(run(judged, [
+        (blocks, half) for blocks in dict.fromkeys((COARSE, fine)) for half in (0, 1)]))
     return float(np.logaddexp.reduce(logs) - np.log(len(logs)))
 
 
@@ -141,6 +152,7 @@ def _gram(here: SessionFit, shift: np.ndarray, jacobian: np.ndarray) -> np.ndarr
 # The gap in prediction --------------------------------------------------------------------------
 
 def held_out_gap(fit: ModelFit, sessions: Sequence[PreparedSession], truth: Model | None = None,
+                 run: Run = serially,
                  relearn: Callable[[ModelFit], ModelFit] | None = None) -> Gap:
     """Open-loop prediction over a horizon, each block predicted from a fit to all others.
 
@@ -150,31 +162,34 @@ def held_out_gap(fit: ModelFit, sessions: Sequence[PreparedSession], truth: Mode
     heading that chance has scattered. The effects of `truth`, where it is known, are not fitted.
     What depends on position is taken where the particles were. `relearn` adds a term to a fit,
     learned from what that leaves: blocks are short then, since no table tells of a time in which
-    nothing was seen.
+    nothing was seen. `run` shares the blocks.
     """
     shortest = min(float(np.ptp(session.times)) for session in sessions)
     horizon = min(HORIZON, shortest / (2 * BLOCKS))
     judged = [_explicable(session, p.session)
               for session, p in zip(sessions, fit.session_fits, strict=True)]
     bare, names = replace(fit.model, effects=(), learned=()), [e.id for e in fit.model.effects]
-    errors: dict[str, list[np.ndarray]] = {}
-    for block in range(BLOCKS):
+
+    def errors_in(block: int) -> dict[str, np.ndarray]:
         inside = [(_turns(s, horizon) if relearn else block_of(s, BLOCKS)) == block
                   for s in sessions]
         rest = [s.only(~hidden) for s, hidden in zip(sessions, inside, strict=True)]
-        learned = {'before': learn(bare, rest, ())}
-        learned['after'] = learn(bare, rest, names) if names else learned['before']
+        before = fit_sessions(bare, rest)
+        learned = {'before': before, 'after': _learn_beside(before, rest, names)}
         if relearn:
             learned['learned'] = relearn(learned['after'])
         if truth:
-            known = [p.whitening for p in learned['before'].session_fits]
+            known = [p.whitening for p in before.session_fits]
             learned['truth'] = fit_noise(evaluate(truth, rest, known))
-        for name, one in learned.items():
-            errors.setdefault(name, []).extend(
-                _errors(one.model, p, session, hidden, horizon) for p, session, hidden in zip(
-                    one.session_fits, judged, inside, strict=True))
+        return {name: np.concatenate([
+            _errors(one.model, p, session, hidden, horizon) for p, session, hidden in zip(
+                one.session_fits, judged, inside, strict=True)])
+            for name, one in learned.items()}
+
+    errors = list(run(errors_in, range(BLOCKS)))
     floor = _floor(fit, horizon)
-    excess = {name: _excess(np.concatenate(found), floor) for name, found in errors.items()}
+    excess = {name: _excess(np.concatenate([found[name] for found in errors]), floor)
+              for name in errors[0]}
     return Gap(horizon, excess['before'], excess['after'], floor, excess.get('truth', np.nan),
                excess.get('learned', np.nan))
 

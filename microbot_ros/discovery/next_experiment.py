@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from microbot_ros.discovery.processes import Run, serially
 from microbot_ros.discovery.result import NextExperiment
 from microbot_ros.estimation.likelihood import Whitening
 from microbot_ros.estimation.model_fit import ModelFit, evaluate, maximise
@@ -51,17 +52,22 @@ _MENU = (
 )
 
 
-def next_experiment(fit: ModelFit, rivals: Sequence[Model]) -> NextExperiment | None:
+def next_experiment(fit: ModelFit, rivals: Sequence[Model],
+                    run: Run = serially) -> NextExperiment | None:
     """The command of the menu that best tells a fit from all its rivals, and for how long.
 
     Each plan is tried out on the particles of the last session under the fitted model; its worth
     is the least expected difference in log likelihood, every rival's parameters, v and φ at their
-    best. None without rivals; in words where no plan helps.
+    best. None without rivals; in words where no plan helps. `run` tries the plans.
     """
     if not rivals:
         return None
-    worth = [min(_separation(fit, _trial(fit, plan), rival) for rival in rivals)
-             for plan in _MENU]
+
+    def told(plan: _Plan) -> float:
+        trial = _trial(fit, plan)
+        return min(_separation(fit, trial, rival) for rival in rivals)
+
+    worth = list(run(told, _MENU))
     best = int(np.argmax(worth))
     minutes = TRIAL / 60 * DECIDES / max(worth[best], 1e-9)
     if minutes > LONGEST:

@@ -6,11 +6,14 @@ T = ‖Uᵀr‖² is χ² where nothing is left (a score test: Rao 1948); p-valu
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from microbot_ros.discovery.covariates import Covariates, Group
+from microbot_ros.discovery.processes import Run, serially
 from microbot_ros.discovery.result import FIRES, ResidualMap
 from microbot_ros.discovery.starting_points import rotating_components
 from microbot_ros.discovery.tail_probabilities import chi_square_tail, peak_tail_probability
@@ -26,14 +29,14 @@ DIRECTED = 0.02
 """Part of its largest speed below which a particle has no direction to draw along."""
 
 
-def residual_maps(fit: ModelFit) -> tuple[ResidualMap, ...]:
-    """All maps of a fit, Holm-adjusted together."""
+def residual_maps(fit: ModelFit, run: Run = serially) -> tuple[ResidualMap, ...]:
+    """All maps of a `fit`, Holm-adjusted together; `run` makes them."""
     covariates = [Covariates(p) for p in fit.session_fits]
     by_name: dict[str, list[tuple[int, Group]]] = {}
     for k, context in enumerate(covariates):
         for group in context.groups():
             by_name.setdefault(group.against, []).append((k, group))
-    raw = [_tested(fit, groups) for groups in by_name.values()]
+    raw = list(run(partial(_tested, fit, fit.jacobian), list(by_name.values())))
     raw += [_rhythm(fit), _rhythm(fit, covariates), _single_steps(fit)]
     adjusted = _holm([m.p_value for m in raw])
     return tuple(
@@ -50,11 +53,12 @@ def _holm(p_values: list[float]) -> list[float]:
     return [float(p) for p in result]
 
 
-def _tested(fit: ModelFit, groups: list[tuple[int, Group]]) -> ResidualMap:
+def _tested(fit: ModelFit, jacobian: Sequence[np.ndarray],
+            groups: list[tuple[int, Group]]) -> ResidualMap:
     """The test of one covariate over the sessions that have it, each with its own coefficients."""
     statistic, dof = 0.0, 0
     for k, group in groups:
-        value, rank = _score(fit.session_fits[k], fit.jacobian[k], group.fields)
+        value, rank = _score(fit.session_fits[k], jacobian[k], group.fields)
         statistic, dof = statistic + value, dof + rank
     group = groups[0][1]
     middles, curves = _curves(fit.session_fits[groups[0][0]], group)

@@ -17,6 +17,9 @@ from microbot_ros.discovery.tail_probabilities import log_chi_square_tail, log_o
 from microbot_ros.estimation.model_fit import ModelFit, fit_with_noise, maximise
 from microbot_ros.model.effects import EFFECTS
 
+COARSE = 0.5
+"""Gain in −2 log likelihood that ends a first look at a candidate."""
+
 
 @dataclass(frozen=True)
 class CandidateFit:
@@ -70,14 +73,27 @@ def fit_candidate(fit: ModelFit, effect_id: str) -> CandidateFit | None:
 
     None where the data can't show it.
     """
+    found = look_at(fit, effect_id)
+    return found and polish(found, fit)
+
+
+def look_at(fit: ModelFit, effect_id: str) -> CandidateFit | None:
+    """A coarse fit of a model with `effect_id` added to that of a `fit`, from the best start.
+
+    Good to about a unit of the likelihood ratio. None where the data can't show the effect.
+    """
     effect, evidence = EFFECTS[effect_id], FitEvidence(fit)
     if not effect.applies(evidence) or effect.absorbed_by_phi(evidence):
         return None
-    tried = [maximise(fit.under(fit.model.with_effect(start)))
+    tried = [maximise(fit.under(fit.model.with_effect(start)), enough=COARSE)
              for start in effect.starts(evidence)]
-    if not tried:
-        return None
-    best = min((compare(one, fit, effect_id) for one in tried), key=lambda one: one.log_p)
+    return min((compare(one, fit, effect_id) for one in tried),
+               key=lambda one: one.log_p, default=None)
+
+
+def polish(found: CandidateFit, fit: ModelFit) -> CandidateFit:
+    """A coarse candidate `found` beside a `fit` at its maximum; with noise, if it is evidence."""
+    best = compare(maximise(found.fit), fit, found.id)
     if best.likelihood_ratio <= NEGLIGIBLE:
         return best
-    return compare(fit_with_noise(best.fit), fit, effect_id)
+    return compare(fit_with_noise(best.fit), fit, found.id)

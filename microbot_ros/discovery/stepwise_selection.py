@@ -9,11 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import compress
 
 import numpy as np
 
+from microbot_ros.discovery.processes import Run, serially
 from microbot_ros.discovery.result import Candidate, SelectionStep
-from microbot_ros.discovery.search import CandidateFit, compare, fit_candidate
+from microbot_ros.discovery.search import CandidateFit, compare, look_at, polish
 from microbot_ros.estimation.expected_displacement import ExpectedDisplacement
 from microbot_ros.estimation.likelihood import SessionFit, eliminate, inner
 from microbot_ros.estimation.model_fit import ModelFit, fit_sessions, fit_with_noise
@@ -28,16 +30,25 @@ MOST = 4
 CLEARLY = 3.0
 """Gain in log p for which one effect is preferred to another: a factor of 20."""
 
+REACH = 20.0
+"""How far a candidate's log p may lie behind the best at first sight and still be polished."""
+
 Search = Callable[[ModelFit, Iterable[str]], list[CandidateFit]]
 
 
-def search(fit: ModelFit, names: Iterable[str],
-           run: Callable[..., Iterable[CandidateFit | None]] = map) -> list[CandidateFit]:
+def search(fit: ModelFit, names: Iterable[str], run: Run = serially) -> list[CandidateFit]:
     """Every candidate among `names` that the data can show beside a `fit`, best first.
 
-    The least likely by chance. `run` is `map`, or that of an executor.
+    The least likely by chance. What at first sight lies far behind the best stays as it is then,
+    unless it makes headings remember, since then it shows with noise of its own. `run` as
+    `serially` or `in_processes`.
     """
-    found = [one for one in run(partial(fit_candidate, fit), names) if one is not None]
+    kept = [one for p in fit.session_fits for one in (p.session, p.whitening)]
+    seen = [one for one in run(partial(look_at, fit), list(names), kept) if one is not None]
+    best = min((one.log_p for one in seen), default=0.0)
+    near = [one.log_p < best + REACH or one.fit.model.lags != fit.model.lags for one in seen]
+    polished = iter(run(partial(polish, fit=fit), list(compress(seen, near)), kept))
+    found = [next(polished) if is_near else one for one, is_near in zip(seen, near, strict=True)]
     return sorted(found, key=lambda one: one.log_p)
 
 
@@ -56,6 +67,7 @@ class StepwiseSelection:
     current: ModelFit = field(init=False)
     steps: list[SelectionStep] = field(default_factory=list)
     open: list[CandidateFit] = field(default_factory=list)
+    _before: set[frozenset[str]] = field(init=False, default_factory=set)
     _rivals: dict[str, list[CandidateFit]] = field(init=False, default_factory=dict)
     _rivals_of: ModelFit | None = field(init=False, default=None)
 
@@ -65,6 +77,7 @@ class StepwiseSelection:
 
     def fit(self, model: Model) -> ModelFit:
         """A `model` fitted to what of the sessions it can explain."""
+        self._before.add(frozenset(e.id for e in model.effects))
         return fit_sessions(model, self.sessions)
 
     def run(self, report: Callable[[str], None]) -> None:
@@ -106,15 +119,23 @@ class StepwiseSelection:
         return tuple(removed)
 
     def _exchange(self, report: Callable[[str], None]) -> bool:
-        """Exchange one effect for one that explains clearly more in its place."""
+        """Exchange one effect for one that explains clearly more in its place.
+
+        Not for one that makes a model which was there before: where none suits, each model has
+        something that one of the others explains better.
+        """
         for effect in self.current.model.effects:
             own = contribution(self.current, effect.id)
             best = next((rival for rival in self.rivals(effect.id) if rival.shape_seen), None)
-            if best is not None and clearly_better(best, own):
+            if best is not None and clearly_better(best, own) and not self._had(best.fit.model):
                 report(f'{best.id} instead of {effect.id}')
                 self.current = self.fit(best.fit.model)
                 return True
         return False
+
+    def _had(self, model: Model) -> bool:
+        """Whether a model of the same effects was the best before."""
+        return frozenset(e.id for e in model.effects) in self._before
 
     def rivals(self, name: str) -> list[CandidateFit]:
         """What could stand in place of the effect `name`, best first; found once per fit."""

@@ -141,23 +141,77 @@ def _stationary_variance(diffusion_ratio, times, retention, k, n):  # type: igno
 
 
 @njit(cache=True)
-def _heading_noise(h, diffusion_ratio, sensitivity, retention):  # type: ignore[no-untyped-def]
+def _heading_noise(h, diffusion_ratio, retention):  # type: ignore[no-untyped-def]
     """What noise in the heading adds over an interval h: an Ornstein–Uhlenbeck process.
 
-    The velocity per radian, and the variance of its integral, their covariance, the variance of
-    the heading.
+    The velocity per sensitivity, and the variance of its integral, their covariance, the variance
+    of the heading.
     """
     if retention < 1e-9:
-        return 0j, 0.0, 0.0, 0.0
+        return 0.0, 0.0, 0.0, 0.0
     decay = -math.log(retention)
     if abs(decay) < 1e-3:
         variance = diffusion_ratio * 2 * h
-        return sensitivity / h, variance * h**2 / 3, variance * h / 2, variance
+        return 1 / h, variance * h**2 / 3, variance * h / 2, variance
     rate = decay / h
     spread = 2 / rate**2 * (h - 2 * (1 - retention) / rate + (1 - retention**2) / (2 * rate))
-    return (sensitivity * rate / (1 - retention), diffusion_ratio * spread,
+    return (rate / (1 - retention), diffusion_ratio * spread,
             diffusion_ratio * ((1 - retention) / rate) ** 2,
             diffusion_ratio * (1 - retention**2) / rate)
+
+
+@njit(cache=True)
+def _heading_noises(times, diffusion_ratio, retention):  # type: ignore[no-untyped-def]
+    """`_heading_noise` (T−1, 4) of every frame interval, for the first particle."""
+    out = np.empty((len(times) - 1, 4))
+    for k in range(len(out)):
+        out[k] = _heading_noise(times[k + 1] - times[k], diffusion_ratio, retention[k, 0])
+    return out
+
+
+NEGLIGIBLE = 1e-12
+"""Covariance of x and y, relative to their variances, that is none."""
+
+
+@njit(cache=True)
+def _ahead(covariance, h, side, spread, mixed, turned, b, q):  # type: ignore[no-untyped-def]
+    """The covariance of place and heading (xx, xy, yy, xa, ya, aa) an interval h later.
+
+    `b` and `q`: sensitivity and retention; the rest as `_heading_noise` has it.
+    """
+    xx, xy, yy, xa, ya, aa = covariance
+    if aa == 0 and turned == 0:  # the field holds the heading, as it mostly does
+        return xx + 2 * h, xy, yy + 2 * h, 0.0, 0.0, 0.0
+    u, v = b.real, b.imag
+    i, j = u * side, v * side
+    xx += 2 * u * xa + u * u * aa + spread * i * i + 2 * h
+    yy += 2 * v * ya + v * v * aa + spread * j * j + 2 * h
+    xy += u * ya + v * xa + u * v * aa + spread * i * j
+    xa = q * (xa + u * aa) + mixed * i
+    ya = q * (ya + v * aa) + mixed * j
+    return xx, xy, yy, xa, ya, q * q * aa + turned
+
+
+@njit(cache=True)
+def _seen(covariance, ratio_x, ratio_y):  # type: ignore[no-untyped-def]
+    """The covariance after a reading, the gains (xx, xy, yx, yy, ax, ay), how to make the
+    innovation white (scale of x, lean, scale of y), and the determinant of its covariance.
+    """
+    xx, xy, yy, xa, ya, aa = covariance
+    sx, sy = xx + ratio_x, yy + ratio_y
+    if aa == 0 and abs(xy) < NEGLIGIBLE * sx:  # before it is a number too small to be fast
+        gx, gy = xx / sx, yy / sy
+        return ((ratio_x * gx, 0.0, ratio_y * gy, 0.0, 0.0, 0.0), (gx, 0.0, 0.0, gy, 0.0, 0.0),
+                (1 / math.sqrt(sx), 0.0, 1 / math.sqrt(sy)), sx * sy)
+    det = sx * sy - xy * xy
+    over = 1 / det
+    gxx, gxy = (xx * sy - xy * xy) * over, (xy * sx - xx * xy) * over
+    gyx, gyy = (xy * sy - yy * xy) * over, (yy * sx - xy * xy) * over
+    gax, gay = (xa * sy - ya * xy) * over, (ya * sx - xa * xy) * over
+    after = (ratio_x * gxx, ratio_y * gxy, ratio_y * gyy,
+             xa - gxx * xa - gxy * ya, ya - gyx * xa - gyy * ya, aa - gax * xa - gay * ya)
+    white = 1 / math.sqrt(sx), xy / sx, math.sqrt(sx * over)
+    return after, (gxx, gxy, gyx, gyy, gax, gay), white, det
 
 
 @njit([(*_ROWS, given(types.complex128, 3, 'C'), types.float64, types.float64, types.float64,
@@ -175,23 +229,20 @@ def whiten_with_heading(  # type: ignore[no-untyped-def]
     """
     T, N, M = columns.shape
     out = np.zeros((T, N, M), np.complex128)
-    log_det, used = 0.0, 0
+    log_det, used, product = 0.0, 0, 1.0
+    noises = _heading_noises(times, diffusion_ratio, retention)
     place, turn = np.zeros(M, np.complex128), np.zeros(M)
     for n in range(N):
         piece = 0
-        xx = xy = yy = xa = ya = aa = 0.0
+        covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         for k in range(T):
             if piece:
                 b, q = sensitivity[k - 1, n], retention[k - 1, n]
                 h = times[k] - times[k - 1]
-                side, spread, mixed, turned = _heading_noise(h, diffusion_ratio, b, q)
-                u, v = b.real, b.imag
-                xx += 2 * u * xa + u * u * aa + spread * side.real**2 + 2 * h
-                yy += 2 * v * ya + v * v * aa + spread * side.imag**2 + 2 * h
-                xy += u * ya + v * xa + u * v * aa + spread * side.real * side.imag
-                xa = q * (xa + u * aa) + mixed * side.real
-                ya = q * (ya + v * aa) + mixed * side.imag
-                aa = q * q * aa + turned
+                noise = (noises[k - 1, 0], noises[k - 1, 1], noises[k - 1, 2], noises[k - 1, 3])
+                if q != retention[k - 1, 0]:
+                    noise = _heading_noise(h, diffusion_ratio, q)
+                covariance = _ahead(covariance, h, *noise, b, q)
                 for m in range(M):
                     place[m] += b * turn[m]
                     turn[m] *= q
@@ -199,28 +250,85 @@ def whiten_with_heading(  # type: ignore[no-untyped-def]
                 continue
             if pieces[k, n] != piece:
                 piece = pieces[k, n]
-                xx, yy = ratio_x, ratio_y
-                xy = xa = ya = 0.0
-                aa = _stationary_variance(diffusion_ratio, times, retention, k, n)
+                covariance = (ratio_x, 0.0, ratio_y, 0.0, 0.0, _stationary_variance(
+                    diffusion_ratio, times, retention, k, n))
                 for m in range(M):
                     place[m], turn[m] = columns[k, n, m], 0.0
                 continue
-            sx, sy = xx + ratio_x, yy + ratio_y
-            det = sx * sy - xy * xy
-            scale_x, lean = 1 / math.sqrt(sx), xy / sx
-            scale_y = math.sqrt(sx / det)
-            log_det += 0.5 * math.log(det)
+            covariance, gains, white, det = _seen(covariance, ratio_x, ratio_y)
+            gxx, gxy, gyx, gyy, gax, gay = gains
+            scale_x, lean, scale_y = white
+            # One logarithm for many, for it costs as much as all the rest.
+            product *= det
+            if not 1e-150 < product < 1e150:
+                log_det += 0.5 * math.log(product)
+                product = 1.0
             used += 1
-            gxx, gxy = (xx * sy - xy * xy) / det, (xy * sx - xx * xy) / det
-            gyx, gyy = (xy * sy - yy * xy) / det, (yy * sx - xy * xy) / det
-            gax, gay = (xa * sy - ya * xy) / det, (ya * sx - xa * xy) / det
             for m in range(M):
                 step = columns[k, n, m] - place[m]
                 i, j = step.real, step.imag
                 out[k, n, m] = complex(i * scale_x, (j - lean * i) * scale_y)
                 place[m] += complex(gxx * i + gxy * j, gyx * i + gyy * j)
                 turn[m] += gax * i + gay * j
-            aa -= gax * xa + gay * ya
-            xa, ya = xa - gxx * xa - gxy * ya, ya - gyx * xa - gyy * ya
-            xx, xy, yy = ratio_x * gxx, ratio_y * gxy, ratio_y * gyy
-    return out, log_det, used
+    return out, log_det + 0.5 * math.log(product), used
+
+
+@njit(cache=True)
+def whitened_products_with_heading(  # type: ignore[no-untyped-def]
+        times, pieces, z, offset, along, noise_ratio, diffusion_ratio, sensitivity, retention):
+    """`whitened_products` where headings are noisy as well.
+
+    `times`, `pieces`, `z`, `offset`, `along` and `noise_ratio` as there; `diffusion_ratio`,
+    `sensitivity` and `retention` as in `whiten_with_heading`.
+    """
+    T, N = z.shape
+    products, log_det, used, product = np.zeros((N, 3, 3)), 0.0, 0, 1.0
+    noises = _heading_noises(times, diffusion_ratio, retention)
+    place, turn = np.zeros(3, np.complex128), np.zeros(3)
+    new, white_new = np.zeros(3, np.complex128), np.zeros(3, np.complex128)
+    for n in range(N):
+        o, a = min(n, offset.shape[1] - 1), min(n, along.shape[1] - 1)
+        gram, piece = products[n], 0
+        covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        for k in range(T):
+            if piece:
+                b, q = sensitivity[k - 1, n], retention[k - 1, n]
+                h = times[k] - times[k - 1]
+                noise = (noises[k - 1, 0], noises[k - 1, 1], noises[k - 1, 2], noises[k - 1, 3])
+                if q != retention[k - 1, 0]:
+                    noise = _heading_noise(h, diffusion_ratio, q)
+                covariance = _ahead(covariance, h, *noise, b, q)
+                for m in range(3):
+                    place[m] += b * turn[m]
+                    turn[m] *= q
+            if not pieces[k, n]:
+                continue
+            new[0], new[1], new[2] = z[k, n] - offset[k, o], along[k, a], 1j * along[k, a]
+            if pieces[k, n] != piece:
+                piece = pieces[k, n]
+                covariance = (noise_ratio, 0.0, noise_ratio, 0.0, 0.0, _stationary_variance(
+                    diffusion_ratio, times, retention, k, n))
+                for m in range(3):
+                    place[m], turn[m] = new[m], 0.0
+                continue
+            covariance, gains, white, det = _seen(covariance, noise_ratio, noise_ratio)
+            gxx, gxy, gyx, gyy, gax, gay = gains
+            scale_x, lean, scale_y = white
+            product *= det
+            if not 1e-150 < product < 1e150:
+                log_det += 0.5 * math.log(product)
+                product = 1.0
+            used += 1
+            for m in range(3):
+                step = new[m] - place[m]
+                i, j = step.real, step.imag
+                x, y = i * scale_x, (j - lean * i) * scale_y
+                white_new[m] = complex(x, y)
+                place[m] += complex(gxx * i + gxy * j, gyx * i + gyy * j)
+                turn[m] += gax * i + gay * j
+                for other in range(m + 1):
+                    gram[m, other] += x * white_new[other].real + y * white_new[other].imag
+        for m in range(3):
+            for other in range(m):
+                gram[other, m] = gram[m, other]
+    return products, log_det + 0.5 * math.log(product), used

@@ -23,7 +23,7 @@ by ℓ_R, since that term depends on the scale of X: an effect that shrinks X wo
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -86,6 +86,24 @@ class Whitening:
                 self._unstretched(self.sensitivity), self.retention)
         return white, log_det + count * math.log(math.prod(self.stretch)), count
 
+    def products(self, session: PreparedSession,
+                 expected: ExpectedDisplacement) -> tuple[np.ndarray, float, int]:
+        """Inner products (N, 3, 3) of data, along and across, white; ½ log|V| and rows as `apply`.
+
+        Where what is `expected` is isotropic and nothing stretched; what is white need not be
+        kept then.
+        """
+        from microbot_ros.estimation.kernels import (
+            whitened_products,
+            whitened_products_with_heading,
+        )
+
+        columns = session.times, session.pieces, session.z, expected.offset, expected.along
+        if self.sensitivity is None:
+            return whitened_products(*columns, self.noise_ratio)
+        return whitened_products_with_heading(
+            *columns, self.noise_ratio, self.diffusion_ratio, self.sensitivity, self.retention)
+
     def _unstretched(self, vectors: np.ndarray) -> np.ndarray:
         """Complex `vectors` as they are, not as they look."""
         return vectors if self.stretch == (1.0, 1.0) else (
@@ -112,13 +130,8 @@ class SessionFit:
     def of(cls, session: PreparedSession, whitening: Whitening,
            expected: ExpectedDisplacement) -> SessionFit:
         """A `session` whose displacements are `expected`, under the noise of `whitening`."""
-        if expected.isotropic and whitening.is_plain:
-            from microbot_ros.estimation.kernels import whitened_products
-
-            gram, log_det, count = whitened_products(
-                session.times, session.pieces, session.z, expected.offset, expected.along,
-                whitening.noise_ratio)
-            return cls(session, whitening, expected, gram, log_det, count)
+        if expected.isotropic and whitening.stretch == (1.0, 1.0):
+            return cls(session, whitening, expected, *whitening.products(session, expected))
         white, log_det, count = whitening.apply(session, _columns(session, expected))
         fit = cls(session, whitening, expected, inner(white), log_det, count)
         vars(fit)['white'] = white
@@ -198,24 +211,36 @@ class SessionFit:
         white /= np.sqrt(self.diffusion)
         return white
 
-    def white_column(self, key: Hashable, column: Callable[[], np.ndarray]) -> np.ndarray:
-        """Another displacement `column` (T, N) [m], whitened, but for D.
+    def white_columns(
+            self, columns: Sequence[tuple[Hashable, Callable[[], np.ndarray]]]) -> np.ndarray:
+        """Other `columns`, displacements (T, N) [m] with a key each, whitened (T, N, P) but for D.
 
-        What has a `key` is remembered by it for this session and noise, the latest few of them.
+        Whose key is not None is remembered by it for this session and noise, the latest few of
+        them. The rest are whitened together, since most of the work is the same for all.
         """
         # With its session, as an id is given again once that is gone.
         known: dict[Hashable, tuple[PreparedSession, np.ndarray]]
         known = vars(self.whitening).setdefault('_columns', {})
-        place = key and (id(self.session), key)
-        if place in known:
-            return known[place][1]
-        moved = np.ascontiguousarray(
-            np.broadcast_to(column(), self.session.z.shape)[..., None], complex)
-        white: np.ndarray = self.whitening.apply(self.session, moved)[0][..., 0]
-        if place:
-            if len(known) >= REMEMBERED:
-                del known[next(iter(known))]
-            known[place] = self.session, white
+        shape = self.session.z.shape
+        white = np.empty((*shape, len(columns)), complex)
+        new = []
+        for k, (key, _) in enumerate(columns):
+            if (id(self.session), key) in known:
+                white[..., k] = known[id(self.session), key][1]
+            else:
+                new.append(k)
+        if not new:
+            return white
+        moved = np.empty((*shape, len(new)), complex)
+        for place, k in enumerate(new):
+            moved[..., place] = columns[k][1]()
+        white[..., new] = self.whitening.apply(self.session, moved)[0]
+        for k in new:
+            key = columns[k][0]
+            if key is not None:
+                if len(known) >= REMEMBERED:
+                    del known[next(iter(known))]
+                known[id(self.session), key] = self.session, white[..., k].copy()
         return white
 
     def with_noise_ratio(self, ratio: float) -> SessionFit:
@@ -249,11 +274,12 @@ class SessionFit:
             math.sqrt(reading + reading_std) - localisation)
 
 
-def search_noise_ratio(fit: SessionFit) -> Iterator[SessionFit | None]:
+def search_noise_ratio(fit: SessionFit, near: bool = False) -> Iterator[SessionFit | None]:
     """The maximum of ℓ_R over the noise ratio, from a `fit` with any, an evaluation at a time.
 
-    By golden section in log(σ²/D + h/3), then a parabola. Yields None after each evaluation, so
-    that a caller with frames to serve can spread the work; last the SessionFit.
+    In log(σ²/D + h/3), as `climb` finds it: uphill from the ratio of the `fit` where the maximum
+    is `near`. Yields None after each evaluation, so that a caller with frames to serve can spread
+    the work; last the SessionFit.
     """
     h = fit.session.interval
 
@@ -262,22 +288,55 @@ def search_noise_ratio(fit: SessionFit) -> Iterator[SessionFit | None]:
 
     # No blur lasts longer than the shortest interval.
     shortest = (1 / 3 - SMALLEST) * float(np.diff(fit.session.times).min())
-    low, high = math.log(h / 3 - shortest), math.log(LARGEST * h)
-    left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
-    known = {u: at(u).restricted_log_likelihood for u in (left, right)}
-    while high - low > _BRACKET:
+    return climb(at, math.log(h / 3 - shortest), math.log(LARGEST * h),
+                 math.log(fit.whitening.noise_ratio + h / 3) if near else None)
+
+
+def climb(at: Callable[[float], SessionFit], low: float, high: float,
+          near: float | None = None) -> Iterator[SessionFit | None]:
+    """The maximum of ℓ_R between `low` and `high`, `at` which there are fits.
+
+    By golden section, then a parabola. Where the maximum should be `near` a coordinate, it is
+    enclosed first, in steps that triple. Yields None after each evaluation; last the fit.
+    """
+    known: dict[float, float] = {}
+
+    def look(u: float) -> None:
+        known[u] = at(u).restricted_log_likelihood
+
+    if near is not None:
+        step = _BRACKET / 2
+        middle = min(max(near, low + step), high - step)
+        look(middle)
         yield None
+        edges = [middle - step, middle + step]
+        for edge in edges:
+            look(edge)
+            yield None
+        for side, bound in ((0, low), (1, high)):
+            while edges[side] != bound and known[edges[side]] == max(known.values()):
+                step *= 3
+                edges[1 - side] = middle
+                middle = edges[side]
+                edges[side] = min(max(middle + (2 * side - 1) * step, low), high)
+                look(edges[side])
+                yield None
+        low, high = edges
+    left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
+    while high - low > 1.001 * _BRACKET:
+        for u in (left, right):
+            if u not in known:
+                look(u)
+                yield None
         if known[left] > known[right]:
             high, right = right, left
-            left = new = high - _GOLDEN * (high - low)
+            left = high - _GOLDEN * (high - low)
         else:
             low, left = left, right
-            right = new = low + _GOLDEN * (high - low)
-        known[new] = at(new).restricted_log_likelihood
-    yield None
+            right = low + _GOLDEN * (high - low)
     best = max(known, key=known.__getitem__)
-    near = np.array(sorted(known, key=known.__getitem__)[-3:])
-    bend, slope, _ = np.polyfit(near - best, [known[u] - known[best] for u in near], 2)
+    around = np.array(sorted(known, key=known.__getitem__)[-3:])
+    bend, slope, _ = np.polyfit(around - best, [known[u] - known[best] for u in around], 2)
     vertex = best - slope / (2 * bend) if bend < 0 else best
     yield at(float(np.clip(vertex, low, high)))
 

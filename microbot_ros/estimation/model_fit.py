@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -13,6 +13,7 @@ from microbot_ros.estimation.expected_displacement import ExpectedDisplacement
 from microbot_ros.estimation.likelihood import (
     SessionFit,
     Whitening,
+    climb,
     eliminate,
     inner,
     search_noise_ratio,
@@ -33,6 +34,9 @@ ROUNDS = 8
 
 ENOUGH = 0.01
 """Gain in −2 log likelihood that ends a search: a tenth of a standard deviation is left."""
+
+TURNING = math.log(1e-5), math.log(10.0)
+"""Between what rotational diffusion [rad²/s] is looked for where nothing tells it, logarithms."""
 
 COLLINEAR = 1e-7
 """Part of a column's power below which v and φ absorb it."""
@@ -79,10 +83,10 @@ class ModelFit:
         white = []
         for p in self.session_fits:
             here = p.expected.at(p.velocity_phasor)
-            columns = [p.white_column(key, partial(_derivative, p, here, model, step))
-                       for model, step, key in zip(changed, steps, keys, strict=True)]
-            white.append(np.stack(columns, axis=-1) / np.sqrt(p.diffusion) if columns
-                         else np.empty((*p.session.z.shape, 0), complex))
+            white.append(p.white_columns([
+                (key, partial(_derivative, p, here, model, step))
+                for model, step, key in zip(changed, steps, keys, strict=True)
+            ]) / np.sqrt(p.diffusion))
         return tuple(white)
 
     @cached_property
@@ -170,11 +174,13 @@ def evaluate(model: Model, sessions: Sequence[PreparedSession],
         for session, whitening in zip(sessions, whitenings, strict=True)))
 
 
-def maximise(fit: ModelFit, iterations: int = 20, held: int | None = None) -> ModelFit:
+def maximise(fit: ModelFit, iterations: int = 20, held: int | None = None,
+             enough: float = ENOUGH) -> ModelFit:
     """Improve a `fit` in its effects' parameters, by Levenberg and Marquardt's method.
 
-    Within their bounds, in at most that many `iterations`. The noise filters stay as they are,
-    and so does the parameter `held`, by its place in the vector.
+    Within their bounds, in at most that many `iterations`, until one gains less than `enough` in
+    −2 log likelihood. The noise filters stay as they are, and so does the parameter `held`, by
+    its place in the vector.
     """
     if not fit.model.effects:
         return fit
@@ -189,44 +195,58 @@ def maximise(fit: ModelFit, iterations: int = 20, held: int | None = None) -> Mo
         if better is None:
             return fit
         gain, fit = fit.cost - better.cost, better
-        if gain < ENOUGH:
+        if gain < enough:
             return fit
     return fit
 
 
 def _improve(fit: ModelFit, low: np.ndarray, high: np.ndarray, angle: np.ndarray,
              damping: float) -> tuple[ModelFit | None, float]:
-    """One step downhill, or None where there is none; and the damping to go on with."""
+    """One step downhill, or None where there is none; and the damping to go on with.
+
+    Twice as far where that is better still: Gauss and Newton's step falls short where what is
+    left is large and bent.
+    """
     information, slope, visible = fit.normal
     x = fit.model.vector()
     free = visible & (low < high) & ~((x <= low) & (slope < 0)) & ~((x >= high) & (slope > 0))
     if not free.any():
         return None, damping
     chosen = np.ix_(free, free)
+
+    def stepped(step: np.ndarray) -> ModelFit:
+        there = np.clip(x + step, low, high)
+        there[angle] = (there[angle] + np.pi) % (2 * np.pi) - np.pi
+        return fit.under(fit.model.with_vector(there))
+
+    step = np.zeros(len(x))
     for _ in range(8):
         damped = information[chosen] + damping * np.diag(np.diag(information)[free])
-        trial = x.copy()
-        trial[free] += np.linalg.lstsq(damped, slope[free], rcond=1e-14)[0]
-        trial = np.clip(trial, low, high)
-        trial[angle] = (trial[angle] + np.pi) % (2 * np.pi) - np.pi
-        tried = fit.under(fit.model.with_vector(trial))
+        step[free] = np.linalg.lstsq(damped, slope[free], rcond=1e-14)[0]
+        tried = stepped(step)
         if tried.cost < fit.cost:
+            if tried.cost < fit.cost - ENOUGH:
+                tried = min(tried, stepped(2 * step), key=lambda one: one.cost)
             return tried, damping / 5
         damping *= 8
     return None, damping
 
 
-def fit_noise(fit: ModelFit) -> ModelFit:
-    """The model of a `fit` with every session's noise at its maximum."""
-    return ModelFit(fit.model, tuple(_fit_noise(fit.model, one) for one in fit.session_fits))
+def fit_noise(fit: ModelFit, near: bool = False) -> ModelFit:
+    """The model of a `fit` with every session's noise at its maximum.
+
+    Looked for everywhere, or uphill from what the fit has, where that was fitted to about the
+    same: `near` it.
+    """
+    return ModelFit(
+        fit.model, tuple(_fit_noise(fit.model, one, near) for one in fit.session_fits))
 
 
-def _fit_noise(model: Model, fit: SessionFit) -> SessionFit:
-    from scipy.optimize import minimize_scalar
-
-    session, ratio = fit.session, fit.whitening.noise_ratio
+def _fit_noise(model: Model, fit: SessionFit, near: bool) -> SessionFit:
+    session, known = fit.session, fit.whitening
     remembered = remembers(model, session)
-    plain = Whitening(ratio, stretch=model.stretch)
+    near = near and remembered == (known.sensitivity is not None)
+    plain = Whitening(known.noise_ratio, stretch=model.stretch)
     if remembered:
         sensitivity, retention = _heading_noise(model, session, fit.velocity_phasor)
         plain = replace(plain, sensitivity=sensitivity, retention=retention)
@@ -237,12 +257,18 @@ def _fit_noise(model: Model, fit: SessionFit) -> SessionFit:
 
     turning = session.rotational_diffusion if remembered else 0.0
     if turning is None:
-        turning = math.exp(minimize_scalar(
-            lambda log_turning: -at(math.exp(log_turning)).restricted_log_likelihood,
-            method='bounded', bounds=(math.log(1e-5), math.log(10.0)), options={'xatol': 0.1}).x)
-    *_, best = search_noise_ratio(at(turning))
-    assert best is not None
-    return best
+        usual = math.log(known.diffusion_ratio * fit.diffusion) if near else None
+        start = _last(climb(lambda u: at(math.exp(u)), *TURNING, usual))
+    else:
+        start = at(turning)
+    return _last(search_noise_ratio(start, near))
+
+
+def _last(search: Iterator[SessionFit | None]) -> SessionFit:
+    """What a search ends with."""
+    *_, found = search
+    assert found is not None
+    return found
 
 
 def remembers(model: Model, session: PreparedSession) -> bool:
@@ -280,10 +306,17 @@ def _heading_noise(model: Model, session: PreparedSession,
 
 
 def fit_with_noise(fit: ModelFit) -> ModelFit:
-    """Effects and noise together at their maximum, from a `fit`: in turns, until neither gains."""
-    fit = fit_noise(maximise(fit))
+    """Effects and noise together at their maximum, from a `fit`: in turns, until neither gains.
+
+    Noise is taken to be near that of the fit, but where headings remember it that did not.
+    """
+    lags = fit.model.lags
+    fit = fit_noise(fit if lags else maximise(fit), near=True)
     for _ in range(ROUNDS):
-        better = fit_noise(maximise(fit))
+        better = fit_noise(maximise(fit), near=True)
+        if lags and better.cost > fit.cost:
+            # Filters that are right for one lag may favour another, which has other ones.
+            better = fit_noise(maximise(fit, 1), near=True)
         gain = fit.cost - better.cost
         if gain > 0:
             fit = better
@@ -299,23 +332,26 @@ def fit_sessions(model: Model, sessions: Sequence[PreparedSession]) -> ModelFit:
     filter under the model believes.
     """
     fit = _fit_predictable(model, sessions, [ROTATIONAL_DIFFUSION] * len(sessions))
-    if not fit.model.lags:
-        return fit
-    # What a lag can explain depends on how long it is, and on how noisy headings are.
-    return _fit_predictable(
-        fit.model, sessions, [s.whitening.diffusion_ratio * s.diffusion for s in fit.session_fits])
-
-
-def _fit_predictable(model: Model, sessions: Sequence[PreparedSession],
-                     turning: Sequence[float]) -> ModelFit:
-    parts = [predictable_part(session, model, one)
-             for session, one in zip(sessions, turning, strict=True)]
-    # Terms that were learned may ask for φ, which nobody knows yet.
-    fit = fit_with_noise(evaluate(
-        replace(model, learned=()), parts, [Whitening(part.interval) for part in parts]))
+    if fit.model.lags:
+        # What a lag can explain depends on how long it is, and on how noisy headings are.
+        fit = _fit_predictable(fit.model, sessions, [
+            s.whitening.diffusion_ratio * s.diffusion for s in fit.session_fits])
     located = [
         replace(s.session.with_filtered_positions(
             s.expected.at(s.velocity_phasor), s.whitening.noise_ratio),
             phi=np.angle(s.velocity_phasor)) for s in fit.session_fits]
     return fit_with_noise(evaluate(replace(fit.model, learned=model.learned), located,
                                    [s.whitening for s in fit.session_fits]))
+
+
+def _fit_predictable(model: Model, sessions: Sequence[PreparedSession],
+                     turning: Sequence[float]) -> ModelFit:
+    """A `model` at the positions as they are, whose headings diffuse by `turning` [rad²/s].
+
+    Without terms that were learned: they may ask for φ, which nobody knows yet.
+    """
+    parts = [predictable_part(session, model, one)
+             for session, one in zip(sessions, turning, strict=True)]
+    start = evaluate(
+        replace(model, learned=()), parts, [Whitening(part.interval) for part in parts])
+    return fit_with_noise(fit_noise(start))

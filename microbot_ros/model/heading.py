@@ -47,7 +47,11 @@ def integrate_heading(
         return segments, heading_course(model, inside, start), inside
     if model.turns_by_place and inside.places is not None:
         context = context.after(0, inside.places.led_by(segments.lead))
-    return segments, heading_course(model, context).after(segments.lead), inside
+    course = timeline.part(
+        (model.answering('latency', 'field', 'heading_offset', 'alignment_rate'),
+         tuple(term for term in model.learned if term.acts_on == 'heading')), model,
+        lambda: heading_course(model, context).after(segments.lead))
+    return segments, course, inside
 
 
 def heading_course(

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
+from microbot_ros.model.effect import Effect
+from microbot_ros.model.effect_context import EffectContext
 from microbot_ros.model.heading import integrate_heading
+from microbot_ros.model.learned_term import LearnedTerm
 from microbot_ros.model.model import Model, ParticleParameters
-from microbot_ros.model.timeline import Timeline
+from microbot_ros.model.timeline import Segments, Timeline
 from microbot_ros.model.vectors import as_vectors
 
 
@@ -57,12 +61,23 @@ def respond(model: Model, timeline: Timeline, start: np.ndarray | None = None) -
         return _directly(model, timeline, 0j if start is None else complex(start[0]))
     segments, course, context = integrate_heading(model, timeline, start)
     propulsion = segments.sum(course.path * model.speed_factor(context))
-    drift = model.drift(context)
-    if drift is None:
-        moved = np.zeros((len(propulsion), 1, 2))
-    else:
-        moved = segments.sum(drift * context.span[..., None])
+    moved = np.zeros((len(propulsion), 1, 2))
+    for effect in model.drifts:
+        moved = moved + timeline.part(
+            (effect, model.answering('latency', 'field', 'observe')), model,
+            partial(_drifted, effect, segments, context))
+    for term in model.learned:
+        moved = moved + _drifted(term, segments, context)
     return Response(model, propulsion, moved, course.heading[segments.frames])
+
+
+def _drifted(effect: Effect | LearnedTerm, segments: Segments,
+             context: EffectContext) -> np.ndarray:
+    """What one effect drifts in every frame interval (T−1, 1 or N, 2) [m]."""
+    drift = effect.drift(context)
+    if drift is None:
+        return np.zeros((len(segments.first), 1, 2))
+    return segments.sum(drift * context.span[..., None])
 
 
 def _directly(model: Model, timeline: Timeline, start: complex) -> Response:

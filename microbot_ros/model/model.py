@@ -145,6 +145,10 @@ class Model:
         )
         return replace(self, effects=effects)
 
+    def answering(self, *hooks: str) -> tuple[Effect, ...]:
+        """The effects that answer one of these hooks, by their names."""
+        return tuple(e for e in self.effects if any(e.overrides(hook) for hook in hooks))
+
     # What its effects need ----------------------------------------------------------------------
 
     @property
@@ -220,11 +224,16 @@ class Model:
             changed *= complex(np.squeeze(one.speed_factor(context) * turn))
         return changed
 
+    @property
+    def drifts(self) -> tuple[Effect, ...]:
+        """The effects that may add to the propulsion."""
+        return tuple(e for e in self.effects if e.stage == 'velocity' and e.overrides('drift'))
+
     def drift(self, context: EffectContext) -> np.ndarray | None:
         """Stage 3: the velocity (..., 1 or N, 2) [m/s] besides propulsion; None: none."""
         total = None
-        for effect in self.effects:
-            drift = effect.drift(context) if effect.stage == 'velocity' else None
+        for effect in self.drifts:
+            drift = effect.drift(context)
             if drift is not None:
                 total = drift if total is None else total + drift
         for term in self.learned:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import numpy as np
 
@@ -17,6 +17,9 @@ Value = TypeVar('Value')
 
 LONGEST = 0.1
 """Spans of models that change in time, or with position, are at most this long [s]."""
+
+PARTS = 8
+"""Parts of models that are remembered: more than a model of a few effects has."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,7 @@ class Timeline:
         self._who = ids, phi
         self._segments: dict[tuple[float, bool], Segments] = {}
         self._places: dict[object, Places] = {}
+        self._parts: dict[Hashable, object] = {}
 
     def segments(self, model: Model) -> Segments:
         """The spans under a model's delay, cut short where it changes within them."""
@@ -103,6 +107,16 @@ class Timeline:
         return _remembered(
             self._places, key, lambda: Places(
                 model.true_position(positions[:-1])[interval], *self._who))
+
+    def part(self, key: Hashable, model: Model, make: Callable[[], Value]) -> Value:
+        """What a `model` makes here of what the `key` names: made anew, or remembered.
+
+        Besides the key it may depend on how the model cuts the recording and on its reference
+        field. A fit asks for one parameter after the other, and most parts stay as they were.
+        """
+        found = _remembered(
+            self._parts, (key, self._key(model), model.reference_field), make, PARTS)
+        return cast('Value', found)
 
     def _key(self, model: Model) -> tuple[float, bool]:
         return model.delay, model.time_invariant and not model.needs_position
@@ -149,13 +163,14 @@ def last_change(field: np.ndarray, frequency: np.ndarray | None = None) -> np.nd
     return np.maximum.accumulate(np.where(np.append(True, changed)[:len(rows)], rows, 0))
 
 
-def _remembered(cache: dict[Key, Value], key: Key, make: Callable[[], Value]) -> Value:
-    """The value under a key, made if need be; the oldest of more than a few is forgotten."""
-    if key not in cache:
-        if len(cache) >= 4:
-            del cache[next(iter(cache))]
-        cache[key] = make()
-    return cache[key]
+def _remembered(cache: dict[Key, Value], key: Key, make: Callable[[], Value],
+                most: int = 4) -> Value:
+    """The value under a key, made if need be; of `most`, the longest unused makes room."""
+    value = cache.pop(key) if key in cache else make()
+    while len(cache) >= most:
+        del cache[next(iter(cache))]
+    cache[key] = value
+    return value
 
 
 def _subdivide(edges: np.ndarray) -> np.ndarray:

@@ -7,13 +7,16 @@ from weakref import ref
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from microbot_ros.estimation.kernels import (
     filter_positions,
     whiten_columns,
     whiten_with_heading,
+    whitened_products_with_heading,
 )
-from microbot_ros.estimation.likelihood import Whitening
+from microbot_ros.estimation.likelihood import Whitening, climb, inner, search_noise_ratio
 from microbot_ros.estimation.model_fit import evaluate, fit_noise, fit_with_noise, maximise
 from microbot_ros.estimation.prepared_session import PreparedSession, prepare
 from microbot_ros.model.effects import EFFECTS
@@ -116,6 +119,79 @@ def test_the_filter_whitens_heading_noise():
     assert white @ covariance @ white.T == pytest.approx(np.eye(2 * count - 2), abs=1e-8)
 
 
+def test_products_are_those_of_what_is_white():
+    """Of particles that forget unlike each other, with gaps, and one that shares its path."""
+    rng = np.random.default_rng(1)
+    times = np.cumsum(rng.uniform(0.02, 0.05, 40))
+    pieces = (rng.random((40, 3)) < 0.8).astype(int)
+    pieces[20:] *= 2
+    z, offset, along = (rng.normal(size=(40, 2)) @ [1, 1j] for _ in range(3))
+    z = z[:, None] * np.array([1.0, 2.0, 3j])
+    sensitivity = rng.normal(size=(39, 3)) + 1j * rng.normal(size=(39, 3))
+    retention = rng.uniform(0, 1, (39, 3))
+    retention[:, 1] = retention[:, 0]
+    noise = 0.05, 0.3, sensitivity, retention
+    columns = np.stack([z - offset[:, None], *(
+        np.broadcast_to(part * along[:, None], z.shape) for part in (1, 1j))], axis=-1)
+    white, log_det, used = whiten_with_heading(times, pieces, columns, 0.05, *noise)
+    found = whitened_products_with_heading(
+        times, pieces, z, offset[:, None], along[:, None], *noise)
+    assert found[0] == pytest.approx(inner(white), rel=1e-9)
+    assert found[1:] == (pytest.approx(log_det, rel=1e-12), used)
+
+
+def test_a_heading_that_the_field_holds_is_one_that_hardly_turns():
+    """Before, within and after a spell without a field, in which it turns as it likes."""
+    rng = np.random.default_rng(2)
+    times = np.arange(60) * 0.03
+    columns = rng.normal(size=(60, 2, 3)) + 1j * rng.normal(size=(60, 2, 3))
+    pieces = np.ones((60, 2), int)
+    free = (np.arange(59) > 20) & (np.arange(59) < 30)
+    sensitivity = np.where(free[:, None], [0.3 + 0.1j, -0.2j], 0)
+    held = np.where(free[:, None], [1.0, 1.0], 0.0)
+    for ratios in ((0.05, 0.05), (0.05, 0.08)):
+        still, hardly = (
+            whiten_with_heading(times, pieces, columns, *ratios, 2.0, sensitivity, retention)
+            for retention in (held, np.maximum(held, 1e-10)))
+        assert still[0] == pytest.approx(hardly[0], rel=1e-9)
+        assert still[1:] == pytest.approx(hardly[1:], rel=1e-9)
+
+
+@given(st.floats(0, 10), st.floats(0, 10), st.floats(0.3, 3))
+def test_uphill_from_anywhere_is_where_the_whole_range_has_its_maximum(peak, near, width):
+    def at(u):
+        return SimpleNamespace(restricted_log_likelihood=-((u - peak) / width) ** 2, u=u)
+
+    for start in (None, near):
+        *waiting, found = climb(at, 0.0, 10.0, start)
+        assert waiting == [None] * len(waiting)
+        assert len(waiting) < 25
+        assert found.u == pytest.approx(peak, abs=1e-6 if 0.1 < peak < 9.9 else 0.1)
+
+
+def test_noise_that_is_near_is_found_in_a_few_looks(film):
+    session, _ = film(0)
+    model = Model.baseline(session.conditions, session.commands)
+    fit, = fit_noise(evaluate(model, [prepare(session)], [Whitening(0.1)])).session_fits
+    *looks, again = search_noise_ratio(fit, near=True)
+    assert len(looks) == 3
+    assert again.restricted_log_likelihood == pytest.approx(
+        fit.restricted_log_likelihood, abs=1e-3)
+
+
+def test_a_lag_is_not_led_astray_by_filters_of_another(film):
+    """Under filters with much noise in the headings, τ alone would go anywhere."""
+    session, _ = film(2, {'alignment_lag': {'tau_s': 0.4}}, count=2)
+    session = replace(session, conditions=replace(session.conditions, radius=None))
+    lag = EFFECTS['alignment_lag']
+    model = Model.baseline(session.conditions, session.commands)
+    for tau in (0.1, 0.4, 2.0):
+        start = fit_noise(evaluate(
+            model.with_effect(lag(tau)), [prepare(session)], [Whitening(0.05)]))
+        fit = fit_with_noise(start)
+        assert fit.model.effect('alignment_lag').tau == pytest.approx(0.4, abs=0.1)
+
+
 @pytest.mark.parametrize('heading', [False, True])
 def test_a_stretched_picture_is_whitened_along_each_axis(heading):
     """Diffusion looks larger along an axis, the error of reading does not."""
@@ -150,8 +226,12 @@ def test_a_white_column_is_remembered_for_its_own_session_alone(film):
         session = prepare(film(seed, duration=4.0)[0])
         part, = evaluate(model, [session], [whitening]).session_fits
         column = session.z * np.arange(len(session.times))[:, None]
-        return (part.white_column('one', lambda: column),
-                part.white_column(None, lambda: column), ref(session))
+        plain, = part.white_columns([(None, lambda: column)]).T
+        # What is remembered, and what is not beside it.
+        first, again = (part.white_columns([(None, lambda: -column), ('one', lambda: column)])
+                        for _ in range(2))
+        np.testing.assert_array_equal(first, again)
+        return again[..., 1].T, plain, ref(session)
 
     for seed in range(4):
         kept, plain, session = remembered(seed)

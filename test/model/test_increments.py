@@ -32,6 +32,14 @@ MODELS = {
     'lag': Model(B, effects=(AlignmentLag(0.3), BackgroundField(1e-4, 2e-4))),
     'camera': Model(B, effects=(CommandDelay(0.11), PixelAnisotropy(1.1))),
     'vortex': Model(B, effects=(LinearFlow(0.0, -0.02, 0.02, 0.0), PixelAnisotropy(1.2))),
+    'many': Model(B, effects=(
+        BackgroundField(2e-4, 0.0), HotSpot(1e-5, 0.0, 3e-6, 8e-6),
+        LinearFlow(0.0, -0.02, 0.02, 0.0), SpeedDecay(20.0))),
+    'many in another field': Model(B, effects=(
+        BackgroundField(-2e-4, 0.0), HotSpot(1e-5, 0.0, 3e-6, 8e-6),
+        LinearFlow(0.0, -0.02, 0.02, 0.0), SpeedDecay(20.0))),
+    'lag at another field': Model(2 * B, effects=(
+        AlignmentLag(0.3), BackgroundField(1e-4, 2e-4))),
     'place': Model(B, effects=(HotSpot(1e-5, 0.0, 3e-6, 8e-6), PixelAnisotropy(0.9))),
 }
 every_model = pytest.mark.parametrize('model', MODELS.values(), ids=MODELS)

@@ -36,8 +36,10 @@ class HotSpot(Effect):
 
     def drift(self, context: EffectContext) -> np.ndarray:
         away = (context.position - np.array([self.x, self.y])) / self.width
-        fall = np.exp(0.5 - (away**2).sum(axis=-1, keepdims=True) / 2)
-        return self.speed * away * fall
+        # Both axes by hand: a sum over an axis of two takes longer than all the rest.
+        fall = np.exp(0.5 - (away[..., 0]**2 + away[..., 1]**2) / 2)
+        away *= (self.speed * fall)[..., None]
+        return away
 
     @classmethod
     def starts(cls, evidence: Evidence) -> Sequence[Self]:
