@@ -19,6 +19,8 @@ from stolen import Processors
 os.environ['ROS_DOMAIN_ID'] = str(own_domain())
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 os.environ.setdefault('MPLBACKEND', 'Agg')
+# As `microbot discover` does: several threads for matrices of a hundred rows make only heat.
+os.environ.setdefault('OMP_NUM_THREADS', '1')
 
 
 _TRIES = 4
