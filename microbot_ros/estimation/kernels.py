@@ -103,6 +103,32 @@ def whitened_products(times, pieces, z, offset, along, noise_ratio):  # type: ig
     return products, log_det, used
 
 
+@njit([(_given(types.complex128, 3), _given(types.complex128, 3), types.float64)], cache=True)
+def joint_products(white, others, scale):  # type: ignore[no-untyped-def]
+    """Real inner products (N, L + M, L + M) of `white` (T, N, L) times a `scale` and `others`.
+
+    Those (T, N, M) are taken as they are.
+    """
+    frames, tracks, count = white.shape
+    total = count + others.shape[2]
+    out, row = np.zeros((tracks, total, total)), np.zeros(total, np.complex128)
+    for k in range(frames):
+        for n in range(tracks):
+            for m in range(count):
+                row[m] = white[k, n, m] * scale
+            for m in range(count, total):
+                row[m] = others[k, n, m - count]
+            for m in range(total):
+                x, y = row[m].real, row[m].imag
+                for other in range(m + 1):
+                    out[n, m, other] += x * row[other].real + y * row[other].imag
+    for n in range(tracks):
+        for m in range(total):
+            for other in range(m):
+                out[n, other, m] = out[n, m, other]
+    return out
+
+
 @njit(cache=True)
 def filter_positions(times, pieces, positions, noise_ratio):  # type: ignore[no-untyped-def]
     """Means (T, N) of the local-level filter of `positions` (T, N) complex after every frame.

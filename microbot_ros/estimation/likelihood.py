@@ -234,7 +234,11 @@ class SessionFit:
         moved = np.empty((*shape, len(new)), complex)
         for place, k in enumerate(new):
             moved[..., place] = columns[k][1]()
-        white[..., new] = self.whitening.apply(self.session, moved)[0]
+        found = self.whitening.apply(self.session, moved)[0]
+        if len(new) == len(columns):
+            white = found
+        else:
+            white[..., new] = found
         for k in new:
             key = columns[k][0]
             if key is not None:

@@ -15,7 +15,6 @@ from microbot_ros.estimation.likelihood import (
     Whitening,
     climb,
     eliminate,
-    inner,
     search_noise_ratio,
     solve,
 )
@@ -34,6 +33,9 @@ ROUNDS = 8
 
 ENOUGH = 0.01
 """Gain in −2 log likelihood that ends a search: a tenth of a standard deviation is left."""
+
+SURE = 0.1
+"""Part of what is enough by which a gain may differ from the one foretold, to be the last."""
 
 TURNING = math.log(1e-5), math.log(10.0)
 """Between what rotational diffusion [rad²/s] is looked for where nothing tells it, logarithms."""
@@ -83,17 +85,20 @@ class ModelFit:
         white = []
         for p in self.session_fits:
             here = p.expected.at(p.velocity_phasor)
-            white.append(p.white_columns([
+            columns = p.white_columns([
                 (key, partial(_derivative, p, here, model, step))
-                for model, step, key in zip(changed, steps, keys, strict=True)
-            ]) / np.sqrt(p.diffusion))
+                for model, step, key in zip(changed, steps, keys, strict=True)])
+            columns /= np.sqrt(p.diffusion)
+            white.append(columns)
         return tuple(white)
 
     @cached_property
     def _grams(self) -> tuple[np.ndarray, ...]:
         """For each session, inner products (N, 3 + P, 3 + P) of data, v and φ, parameters."""
+        from microbot_ros.estimation.kernels import joint_products
+
         return tuple(
-            inner(np.concatenate([p.white / np.sqrt(p.diffusion), jacobian], axis=-1))
+            joint_products(p.white, jacobian, 1 / math.sqrt(p.diffusion))
             for p, jacobian in zip(self.session_fits, self.jacobian, strict=True))
 
     def polars(self, held: int | None = None) -> list[Polar]:
@@ -179,7 +184,8 @@ def maximise(fit: ModelFit, iterations: int = 20, held: int | None = None,
     """Improve a `fit` in its effects' parameters, by Levenberg and Marquardt's method.
 
     Within their bounds, in at most that many `iterations`, until one gains less than `enough` in
-    −2 log likelihood. The noise filters stay as they are, and so does the parameter `held`, by
+    −2 log likelihood, or so much of what the parabola foretold, so that as little is left. The
+    noise filters stay as they are, and so does the parameter `held`, by
     its place in the vector.
     """
     if not fit.model.effects:
@@ -191,18 +197,18 @@ def maximise(fit: ModelFit, iterations: int = 20, held: int | None = None,
         low[held] = high[held] = fit.model.vector()[held]
     damping = 1e-3
     for _ in range(iterations):
-        better, damping = _improve(fit, low, high, angle, damping)
+        better, foretold, damping = _improve(fit, low, high, angle, damping)
         if better is None:
             return fit
         gain, fit = fit.cost - better.cost, better
-        if gain < enough:
+        if gain < enough or abs(gain - foretold) < SURE * enough:
             return fit
     return fit
 
 
 def _improve(fit: ModelFit, low: np.ndarray, high: np.ndarray, angle: np.ndarray,
-             damping: float) -> tuple[ModelFit | None, float]:
-    """One step downhill, or None where there is none; and the damping to go on with.
+             damping: float) -> tuple[ModelFit | None, float, float]:
+    """One step downhill, or None; the gain foretold; and the damping to go on with.
 
     Twice as far where that is better still: Gauss and Newton's step falls short where what is
     left is large and bent.
@@ -211,8 +217,12 @@ def _improve(fit: ModelFit, low: np.ndarray, high: np.ndarray, angle: np.ndarray
     x = fit.model.vector()
     free = visible & (low < high) & ~((x <= low) & (slope < 0)) & ~((x >= high) & (slope > 0))
     if not free.any():
-        return None, damping
+        return None, 0.0, damping
     chosen = np.ix_(free, free)
+
+    def foretold(step: np.ndarray) -> float:
+        moved = np.clip(x + step, low, high) - x
+        return float(2 * slope @ moved - moved @ information @ moved)
 
     def stepped(step: np.ndarray) -> ModelFit:
         there = np.clip(x + step, low, high)
@@ -225,11 +235,14 @@ def _improve(fit: ModelFit, low: np.ndarray, high: np.ndarray, angle: np.ndarray
         step[free] = np.linalg.lstsq(damped, slope[free], rcond=1e-14)[0]
         tried = stepped(step)
         if tried.cost < fit.cost:
-            if tried.cost < fit.cost - ENOUGH:
-                tried = min(tried, stepped(2 * step), key=lambda one: one.cost)
-            return tried, damping / 5
+            gain = foretold(step)
+            if abs(fit.cost - tried.cost - gain) > ENOUGH:
+                further = stepped(2 * step)
+                if further.cost < tried.cost:
+                    tried, gain = further, foretold(2 * step)
+            return tried, gain, damping / 5
         damping *= 8
-    return None, damping
+    return None, 0.0, damping
 
 
 def fit_noise(fit: ModelFit, near: bool = False) -> ModelFit:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from microbot_ros.estimation.kernels import (
     filter_positions,
+    joint_products,
     whiten_columns,
     whiten_with_heading,
     whitened_products_with_heading,
@@ -137,6 +138,9 @@ def test_products_are_those_of_what_is_white():
     found = whitened_products_with_heading(
         times, pieces, z, offset[:, None], along[:, None], *noise)
     assert found[0] == pytest.approx(inner(white), rel=1e-9)
+    together = np.concatenate([2 * white, white**2], axis=-1)
+    assert joint_products(white, white**2, 2.0) == pytest.approx(inner(together), rel=1e-9)
+    assert joint_products(white, white[..., :0], 1.0) == pytest.approx(inner(white), rel=1e-9)
     assert found[1:] == (pytest.approx(log_det, rel=1e-12), used)
 
 
