@@ -103,7 +103,8 @@ def whitened_products(times, pieces, z, offset, along, noise_ratio):  # type: ig
     return products, log_det, used
 
 
-@njit([(_given(types.complex128, 3), _given(types.complex128, 3), types.float64)], cache=True)
+@njit([(given(types.complex128, 3, 'C'), given(types.complex128, 3, 'C'), types.float64)],
+      cache=True)
 def joint_products(white, others, scale):  # type: ignore[no-untyped-def]
     """Real inner products (N, L + M, L + M) of `white` (T, N, L) times a `scale` and `others`.
 
