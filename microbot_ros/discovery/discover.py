@@ -86,10 +86,11 @@ def discover(sessions: Sequence[Session],
 
 def conclude(selection: StepwiseSelection, remarks: tuple[str, ...],
              report: Callable[[str], None], truth: Model | None = None,
-             run: Run = serially) -> Discovery:
+             run: Run = serially, *, explained: bool = False) -> Discovery:
     """The result of a `selection` that has been made, with `remarks` on its sessions.
 
-    `report` and `truth` as for `discover`; `run` shares the work.
+    `report` and `truth` as for `discover`; `run` shares the work. `explained`: the model is known
+    to be whole, whatever is said here of what is left: then it stays, and nothing is learned.
     """
     report('mapping what is left')
     start = selection.start
@@ -110,7 +111,8 @@ def conclude(selection: StepwiseSelection, remarks: tuple[str, ...],
     told = not doubts and any(one.sure and one.dwarfs for one in assessments)
     rivals = [rival.fit.model for one in assessments for rival in one.rivals]
     verdict = _verdict(effects, bool(unexplained) and not told)
-    learned = _learned(selection, effects, report) if verdict == 'unnamed' else None
+    learned = (_learned(selection, effects, report)
+               if verdict == 'unnamed' and not explained else None)
     if learned:
         fit = learned.fit
         known = Intervals(fit, complete=False)

@@ -31,9 +31,9 @@ def discovered(driven: Driven, report: Callable[[str], None] = lambda _: None,
     selection = StepwiseSelection(prepared)
     selection.current = selection.fit(insight.known.fit.model)
     selection.open = [one.found for one in insight.known.more]
-    found = conclude(selection, (*_remarks(driven), *remarks), report)
-    effects = tuple(_judged(effect, insight) for effect in found.effects)
     left = insight.judgement.left
+    found = conclude(selection, (*_remarks(driven), *remarks), report, explained=not left)
+    effects = tuple(_judged(effect, insight) for effect in found.effects)
     return replace(found, effects=effects, unexplained=left, verdict=_verdict(effects, bool(left)),
                    next_experiment=None), session
 
