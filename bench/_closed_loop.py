@@ -16,6 +16,7 @@ from microbot_ros.control.contract import (
     Controller,
     ControllerInput,
     FieldCommand,
+    Goals,
     Limits,
     Workspace,
 )
@@ -106,6 +107,21 @@ class Loop:
             note(t)
             self._ticks += 1
         manager.close()
+
+    def distance(self, controller: Controller, goal: np.ndarray, seconds: float,
+                 judged: float) -> float:
+        """Mean distance [m] of the first particle from its `goal` (1, 2) [m].
+
+        In the last `judged` of the `seconds` that the loop is closed.
+        """
+        distances: list[float] = []
+
+        def note(t: float) -> None:
+            if t > seconds - judged:
+                distances.append(float(np.hypot(*(self.world.position[:1] - goal)[0])))
+
+        self.run(controller, seconds, note, goals=Goals(goal))
+        return float(np.mean(distances))
 
     def _advance(self, t: float) -> None:
         rows = [row for row in self._fields if row[0] <= t]

@@ -21,7 +21,7 @@ import numpy as np
 
 from bench._closed_loop import FIELD, FLUID, QUICK, Loop
 from bench.figure import Figure
-from microbot_ros.control.contract import ControllerInput, Goals
+from microbot_ros.control.contract import ControllerInput
 from microbot_ros.control.predictive import Predictive
 from microbot_ros.discovery.discover import discover
 from microbot_ros.estimation.online import Estimator
@@ -113,11 +113,4 @@ def _error(model: Model, effect: str, parameters: Mapping[str, float], seed: int
     loop = _Learning(np.zeros((1, 2)), SPEED, PHI, {effect: dict(parameters)}, seed=seed,
                      period=_PERIOD, model=model)
     goal = 25e-6 * np.array([[np.cos(seed), np.sin(seed)]])
-    distances: list[float] = []
-
-    def note(t: float) -> None:
-        if t > _SECONDS - _JUDGED_SECONDS:
-            distances.append(float(np.hypot(*(loop.world.position - goal)[0])))
-
-    loop.run(Predictive(), _SECONDS, note, goals=Goals(goal))
-    return float(np.mean(distances))
+    return loop.distance(Predictive(), goal, _SECONDS, _JUDGED_SECONDS)

@@ -23,7 +23,6 @@ from bench._score_card import run
 from bench._unlisted_worlds import KINDS, Filmed, HiddenWorld, Law, film
 from bench.discovery import interval
 from bench.figure import Figure
-from microbot_ros.control.contract import Goals
 from microbot_ros.control.predictive import Predictive
 from microbot_ros.discovery import held_out
 from microbot_ros.discovery.discover import discover
@@ -196,14 +195,7 @@ def _distance(model: Model, filmed: Filmed) -> float:
     loop = _Steered(start, filmed.swarm['speed'][:1], filmed.swarm['phi'][:1], period=1 / 30,
                     model=model)
     loop.hide(filmed.law, filmed.strength)
-    distances: list[float] = []
-
-    def note(t: float) -> None:
-        if t > _SECONDS - _JUDGED:
-            distances.append(float(np.hypot(*(loop.world.position - goal)[0])))
-
-    loop.run(Predictive(), _SECONDS, note, goals=Goals(goal))
-    return float(np.mean(distances))
+    return loop.distance(Predictive(), goal, _SECONDS, _JUDGED)
 
 
 def _first_order(prepared: Sequence[PreparedSession]) -> ModelFit:
