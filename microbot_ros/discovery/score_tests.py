@@ -17,7 +17,7 @@ from microbot_ros.discovery.processes import Run, serially
 from microbot_ros.discovery.result import FIRES, ResidualMap
 from microbot_ros.discovery.starting_points import rotating_components
 from microbot_ros.discovery.tail_probabilities import chi_square_tail, peak_tail_probability
-from microbot_ros.estimation.likelihood import SessionFit, eliminate, inner
+from microbot_ros.estimation.likelihood import SessionFit, eliminate, eliminate_shared, inner
 from microbot_ros.estimation.model_fit import ModelFit
 
 RANK = 1e-6
@@ -73,14 +73,9 @@ def _score(p: SessionFit, jacobian: np.ndarray, fields: np.ndarray) -> tuple[flo
     white = p.whiten(columns)
     together = np.concatenate([p.white / np.sqrt(p.diffusion), jacobian, white], axis=-1)
     gram = inner(together)
-    total = eliminate(gram).sum(axis=0)
     raw = np.diagonal(gram, axis1=1, axis2=2)[:, 3:].sum(axis=0)
     count = jacobian.shape[-1]
-    if count:
-        fitted = total[1:1 + count, 1:1 + count]
-        mixed = np.delete(total, range(1, 1 + count), axis=1)[1:1 + count]
-        rest = np.delete(np.delete(total, range(1, 1 + count), 0), range(1, 1 + count), 1)
-        total = rest - mixed.T @ np.linalg.pinv(fitted, rcond=1e-10, hermitian=True) @ mixed
+    total = eliminate_shared(eliminate(gram).sum(axis=0), count)
     size = np.sqrt(np.maximum(raw[count:], 1e-300))
     information = total[1:, 1:] / np.outer(size, size)
     values, vectors = np.linalg.eigh(information)

@@ -241,6 +241,32 @@ def _seen(covariance, ratio_x, ratio_y):  # type: ignore[no-untyped-def]
     return after, (gxx, gxy, gyx, gyy, gax, gay), white, det
 
 
+@njit(cache=True)
+def _carry(  # type: ignore[no-untyped-def]
+        covariance, place, turn, k, n, times, noises, diffusion_ratio, sensitivity, retention):
+    """The covariance at row k of track n, an interval later; `place` and `turn` (M,) in place."""
+    b, q = sensitivity[k - 1, n], retention[k - 1, n]
+    h = times[k] - times[k - 1]
+    noise = (noises[k - 1, 0], noises[k - 1, 1], noises[k - 1, 2], noises[k - 1, 3])
+    if q != retention[k - 1, 0]:
+        noise = _heading_noise(h, diffusion_ratio, q)
+    for m in range(len(place)):
+        place[m] += b * turn[m]
+        turn[m] *= q
+    return _ahead(covariance, h, *noise, b, q)
+
+
+@njit(cache=True)
+def _logged(log_det, product):  # type: ignore[no-untyped-def]
+    """½ log det so far, and the `product` of determinants that is not in it yet.
+
+    One logarithm for many, for it costs as much as all the rest.
+    """
+    if 1e-150 < product < 1e150:
+        return log_det, product
+    return log_det + 0.5 * math.log(product), 1.0
+
+
 @njit([(*_ROWS, given(types.complex128, 3, 'C'), types.float64, types.float64, types.float64,
         given(types.complex128, 2, 'C'), given(types.float64, 2, 'C'))], cache=True)
 def whiten_with_heading(  # type: ignore[no-untyped-def]
@@ -264,15 +290,8 @@ def whiten_with_heading(  # type: ignore[no-untyped-def]
         covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         for k in range(T):
             if piece:
-                b, q = sensitivity[k - 1, n], retention[k - 1, n]
-                h = times[k] - times[k - 1]
-                noise = (noises[k - 1, 0], noises[k - 1, 1], noises[k - 1, 2], noises[k - 1, 3])
-                if q != retention[k - 1, 0]:
-                    noise = _heading_noise(h, diffusion_ratio, q)
-                covariance = _ahead(covariance, h, *noise, b, q)
-                for m in range(M):
-                    place[m] += b * turn[m]
-                    turn[m] *= q
+                covariance = _carry(covariance, place, turn, k, n, times, noises,
+                                    diffusion_ratio, sensitivity, retention)
             if not pieces[k, n]:
                 continue
             if pieces[k, n] != piece:
@@ -285,11 +304,7 @@ def whiten_with_heading(  # type: ignore[no-untyped-def]
             covariance, gains, white, det = _seen(covariance, ratio_x, ratio_y)
             gxx, gxy, gyx, gyy, gax, gay = gains
             scale_x, lean, scale_y = white
-            # One logarithm for many, for it costs as much as all the rest.
-            product *= det
-            if not 1e-150 < product < 1e150:
-                log_det += 0.5 * math.log(product)
-                product = 1.0
+            log_det, product = _logged(log_det, product * det)
             used += 1
             for m in range(M):
                 step = columns[k, n, m] - place[m]
@@ -319,15 +334,8 @@ def whitened_products_with_heading(  # type: ignore[no-untyped-def]
         covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         for k in range(T):
             if piece:
-                b, q = sensitivity[k - 1, n], retention[k - 1, n]
-                h = times[k] - times[k - 1]
-                noise = (noises[k - 1, 0], noises[k - 1, 1], noises[k - 1, 2], noises[k - 1, 3])
-                if q != retention[k - 1, 0]:
-                    noise = _heading_noise(h, diffusion_ratio, q)
-                covariance = _ahead(covariance, h, *noise, b, q)
-                for m in range(3):
-                    place[m] += b * turn[m]
-                    turn[m] *= q
+                covariance = _carry(covariance, place, turn, k, n, times, noises,
+                                    diffusion_ratio, sensitivity, retention)
             if not pieces[k, n]:
                 continue
             new[0], new[1], new[2] = z[k, n] - offset[k, o], along[k, a], 1j * along[k, a]
@@ -341,10 +349,7 @@ def whitened_products_with_heading(  # type: ignore[no-untyped-def]
             covariance, gains, white, det = _seen(covariance, noise_ratio, noise_ratio)
             gxx, gxy, gyx, gyy, gax, gay = gains
             scale_x, lean, scale_y = white
-            product *= det
-            if not 1e-150 < product < 1e150:
-                log_det += 0.5 * math.log(product)
-                product = 1.0
+            log_det, product = _logged(log_det, product * det)
             used += 1
             for m in range(3):
                 step = new[m] - place[m]

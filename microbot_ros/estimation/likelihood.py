@@ -371,6 +371,20 @@ def eliminate(gram: np.ndarray) -> np.ndarray:
     return left
 
 
+def eliminate_shared(gram: np.ndarray, count: int) -> np.ndarray:
+    """What of a `gram` (M, M) is left of column 0 and those after `count` shared parameters.
+
+    These, columns 1 to `count`, are projected off: inner products (M − count, M − count).
+    """
+    if not count:
+        return gram
+    own, rest = slice(1, 1 + count), [0, *range(1 + count, len(gram))]
+    mixed = gram[own][:, rest]
+    left: np.ndarray = gram[np.ix_(rest, rest)] - mixed.T @ np.linalg.pinv(
+        gram[own, own], rcond=1e-10, hermitian=True) @ mixed
+    return left
+
+
 def solve(square: np.ndarray, right: np.ndarray) -> np.ndarray:
     """x of `square` (N, 2, 2) · x = `right` (N, 2, M); zero where nothing is to be solved."""
     power = np.trace(square, axis1=1, axis2=2)[:, None, None]

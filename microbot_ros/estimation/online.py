@@ -256,20 +256,19 @@ class Estimator:
 
     def _answer(self, seen: np.ndarray, begun_anew: tuple[str, ...]) -> Estimates:
         state = State(self._t, self._population.ids, seen, *self._population.known(self._t))
+        swarm = Swarm(state.ids, state.p, state.velocity_phasor)
+        shared = self._shared or self._knowledge(np.empty(0))
         if self._t >= self._next_question:
             self._next_question = self._t + 1.0
             moving = bool(self._propagator.heading.any())
             self._faults = (
                 *self._track_faults.find(state, self._log.last, moving),
-                *self._propagator.beyond_learned(
-                    self._log, (self._shared or self._knowledge(np.empty(0))).delay.value,
-                    self._t, Swarm(state.ids, state.p, state.velocity_phasor)))
+                *self._propagator.beyond_learned(self._log, shared.delay.value, self._t, swarm))
         # What was noted before the first frame counts from that frame on.
         self._notes = {
             text: max(at, self._t) if math.isinf(at) else at
             for text, at in self._notes.items() if math.isinf(at) or self._t - at < NOTED
         }
-        shared = self._shared or self._knowledge(np.empty(0))
         told = (
             *self._notes, *self._faults, *shared.sentences, *self._monitor.sentences
         )
@@ -277,8 +276,7 @@ class Estimator:
             told = _of_restless(self._restless), *told
         now = self._t if math.isfinite(self._t) else 0.0
         ahead = self._propagator.look_ahead(
-            self._log, shared.delay.value, now, now + max(self.settings.horizon, 1e-6),
-            Swarm(state.ids, state.p, state.velocity_phasor))
+            self._log, shared.delay.value, now, now + max(self.settings.horizon, 1e-6), swarm)
         return answer(state, ahead, shared, self.conditions, told, begun_anew,
                       self.model.gain_change_since_start(now))
 

@@ -4,11 +4,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 
 CLOSEST = 1e-6
 """Pair terms see no distance below this [m]: closer than any two of these spheres can come."""
+
+
+Given = TypeVar('Given')
+
+
+def _known(value: Given | None, what: str) -> Given:
+    """The `value`; ValueError saying `what` is needed where there is none."""
+    if value is None:
+        raise ValueError(f'an effect of this model needs {what}; received none')
+    return value
 
 
 @dataclass(frozen=True)
@@ -30,16 +41,12 @@ class Places:
     @property
     def ids(self) -> np.ndarray:
         """The numbers (N,) of the particles; ValueError where they were not given."""
-        if self.number is None:
-            raise ValueError('a term of this model needs to know which particle is which')
-        return self.number
+        return _known(self.number, 'to know which particle is which')
 
     @property
     def phi(self) -> np.ndarray:
         """φ (N,) [rad] of the particles; ValueError where it was not given."""
-        if self.direction is None:
-            raise ValueError('a term of this model needs φ of the particles; received none')
-        return self.direction
+        return _known(self.direction, 'φ of the particles')
 
     @cached_property
     def separation(self) -> np.ndarray:
@@ -101,16 +108,12 @@ class EffectContext:
     @property
     def known_places(self) -> Places:
         """The places, for effects that need them; ValueError where none were given."""
-        if self.places is None:
-            raise ValueError('an effect of this model needs positions; received none')
-        return self.places
+        return _known(self.places, 'positions')
 
     @property
     def since_switch(self) -> np.ndarray:
         """Time (..., 1) [s] since the command last changed; ValueError where nobody counts it."""
-        if self.since is None:
-            raise ValueError('a term of this model needs the time since the command changed')
-        return self.since
+        return _known(self.since, 'the time since the command changed')
 
     def after(self, lead: int, places: Places | None = None) -> EffectContext:
         """The context without its first `lead` times, at these places."""

@@ -61,6 +61,8 @@ def run(scenario: Scenario, particles: ParticleParameters, source: str) -> Sessi
 
 def strays(scenario: Scenario, particles: ParticleParameters, session: Session) -> list[str]:
     """Sentences on how much of a `session` of a scenario was beyond what its terms know."""
+    if not scenario.learned:
+        return []
     model = Model(scenario.reference_field, scenario.propulsion, learned=scenario.learned)
     times, positions = session.tracks.grid()
     known = dict(zip(particles.ids.tolist(), particles.phi.tolist(), strict=True))

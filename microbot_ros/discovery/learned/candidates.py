@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import cast
 
 import numpy as np
 
@@ -59,13 +58,9 @@ def candidates(fit: ModelFit) -> list[LearnedTerm]:
         (against, 'laboratory', 'velocity') for against in (*_PLAIN, 'particle')]
     pairs += [(against, 'heading', acts) for against in _PLAIN for acts in _HEADING]
     pairs += [('neighbour distance', 'radial', acts) for acts in _RADIAL]
-    found = []
-    for against, frame, acts_on in pairs:
-        values = _values(fit, against)
-        axes = None if values is None else _axes(against, values)
-        if axes is not None:
-            found.append(_empty(against, frame, acts_on, axes, cast(np.ndarray, values)))
-    return found
+    seen = {against: _values(fit, against) for against in dict.fromkeys(one for one, *_ in pairs)}
+    return [_empty(*pair, axes, values) for pair in pairs
+            if (values := seen[pair[0]]).size and (axes := _axes(pair[0], values))]
 
 
 def _empty(against: Against, frame: Frame, acts_on: ActsOn, axes: tuple[np.ndarray, ...],
@@ -81,13 +76,11 @@ def _empty(against: Against, frame: Frame, acts_on: ActsOn, axes: tuple[np.ndarr
 
 # What was looked at -----------------------------------------------------------------------------
 
-def _values(fit: ModelFit, against: Against) -> np.ndarray | None:
-    """All values (M,) of a covariate in the used frames of a `fit`; None where there is none."""
+def _values(fit: ModelFit, against: Against) -> np.ndarray:
+    """All values (M,) of a covariate in the used frames of a `fit`; M may be 0."""
     found = []
     for p in fit.session_fits:
-        if against == 'neighbour distance' and len(p.session.ids) < 2:
-            continue
-        if against == 'particle' and len(p.session.ids) < 2:
+        if against in ('neighbour distance', 'particle') and len(p.session.ids) < 2:
             continue
         if against == 'frequency' and p.session.commands.frequency is None:
             continue
@@ -102,8 +95,7 @@ def _values(fit: ModelFit, against: Against) -> np.ndarray | None:
         used = p.session.joined()[interval]
         values = np.broadcast_to(coordinate(against, context), shape)[used]
         found.append(values[np.isfinite(values)])
-    joined = np.concatenate(found) if found else np.empty(0)
-    return joined if joined.size else None
+    return np.concatenate(found) if found else np.empty(0)
 
 
 def probed(model: Model, against: Against) -> Model:
@@ -172,8 +164,7 @@ def columns(fit: ModelFit, p: SessionFit, term: LearnedTerm) -> Iterator[np.ndar
     """
     segments, course, context = spans(fit.model, term.against, p)
     basis = term.basis(context)
-    model = probed(fit.model, term.against)
-    driven = course.path * model.speed_factor(context)
+    driven = course.path * fit.model.speed_factor(context)
     for n, c in enumerate(p.velocity_phasor):
         own = basis[:, min(n, basis.shape[1] - 1)]
         if term.acts_on == 'velocity':

@@ -43,7 +43,7 @@ class Formula:
 class FittedFormula:
     """A `formula` at its best: `shape`, its `weights` (m,), the `gain` in log likelihood.
 
-    `rank` of its coefficients that the data can tell.
+    `rank` of its coefficients that the data can tell; `price` of each number, as log likelihood.
     """
 
     formula: Formula
@@ -51,6 +51,7 @@ class FittedFormula:
     weights: np.ndarray
     gain: float
     rank: int
+    price: float = 0.0
 
     @property
     def values(self) -> np.ndarray:
@@ -62,6 +63,11 @@ class FittedFormula:
     def size(self) -> int:
         """Numbers that were fitted."""
         return self.rank + len(self.shape)
+
+    @property
+    def paid(self) -> float:
+        """The gain less what its numbers cost."""
+        return self.gain - self.price * self.size
 
     @property
     def parameters(self) -> dict[str, float]:

@@ -94,14 +94,10 @@ def again_beside_each_other(fit: ModelFit, findings: Sequence[Finding]) -> list[
 def _moments_of(fit: ModelFit, table: LearnedTerm) -> tuple[Moments, Curve]:
     """What the sessions of a `fit` say of a `table`, at the noise that is left with it."""
     known = told(fit)
-    for last in (False, True):
-        noise = [p.diffusion for p in fit.session_fits]
-        moments = Moments.of(known, table, noise)
-        curve = curve_of(moments)
-        if not last:
-            fit = with_term(known, _filled(moments, curve.mean))
-            known = _beside(known, fit)
-    return moments, curve
+    first = Moments.of(known, table, _noise(known))
+    known, noise = _beside(known, _filled(first, curve_of(first).mean))
+    moments = Moments.of(known, table, noise)
+    return moments, curve_of(moments)
 
 
 def with_terms(fit: ModelFit, findings: Sequence[Finding]) -> ModelFit:
@@ -119,13 +115,10 @@ def learn_term(fit: ModelFit, report: Callable[[str], None] = lambda _: None) ->
     known = told(fit)
     tables = candidates(known)
     report(f'looking for a term, against {len(tables)} pairs of covariate and frame')
-    noise = [p.diffusion for p in known.session_fits]
-    first = _best(known, tables, noise)
+    first = _best(known, tables, _noise(known))
     if first is None:
         return None
-    # With what is missing in the noise, evidence would be too small, and its levels wrong.
-    better = with_term(known, first.term)
-    known, noise = _beside(known, better), [p.diffusion for p in better.session_fits]
+    known, noise = _beside(known, first.term)
     return _best(known, tables, noise)
 
 
@@ -157,8 +150,17 @@ def relearn(findings: Sequence[Finding], fit: ModelFit) -> ModelFit:
     return with_terms(fit, learned)
 
 
-def _beside(fit: ModelFit, better: ModelFit) -> ModelFit:
-    """The model of a `fit` with the noise, and at v and φ, of a `better` one."""
+def _noise(fit: ModelFit) -> list[float]:
+    """D [m²/s] of every session."""
+    return [p.diffusion for p in fit.session_fits]
+
+
+def _beside(fit: ModelFit, term: LearnedTerm) -> tuple[ModelFit, list[float]]:
+    """The model of a `fit` at the v and φ that a `term` leaves, and D with it, of every session.
+
+    With what is missing in the noise, evidence would be too small, and its levels wrong.
+    """
+    better = with_term(fit, term)
     plain = evaluate(fit.model, [p.session for p in better.session_fits],
                      [p.whitening for p in better.session_fits])
     parts = []
@@ -166,7 +168,7 @@ def _beside(fit: ModelFit, better: ModelFit) -> ModelFit:
         one = replace(p)
         vars(one)['velocity_phasor'] = other.velocity_phasor
         parts.append(one)
-    return ModelFit(fit.model, tuple(parts))
+    return ModelFit(fit.model, tuple(parts)), _noise(better)
 
 
 def _best(known: ModelFit, tables: Sequence[LearnedTerm],
@@ -202,12 +204,11 @@ def finish(found: Finding) -> Finding:
     """With a formula, where one beats the curve on rows it was not fitted to, and the band."""
     formula = best_formula(found.moments)
     if formula is not None and not (
-            _paid(formula, found.moments.term) > found.curve.log_evidence - DECISIVE
+            formula.paid > found.curve.log_evidence - DECISIVE
             and _beats(found.moments, formula)):
         formula = None
     values = found.curve.mean if formula is None else formula.values
-    low, high = band(found, formula)
-    term = _filled(found.moments, values, low, high)
+    term = _filled(found.moments, values, band(found, formula))
     if formula is not None:
         term = replace(term, formula=formula.formula.text, parameters=formula.parameters)
     return replace(found, term=term, formula=formula)
@@ -217,14 +218,10 @@ def best_formula(moments: Moments) -> FittedFormula | None:
     """The formula of the grammar that pays best for its size; None where none pays."""
     gram, projection = moments.total
     rules = grammar(moments.term)
-    fitted = [refit(rule, gram, projection) for rule in rules]
-    best = max(fitted, key=lambda one: _paid(one, moments.term), default=None)
-    return best if best is not None and _paid(best, moments.term) > 0 else None
-
-
-def _paid(formula: FittedFormula, term: LearnedTerm) -> float:
-    """Gain in log likelihood of a `formula`, less what its numbers cost."""
-    return float(formula.gain - np.log(len(grammar(term)) / CHANCE) * formula.size)
+    price = float(np.log(max(len(rules), 1) / CHANCE))
+    fitted = [replace(refit(rule, gram, projection), price=price) for rule in rules]
+    best = max(fitted, key=lambda one: one.paid, default=None)
+    return best if best is not None and best.paid > 0 else None
 
 
 def _beats(moments: Moments, formula: FittedFormula) -> bool:
@@ -259,7 +256,7 @@ def band(found: Finding, formula: FittedFormula | None) -> tuple[np.ndarray, np.
     best = found.curve.mean
     if formula is not None:
         best = formula.values
-        more = np.clip(_paid(formula, found.moments.term) - found.curve.log_evidence, -20.0, 20.0)
+        more = np.clip(formula.paid - found.curve.log_evidence, -20.0, 20.0)
         exact = rng.random(count) < min(1 / (1 + np.exp(-more)), MOST_SURE)
         possible[exact] = best
     draws = []
@@ -284,11 +281,11 @@ def centred(moments: Moments, tables: np.ndarray) -> np.ndarray:
     return shown
 
 
-def _filled(moments: Moments, values: np.ndarray, low: np.ndarray | None = None,
-            high: np.ndarray | None = None) -> LearnedTerm:
+def _filled(moments: Moments, values: np.ndarray,
+            ends: tuple[np.ndarray, np.ndarray] | None = None) -> LearnedTerm:
+    """The table with `values` (K·C,), and the `ends` of its band where they are known."""
     term, count = moments.term, moments.term.values.shape[1]
-    shown = [centred(moments, one).reshape(count, -1).T
-             for one in (values, values if low is None else low, values if high is None else high)]
-    if low is not None and high is not None:
-        shown[1], shown[2] = (one.reshape(count, -1).T for one in (low, high))
-    return replace(term, values=shown[0], low=shown[1], high=shown[2])
+    values = centred(moments, values)
+    shown, low, high = (
+        one.reshape(count, -1).T for one in (values, *(ends or (values, values))))
+    return replace(term, values=shown, low=low, high=high)

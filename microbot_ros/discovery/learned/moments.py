@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from microbot_ros.discovery.learned.candidates import columns
-from microbot_ros.estimation.likelihood import SessionFit, eliminate, inner
+from microbot_ros.estimation.likelihood import SessionFit, eliminate, eliminate_shared, inner
 from microbot_ros.estimation.model_fit import ModelFit
 from microbot_ros.model.learned_term import LearnedTerm
 
@@ -61,13 +61,7 @@ class Moments:
 
     def _reduced(self, folds: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         gram = self.grams[list(folds)].sum(axis=0)
-        left = eliminate(gram).sum(axis=0)
-        if self.count:
-            own = slice(1, 1 + self.count)
-            rest = [0, *range(1 + self.count, len(left))]
-            mixed = left[own][:, rest]
-            left = left[np.ix_(rest, rest)] - mixed.T @ np.linalg.pinv(
-                left[own, own], rcond=1e-10, hermitian=True) @ mixed
+        left = eliminate_shared(eliminate(gram).sum(axis=0), self.count)
         return left[1:, 1:], left[1:, 0]
 
     def held_out(self, fold: int, values: np.ndarray) -> float:
