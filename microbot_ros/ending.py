@@ -17,6 +17,11 @@ PARENT = 'MICROBOT_PARENT'
 """Environment variable with the process id that a node must not outlive; 0 for none."""
 
 
+_HEAD_START_S = 0.1
+"""How long who is interrupted waits for what is to be done at once: its clean-up may hold the
+interpreter for as long as the middleware takes to leave."""
+
+
 class Stopped(BaseException):
     """The signal of that `number` asked for the end; no Exception, so that nothing swallows it."""
 
@@ -61,6 +66,7 @@ class Ending:
         self._received: int | None = None
         self._interruptible = False
         self._over = False
+        self._done_at_once = threading.Event()
 
     def __enter__(self) -> Ending:
         self._reader, self._writer = os.pipe()
@@ -99,6 +105,7 @@ class Ending:
         if self._received is None:
             self._received = number
             if self._interruptible:
+                self._done_at_once.wait(_HEAD_START_S)
                 raise Stopped(number)
 
     def _watch(self) -> None:
@@ -116,5 +123,6 @@ class Ending:
         if not self._over:
             self.due = True
             self._at_once()
+            self._done_at_once.set()
         for process in awaited[1:]:
             os.close(process)

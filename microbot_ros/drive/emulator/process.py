@@ -5,10 +5,13 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+import threading
 import time
 from contextlib import ExitStack
+from io import TextIOBase
 from pathlib import Path
-from typing import TextIO
+from queue import SimpleQueue
+from typing import TextIO, cast
 
 from microbot_ros.drive.emulator.coils import Coils
 from microbot_ros.drive.emulator.device import Device
@@ -48,7 +51,8 @@ def run(protocol: str, link: Path, log: Path | None, full_scale_A: float,
     started = time.monotonic()
     planned = Faults([parse(text, started) for text in faults if text != '-'])
     with Ending(launcher=find_launcher()) as ending, ExitStack() as stack:
-        coils = Coils(full_scale_A, watchdog_s, stack.enter_context(_open_log(log)))
+        diary = stack.enter_context(_Diary(stack.enter_context(_open_log(log))))
+        coils = Coils(full_scale_A, watchdog_s, cast(TextIO, diary))
         device = make_device(protocol, coils)
         lines = []
         for path in links(link, device.ports):
@@ -60,6 +64,30 @@ def run(protocol: str, link: Path, log: Path | None, full_scale_A: float,
         server = Server(device, lines, planned, sys.stdin.fileno() if '-' in faults else None)
         print('serving', protocol, 'at', *(line.link for line in lines), flush=True)
         server.run(lambda: ending.due)
+
+
+class _Diary(TextIOBase):
+    """A log whose lines a thread writes, in order: a board must not wait for a busy disk."""
+
+    def __init__(self, file: TextIO) -> None:
+        self._file = file
+        self._lines: SimpleQueue[str | None] = SimpleQueue()
+        self._thread = threading.Thread(target=self._write_down, name='log', daemon=True)
+        self._thread.start()
+
+    def write(self, line: str) -> int:
+        self._lines.put(line)
+        return len(line)
+
+    def close(self) -> None:
+        self._lines.put(None)
+        self._thread.join()
+        super().close()
+
+    def _write_down(self) -> None:
+        for line in iter(self._lines.get, None):
+            self._file.write(line)
+            self._file.flush()
 
 
 def _open_log(log: Path | None) -> TextIO:
