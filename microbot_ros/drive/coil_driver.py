@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from microbot_ros.drive.amplifier import Amplifier, Command, Reading, Watchdog
+from microbot_ros.drive.amplifier import COILS, Amplifier, Command, Reading, Watchdog
 from microbot_ros.drive.errors import AmplifierError
-from microbot_ros.drive.gate import ZERO, Currents, Gate, Limits, Reason
+from microbot_ros.drive.gate import Currents, Gate, Limits, Reason
 from microbot_ros.drive.last_resort import LastResort
 from microbot_ros.drive.real_time import set_realtime_priority
 from microbot_ros.drive.self_check import SelfCheck
@@ -63,7 +63,7 @@ class CoilDriver:
     """
 
     def __init__(self, amplifier: Amplifier, limits: Limits,
-                 on_reading: Callable[[Reading], None], *,
+                 on_reading: Callable[[Reading], None], *, names: Sequence[str] = COILS,
                  on_sent: Callable[[Command], None] = lambda _: None, self_check: bool = True,
                  accept_no_watchdog: bool = False) -> None:
         full_scale_A = float(amplifier.full_scale_A.min())
@@ -71,7 +71,8 @@ class CoilDriver:
             raise InputError('current_A', f'expected at most the full scale of the amplifier, '
                              f'{full_scale_A:g} A; received {limits.current_A:g} A')
         self.amplifier = amplifier
-        self.gate = Gate(limits)
+        self.gate = Gate(limits, amplifier.channels)
+        self._names = names
         self.connected = False
         self.real_time = False
         """Whether the thread comes before all that is not real-time."""
@@ -85,13 +86,13 @@ class CoilDriver:
         self._refuse_unwatched()
         self._check: SelfCheck | None = None
         if self_check:
-            SelfCheck(limits)  # raises now for limits that it would raise for on arming
+            SelfCheck(limits, names)  # raises now for limits that it would raise for on arming
         self._arming: Future[str | None] | None = None
         self._on_reading, self._on_sent = on_reading, on_sent
         self._mail = threading.Lock()
         self._order: _Order | None = None
         self._requests: SimpleQueue[Callable[[], None]] = SimpleQueue()
-        self._sent: Currents = ZERO
+        self._sent: Currents = self.gate.zero
         self._sent_s = 0.0
         self._pause_s = _BACKOFF_S[0]
         self._last_resort: LastResort | None = None
@@ -163,7 +164,7 @@ class CoilDriver:
         done.wait(_DISARMING_S)
 
     def command(self, currents_A: Sequence[float] | np.ndarray, tag: Any = None) -> bool:
-        """Leave `currents_A` (4,) [A] for the gate, in place of any that wait there.
+        """Leave `currents_A` (N,) [A] for the gate, in place of any that wait there.
 
         Whether they may flow, as far as can be said now; `on_sent` tells what went out.
         """
@@ -269,7 +270,8 @@ class CoilDriver:
         if not self._checks:
             self._answer_arming(None)
         else:
-            self._check = SelfCheck(self.gate.limits, tries_watchdog=self._tries_watchdog)
+            self._check = SelfCheck(self.gate.limits, self._names,
+                                    tries_watchdog=self._tries_watchdog)
 
     def _go_on_checking(self, check: SelfCheck, now: float) -> None:
         self.gate.command(check.wanted, now)
@@ -315,7 +317,7 @@ class CoilDriver:
 
     def _connect(self) -> None:
         self.amplifier.connect()
-        self._sent, self._sent_s = ZERO, time.monotonic()
+        self._sent, self._sent_s = self.gate.zero, time.monotonic()
         self._replace_last_resort()
         self.connected = True
 

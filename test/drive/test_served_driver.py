@@ -17,8 +17,10 @@ from microbot_ros.drive.emulator.process import DEVICES
 from microbot_ros.drive.errors import (
     NoAnswerError,
 )
-from microbot_ros.drive.gate import ZERO, Limits, Reason
+from microbot_ros.drive.gate import Limits, Reason
 from microbot_ros.errors import InputError
+
+ZERO = (0.0,) * 4
 
 DRIVING = (1.0, -1.0, 0.5, 0.2)
 PROTOCOLS = sorted(DEVICES)

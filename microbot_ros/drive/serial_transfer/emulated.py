@@ -14,8 +14,8 @@ class Board(Device):
 
     It reports at 50 Hz whatever happens, as the laboratory's firmware does, and besides at once
     after each command it accepts, so that a host can time the acknowledgement. A packet with a
-    duty that is not within −1 … 1, or with one for the fifth or sixth coil, which this board has
-    not, is not a command: it changes nothing and feeds no watchdog.
+    duty that is not within −1 … 1, or with one for a coil that this board has not, is not a
+    command: it changes nothing and feeds no watchdog.
     """
 
     def __init__(self, coils: Coils) -> None:
@@ -26,9 +26,10 @@ class Board(Device):
         answer = b''
         for payload in self._decoder.feed(data, now_s):
             duties = codec.duties(payload)
-            if duties is not None and not any(duties[4:]):
+            channels = self.coils.channels
+            if duties is not None and not any(duties[channels:]):
                 scale = self.coils.full_scale_A
-                self.coils.command([duty * scale for duty in duties[:4]])
+                self.coils.command([duty * scale for duty in duties[:channels]])
                 answer += self._report()
         return answer
 
@@ -44,5 +45,6 @@ class Board(Device):
         self._decoder = codec.Decoder(codec.COMMAND_BYTES)
 
     def _report(self) -> bytes:
-        report = codec.measurement((*self.coils.currents_A, 0.0, 0.0))
+        spare = (0.0,) * (codec.COILS - self.coils.channels)
+        report = codec.measurement((*self.coils.currents_A, *spare))
         return codec.encode(report[:-4] if self.wrong_device else report)
