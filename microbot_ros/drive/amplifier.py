@@ -90,6 +90,8 @@ class Amplifier(ABC):
 
     watchdog: ClassVar[Watchdog] = Watchdog.NONE
     most_channels: ClassVar[int] = 16
+    sample_s = 0.001
+    """How often it is given currents that turn, at most: what its line takes without a queue."""
     resolution_A = 0.0
     """The step in which the device reports currents."""
 

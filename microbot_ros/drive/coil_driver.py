@@ -19,6 +19,7 @@ from microbot_ros.drive.errors import AmplifierError
 from microbot_ros.drive.gate import Currents, Gate, Limits, Reason
 from microbot_ros.drive.last_resort import LastResort
 from microbot_ros.drive.real_time import set_realtime_priority
+from microbot_ros.drive.rotation import Rotation, Turning
 from microbot_ros.drive.self_check import SelfCheck
 from microbot_ros.errors import InputError
 
@@ -29,6 +30,8 @@ _REFRESH_S = 0.04
 and a zero that the line damaged is not the last word."""
 _BACKOFF_S = (0.1, 2.0)
 """First and longest pause between attempts to reconnect; each is twice the one before."""
+_TOLD_S = 0.01
+"""While currents turn, readings are told at most this often: there are a thousand a second."""
 _ARMING_S = 10.0
 _DISARMING_S = 0.2
 WITHOUT_WATCHDOG = ('if this computer loses its power while coils are driven, the last currents '
@@ -39,7 +42,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class _Order:
-    currents_A: tuple[Any, ...]
+    wanted: tuple[Any, ...] | Turning
     given_s: float
     tag: Any
 
@@ -92,6 +95,8 @@ class CoilDriver:
         self._mail = threading.Lock()
         self._order: _Order | None = None
         self._requests: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        self._rotation = Rotation(limits.slew_A_per_s)
+        self._turned_s = self._told_s = 0.0
         self._sent: Currents = self.gate.zero
         self._sent_s = 0.0
         self._pause_s = _BACKOFF_S[0]
@@ -168,7 +173,18 @@ class CoilDriver:
 
         Whether they may flow, as far as can be said now; `on_sent` tells what went out.
         """
-        order = _Order(tuple(currents_A), time.monotonic(), tag)
+        return self._leave(_Order(tuple(currents_A), time.monotonic(), tag))
+
+    def turn(self, turning: Turning, tag: Any = None) -> bool:
+        """Leave currents that turn for the gate, as `command` does: every sample of `turning` goes
+        through it, as often as the amplifier takes one.
+
+        Like any command they hold for the gate's `command_timeout_s`, with a `tag` that the first
+        sample carries.
+        """
+        return self._leave(_Order(turning, time.monotonic(), tag))
+
+    def _leave(self, order: _Order) -> bool:
         with self._mail:
             self._order = order
         self.amplifier.wake()
@@ -197,7 +213,7 @@ class CoilDriver:
 
     def _serve(self) -> None:
         """Wait for readings, mail or one tick, then let the gate judge what there is."""
-        readings = self.amplifier.poll(_TICK_S)
+        readings = self.amplifier.poll(self._patience_s())
         self._do_requests()
         order = self._take_order()
         now = time.monotonic()
@@ -208,8 +224,8 @@ class CoilDriver:
         was_armed = self.gate.armed
         if self._check is not None:
             self._go_on_checking(self._check, now)
-        elif order is not None:
-            self.gate.command(order.currents_A, now, order.given_s)
+        else:
+            self._obey(order, now)
         tag = order.tag if order is not None and was_armed and self._check is None else None
         if self.gate.tick(now) != self._sent or tag is not None or self._refresh_due(now):
             self._write(tag)
@@ -219,6 +235,33 @@ class CoilDriver:
             self.gate.trip(Reason.INTERNAL, 'the process that watches over this one is gone')
             self._replace_last_resort()
         for reading in readings:
+            self._tell(reading, now)
+
+    def _patience_s(self) -> float:
+        if not self._rotation.turns:
+            return _TICK_S
+        return max(self._sent_s + self.amplifier.sample_s - time.monotonic(), 0.0)
+
+    def _obey(self, order: _Order | None, now: float) -> None:
+        """What was ordered last, where that is due: currents once, of what turns a sample."""
+        if order is not None:
+            wanted = order.wanted
+            if isinstance(wanted, Turning):
+                self._rotation.follow(wanted, now, np.array(self.gate.output))
+                self._turned_s = order.given_s
+            else:
+                self._rotation.stop()
+                self.gate.command(wanted, now, order.given_s)
+        if self._rotation.turns:
+            sample = self._rotation.currents(now).tolist()
+            self.gate.command(sample, now, self._turned_s)
+            if not self.gate.armed:
+                self._rotation.stop()
+
+    def _tell(self, reading: Reading, now: float) -> None:
+        answers = reading.acknowledges is not None and reading.acknowledges.tag is not None
+        if answers or not self._rotation.turns or now - self._told_s >= _TOLD_S:
+            self._told_s = now
             self._on_reading(reading)
 
     def _refresh_due(self, now: float) -> bool:

@@ -81,6 +81,11 @@ class Allocator:
         if not np.all(self._reach >= 0):
             raise InputError('background_mT', 'expected a field that the coils can cancel')
 
+    @property
+    def linear(self) -> np.ndarray:
+        """The cheapest currents without limits (N, axes) [A/T], per field beyond the background."""
+        return self._unlimited
+
     def allocate(self, wanted: ArrayLike) -> Allocation:
         """The cheapest currents for a field (2,) [T], or for the most of it that can be had.
 

@@ -14,6 +14,8 @@ from microbot_ros.drive.transport import Port
 
 _EXPECTED = 'SerialTransfer packets of six measured currents'
 _RUNNING_S = 0.035  # two periods: longer than a board that opening the port resets lives on
+_BITS, _ROOM = 10, 1.25  # of a byte on the line; a quarter of it stays free
+_PACKET_BYTES = len(codec.encode(codec.command([])))
 _STRAY = 0.1  # of full scale: more than the noise of a sense line
 _PLAUSIBLE = 2.0  # a reading beyond this part of full scale is damage that the CRC-8 let through
 
@@ -35,6 +37,7 @@ class SerialTransferAmplifier(Amplifier):
                  channels: int = len(COILS), *, baud: int = 500_000, boot_s: float = 3.0) -> None:
         super().__init__(url, full_scale_A, channels)
         self._baud = baud
+        self.sample_s = max(self.sample_s, _ROOM * _BITS * _PACKET_BYTES / baud)
         self._boot_s = boot_s
         self._port: Port | None = None
         self._decoder = codec.Decoder(codec.MEASUREMENT_BYTES)
