@@ -35,7 +35,8 @@ class Turning:
 
     def at(self, direction: Vector | np.ndarray) -> np.ndarray:
         """The currents (N,) [A] for a `direction` (3,) of what turns."""
-        return np.asarray(self.steady + self.per_direction @ np.asarray(direction))
+        with np.errstate(invalid='ignore'):  # the gate tells what is not finite
+            return np.asarray(self.steady + self.per_direction @ np.asarray(direction))
 
 
 class Rotation:

@@ -86,6 +86,10 @@ class AllocationStage:
         where the currents would be too large it is made smaller. ValueError for a field with a
         part along z that the coils can't make. NaN gives NaN, which the gate latches as a fault.
         """
+        if not (np.isfinite(field).all() and np.isfinite(angular_velocity).all()):
+            nothing = np.full(3, np.nan)
+            return Turning(self.step(nothing), np.full((len(self.coils.names), 3), np.nan),
+                           nothing, math.nan, nothing)
         rate = float(np.linalg.norm(angular_velocity))
         axis = angular_velocity / rate
         along = (field @ axis) * axis

@@ -24,13 +24,19 @@ def served(request, tmp_path):
     made.end()
 
 
+def patient(amplifier):
+    """A loaded machine is slower than a device."""
+    amplifier.reply_s, amplifier._boot_s = 0.3, 5.0
+    return amplifier
+
+
 def pattern(channels):
     return tuple(round((-1) ** k * (k + 1) / channels, 1) for k in range(channels))
 
 
 def test_each_coil_is_driven_and_measured_whatever_their_number(served):
     protocol, channels, device = served
-    amplifier = amplifier_class(protocol)(device.url, FULL_SCALE_A, channels)
+    amplifier = patient(amplifier_class(protocol)(device.url, FULL_SCALE_A, channels))
     amplifier.connect()
     try:
         for currents in (pattern(channels), pattern(channels)[::-1]):
@@ -46,7 +52,7 @@ def test_each_coil_is_driven_and_measured_whatever_their_number(served):
 def test_a_driver_checks_drives_and_zeroes_all_of_its_coils(served):
     protocol, channels, device = served
     names = [f'coil_{k}' for k in range(channels)]
-    driver = CoilDriver(amplifier_class(protocol)(device.url, FULL_SCALE_A, channels),
+    driver = CoilDriver(patient(amplifier_class(protocol)(device.url, FULL_SCALE_A, channels)),
                         replace(LIMITS, settling_s=1.0), lambda _: None, names=names,
                         accept_no_watchdog=protocol in ('modbus', 'scpi'))
     driver.start()
