@@ -83,7 +83,7 @@ class Allocator:
 
     @property
     def linear(self) -> np.ndarray:
-        """The cheapest currents without limits (N, axes) [A/T], per field beyond the background."""
+        """The cheapest currents without limits (N, axes) [A/T], per field made."""
         return self._unlimited
 
     def allocate(self, wanted: ArrayLike) -> Allocation:
