@@ -252,7 +252,8 @@ class CoilDriver:
             else:
                 self._rotation.stop()
                 self.gate.command(wanted, now, order.given_s)
-        if self._rotation.turns:
+        due = order is not None or now - self._sent_s >= self.amplifier.sample_s
+        if self._rotation.turns and due:
             sample = self._rotation.currents(now).tolist()
             self.gate.command(sample, now, self._turned_s)
             if not self.gate.armed:

@@ -1,6 +1,7 @@
 """Currents that turn: continuous through every change, as fast as they are told, and judged."""
 
 import math
+import time
 
 import numpy as np
 import pytest
@@ -103,7 +104,9 @@ def test_the_driver_turns_the_field_and_ends_at_zero(rig):
     driver, device, told = rig
     del told[:]
     assert driver.turn(turning((0, 1, 0), math.tau * 5), 'exposure')
+    began = time.monotonic()
     until(lambda: len(device.flowed) > 300)
+    assert time.monotonic() - began > 0.8 * 300 * driver.amplifier.sample_s  # none in a queue
     flowed = np.array(device.flowed[100:300])
     assert np.abs(flowed[:, 2:4]).max() < 0.02  # nothing along the axis
     assert np.hypot(*vector(flowed.T)[[0, 2]]) == pytest.approx(0.5, abs=0.02)
