@@ -9,6 +9,7 @@ has tipped) is made up for no faster than the gate allows.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +25,8 @@ class Turning:
     """`steady` (N,) [A] and `per_direction` (N, 3) [A] times a unit vector that turns.
 
     About `axis` (3,), a unit vector, at `rate` [rad/s], right-handed; it begins at `start` (3,)
-    unless one turns already.
+    unless one turns already. `driven` are the currents (N,) that are worth so much, where the core
+    of a coil saturates.
     """
 
     steady: np.ndarray
@@ -32,11 +34,12 @@ class Turning:
     axis: np.ndarray
     rate: float
     start: np.ndarray
+    driven: Callable[[np.ndarray], np.ndarray] = np.asarray
 
     def at(self, direction: Vector | np.ndarray) -> np.ndarray:
         """The currents (N,) [A] for a `direction` (3,) of what turns."""
         with np.errstate(invalid='ignore'):  # the gate tells what is not finite
-            return np.asarray(self.steady + self.per_direction @ np.asarray(direction))
+            return self.driven(self.steady + self.per_direction @ np.asarray(direction))
 
 
 class Rotation:

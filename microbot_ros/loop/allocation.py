@@ -102,10 +102,10 @@ class AllocationStage:
         # The largest current of a turning field: how much of a coil lies across the axis.
         across = per_direction - np.outer(per_direction @ axis, axis)
         largest = np.linalg.norm(across, axis=1)
-        room = np.maximum(self.coils.max_current - np.abs(steady), 0.0)
+        room = np.maximum(self.coils.reach - np.abs(steady), 0.0)
         share = np.min(np.divide(room, largest, where=largest > room, out=np.ones_like(room)))
         start = (field - along) / (strength or 1.0)
-        return Turning(steady, share * per_direction, axis, rate, start)
+        return Turning(steady, share * per_direction, axis, rate, start, self.coils.driven)
 
     def _within(self, field: np.ndarray) -> np.ndarray:
         """Of a field (2,) or (3,) what the coils have axes for."""
@@ -117,7 +117,7 @@ class AllocationStage:
 
     def field(self, currents: np.ndarray) -> np.ndarray:
         """The field (2,) or (3,) [T] at the centre of the workspace, of currents (N,) [A]."""
-        return np.asarray(self._allocator.matrix @ currents + self.coils.background)
+        return self._allocator.field(currents)
 
 
 def limits(values: GateParameters) -> Limits:
