@@ -48,6 +48,7 @@ class Served:
                  channels: int = 4) -> None:
         self.flowed: list[tuple[float, ...]] = []
         self.causes: list[str] = []
+        self.times: list[float] = []
         self.coils = Coils(FULL_SCALE_A, watchdog_s, cast(TextIO, self), channels=channels)
         self.device = make_device(protocol, self.coils)
         self.lines = [Line(folder / f'{protocol}-{port}') for port in range(self.device.ports)]
@@ -63,6 +64,7 @@ class Served:
         entry = json.loads(line)
         self.flowed.append(tuple(entry['currents_A']))
         self.causes.append(entry['cause'])
+        self.times.append(entry['t_monotonic_s'])
 
     def flush(self) -> None:
         """Nothing waits."""
