@@ -11,15 +11,17 @@ import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from bench._served import FULL_SCALE_A, LIMITS, Served, until
 from bench.figure import Figure
 from microbot_ros.cli.demo_robots import three_pairs
-from microbot_ros.drive.amplifier import amplifier_class
+from microbot_ros.drive.amplifier import Command
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.rotation import Turning
+from microbot_ros.drive.serial_transfer.driver import SerialTransferAmplifier
 from microbot_ros.magnetics import Allocator, CoilSet
 
 _FREQUENCIES_HZ = (0.1, 1.0, 5.0, 20.0, 40.0)
@@ -51,14 +53,26 @@ def figures() -> list[Figure]:
     ]
 
 
+class _Noted(SerialTransferAmplifier):
+    """Notes what it is given when, for a line may bring it in heaps."""
+
+    def __init__(self, *given: Any, **options: Any) -> None:
+        super().__init__(*given, **options)
+        self.written: list[tuple[float, np.ndarray]] = []
+
+    def write(self, currents_A: Any, tag: Any = None) -> Command:
+        self.written.append((time.monotonic(), np.array(currents_A)))
+        return super().write(currents_A, tag)
+
+
 class _Rig:
     def __init__(self, coils: CoilSet, folder: Path) -> None:
         self.make = Allocator(coils).linear
         self.matrix = coils.actuation_matrix()
         self.board = Served('serial_transfer', folder, 0.1, 6)
+        self.amplifier = _Noted(self.board.url, FULL_SCALE_A, 6, baud=1_000_000)
         self.driver = CoilDriver(
-            amplifier_class('serial_transfer')(self.board.url, FULL_SCALE_A, 6, baud=1_000_000),
-            _LIMITS, lambda _: None, self_check=False, accept_no_watchdog=True)
+            self.amplifier, _LIMITS, lambda _: None, self_check=False, accept_no_watchdog=True)
         self.driver.start()
         until(lambda: self.driver.arm() is None)
         self.rng = np.random.default_rng(0)
@@ -108,14 +122,11 @@ class _Rig:
         worst = 0.0
         for _ in range(100):
             frequency, field = self.rng.uniform(0.1, 40), self.rng.uniform(0, _FIELD_T)
-            since = len(self.board.flowed)
+            since = max(len(self.amplifier.written) - 1, 0)
             self.order(self.axis(), frequency, field, 0.05)
-            currents = np.array(self.board.flowed[since:])
-            t = np.array(self.board.times[since:])
-            if len(t) > 1:
-                turning = math.tau * frequency * field * np.linalg.norm(self.make, axis=1).max()
-                # A sample of time of its own passes on the way from the driver to the board.
-                allowed = (_LIMITS.slew_A_per_s + turning) * (np.diff(t) + 1e-3)
-                worst = max(worst, float((np.abs(np.diff(currents, axis=0)).max(1)
-                                          / allowed).max()))
+            t, currents = map(np.array, zip(*self.amplifier.written[since:], strict=True))
+            turning = math.tau * frequency * field * np.linalg.norm(self.make, axis=1).max()
+            # From when the driver looked at its clock to when it writes passes some time.
+            allowed = (_LIMITS.slew_A_per_s + turning) * (np.diff(t) + 2e-4)
+            worst = max(worst, float((np.abs(np.diff(currents, axis=0)).max(1) / allowed).max()))
         return worst

@@ -91,8 +91,8 @@ class Amplifier(ABC):
     watchdog: ClassVar[Watchdog] = Watchdog.NONE
     most_channels: ClassVar[int] = 16
     sample_s = 0.0009
-    """How often it is given currents that turn, a little more than 1 kHz; less often where its line
-    would keep a queue."""
+    """How often it is given currents that turn: a little more than a thousand a second, fewer
+    where its line would keep a queue."""
     resolution_A = 0.0
     """The step in which the device reports currents."""
 
