@@ -58,11 +58,11 @@ class CoilDriver:
     it, `on_reading` with each reading; they must not block, and if they raise, the coils go to
     zero and the thread goes on. Where the system allows it, the thread runs in real time.
 
-    With `self_check`, arming sends a pulse through each coil first, and tries out the watchdog of
-    a device whose firmware may have one. A device without one needs `accept_no_watchdog`, and is
-    watched by a process of ours, which zeroes it when this one dies or hangs. Raises InputError
-    where that is missing, for a current limit that is more than the amplifier can give, and for
-    limits that leave no room for the pulse.
+    With `self_check`, arming sends a pulse through each coil first, which it calls by its name in
+    `names` (N,), and tries out the watchdog of a device whose firmware may have one. A device
+    without one needs `accept_no_watchdog`, and is watched by a process of ours, which zeroes it
+    when this one dies or hangs. Raises InputError where that is missing, for a current limit that
+    is more than the amplifier can give, and for limits that leave no room for the pulse.
     """
 
     def __init__(self, amplifier: Amplifier, limits: Limits,

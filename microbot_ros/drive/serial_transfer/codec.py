@@ -105,7 +105,9 @@ class Decoder:
         return [payload for _, payload in self.feed_packets(data, now_s)]
 
     def feed_packets(self, data: bytes, now_s: float) -> list[tuple[int, bytes]]:
-        """As `feed`, each with the id of its packet."""
+        """The payloads completed by `data`, which arrived at `now_s` [s], after the ids of their
+        packets.
+        """
         payloads: list[tuple[int, bytes]] = []
         if self._pending and now_s - self._last_byte_s > STALL_S:
             self._discard(1)
