@@ -146,6 +146,6 @@ def _bindings() -> tuple[Any, Any]:
         from gi.repository import Aravis, GLib
     except (ImportError, ValueError) as error:
         raise InputError('camera', "the kind 'aravis' needs Aravis for Python: apt install "
-                         "gir1.2-aravis-0.8, and python3-gi or pip install 'PyGObject<3.51' "
-                         f'({error})') from None
+                         'gir1.2-aravis-0.8 python3-gi, and in a virtual environment pip install '
+                         f'PyGObject ({error})') from None
     return Aravis, GLib.Error

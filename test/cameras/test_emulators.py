@@ -2,37 +2,15 @@
 
 import importlib.util
 import math
-import sys
-import sysconfig
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from bench._aravis import has_aravis
 from microbot_ros.cameras.camera import CameraSettings, Clock, camera_class
 from microbot_ros.cameras.stream import FrameStream
 from microbot_ros.errors import InputError
-
-SYSTEM = Path('/usr/lib/python3/dist-packages/gi')
-
-
-def _has_aravis():
-    """Whether Aravis is there, perhaps beside this environment in the system's Python."""
-    suffix = sysconfig.get_config_var('EXT_SUFFIX')
-    if importlib.util.find_spec('gi') is None and (SYSTEM / f'_gi{suffix}').exists():
-        spec = importlib.util.spec_from_file_location(
-            'gi', SYSTEM / '__init__.py', submodule_search_locations=[str(SYSTEM)])
-        sys.modules['gi'] = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(sys.modules['gi'])
-    try:
-        import gi
-
-        gi.require_version('Aravis', '0.8')
-    except (ImportError, ValueError):
-        return False
-    return True
-
 
 pylon = pytest.param('pylon', '0815-0000', marks=pytest.mark.skipif(
     importlib.util.find_spec('pypylon') is None, reason='pypylon is not installed'))
@@ -40,7 +18,7 @@ micromanager = pytest.param('micromanager', 'demo', marks=pytest.mark.skipif(
     None in map(importlib.util.find_spec, ('pymmcore_plus', 'mm_test_adapters')),
     reason='pymmcore-plus or mm-test-adapters is not installed'))
 aravis = pytest.param('aravis', 'Fake_1', marks=pytest.mark.skipif(
-    not _has_aravis(), reason='Aravis and PyGObject are not installed (Debian: '
+    not has_aravis(), reason='Aravis and PyGObject are not installed (Debian: '
     'gir1.2-aravis-0.8, python3-gi)'))
 every_kind = pytest.mark.parametrize(('kind', 'source'), [pylon, micromanager, aravis])
 
