@@ -13,6 +13,7 @@ from microbot_ros.cameras.pixels import GENICAM, encoding_of, picture
 from microbot_ros.errors import InputError
 
 _BUFFERS = 32
+_NO_NUMBER = 2**64 - 1
 _EMULATOR = 'BaslerCamEmu'
 
 
@@ -52,8 +53,10 @@ class PylonCamera(CameraDriver):
                 return None
             image = picture(result.GetMemoryView(), self._encoding, result.Height, result.Width,
                             result.GetStride()[1] if result.PaddingX else 0)
-            ticks = result.TimeStamp
-            return CameraFrame(result.BlockID, image, arrived,
+            ticks, number = result.TimeStamp, result.BlockID
+            if number == _NO_NUMBER:
+                number = result.ImageNumber
+            return CameraFrame(number, image, arrived,
                                ticks / self._ticks_per_s if ticks else math.nan)
 
     def close(self) -> None:
@@ -162,6 +165,10 @@ class PylonCamera(CameraDriver):
         node = self._node(*names)
         return math.nan if node is None else node.Value
 
+    def _sensor(self) -> tuple[int, int] | None:
+        size = self._node('SensorHeight', 'HeightMax'), self._node('SensorWidth', 'WidthMax')
+        return None if None in size else (size[0].Value, size[1].Value)
+
     def _format(self) -> CameraFormat:
         device = self._device
         self._encoding = encoding_of(device.PixelFormat.Value, GENICAM, self.wanted.source)
@@ -179,6 +186,5 @@ class PylonCamera(CameraDriver):
             device.Height.Value, device.Width.Value, self._encoding, device.PixelFormat.Value,
             clock, frame_rate=None if math.isnan(rate) else rate,
             least_delay=sum(us * 1e-6 for us in (exposure, readout) if us > 0),
-            offset=(device.OffsetX.Value, device.OffsetY.Value),
-            sensor=(device.SensorHeight.Value, device.SensorWidth.Value),
+            offset=(device.OffsetX.Value, device.OffsetY.Value), sensor=self._sensor(),
             patience=math.inf if self.wanted.trigger else 3.0 + 2 * max(exposure, 0.0) * 1e-6)
