@@ -46,10 +46,11 @@ class CameraSettings:
         0.0, 'Pace of a file, or asked of a device; 0 takes what the file says, or the device’s '
         'own.', lower=0.0, upper=10_000.0, read_only=True)
     exposure_ms: float = setting(
-        0.0, 'Time of exposure; 0: the device’s own.', lower=0.0, upper=1e6, read_only=True)
+        0.0, 'Time of exposure; 0: the device’s own. While running, the camera is opened anew.',
+        lower=0.0, upper=1e6)
     gain: float = setting(
-        0.0, 'Gain in the device’s unit (dB for most); 0: the device’s own.', lower=0.0,
-        upper=1e6, read_only=True)
+        0.0, 'Gain in the device’s unit (dB for most); 0: the device’s own. While running, the '
+        'camera is opened anew.', lower=0.0, upper=1e6)
     width_px: int = setting(
         0, 'Width of the region that is read; 0: the device’s own.', lower=0, upper=100_000,
         read_only=True)

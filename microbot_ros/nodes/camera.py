@@ -23,6 +23,8 @@ from microbot_ros.nodes.lifecycle import ERROR, IMAGES_OUT, OK, WARN, RigNode
 from microbot_ros.settings import setting
 
 _RETRY_SECONDS = 1.0
+_FRESH_SECONDS = 1.0
+"""What a camera has gathered for longer before it is wanted is let go."""
 _TURN_SECONDS = 0.1
 """So often the thread looks up from a camera that gives nothing."""
 
@@ -58,6 +60,8 @@ class CameraNode(RigNode):
     def start(self) -> None:
         self._stopping.clear()
         self._finished = self._trouble = ''
+        if time.monotonic() - self._opened > _FRESH_SECONDS:
+            self._close()
         self._thread = threading.Thread(target=self._run, name='camera', daemon=True)
         self._thread.start()
 
@@ -93,6 +97,8 @@ class CameraNode(RigNode):
         values = self.settings
         kind = camera_class(kind_of(values.camera, values.source))
         self._stream = FrameStream(kind(values, self.complain))
+        self._set = values.exposure_ms, values.gain
+        self._opened = time.monotonic()
 
     def _close(self) -> None:
         stream, self._stream = getattr(self, '_stream', None), None
@@ -117,6 +123,9 @@ class CameraNode(RigNode):
             if self._stream is None:
                 self._open()
             while not self._stopping.is_set():
+                if (self.settings.exposure_ms, self.settings.gain) != self._set:
+                    self._close()
+                    self._open()
                 self._take()
         except EndOfFrames as end:
             self._close()

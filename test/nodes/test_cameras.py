@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 import cv2
 import numpy as np
 import pytest
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import CameraInfo, Image
 
 from microbot_ros.cameras.camera import (
@@ -34,6 +35,7 @@ class Bench(CameraDriver):
     frames: ClassVar[deque[CameraFrame]] = deque()
     news = threading.Event()
     opened = 0
+    exposure_ms = 0.0
     gone = False
     form = CameraFormat(4, 6, 'mono8', 'Mono8', Clock.HOST, sensor=(8, 10), offset=(2, 1),
                         patience=math.inf)
@@ -42,6 +44,7 @@ class Bench(CameraDriver):
         if Bench.gone:
             raise InputError('bench', 'is not there')
         Bench.opened += 1
+        Bench.exposure_ms = self.within('exposure_ms', 0.0, 100.0)
         return self.form
 
     def read(self, timeout: float) -> CameraFrame | None:
@@ -135,6 +138,28 @@ def test_a_camera_that_vanishes_is_said_until_it_is_back(bench: Any) -> None:
     values = bench.camera.health()[2]
     assert values['frames_lost'] == 2, 'what was lost before it vanished is still told'
     bench.until(lambda: bench.camera.health()[0] == OK)
+
+
+def test_what_was_gathered_before_it_is_wanted_is_let_go(bench: Any, monkeypatch: Any) -> None:
+    monkeypatch.setattr(camera_node, '_FRESH_SECONDS', -1.0)
+    for state in ('deactivate', 'cleanup', 'configure'):
+        getattr(bench.camera, f'trigger_{state}')()
+    assert Bench.opened == 2
+    bench.camera.trigger_activate()
+    bench.until(lambda: Bench.opened == 3)
+
+
+def test_exposure_is_set_while_running_and_one_that_cannot_be_is_said(bench: Any) -> None:
+    give(bench, 1)
+    bench.camera.set_parameters([Parameter('exposure_ms', value=20.0)])
+    bench.until(lambda: Bench.exposure_ms == 20.0)
+    bench.camera.set_parameters([Parameter('exposure_ms', value=200.0)])
+    bench.until(lambda: bench.camera.health()[0] == ERROR)
+    assert 'exposure_ms must be 0 to 100 ms here; received 200' in bench.camera.health()[1]
+    bench.camera.set_parameters([Parameter('exposure_ms', value=5.0)])
+    bench.until(lambda: Bench.exposure_ms == 5.0)
+    give(bench, 1)
+    bench.until(lambda: len(bench.images) == 2)
 
 
 def test_depth_and_bayer_pattern_are_handed_on(bench: Any, monkeypatch: Any) -> None:
