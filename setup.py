@@ -11,7 +11,7 @@ ros_from_pypi = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
 training, policies = ['gymnasium'], ['onnx', 'onnxruntime']
 
 # Cameras beyond V4L2 and files; the emulator of one comes with it, of the other by itself.
-cameras = ['pymmcore-plus>=0.18', 'pypylon>=4.2']
+cameras = ['pymmcore>=11.9', 'pypylon>=4.2']
 
 development = [
     *training, *policies, *cameras, 'mm-test-adapters', 'catkin_pkg', 'colcon-common-extensions', 'coverage', 'hypothesis',

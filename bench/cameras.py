@@ -37,7 +37,7 @@ def figures() -> list[Figure]:
         return [figure for kind, there, measure in (
             ('file', True, _file),
             ('pylon', _installed('pypylon'), _pylon),
-            ('micromanager', _installed('pymmcore_plus', 'mm_test_adapters'), _micromanager),
+            ('micromanager', _installed('pymmcore', 'mm_test_adapters'), _micromanager),
             ('aravis', has_aravis(), _aravis),
         ) for figure in (measure(Path(name)) if there else _left_out(kind))]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 from contextlib import suppress
 from typing import Any
@@ -29,11 +30,10 @@ class MicroManagerCamera(CameraDriver):
     def open(self) -> CameraFormat:
         self._core: Any = None
         self._mmcore = optional('pymmcore', 'micromanager')
-        folders = optional('pymmcore_plus', 'micromanager').find_micromanager(return_first=False)
         self.refuse('frame_rate_hz', 'trigger', why='say it in the configuration file')
         core = self._core = self._mmcore.CMMCore()
         try:
-            core.setDeviceAdapterSearchPaths([str(folder) for folder in folders])
+            core.setDeviceAdapterSearchPaths(_adapters())
             self._load()
             self._set_up()
             core.setCircularBufferMemoryFootprint(_BUFFER_MB)
@@ -151,6 +151,21 @@ class MicroManagerCamera(CameraDriver):
         elapsed = _tag(told, 'ElapsedTime-ms')
         return CameraFrame(int(_tag(told, 'ImageNumber')), image, arrived,
                            float(elapsed) * 1e-3 if elapsed else math.nan)
+
+
+def _adapters() -> list[str]:
+    """Folders of device adapters: Micro-Manager's (MICROMANAGER_PATH), those that pymmcore-plus
+    installed, and the demo camera's, where they are there."""
+    folders = [path] if (path := os.environ.get('MICROMANAGER_PATH')) else []
+    with suppress(ImportError):
+        from pymmcore_plus import find_micromanager
+
+        folders += map(str, find_micromanager(return_first=False))
+    with suppress(ImportError):
+        import mm_test_adapters
+
+        folders.append(str(mm_test_adapters.device_adapter_path()))
+    return folders
 
 
 def _tag(told: Any, name: str) -> str:

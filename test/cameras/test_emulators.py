@@ -16,8 +16,8 @@ from microbot_ros.errors import InputError
 pylon = pytest.param('pylon', '0815-0000', marks=pytest.mark.skipif(
     importlib.util.find_spec('pypylon') is None, reason='pypylon is not installed'))
 micromanager = pytest.param('micromanager', 'demo', marks=pytest.mark.skipif(
-    None in map(importlib.util.find_spec, ('pymmcore_plus', 'mm_test_adapters')),
-    reason='pymmcore-plus or mm-test-adapters is not installed'))
+    None in map(importlib.util.find_spec, ('pymmcore', 'mm_test_adapters')),
+    reason='pymmcore or mm-test-adapters is not installed'))
 aravis = pytest.param('aravis', 'Fake_1', marks=pytest.mark.skipif(
     not has_aravis(), reason='Aravis and PyGObject are not installed (Debian: '
     'gir1.2-aravis-0.8, python3-gi)'))
