@@ -137,7 +137,7 @@ NOTHING = rows()[:0]
     (rows() * ([1e-3] * 4 + [1] * 6), HEADER, 'found 8.* units'),
     (PAIRED[:, [0, 1, 2, 3, 7, 8]], [*HEADER[:4], *HEADER[7:9]], 'singular'),
     (rows()[:3], HEADER, 'singular'),
-    (NOTHING, HEADER, 'readings.csv:1: expected readings below'),
+    (NOTHING, HEADER, 'readings.csv:1: expected rows of numbers below'),
     (DEAD[:13], HEADER, 'expected a gain between 1/3 and 3 for coil_plus_x, found'),
     (STUCK, HEADER, '100% of their variation is unexplained'),
     (np.vstack([rows(), np.full(10, np.nan)]), HEADER, "readings.csv:54: .* found 'nan'"),
@@ -201,7 +201,7 @@ def test_it_starts_from_the_coils_that_a_rig_names_and_says_so(tmp_path):
      '/nowhere.yaml: expected a readable YAML file'),
     ('coil_driver:\n  ros__parameters:\n    coil_file: a\n', r'rig\.yaml:3: unknown parameter'),
     ('coils:\n', r"rig\.yaml:1: 'coils'"),
-    ('coils:\n  windings: []\n', r"rig\.yaml:2: 'coils\.windings': expected four coils"),
+    ('coils:\n  windings: []\n', r"rig\.yaml:2: 'coils\.windings': expected 2 to 16 coils"),
 ])
 def test_a_file_without_coils_is_not_taken_for_the_default_rig(content, complaint, tmp_path):
     config = tmp_path / 'rig.yaml'
