@@ -196,8 +196,8 @@ def _by_motion(
 def _by_graticule(
     part: CameraPart, path: Path, spacing: float, along_coils: bool, result: dict[str, Any],
 ) -> tuple[CameraPart, np.ndarray, Graticule]:
+    from microbot_ros.cameras.source import read_picture
     from microbot_ros.tracking.graticule import measure_graticule
-    from microbot_ros.tracking.source import read_picture
 
     image = read_picture(path)
     found = measure_graticule(image, str(path))
@@ -224,8 +224,9 @@ def _by_graticule(
 def _by_size(
     part: CameraPart, source: str, diameter: float, result: dict[str, Any],
 ) -> CameraPart:
+    from microbot_ros.cameras.source import open_source
     from microbot_ros.cli.track import first_appearance
-    from microbot_ros.tracking import TrackerSettings, open_source
+    from microbot_ros.tracking import TrackerSettings
 
     appearance = first_appearance(open_source(source, lambda _: None), TrackerSettings())
     if appearance is None:

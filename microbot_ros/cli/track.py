@@ -15,7 +15,8 @@ import numpy as np
 from microbot_ros.units import from_si, to_si
 
 if TYPE_CHECKING:
-    from microbot_ros.tracking import Appearance, Poses, Source, Tracker, TrackerSettings
+    from microbot_ros.cameras.source import Source
+    from microbot_ros.tracking import Appearance, Poses, Tracker, TrackerSettings
 
 _WHOLE = 0.95
 """Share of the frames in which a particle is seen that lives from start to end."""
@@ -57,9 +58,10 @@ def command(
     """
     from rich.console import Console
 
+    from microbot_ros.cameras.source import open_source
     from microbot_ros.errors import InputError
     from microbot_ros.files import output_folder, read_yaml, write_text
-    from microbot_ros.tracking import TrackerSettings, open_source
+    from microbot_ros.tracking import TrackerSettings
 
     if pixel_size_um is not None and not 0 < pixel_size_um < float('inf'):
         raise InputError('--pixel-size-um', f'expected a positive number, got {pixel_size_um}')
