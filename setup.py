@@ -14,10 +14,10 @@ training, policies = ['gymnasium'], ['onnx', 'onnxruntime']
 cameras = ['pymmcore>=11.9', 'pypylon>=4.2']
 
 development = [
-    *training, *policies, *cameras, 'mm-test-adapters', 'catkin_pkg',
-    'colcon-common-extensions', 'coverage', 'hypothesis', 'import-linter', 'magpylib', 'mypy', 'psutil', 'pysindy', 'pytest', 'pytest-timeout',
-    'pytest-xdist', 'ruff', 'StochasticForceInference', 'trackpy', 'types-PyYAML',
-    'types-pyserial',
+    *training, *policies, *cameras, 'mm-test-adapters', 'catkin_pkg', 'colcon-common-extensions',
+    'coverage', 'hypothesis', 'import-linter', 'magpylib', 'mypy', 'psutil', 'pysindy', 'pytest',
+    'pytest-timeout', 'pytest-xdist', 'ruff', 'StochasticForceInference', 'trackpy',
+    'types-PyYAML', 'types-pyserial',
 ]
 
 nodes = [
