@@ -13,7 +13,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from importlib.metadata import entry_points
 from types import ModuleType
 from typing import ClassVar
 
@@ -21,6 +20,7 @@ import numpy as np
 
 from microbot_ros import settings, units
 from microbot_ros.errors import InputError
+from microbot_ros.plugins import installed
 from microbot_ros.settings import setting
 
 GROUP = 'microbot_ros.cameras'
@@ -199,15 +199,7 @@ def camera_class(kind: str) -> type[CameraDriver]:
     InputError for one that is not there, does not load or is written for another contract: there
     is no falling back to another.
     """
-    registered = {entry.name: entry for entry in entry_points(group=GROUP)}
-    if kind not in registered:
-        raise InputError('camera', f"expected one of {', '.join(sorted(registered))}; received "
-                         f"'{kind}'")
-    try:
-        found = registered[kind].load()
-    except Exception as error:
-        raise InputError('camera', f"the kind '{kind}' does not load "
-                         f'({type(error).__name__}: {error})') from None
+    found = installed(GROUP, 'camera', kind)
     if not (isinstance(found, type) and issubclass(found, CameraDriver)):
         raise InputError('camera', f"the kind '{kind}' is no CameraDriver")
     if found.interface_version != INTERFACE_VERSION:
