@@ -2,7 +2,7 @@
 
 All take the height h of the centre above the floor and the radius a, in metres or any other
 unit, a number or arrays that broadcast, and give the drag over that in bulk fluid: 1 far away.
-ValueError unless the height is more than the radius.
+ValueError unless the height is finite and more than the radius.
 
 Two of them diverge at contact as a logarithm of the gap, which lubrication gives (Goldman, Cox &
 Brenner, Chemical Engineering Science 22, 637 (1967); constants and next terms after Chaoui &
@@ -72,11 +72,11 @@ def height_of_drag(factor: float, radius: float) -> float | None:
 
 def _nearness(height: ArrayLike, radius: ArrayLike) -> np.ndarray:
     """a/h, above 0 and below 1."""
-    ratio = np.divide(radius, height)
-    if not np.all((ratio > 0) & (ratio < 1)):
-        raise ValueError(f'height must be more than the radius {radius!r}; '
-                         f'received {height!r}')
-    return np.asarray(ratio)
+    height, radius = np.asarray(height, float), np.asarray(radius, float)
+    if not np.all((radius > 0) & (radius < height) & (height < np.inf)):
+        raise ValueError(f'height must be more than the radius {radius} '
+                         f'and finite; received {height}')
+    return np.asarray(radius / height)
 
 
 def _joined(s: np.ndarray, lubrication: tuple[float, float], contact: float,
