@@ -41,15 +41,34 @@ class Watchdog(StrEnum):
 
 
 @dataclass(frozen=True, eq=False)
+class Swing:
+    """Currents of a field that turns: `steady` + `cosine` cos ωt + `sine` sin ωt.
+
+    Each (N,) [A], with ω the `rate` [rad/s] and t [s] since they were sent.
+    """
+
+    steady: np.ndarray
+    cosine: np.ndarray
+    sine: np.ndarray
+    rate: float
+
+    @property
+    def largest(self) -> np.ndarray:
+        """The largest magnitude of each current on the way (N,) [A]."""
+        return np.asarray(np.abs(self.steady) + np.hypot(self.cosine, self.sine))
+
+
+@dataclass(frozen=True, eq=False)
 class Command:
     """`currents_A` (N,) [A], handed to the line at `t_monotonic_s`.
 
-    `tag` is the caller's, to know the command again.
+    `tag` is the caller's, to know the command again; `swing` is how they go on by themselves.
     """
 
     t_monotonic_s: float
     currents_A: np.ndarray
     tag: Any = None
+    swing: Swing | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +112,10 @@ class Amplifier(ABC):
     sample_s = 0.0009
     """How often it is given currents that turn: a little more than a thousand a second, fewer
     where its line would keep a queue."""
+    can_swing: ClassVar[bool] = False
+    """Whether there are devices that turn currents by themselves, as a `Swing` says."""
+    swings = False
+    """Whether this one does, from command to command."""
     resolution_A = 0.0
     """The step in which the device reports currents."""
 
@@ -127,20 +150,22 @@ class Amplifier(ABC):
             self._release()
             raise
 
-    def write(self, currents_A: Sequence[float] | np.ndarray, tag: Any = None) -> Command:
+    def write(self, currents_A: Sequence[float] | np.ndarray, tag: Any = None,
+              swing: Swing | None = None) -> Command:
         """Send `currents_A` (N,) [A], with a `tag`, in place of any that a slow line has yet to
-        take.
+        take; with a `swing` a device that `swings` goes on from there by itself.
 
         Zero goes out at once, ahead of all else. Raises ValueError, with nothing sent, for any
         that is not within the full scale (NaN is not), and AmplifierError where the line is lost.
         """
         currents = np.array(currents_A, dtype=float)
         shape = self.full_scale_A.shape
-        if currents.shape != shape or not np.all(np.abs(currents) <= self.full_scale_A):
+        largest = np.abs(currents) if swing is None else swing.largest
+        if currents.shape != shape or not np.all(largest <= self.full_scale_A):
             raise ValueError(
                 f'currents must be {self.channels} values within ±{self.full_scale_A} A; '
                 f'received {currents_A}')
-        command = Command(time.monotonic(), currents, tag)
+        command = Command(time.monotonic(), currents, tag, swing)
         self._unacknowledged.append(command)
         self._send(command)
         return command

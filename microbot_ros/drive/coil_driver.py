@@ -58,11 +58,11 @@ class CoilDriver:
     it, `on_reading` with each reading; they must not block, and if they raise, the coils go to
     zero and the thread goes on. Where the system allows it, the thread runs in real time.
 
-    With `self_check`, arming sends a pulse through each coil first, and tries out the watchdog of
-    a device whose firmware may have one. A device without one needs `accept_no_watchdog`, and is
-    watched by a process of ours, which zeroes it when this one dies or hangs. Raises InputError
-    where that is missing, for a current limit that is more than the amplifier can give, and for
-    limits that leave no room for the pulse.
+    With `self_check`, arming sends a pulse through each coil first, which it calls by its name in
+    `names` (N,), and tries out the watchdog of a device whose firmware may have one. A device
+    without one needs `accept_no_watchdog`, and is watched by a process of ours, which zeroes it
+    when this one dies or hangs. Raises InputError where that is missing, for a current limit that
+    is more than the amplifier can give, and for limits that leave no room for the pulse.
     """
 
     def __init__(self, amplifier: Amplifier, limits: Limits,
@@ -97,6 +97,7 @@ class CoilDriver:
         self._requests: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._rotation = Rotation(limits.slew_A_per_s)
         self._turned_s = self._told_s = 0.0
+        self._swinging = False
         self._sent: Currents = self.gate.zero
         self._sent_s = 0.0
         self._pause_s = _BACKOFF_S[0]
@@ -227,7 +228,7 @@ class CoilDriver:
         else:
             self._obey(order, now)
         tag = order.tag if order is not None and was_armed and self._check is None else None
-        if self.gate.tick(now) != self._sent or tag is not None or self._refresh_due(now):
+        if self._write_due(now, tag):
             self._write(tag)
         if not self.gate.armed:
             self._answer_arming(self._refusal())
@@ -237,8 +238,18 @@ class CoilDriver:
         for reading in readings:
             self._tell(reading, now)
 
+    def _write_due(self, now: float, tag: Any) -> bool:
+        changed = self.gate.tick(now) != self._sent
+        alone = self._swinging and self._may_swing()
+        return (changed and not alone) or tag is not None or self._refresh_due(now)
+
+    def _may_swing(self) -> bool:
+        """Whether the device can turn the currents by itself from here on."""
+        return (self.amplifier.swings and self.gate.armed and self._rotation.turns
+                and self._rotation.settled)
+
     def _patience_s(self) -> float:
-        if not self._rotation.turns:
+        if not self._rotation.turns or self._swinging:
             return _TICK_S
         return max(self._sent_s + self.amplifier.sample_s - time.monotonic(), 0.0)
 
@@ -252,7 +263,8 @@ class CoilDriver:
             else:
                 self._rotation.stop()
                 self.gate.command(wanted, now, order.given_s)
-        due = order is not None or now - self._sent_s >= self.amplifier.sample_s
+        due = order is not None or self._swinging or (
+            now - self._sent_s >= self.amplifier.sample_s)
         if self._rotation.turns and due:
             sample = self._rotation.currents(now).tolist()
             self.gate.command(sample, now, self._turned_s)
@@ -283,7 +295,9 @@ class CoilDriver:
         if not self.connected:
             return
         self._sent, self._sent_s = self.gate.output, time.monotonic()
-        sent = self.amplifier.write(self._sent, tag)
+        self._swinging = self._may_swing()
+        swing = self._rotation.swing() if self._swinging else None
+        sent = self.amplifier.write(self._sent, tag, swing)
         if tag is not None:
             self._on_sent(sent)
 

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from microbot_ros.drive.amplifier import Swing
+
 Vector = tuple[float, float, float]
 
 _ALONG = 1e-9
@@ -50,35 +52,55 @@ class Rotation:
         self._turning: Turning | None = None
         self._direction: Vector = (math.nan,) * 3
         self._t = self._since = -math.inf
-        self._jump = np.zeros(0)
+        self._jump = self._left = np.zeros(0)
 
     @property
     def turns(self) -> bool:
         """Whether anything does."""
         return self._turning is not None
 
+    @property
+    def settled(self) -> bool:
+        """Whether all jumps had been made up for in the last sample."""
+        return not self._left.any()
+
     def stop(self) -> None:
         """The next one begins anew."""
         self._turning = None
 
     def follow(self, turning: Turning, now_s: float, flowing_A: np.ndarray) -> None:
-        """Go on with another `turning` from `now_s` on, where `flowing_A` (N,) [A] flow."""
+        """Go on with another `turning` from `now_s` on.
+
+        It begins at what turned until now, or else at `flowing_A` (N,) [A].
+        """
         direction: Vector = tuple(turning.start.tolist())
         if self._turning is not None:
-            self._advance(now_s)
+            flowing_A = self.currents(now_s)
             direction = self._direction
         self._turning = turning
         self._direction = _across(direction, tuple(turning.axis.tolist()))
         self._t = self._since = now_s
-        self._jump = flowing_A - turning.at(self._direction)
+        self._jump = self._left = flowing_A - turning.at(self._direction)
 
     def currents(self, now_s: float) -> np.ndarray:
         """The currents (N,) [A] at `now_s`; NaN, which no gate lets pass, where the axis is."""
         assert self._turning is not None
         self._advance(now_s)
         made_up = self._slew_A_per_s * (now_s - self._since)
-        left = np.sign(self._jump) * np.maximum(np.abs(self._jump) - made_up, 0.0)
-        return self._turning.at(self._direction) + left
+        self._left = np.sign(self._jump) * np.maximum(np.abs(self._jump) - made_up, 0.0)
+        return self._turning.at(self._direction) + self._left
+
+    def swing(self) -> Swing:
+        """How the currents of the last sample go on, for a device that turns them by itself.
+
+        Exact once they have `settled`, where no core saturates.
+        """
+        turning = self._turning
+        assert turning is not None
+        (x, y, z), (a, b, d) = self._direction, turning.axis.tolist()
+        ahead = (b * z - d * y, d * x - a * z, a * y - b * x)  # a quarter of a turn
+        return Swing(turning.steady, turning.per_direction @ np.array((x, y, z)),
+                     turning.per_direction @ np.array(ahead), turning.rate)
 
     def _advance(self, now_s: float) -> None:
         """Turn about the axis by what the time since the last sample makes."""

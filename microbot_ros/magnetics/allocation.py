@@ -293,7 +293,7 @@ def _normals(columns: np.ndarray) -> np.ndarray:
 def _in_words(direction: np.ndarray) -> str:
     """A direction for people: its axis, where it lies along one, and its unit vector."""
     unit = direction / np.linalg.norm(direction)
-    main = np.abs(unit).argmax()
+    main = int((np.abs(unit) > 0.999 * np.abs(unit).max()).argmax())  # of equal ones the first
     unit = unit * np.sign(unit[main]) + 0.0
     name = f'{"xyz"[main]} ' if unit[main] > 0.999 else ''
     return f'{name}({", ".join(f"{part:.2f}" for part in [*unit, 0.0][:3])})'

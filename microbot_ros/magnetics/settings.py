@@ -163,10 +163,10 @@ class CoilSettings(Settings):
     @pydantic.model_validator(mode='wrap')
     @classmethod
     def _from_a_file(cls, content: Any, validated: pydantic.ModelWrapValidatorHandler[Self],
-                     ) -> CoilSettings:
+                     info: pydantic.ValidationInfo) -> CoilSettings:
         """A file of coils has them under the one key `coils`; those without it are read too."""
         if isinstance(content, dict) and 'coils' in content:
-            return _CoilsFile.model_validate(content).coils
+            return _CoilsFile.model_validate(content, context=info.context).coils
         return validated(content)
 
     @pydantic.field_validator('windings')

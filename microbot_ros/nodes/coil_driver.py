@@ -40,6 +40,9 @@ class CoilDriverParameters(GateParameters):
     max_command_age_ms: float = setting(
         75.0, 'A command whose stamp, the exposure that it answers, is older is not driven.',
         lower=10.0, upper=2000.0, read_only=True, formerly='stale_ms')
+    board_turns: bool = setting(
+        False, 'The firmware of the board turns a rotating field by itself, as the reference '
+        'firmware does; else the driver sends every sample.', read_only=True)
     self_check: bool = setting(
         True, 'Check sign and gain of each coil with a short pulse on arming, and the watchdog of '
         'a device whose firmware may have one; false for an amplifier that reads no currents '
@@ -72,6 +75,10 @@ class CoilDriverNode(RigNode):
         self._commander: bytes | None = None
         amplifier = amplifier_class(values.amplifier)(
             values.port, values.full_scale_A, len(self.stage.coils.names))
+        if values.board_turns and not amplifier.can_swing:
+            raise InputError('board_turns', f'{values.amplifier} turns no currents by itself; '
+                             'expected false')
+        amplifier.swings = values.board_turns
         self._rotation, self._rotation_s = np.zeros(3), -math.inf
         self._driver = CoilDriver(
             amplifier, limits(values), self._on_reading, names=self.stage.coils.names,

@@ -2,6 +2,7 @@
 
 import math
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -84,11 +85,12 @@ def test_an_axis_along_what_turned_takes_anything_across():
     assert field[0] == pytest.approx(0.0, abs=1e-12)
 
 
-@pytest.fixture
-def rig(tmp_path):
-    """A driver of six coils whose line takes a sample a millisecond, and its device."""
+@pytest.fixture(params=['driver', 'board'])
+def rig(tmp_path, request):
+    """A driver of six coils, and its device; the driver sends samples, or the board makes them."""
     device = Served('serial_transfer', tmp_path, 0.1, 6)
     amplifier = amplifier_class('serial_transfer')(device.url, FULL_SCALE_A, 6, baud=1_000_000)
+    amplifier.swings = request.param == 'board'
     told = []
     driver = CoilDriver(amplifier, LIMITS, told.append, self_check=True,
                         names=[f'coil_{k}' for k in range(6)])
@@ -107,6 +109,8 @@ def test_the_driver_turns_the_field_and_ends_at_zero(rig):
     began = time.monotonic()
     until(lambda: len(device.flowed) > 300)
     assert time.monotonic() - began > 0.8 * 300 * driver.amplifier.sample_s  # none in a queue
+    sent = driver.amplifier.counters.frames_sent
+    assert sent < 100 if driver.amplifier.swings else sent > 300
     flowed = np.array(device.flowed[100:300])
     assert np.abs(flowed[:, 2:4]).max() < 0.02  # nothing along the axis
     assert np.hypot(*vector(flowed.T)[[0, 2]]) == pytest.approx(0.5, abs=0.02)
@@ -118,8 +122,7 @@ def test_the_driver_turns_the_field_and_ends_at_zero(rig):
 
 def test_what_turns_goes_stale_as_what_stands_does(rig):
     driver, device, _ = rig
-    limits = driver.gate.limits
-    object.__setattr__(limits, 'command_timeout_s', 0.1)
+    driver.gate.limits = replace(LIMITS, command_timeout_s=0.1)
     assert driver.turn(turning((0, 0, 1), math.tau))
     assert until(lambda: driver.gate.fault).reason is Reason.STALE
     device.eventually((0.0,) * 6)
@@ -138,8 +141,7 @@ def test_what_cannot_be_affirmed_is_zero(rig, axis, strength):
 
 def test_turning_coils_are_judged_by_what_flows_not_by_the_mean(rig):
     driver, device, _ = rig
-    object.__setattr__(driver.gate.limits, 'rated_current_A', 0.1)
-    object.__setattr__(driver.gate.limits, 'thermal_s', 0.5)
+    driver.gate.limits = replace(LIMITS, rated_current_A=0.1, thermal_s=0.5)
     driver.turn(turning((0, 0, 1), math.tau * 5))  # 0.35 A effective, and 0 in the mean
     assert until(lambda: driver.gate.fault).reason is Reason.HEAT
     device.eventually((0.0,) * 6)

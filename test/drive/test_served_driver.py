@@ -386,10 +386,10 @@ def test_whatever_fails_ends_in_zero_and_the_thread_goes_on(drivers, device, whe
     drive(driver, device)
     write = driver.amplifier.write
 
-    def refuse(currents, tag=None):
+    def refuse(currents, *more):
         if failing.is_set() and any(currents):
             raise RuntimeError('subscriber gone')
-        return write(currents, tag)
+        return write(currents, *more)
 
     if where == 'write':
         monkeypatch.setattr(driver.amplifier, 'write', refuse)

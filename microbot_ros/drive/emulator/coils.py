@@ -32,12 +32,14 @@ class Coils:
         self._deadline_s = math.inf
         self.zero('reset')
 
-    def command(self, wanted_A: dict[int, float] | Sequence[float]) -> None:
-        """Take `wanted_A` [A], of some coils, by index, or of all, and feed the watchdog.
+    def command(self, wanted_A: dict[int, float] | Sequence[float], feeds: bool = True) -> None:
+        """Take `wanted_A` [A], of some coils, by index, or of all.
 
-        A channel without a coil carries nothing.
+        That `feeds` the watchdog where a host has asked for it. A channel without a coil carries
+        nothing.
         """
-        self.feed()
+        if feeds:
+            self.feed()
         for coil, current in dict(wanted_A if isinstance(wanted_A, dict)
                                   else enumerate(wanted_A)).items():
             if coil < self.channels:

@@ -30,6 +30,7 @@ class SerialTransferAmplifier(Amplifier):
     """
 
     watchdog = Watchdog.FIRMWARE
+    can_swing = True
 
     most_channels = codec.COILS
 
@@ -69,8 +70,14 @@ class SerialTransferAmplifier(Amplifier):
         return [] if descriptor is None else [(descriptor, zero)]
 
     def _send(self, command: Command) -> None:
-        duties = (command.currents_A / self.full_scale_A).tolist()
-        self._require_port().send(codec.encode(codec.command(duties)))
+        if (swing := command.swing) is not None:
+            parts = [(part / self.full_scale_A).tolist()
+                     for part in (swing.steady, swing.cosine, swing.sine)]
+            packet = codec.encode(codec.turn(parts, swing.rate), codec.TURN_ID)
+        else:
+            duties = (command.currents_A / self.full_scale_A).tolist()
+            packet = codec.encode(codec.command(duties))
+        self._require_port().send(packet)
         self.counters.frames_sent += 1
 
     def _receive(self, timeout_s: float) -> list[tuple[float, float, np.ndarray]]:
