@@ -193,12 +193,19 @@ def _coils(file: str) -> str:
 
 def _watchdog(config: Path) -> Finding:
     from microbot_ros.drive.amplifier import Watchdog, amplifier_class
-    from microbot_ros.drive.coil_driver import WITHOUT_WATCHDOG
+    from microbot_ros.drive.coil_driver import WITHOUT_FEEDBACK, WITHOUT_WATCHDOG
     from microbot_ros.nodes.configuration import read_rig
 
     given = read_rig(config).get('coil_driver', {})
     protocol = given.get('amplifier', 'serial_transfer')
-    watchdog = amplifier_class(protocol).watchdog
+    amplifier = amplifier_class(protocol)
+    watchdog = amplifier.watchdog
+    if not amplifier.reads_back:
+        accepted = given.get('accept_no_feedback')
+        return Finding('watchdog', 'warn' if accepted else 'fail', f'{protocol} reads no currents '
+                       f'back{", which is accepted" if accepted else ""}: {WITHOUT_FEEDBACK}'
+                       + ('' if accepted else '; it is not driven unless '
+                          'coil_driver.accept_no_feedback says that this is accepted'))
     if given.get('accept_no_watchdog') and watchdog is not Watchdog.ARMED:
         return Finding('watchdog', 'warn', f'{protocol}, accepted without one: {WITHOUT_WATCHDOG}')
     if watchdog is Watchdog.NONE:
