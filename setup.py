@@ -70,6 +70,7 @@ setup(
         'microbot_ros.amplifiers': [
             'serial_transfer = microbot_ros.drive.serial_transfer.driver:SerialTransferAmplifier',
             'scpi = microbot_ros.drive.scpi.driver:ScpiAmplifier',
+            'sabertooth = microbot_ros.drive.sabertooth.driver:SabertoothAmplifier',
             'roboclaw = microbot_ros.drive.roboclaw.driver:RoboclawAmplifier',
             'modbus = microbot_ros.drive.modbus.driver:ModbusAmplifier',
             'roboteq = microbot_ros.drive.roboteq.driver:RoboteqAmplifier',

@@ -18,7 +18,7 @@ import numpy as np
 from microbot_ros.drive.emulator.coils import Coils
 from microbot_ros.drive.emulator.faults import Faults, parse
 from microbot_ros.drive.emulator.line import Line
-from microbot_ros.drive.emulator.process import make_device
+from microbot_ros.drive.emulator.process import DEVICES, make_device
 from microbot_ros.drive.emulator.server import Server
 from microbot_ros.drive.gate import Limits
 
@@ -28,6 +28,8 @@ LIMITS = Limits(
     deviation_A=0.15, settling_s=0.1, feedback_timeout_s=8.0, rated_current_A=3.0, thermal_s=60.0,
     idle_s=60.0)
 """Wide in time: a busy machine is no fault."""
+MEASURED = sorted({*DEVICES} - {'sabertooth'})
+"""The protocols whose devices read currents back."""
 _DEADLINE_S = float(os.environ.get('MICROBOT_TEST_DEADLINE_S', '10'))
 
 

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 _WATCH_SECONDS, _TICK_SECONDS, _LATE_MS = 2.0, 0.005, 10.0
 _CAMERA_SECONDS = 1.0
+_ANY_BAUD = 115_200
+_UDEV_HINT = 'see "Low latency" in docs/safety.md for the udev rule that sets it'
 _BUSY = [sys.executable, '-c', 'while True: pass']
 
 
@@ -69,7 +71,8 @@ def _look(config: Path | None) -> Iterator[Finding]:
     checks: list[Callable[[], Finding]] = [
         _python, _ros, _real_time, _dead_man, _shared_memory, _disk, _ports]
     if config:
-        checks += [lambda: _rig(config), lambda: _camera(config), lambda: _watchdog(config)]
+        checks += [lambda: _rig(config), lambda: _camera(config), lambda: _watchdog(config),
+                   lambda: _latency(config)]
     for check in checks:
         try:
             yield check()
@@ -240,15 +243,61 @@ def _coils(file: str) -> str:
 
 def _watchdog(config: Path) -> Finding:
     from microbot_ros.drive.amplifier import Watchdog, amplifier_class
-    from microbot_ros.drive.coil_driver import WITHOUT_WATCHDOG
+    from microbot_ros.drive.coil_driver import WITHOUT_FEEDBACK, WITHOUT_WATCHDOG
     from microbot_ros.nodes.configuration import read_rig
 
     given = read_rig(config).get('coil_driver', {})
     protocol = given.get('amplifier', 'serial_transfer')
-    watchdog = amplifier_class(protocol).watchdog
+    amplifier = amplifier_class(protocol)
+    watchdog = amplifier.watchdog
+    if not amplifier.reads_back:
+        accepted = given.get('accept_no_feedback')
+        return Finding('watchdog', 'warn' if accepted else 'fail', f'{protocol} reads no currents '
+                       f'back{", which is accepted" if accepted else ""}: {WITHOUT_FEEDBACK}'
+                       + ('' if accepted else '; it is not driven unless '
+                          'coil_driver.accept_no_feedback says that this is accepted'))
     if given.get('accept_no_watchdog') and watchdog is not Watchdog.ARMED:
         return Finding('watchdog', 'warn', f'{protocol}, accepted without one: {WITHOUT_WATCHDOG}')
     if watchdog is Watchdog.NONE:
         return Finding('watchdog', 'fail', f'{protocol} has none: {WITHOUT_WATCHDOG}; it is not '
                        'driven unless coil_driver.accept_no_watchdog says that this is accepted')
     return Finding('watchdog', 'ok', f'{protocol}: {watchdog.value}')
+
+
+def _latency(config: Path) -> Finding:
+    """Opens the port of the amplifier, as the driver does, and closes it: nothing is sent."""
+    from microbot_ros.drive.errors import AmplifierError, PortBusyError
+    from microbot_ros.nodes.configuration import read_rig
+
+    ports = str(read_rig(config).get('coil_driver', {}).get('port', '')).split(',')
+    told, level = [], 'ok'
+    for port in filter(None, ports):
+        try:
+            slow, sentence = _asked_for_low_latency(port)
+        except PortBusyError:
+            slow, sentence = False, 'in use, not asked'
+        except AmplifierError as error:
+            slow, sentence = False, str(error)
+        level = 'warn' if slow else level
+        told.append(f'{port}: {sentence}')
+    return Finding('low latency', level, '; '.join(told) or 'no port to ask')
+
+
+def _asked_for_low_latency(port: str) -> tuple[bool, str]:
+    """Whether an adapter is slower than it could be, and what was found."""
+    from microbot_ros.drive.low_latency import latency_timer_ms
+    from microbot_ros.drive.transport import Port
+
+    line = Port(port, _ANY_BAUD)
+    try:
+        granted, held_ms = line.low_latency, latency_timer_ms(port)
+    finally:
+        line.close()
+    if held_ms is not None and held_ms > 1:
+        return True, (f'the adapter holds answers back for up to {held_ms} ms, low latency was '
+                      + ('granted without effect' if granted else 'refused')
+                      + f'; {_UDEV_HINT}')
+    if held_ms is not None:
+        return False, f'answers are held back for {held_ms} ms at most'
+    return False, ('low latency granted' if granted else 'low latency refused') + (
+        ', and no latency timer that could hold answers back')

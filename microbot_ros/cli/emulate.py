@@ -40,7 +40,7 @@ def command(protocol: str, link: Path, log: Path | None, full_scale_a: float,
 
     The watchdog of a serial_transfer board is on, as in the project's reference firmware;
     --no-watchdog models firmware that keeps the last command when its host dies. Of the other
-    protocols roboclaw and roboteq arm one, scpi and modbus have none.
+    protocols roboclaw, roboteq and sabertooth arm one, scpi and modbus have none.
 
     A host may leave and come back; the device keeps its state meanwhile, its watchdog running.
     A protocol with several ports gets the links PATH-1, PATH-2 and so on.

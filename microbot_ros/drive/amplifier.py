@@ -37,6 +37,7 @@ class Watchdog(StrEnum):
 
     ARMED = 'armed in the device, and read back'
     FIRMWARE = 'in the firmware, where it has one: arming tries it out'
+    UNCONFIRMED = 'armed in the device, which never says so'
     NONE = 'none'
 
 
@@ -108,6 +109,8 @@ class Amplifier(ABC):
     """
 
     watchdog: ClassVar[Watchdog] = Watchdog.NONE
+    reads_back: ClassVar[bool] = True
+    """Whether it measures currents; else `poll` has no readings, and nothing confirms a zero."""
     most_channels: ClassVar[int] = 16
     sample_s = 0.0009
     """How often it is given currents that turn: a little more than a thousand a second, fewer
@@ -145,7 +148,8 @@ class Amplifier(ABC):
         try:
             self._open()
             self.zero()
-            self._await_zero()
+            if self.reads_back:
+                self._await_zero()
         except BaseException:
             self._release()
             raise
@@ -189,8 +193,9 @@ class Amplifier(ABC):
         """
         try:
             self.zero()
-            self._await_zero()
-            return True
+            if self.reads_back:
+                self._await_zero()
+            return self.reads_back
         except AmplifierError:
             return False
         finally:

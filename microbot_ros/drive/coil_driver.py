@@ -36,6 +36,9 @@ _ARMING_S = 10.0
 _DISARMING_S = 0.2
 WITHOUT_WATCHDOG = ('if this computer loses its power while coils are driven, the last currents '
                     'flow on until somebody switches the amplifier off')
+WITHOUT_FEEDBACK = ('a coil that is open, shorted or reversed goes unnoticed, and so does a '
+                    'current that flows without a command or a timeout that the amplifier did not '
+                    'take')
 
 _log = logging.getLogger(__name__)
 
@@ -61,20 +64,22 @@ class CoilDriver:
     With `self_check`, arming sends a pulse through each coil first, which it calls by its name in
     `names` (N,), and tries out the watchdog of a device whose firmware may have one. A device
     without one needs `accept_no_watchdog`, and is watched by a process of ours, which zeroes it
-    when this one dies or hangs. Raises InputError where that is missing, for a current limit that
-    is more than the amplifier can give, and for limits that leave no room for the pulse.
+    when this one dies or hangs. One that reads no currents back needs `accept_no_feedback` and
+    has no self-check; as it cannot say whether its watchdog is armed, it is watched likewise.
+    Raises InputError where that is missing, for a current limit that is more than the amplifier
+    can give, and for limits that leave no room for the pulse.
     """
 
     def __init__(self, amplifier: Amplifier, limits: Limits,
                  on_reading: Callable[[Reading], None], *, names: Sequence[str] = COILS,
                  on_sent: Callable[[Command], None] = lambda _: None, self_check: bool = True,
-                 accept_no_watchdog: bool = False) -> None:
+                 accept_no_watchdog: bool = False, accept_no_feedback: bool = False) -> None:
         full_scale_A = float(amplifier.full_scale_A.min())
         if not limits.current_A <= full_scale_A:
             raise InputError('current_A', f'expected at most the full scale of the amplifier, '
                              f'{full_scale_A:g} A; received {limits.current_A:g} A')
         self.amplifier = amplifier
-        self.gate = Gate(limits, amplifier.channels)
+        self.gate = Gate(limits, amplifier.channels, feedback=amplifier.reads_back)
         self._names = names
         self.connected = False
         self.real_time = False
@@ -83,10 +88,13 @@ class CoilDriver:
         """Measured over commanded current of each coil in the last self-check that passed."""
         self.watchdog_s: float | None = None
         """How long the device took to zero itself in the last arming that tried it."""
-        self._unwatched = accept_no_watchdog and amplifier.watchdog is not Watchdog.ARMED
+        self._unwatched = amplifier.watchdog is Watchdog.UNCONFIRMED or (
+            accept_no_watchdog and amplifier.watchdog is not Watchdog.ARMED)
         self._checks = self_check
         self._tries_watchdog = amplifier.watchdog is Watchdog.FIRMWARE and not self._unwatched
         self._refuse_unwatched()
+        if not amplifier.reads_back:
+            self._refuse_blind(accept_no_feedback)
         self._check: SelfCheck | None = None
         if self_check:
             SelfCheck(limits, names)  # raises now for limits that it would raise for on arming
@@ -114,9 +122,19 @@ class CoilDriver:
                              f'relied on: {WITHOUT_WATCHDOG}; expected true from whoever accepts '
                              'that')
 
+    def _refuse_blind(self, accepted: bool) -> None:
+        if not accepted:
+            raise InputError('accept_no_feedback', 'the amplifier reads no currents back: '
+                             f'{WITHOUT_FEEDBACK}; expected true from whoever accepts that')
+        if self._checks:
+            raise InputError('self_check', 'expected false, as the amplifier reads no currents '
+                             'back')
+
     @property
     def warning(self) -> str:
         """What whoever arms is to know; '' where there is nothing."""
+        if not self.amplifier.reads_back:
+            return f'no currents are measured: {WITHOUT_FEEDBACK}'
         return f'no watchdog in the amplifier: {WITHOUT_WATCHDOG}' if self._unwatched else ''
 
     # For other threads ----------------------------------------------------------------------

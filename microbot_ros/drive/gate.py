@@ -81,11 +81,13 @@ class Gate:
     """Affirms currents within `limits`, or answers zero and latches why. Disarmed at the start.
 
     Currents (N,) are of so many `channels`, a coil each. Every `now_s` is a time [s] of one
-    monotonic clock.
+    monotonic clock. Without `feedback` no current is measured: then neither silence nor deviation
+    is a fault, and heat is that of what was commanded.
     """
 
-    def __init__(self, limits: Limits, channels: int = 4) -> None:
+    def __init__(self, limits: Limits, channels: int = 4, *, feedback: bool = True) -> None:
         self.limits = limits
+        self._feedback = feedback
         self.zero: Currents = (0.0,) * channels
         self.armed = False
         self.fault: Fault | None = None
@@ -102,15 +104,15 @@ class Gate:
     def arm(self, now_s: float) -> str | None:
         """Clear the fault and affirm from now on; or, where that is not safe, say why not.
 
-        Safe is: measured just now, no current flowing, no coil beyond its heat. A gate that is
-        armed stays as it is.
+        Safe is: measured just now, where there is `feedback`, no current flowing, no coil beyond
+        its heat. A gate that is armed stays as it is.
         """
         self.tick(now_s)
         if self.armed:
             return None
         if not self._advance(now_s):
             return f'the clock went from {self._now_s} to {now_s}'
-        if not now_s - self._measured_s <= self.limits.feedback_timeout_s:
+        if not self._heard_from_coils(now_s):
             return f'no measured currents for {self.limits.feedback_timeout_s:g} s'
         if not all(abs(current) <= self.limits.deviation_A for current in self._measured):
             return f'current flows without a command: {_amperes(self._measured)}'
@@ -209,7 +211,7 @@ class Gate:
         """See what time does: the currents that may flow now."""
         if not self._advance(now_s) or not self.armed:
             return self.zero
-        if not now_s - self._measured_s <= self.limits.feedback_timeout_s:
+        if not self._heard_from_coils(now_s):
             return self.trip(Reason.SILENCE, self._silence(now_s - self._measured_s))
         if any(self.output) and not now_s - self._commanded_s <= self.limits.command_timeout_s:
             return self.trip(Reason.STALE, f'none for {now_s - self._commanded_s:.3f} s')
@@ -218,6 +220,10 @@ class Gate:
         if not all(heat <= 1.0 for heat in self.heat):
             return self.trip(Reason.HEAT, f'a coil is at {max(self.heat):.0%} of what it bears')
         return self.output
+
+    def _heard_from_coils(self, now_s: float) -> bool:
+        return (not self._feedback
+                or now_s - self._measured_s <= self.limits.feedback_timeout_s)
 
     def _silence(self, for_s: float) -> str:
         if not self._behind_s:

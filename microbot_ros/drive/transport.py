@@ -12,6 +12,7 @@ from contextlib import contextmanager, suppress
 import serial
 
 from microbot_ros.drive.errors import PortBusyError, PortLostError, PortMissingError
+from microbot_ros.drive.low_latency import request_low_latency
 
 _SLICE_S = 0.005
 """Longest uninterrupted wait in the kernel: how long `close` from another thread can take."""
@@ -23,8 +24,8 @@ class Port:
     """One open line to an amplifier, closed to every other program.
 
     `url` is a device (`/dev/ttyACM0`, `/dev/serial/by-id/…`) or a pyserial URL (`socket://`,
-    `rfc2217://`), `baud` its rate [1/s], `xon_xoff` whether it may pause us. Raises
-    PortMissingError or PortBusyError.
+    `rfc2217://`), `baud` its rate [1/s], `xon_xoff` whether it may pause us. It is asked for low
+    latency. Raises PortMissingError or PortBusyError.
     """
 
     def __init__(self, url: str, baud: int, *, xon_xoff: bool = False) -> None:
@@ -40,6 +41,8 @@ class Port:
             if getattr(error, 'errno', None) in (errno.EBUSY, errno.EAGAIN):
                 raise PortBusyError(url) from None
             raise PortMissingError(url, str(error)) from None
+        self.low_latency = request_low_latency(self._serial)
+        """Whether the system hands over every byte at once."""
 
     def send(self, data: bytes) -> None:
         """Hand `data` to the line at once. Raises PortLostError where it takes none for 0.1 s."""

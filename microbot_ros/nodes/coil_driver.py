@@ -50,6 +50,10 @@ class CoilDriverParameters(GateParameters):
     accept_no_watchdog: bool = setting(
         False, 'Drive an amplifier without a watchdog of its own: if this computer loses its '
         'power while coils are driven, the last currents flow on.', read_only=True)
+    accept_no_feedback: bool = setting(
+        False, 'Drive an amplifier that reads no currents back, with self_check false: nothing '
+        'notices a coil that does not carry what it is told, nor whether the timeout of the '
+        'amplifier is armed.', read_only=True)
 
 
 class CoilDriverNode(RigNode):
@@ -83,7 +87,8 @@ class CoilDriverNode(RigNode):
         self._driver = CoilDriver(
             amplifier, limits(values), self._on_reading, names=self.stage.coils.names,
             on_sent=self._on_sent,
-            self_check=values.self_check, accept_no_watchdog=values.accept_no_watchdog)
+            self_check=values.self_check, accept_no_watchdog=values.accept_no_watchdog,
+            accept_no_feedback=values.accept_no_feedback)
         self._wanted = self.publisher(JointState, 'coils/command')
         self._applied = self.publisher(JointState, 'coils/applied')
         self._measured = self.publisher(JointState, 'coils/measured')

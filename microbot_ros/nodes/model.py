@@ -16,6 +16,7 @@ from microbot_ros.loop.points import PARTICLE
 from microbot_ros.model.model_file import read_model
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import OK, SILENCE_SECONDS, WARN, RigNode
+from microbot_ros.records import height_problem
 from microbot_ros.settings import setting
 
 
@@ -56,7 +57,7 @@ class ModelNode(RigNode):
                 return str(error)
             if model.propulsion != proposed.propulsion:
                 return f'{proposed.model_file} is of {model.propulsion} particles'
-        return ''
+        return height_problem(proposed.height_um, proposed.radius_um)
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         found = self.stage.estimates

@@ -26,9 +26,10 @@ from microbot_ros.magnetics.settings import CoilSettings
 from microbot_ros.model.effect_table import write_effects
 from microbot_ros.model.model import Model
 from microbot_ros.model.model_file import read_model
-from microbot_ros.model.particle import Fluid, rotational_drag
+from microbot_ros.model.particle import Fluid, rolling_drag, rotational_drag
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import IMAGES_OUT, OK, WARN, RigNode
+from microbot_ros.records import height_problem
 from microbot_ros.settings import setting
 from microbot_ros.virtual_rig.body import bodies
 from microbot_ros.virtual_rig.foreign_effects import make_world
@@ -54,6 +55,9 @@ class VirtualRigParameters:
                                    read_only=True)
     radius_um: float = setting(2.3, 'Radius of every particle.', lower=0.1, upper=20.0,
                                read_only=True)
+    height_um: float = setting(
+        0.0, 'Height of the centres above the floor, more than radius_um; 0 is far from any.',
+        lower=0.0, upper=1e5, read_only=True)
     viscosity_mPa_s: float = setting(1.245, 'Viscosity of the fluid.', lower=0.1, upper=1000.0,
                                      read_only=True)
     temperature_K: float = setting(298.0, 'Temperature of the fluid.', lower=270.0, upper=370.0,
@@ -92,7 +96,7 @@ class VirtualRigNode(RigNode):
         self._microscope.render(self._world.position, self._world.heading, 0.0)  # compiles too
         # Since ever nothing flows.
         self._changes = deque([(-1e9, np.zeros(len(self._coils.names)))])
-        self._rolling = Rolling(self._mobility()) if values.gains_um_s_hz else None
+        self._rolling = self._make_rolling() if values.gains_um_s_hz else None
         self._frames = 0
         self._busy = self._longest = 0.0
         self._images = self.publisher(Image, 'camera/image_raw', IMAGES_OUT)
@@ -110,7 +114,7 @@ class VirtualRigNode(RigNode):
         moved = proposed.gains_um_s_hz or proposed.speeds_um_s
         if len(moved) != len(proposed.phis_rad):
             return 'speeds_um_s, or gains_um_s_hz, and phis_rad must be equally many'
-        return ''
+        return height_problem(proposed.height_um, proposed.radius_um)
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         share = self._busy * self.settings.frame_rate_hz / max(1, self._frames)
@@ -123,8 +127,7 @@ class VirtualRigNode(RigNode):
 
     def _make_world(self) -> World:
         values = self.settings
-        fluid = Fluid(viscosity=values.viscosity_mPa_s * 1e-3, temperature=values.temperature_K)
-        radius = units.to_si('radius_um', values.radius_um)
+        fluid, radius = self._fluid(), units.to_si('radius_um', values.radius_um)
         count = len(values.phis_rad)
         own = 'gain' if values.gains_um_s_hz else 'speed'
         moved = 1e-6 * np.array(values.gains_um_s_hz or values.speeds_um_s)
@@ -135,7 +138,7 @@ class VirtualRigNode(RigNode):
                 view.height_px * view.pixel_size / 2 - 2 * radius)
         made = bodies(
             fluid, np.full(count, radius),
-            np.full(count, rotational_drag(fluid, radius) * self._mobility()),
+            np.full(count, self._moment()),
             np.array(values.phis_rad), _spread(count, half, rng),
             heading=rng.uniform(-np.pi, np.pi, count), **{own: moved})
         given = _named(values.effect_parameters, self.get_name())
@@ -149,9 +152,21 @@ class VirtualRigNode(RigNode):
         world.advance(1e-3, FieldHistory(np.zeros(1), np.zeros((1, count, 2))))
         return world
 
-    def _mobility(self) -> float:
-        """Moment over rotational drag [rad/(s T)]."""
-        return 1 / (self.settings.alignment_ms * 1e-3 * _REFERENCE_FIELD)
+    def _fluid(self) -> Fluid:
+        values = self.settings
+        return Fluid(values.viscosity_mPa_s * 1e-3, values.temperature_K,
+                     values.height_um * 1e-6 or None)
+
+    def _moment(self) -> float:
+        """The moment [A·m²] that aligns as fast as asked."""
+        values = self.settings
+        drag = rotational_drag(self._fluid(), units.to_si('radius_um', values.radius_um))
+        return float(drag / (values.alignment_ms * 1e-3 * _REFERENCE_FIELD))
+
+    def _make_rolling(self) -> Rolling:
+        """Rollers of the same moment, which turn about an axis along the floor."""
+        radius = units.to_si('radius_um', self.settings.radius_um)
+        return Rolling(float(self._moment() / rolling_drag(self._fluid(), radius)))
 
     def _model(self) -> Model:
         """What the particles obey besides: of `model_file`, the first-order model without one."""

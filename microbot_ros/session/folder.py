@@ -11,7 +11,7 @@ import yaml
 
 from microbot_ros.errors import InputError
 from microbot_ros.files import Settings, output_folder, read_yaml
-from microbot_ros.records import Commands, Conditions, Session, Tracks
+from microbot_ros.records import Commands, Conditions, Session, Tracks, height_problem
 from microbot_ros.session.tables import Layout, Table, read_table, write_table
 from microbot_ros.units import exact_display, exact_si
 
@@ -29,7 +29,7 @@ ROLLING = Layout(('t_s', 'direction_rad', 'frequency_hz'), ('field_mT',))
 _SUFFIXED = {
     'radius': 'radius_um', 'viscosity': 'viscosity_mPa_s', 'temperature': 'temperature_K',
     'frame_rate': 'frame_rate_hz', 'pixel_size': 'pixel_size_um',
-    'reference_field': 'reference_field_mT',
+    'reference_field': 'reference_field_mT', 'height': 'height_um',
 }
 
 
@@ -43,6 +43,14 @@ class SessionFile(Settings):
     frame_rate_hz: pydantic.PositiveFloat | None = None
     pixel_size_um: pydantic.PositiveFloat | None = None
     reference_field_mT: pydantic.PositiveFloat | None = None
+    height_um: pydantic.PositiveFloat | None = None
+
+    @pydantic.field_validator('height_um')
+    @classmethod
+    def above_the_floor(cls, height: float | None, info: pydantic.ValidationInfo) -> float | None:
+        if problem := height_problem(height, info.data.get('radius_um')):
+            raise ValueError(problem)
+        return height
 
     def conditions(self, rolling: bool) -> Conditions:
         """The conditions in SI; where the propulsion is not said, `rolling` commands say it."""

@@ -5,14 +5,13 @@ from dataclasses import replace
 
 import pytest
 
-from bench._served import FULL_SCALE_A, LIMITS, Served, until
+from bench._served import FULL_SCALE_A, LIMITS, MEASURED, Served, until
 from microbot_ros.drive.amplifier import amplifier_class
 from microbot_ros.drive.coil_driver import CoilDriver
-from microbot_ros.drive.emulator.process import DEVICES
 from microbot_ros.drive.gate import Gate, Reason
 from microbot_ros.errors import InputError
 
-CHANNELS = [(protocol, channels) for protocol in sorted(DEVICES) for channels in (2, 3, 6, 16)
+CHANNELS = [(protocol, channels) for protocol in MEASURED for channels in (2, 3, 6, 16)
             if not (protocol == 'serial_transfer' and channels > 6)]
 
 

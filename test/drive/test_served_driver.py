@@ -9,11 +9,10 @@ from concurrent.futures import Future
 
 import pytest
 
-from bench._served import FULL_SCALE_A, LIMITS, until
+from bench._served import FULL_SCALE_A, LIMITS, MEASURED, until
 from microbot_ros.drive import coil_driver, polled
 from microbot_ros.drive.amplifier import amplifier_class
 from microbot_ros.drive.coil_driver import CoilDriver
-from microbot_ros.drive.emulator.process import DEVICES
 from microbot_ros.drive.errors import (
     NoAnswerError,
 )
@@ -23,7 +22,7 @@ from microbot_ros.errors import InputError
 ZERO = (0.0,) * 4
 
 DRIVING = (1.0, -1.0, 0.5, 0.2)
-PROTOCOLS = sorted(DEVICES)
+PROTOCOLS = MEASURED
 WITHOUT_WATCHDOG = ('modbus', 'scpi')
 
 every_protocol = pytest.mark.parametrize('protocol', PROTOCOLS)

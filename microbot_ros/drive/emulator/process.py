@@ -27,6 +27,7 @@ DEVICES = {
     'scpi': 'microbot_ros.drive.scpi.emulated:Supplies',
     'roboclaw': 'microbot_ros.drive.roboclaw.emulated:Controllers',
     'modbus': 'microbot_ros.drive.modbus.emulated:Bridges',
+    'sabertooth': 'microbot_ros.drive.sabertooth.emulated:Controllers',
     'roboteq': 'microbot_ros.drive.roboteq.emulated:Controllers',
 }
 """Protocol → emulated device, imported only where it is emulated."""
