@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
@@ -124,6 +124,14 @@ def write_text(path: str | Path, text: str) -> None:
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise
+
+
+def refuse_to_overwrite(folder: Path, names: Iterable[str], force: bool) -> None:
+    """InputError where one of the files of these `names` is in a `folder`, unless by `force`."""
+    there = [name for name in names if (folder / name).exists()]
+    if there and not force:
+        raise InputError(folder, f'expected a folder without {", ".join(there)}; --force replaces '
+                                 'what is there')
 
 
 @contextmanager

@@ -18,7 +18,7 @@ _WRONG_TAG = (ValueError, LookupError, TypeError, AttributeError, ArithmeticErro
 
 
 class YamlError(ValueError):
-    """What a text is that is no plain YAML, in one phrase; its `line`, where there is one."""
+    """A text is no plain YAML: the `problem` in one phrase, its `line` where there is one."""
 
     def __init__(self, problem: str, line: int | None = None) -> None:
         self.problem, self.line = problem, line
@@ -28,7 +28,7 @@ class YamlError(ValueError):
 class StrictLoader(yaml.SafeLoader):
     """PyYAML's safe loader within limits: of depth, of aliases written out, of digits.
 
-    A key twice in one mapping is an error, as the standard has it.
+    A key twice in one mapping is an error, as the standard has it. The `stream` is a text.
     """
 
     def __init__(self, stream: Any) -> None:

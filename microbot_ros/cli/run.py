@@ -10,6 +10,7 @@ import click
 
 from microbot_ros.drive.real_time import LOOP, realtime_priority
 from microbot_ros.ending import Ending, Stopped
+from microbot_ros.errors import InputError
 from microbot_ros.nodes.graph import Graph
 
 
@@ -35,7 +36,10 @@ def command(config: Path, arm: bool, one_process: bool) -> None:
     from microbot_ros.nodes.configuration import read_rig
     from microbot_ros.nodes.process import NODES, processes
 
-    nodes = [name for name in NODES if name in read_rig(config)]
+    rig = read_rig(config)
+    if not rig:
+        raise InputError(config, f'expected a section for each node to run: {", ".join(NODES)}')
+    nodes = [name for name in NODES if name in rig]
     graph = Graph(_say)
     with Ending(graph.tell_to_end) as ending, graph:
         for group in processes(nodes, one_process):

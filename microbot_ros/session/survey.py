@@ -89,7 +89,12 @@ def survey_folder(path: Path) -> tuple[Survey, Session]:
 
 
 def survey_recording(recording: Recording) -> tuple[Survey, Session | None]:
-    """A look at a recording; None for a session that cannot be read out of it."""
+    """A look at a recording; None for a session that cannot be read out of it.
+
+    InputError for one that was cut off before its first message.
+    """
+    if not (recording.complete or recording.end_ns):
+        raise InputError(recording.path, 'expected messages, found no whole one')
     remarks = []
     if not recording.complete:
         remarks.append(CUT_OFF)
