@@ -125,11 +125,11 @@ class _Coils:
 
     def listen(self) -> None:
         """Wait until the coil driver has spoken, if there is one."""
-        if self._client.alone('coil_driver'):
+        if self._client.runs('coil_driver'):
             self._client.until(lambda: self._heard, _HEALTH_SECONDS)
 
     def _on_health(self, node: str, level: bytes, sentence: str, _: dict[str, str]) -> None:
-        if node != 'coil_driver' or sentence == self._heard or not self._client.alone(node):
+        if node != 'coil_driver' or sentence == self._heard:
             return
         self._heard = sentence
         if level != b'\0':

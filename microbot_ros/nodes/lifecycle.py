@@ -14,6 +14,7 @@ from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
@@ -298,7 +299,7 @@ class RigNode(LifecycleNode):
             level, sentence = ERROR, self.fault
         elif time.monotonic() < self._complaint_until and level == OK:
             level, sentence = WARN, self._complaint
-        message = DiagnosticArray(status=[status(self.get_name(), level, sentence, values)])
+        message = DiagnosticArray(status=[status(self, level, sentence, values)])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(message)
 
@@ -312,10 +313,13 @@ class RigNode(LifecycleNode):
             return ERROR, f'health failed: {error}', {}
 
 
-def status(node: str, level: bytes, sentence: str, values: dict[str, object]) -> DiagnosticStatus:
-    """The health of a node: `level`, a `sentence` and `values`, as `health` gives them."""
+def status(node: Node, level: bytes, sentence: str, values: dict[str, object]) -> DiagnosticStatus:
+    """The health of a `node`, by its name with its namespace: `level`, a `sentence` and `values`,
+    as `health` gives them.
+    """
+    full = node.get_fully_qualified_name().removeprefix('/')
     return DiagnosticStatus(
-        level=level, name=f'{node}: {node}', message=sentence,
+        level=level, name=f'{full}: {node.get_name()}', message=sentence,
         values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()])
 
 
