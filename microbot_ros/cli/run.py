@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from contextlib import suppress
 from pathlib import Path
@@ -71,8 +72,10 @@ def _watch(graph: Graph, arm: bool, namespace: str) -> None:
     last: dict[str, tuple[bytes, str]] = {}
 
     def heard(node: str, level: bytes, sentence: str, _values: dict[str, str]) -> None:
-        if last.get(node) != (level, sentence):
-            last[node] = (level, sentence)
+        # A count that grows is the same state; another particle is another.
+        state = level, re.sub(r'(?<!particle )\b\d+(\.\d+)?', '#', sentence)
+        if last.get(node) != state:
+            last[node] = state
             _say(node, sentence)
 
     reported: set[str] = set()

@@ -25,7 +25,7 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
-from microbot_ros.errors import InputError, RigError, shown
+from microbot_ros.errors import InputError, RigError, clipped
 from microbot_ros.loop.points import GOAL
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.transport import stay_local
@@ -66,8 +66,8 @@ def checked_namespace(name: str) -> str:
     try:
         validate_namespace(namespace)
     except InvalidNamespaceException:
-        raise InputError('--namespace', f'expected a name such as rig_2; received {shown(name)}'
-                         ) from None
+        raise InputError('--namespace', 'expected a name such as rig_2; received '
+                                        f'{clipped(namespace)}') from None
     return namespace
 
 
