@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 
 import microbot_ros
+from microbot_ros.errors import InputError
 from microbot_ros.nodes.configuration import node_class
 
 ROOT = Path(__file__).parents[1]
@@ -89,23 +90,81 @@ def test_versions_agree() -> None:
     assert package == setup.group(1) == microbot_ros.__version__
 
 
+class Launched:
+    """A launch file as it is run. launch is not on PyPI: its classes are stood in for by ones that
+    keep their arguments.
+    """
+
+    def __init__(self, name: str, monkeypatch: pytest.MonkeyPatch, **given: str) -> None:
+        self.nodes: list[dict[str, Any]] = []
+        self.commands: list[list[Any]] = []
+        self.delayed: list[Any] = []
+        self._given = given
+        stand_in: Any = types.ModuleType('stand_in')
+        for kind in ('LaunchDescription', 'DeclareLaunchArgument', 'ParameterValue',
+                     'SetEnvironmentVariable', 'LaunchContext'):
+            setattr(stand_in, kind, lambda *arguments, **_: arguments)
+        stand_in.LaunchConfiguration = lambda name: types.SimpleNamespace(
+            perform=lambda context: context[name])
+        stand_in.OpaqueFunction = lambda function: self.delayed.append(function)
+        stand_in.ExecutableInPackage = lambda **arguments: arguments
+        stand_in.Shutdown = lambda **_: 'shutdown'
+        stand_in.ExecuteProcess = lambda cmd, **_: self.commands.append(cmd)
+        stand_in.LifecycleNode = lambda **arguments: self.nodes.append(arguments)
+        stand_in.get_package_share_directory = lambda _: str(ROOT)
+        for module in ('launch', 'launch.actions', 'launch.substitutions', 'launch_ros',
+                       'launch_ros.actions', 'launch_ros.parameter_descriptions',
+                       'launch_ros.substitutions', 'ament_index_python',
+                       'ament_index_python.packages'):
+            monkeypatch.setitem(sys.modules, module, stand_in)
+        [self.description] = runpy.run_path(
+            str(ROOT / f'launch/{name}_launch.py'))['generate_launch_description']()
+
+    def start(self) -> Launched:
+        """What is only decided when it is run."""
+        for function in self.delayed:
+            function(self._given)
+        return self
+
+
+EXAMPLE = {'config': str(ROOT / 'config' / 'rig.yaml'), 'namespace': '/'}
+
+
+def test_the_demo_makes_nothing_until_it_runs(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`--show-args` only asks for the description."""
+    monkeypatch.setattr('tempfile.tempdir', str(tmp_path))
+    demo = Launched('demo', monkeypatch)
+    assert not list(tmp_path.iterdir())
+    [command] = demo.start().commands
+    assert command[:3] == [
+        {'executable': 'microbot', 'package': 'microbot_ros'}, 'emulate', 'serial_transfer']
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_rig_is_the_nodes_that_its_file_names(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = tmp_path / 'rig.yaml'
+    config.write_text('/**/camera: {ros__parameters: {source: here}}\n/rig_2/tracker: {}\n')
+    for namespace, nodes in (('/rig_2', ['camera', 'tracker']), ('rig_3', ['camera'])):
+        rig = Launched('rig', monkeypatch, config=str(config), namespace=namespace).start()
+        assert [node['name'] for node in rig.nodes] == nodes
+        assert {node['namespace'] for node in rig.nodes} == {f'/{namespace.strip("/")}'}
+    with pytest.raises(InputError, match='expected a readable YAML file'):
+        Launched('rig', monkeypatch, config='nowhere.yaml', namespace='/').start()
+
+
+def test_a_replay_ends_with_its_player(monkeypatch: pytest.MonkeyPatch) -> None:
+    [player] = [node for node in Launched('replay', monkeypatch).nodes if node['name'] == 'player']
+    assert player['on_exit'] == 'shutdown'
+
+
 @pytest.mark.parametrize('name', ['rig', 'demo', 'replay'])
 def test_launch_files_start_nodes_with_parameters_that_exist(
-        name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """launch is not on PyPI: its classes are stood in for by one that keeps its arguments."""
-    started: list[dict[str, Any]] = []
-    stand_in = types.ModuleType('stand_in')
-    for kind in ('LaunchDescription', 'DeclareLaunchArgument', 'LaunchConfiguration',
-                 'ExecuteProcess', 'ParameterValue', 'SetEnvironmentVariable'):
-        setattr(stand_in, kind, lambda *arguments, **_: arguments)
-    stand_in.LifecycleNode = lambda **arguments: started.append(arguments)  # type: ignore[attr-defined]
-    stand_in.get_package_share_directory = lambda _: str(ROOT)  # type: ignore[attr-defined]
-    for module in ('launch', 'launch.actions', 'launch.substitutions', 'launch_ros',
-                   'launch_ros.actions', 'launch_ros.parameter_descriptions',
-                   'ament_index_python', 'ament_index_python.packages'):
-        monkeypatch.setitem(sys.modules, module, stand_in)
-    [description] = runpy.run_path(
-        str(ROOT / f'launch/{name}_launch.py'))['generate_launch_description']()
+        name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr('tempfile.tempdir', str(tmp_path))
+    launched = Launched(name, monkeypatch, **EXAMPLE).start()
+    started, description = launched.nodes, launched.description
     assert description[0] == ('MICROBOT_PARENT', str(os.getpid()))  # nodes end with the launcher
     scripts = {entry.name for entry in entry_points(group='console_scripts')}
     assert started

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from microbot_ros.cli.compiling import note_on_compiling
 from microbot_ros.cli.options import FiniteFloatRange, namespace_option
 
 if TYPE_CHECKING:
@@ -97,6 +98,8 @@ def _discover(recordings: Sequence[Session], sources: Sequence[Path], out: Path,
     from microbot_ros.files import output_folder, write_text
     from microbot_ros.model.model_file import write_model
 
+    for line in filter(None, ('looking', note_on_compiling())):
+        progress.print(line, soft_wrap=True)
     with progress.status('looking') as status:
         found = discover(recordings, status.update, jobs=jobs)
     text = json.dumps(found.as_json(), indent=1, ensure_ascii=False, allow_nan=False) + '\n'

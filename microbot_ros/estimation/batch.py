@@ -188,10 +188,11 @@ def _against_stokes_einstein(session: Session, noise: Noise) -> list[str]:
     expected, _ = stokes_einstein(session.conditions) or (noise.diffusion, 0.0)
     if abs(noise.diffusion - expected) < max(4 * noise.diffusion_std, 0.2 * expected):
         return []
-    return [
-        f'D is {noise.diffusion * 1e12:.3g} µm²/s where Stokes–Einstein gives '
-        f'{expected * 1e12:.3g}: radius or viscosity are off, or something moves the particles'
-    ]
+    why = ('radius or viscosity are off' if noise.diffusion < expected else
+           'something moves the particles that this model lacks; `microbot discover` looks for '
+           'it. Otherwise radius or viscosity are off')
+    return [f'D is {noise.diffusion * 1e12:.3g} µm²/s where Stokes–Einstein gives '
+            f'{expected * 1e12:.3g}: {why}']
 
 
 def _of_particles(tracks: np.ndarray, ids: np.ndarray) -> np.ndarray:

@@ -133,7 +133,8 @@ class CoilDriverNode(RigNode):
         age = self.seconds() - messages.to_seconds(message.header.stamp)
         if not -0.05 <= age <= self.settings.max_command_age_ms * 1e-3:
             self._refused += 1
-            self.complain(f'field/command is {age:.3f} s old; not driven')
+            self.complain(f'field/command is {age:.3f} s old, more than max_command_age_ms; '
+                          'not driven')
             return
         wanted = self.stage.step(np.array([message.vector.x, message.vector.y]))
         stamp = message.header.stamp
