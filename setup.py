@@ -10,10 +10,12 @@ ros_from_pypi = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
 # For those who train controllers, and for keeping and playing what they trained.
 training, policies = ['gymnasium'], ['onnx', 'onnxruntime']
 
+# What every test needs; by the name of this extra `colcon test` knows that they are pytest's.
+tests = ['hypothesis', 'psutil', 'pytest', 'pytest-timeout']
+
 development = [
-    *training, *policies, 'catkin_pkg', 'colcon-common-extensions', 'coverage', 'hypothesis',
-    'import-linter', 'magpylib', 'mypy', 'psutil', 'pysindy', 'pytest', 'pytest-timeout',
-    'pytest-xdist', 'ruff', 'StochasticForceInference', 'trackpy', 'types-PyYAML',
+    *training, *policies, *tests, 'catkin_pkg', 'colcon-common-extensions', 'coverage',
+    'import-linter', 'magpylib', 'mypy', 'pysindy', 'pytest-xdist', 'ruff', 'StochasticForceInference', 'trackpy', 'types-PyYAML',
     'types-pyserial',
 ]
 
@@ -39,7 +41,8 @@ setup(
         'scipy', 'setuptools', 'zstandard',
     ],
     extras_require={
-        'ros': ros_from_pypi, 'gym': training, 'onnx': policies, 'dev': development},
+        'ros': ros_from_pypi, 'gym': training, 'onnx': policies, 'test': tests,
+        'dev': development},
     zip_safe=False,
     maintainer='microbot_ros maintainers',
     maintainer_email='maintainers@microbot-ros.example',

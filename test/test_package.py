@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 import microbot_ros
 from microbot_ros.errors import InputError
@@ -65,6 +66,19 @@ def test_colcon_installs_what_ros_looks_for(workspace: Path) -> None:
     nodes = {'camera', 'coil_driver', 'controller', 'model', 'player', 'recorder', 'tracker',
              'virtual_rig'}
     assert {f'{node}_node' for node in nodes} | {'microbot'} <= scripts
+
+
+def test_colcon_runs_the_tests(workspace: Path) -> None:
+    """With nobody told that they are pytest's it looked for unittest's, found none and was happy.
+    """
+    tests = workspace / 'src' / 'microbot_ros' / 'test'
+    tests.mkdir()
+    (tests / 'test_two.py').write_text('def test_one():\n    pass\n\ndef test_two():\n    pass\n')
+    for words in (['test', '--base-paths', 'src'], ['test-result', '--verbose', '--all']):
+        done = subprocess.run([BIN / 'colcon', *words], cwd=workspace, env=_environment(),
+                              capture_output=True, text=True, timeout=100)
+        assert done.returncode == 0, done.stdout + done.stderr
+    assert 'Summary: 2 tests, 0 errors, 0 failures' in done.stdout
 
 
 def test_scripts_run_from_the_install_space(workspace: Path) -> None:
@@ -184,3 +198,16 @@ def test_the_tables_in_the_docs_are_those_of_the_code(page) -> None:
         cwd=ROOT / 'docs', capture_output=True, text=True, timeout=60, check=True)
     written = (ROOT / 'docs' / f'{page}.md').read_text()
     assert made.stdout == written, 'run `python docs/build.py`'
+
+
+def test_what_rviz_shows_is_what_the_nodes_send() -> None:
+    """RViz is not on PyPI: its frame and its topics are held against the nodes'."""
+    from microbot_ros.nodes.messages import WORKSPACE
+    from microbot_ros.nodes.topics import TOPICS
+
+    shown = yaml.safe_load((ROOT / 'config' / 'rig.rviz').read_text())['Visualization Manager']
+    assert shown['Global Options']['Fixed Frame'] == WORKSPACE
+    topics = [item['Topic']['Value'] for item in shown['Displays'] + shown['Tools']
+              if 'Topic' in item]
+    assert len(topics) == 3
+    assert {topic.removeprefix('/') for topic in topics} <= TOPICS.keys()
