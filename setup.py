@@ -15,8 +15,8 @@ tests = ['hypothesis', 'psutil', 'pytest', 'pytest-timeout']
 
 development = [
     *training, *policies, *tests, 'catkin_pkg', 'colcon-common-extensions', 'coverage',
-    'import-linter', 'magpylib', 'mypy', 'pysindy', 'pytest-xdist', 'ruff', 'StochasticForceInference', 'trackpy', 'types-PyYAML',
-    'types-pyserial',
+    'import-linter', 'magpylib', 'mypy', 'pysindy', 'pytest-xdist', 'ruff',
+    'StochasticForceInference', 'trackpy', 'types-PyYAML', 'types-pyserial',
 ]
 
 nodes = [
