@@ -44,10 +44,12 @@ def until(condition: Callable[[], Any]) -> Any:
 class Served:
     """An emulated amplifier, the log of what flowed in it, and its faults."""
 
-    def __init__(self, protocol: str, folder: Path, watchdog_s: float | None) -> None:
+    def __init__(self, protocol: str, folder: Path, watchdog_s: float | None,
+                 channels: int = 4) -> None:
         self.flowed: list[tuple[float, ...]] = []
         self.causes: list[str] = []
-        self.coils = Coils(FULL_SCALE_A, watchdog_s, cast(TextIO, self))
+        self.times: list[float] = []
+        self.coils = Coils(FULL_SCALE_A, watchdog_s, cast(TextIO, self), channels=channels)
         self.device = make_device(protocol, self.coils)
         self.lines = [Line(folder / f'{protocol}-{port}') for port in range(self.device.ports)]
         self.url = ','.join(str(line.link) for line in self.lines)
@@ -62,6 +64,7 @@ class Served:
         entry = json.loads(line)
         self.flowed.append(tuple(entry['currents_A']))
         self.causes.append(entry['cause'])
+        self.times.append(entry['t_monotonic_s'])
 
     def flush(self) -> None:
         """Nothing waits."""

@@ -47,7 +47,7 @@ def read_yaml(path: str | Path, settings: type[SettingsT]) -> SettingsT:
     if not isinstance(content, dict):
         raise InputError(path, 'expected keys and values at the top level', 1)
     try:
-        return settings.model_validate(content)
+        return settings.model_validate(content, context={'folder': path.parent})
     except pydantic.ValidationError as error:
         first = error.errors()[0]
         cause = first.get('ctx', {}).get('error')

@@ -193,7 +193,9 @@ def _coils(file: str) -> str:
         Allocator(coils)
     except InputError as error:
         raise InputError(file, str(error)) from None
-    return f'coils of {file}' if file else 'coils of the default rig, for there is no coils_file'
+    if not file:
+        return 'coils of the default rig, for there is no coils_file'
+    return f'coils of {file}: {len(coils.names)}, for fields along {"xyz"[:coils.axes]}'
 
 
 def _watchdog(config: Path) -> Finding:

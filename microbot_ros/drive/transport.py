@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import select
 import termios
 import time
 from collections.abc import Iterator
@@ -46,13 +47,19 @@ class Port:
             self._serial.write(data)
 
     def receive(self, timeout_s: float = 0.0) -> bytes:
-        """What has arrived; waits for the first byte at most `timeout_s` (+ 5 ms), or until woken,
-        then b''."""
+        """What has arrived; waits for the first byte at most `timeout_s` (+ 5 ms at a port that is
+        none of the system's), or until woken, then b''. A wait of less than 5 ms is not woken.
+        """
         deadline = time.monotonic() + timeout_s
+        brief = timeout_s < _SLICE_S and self.descriptor is not None
         with self._named():
             data = self._waiting()
-            while not (data or self._woken) and time.monotonic() < deadline:
-                data = bytes(self._serial.read(1)) + self._waiting()
+            while not (data or self._woken) and (left := deadline - time.monotonic()) > 0:
+                if brief:
+                    select.select([self._serial], [], [], left)
+                    data = self._waiting()
+                else:
+                    data = bytes(self._serial.read(1)) + self._waiting()
             self._woken = False
             return data
 

@@ -226,7 +226,7 @@ class ControllerNode(RigNode):
         self._publish(no_field(''), self.get_clock().now().to_msg())
 
     def _publish(self, command: FieldCommand, stamp: Time) -> None:
-        self._commands.publish(messages.field_vector(command.field, stamp))
+        # The rotation first: what is commanded then already turns.
         rolling = command.frequency > 0
         if rolling or self._rolling:
             # The angular velocity ω for which ω̂ × ẑ is the rolling direction; zero once at rest.
@@ -234,3 +234,4 @@ class ControllerNode(RigNode):
             x, y = command.field / strength * math.tau * command.frequency
             self._rotations.publish(messages.field_vector(np.array([-y, x]), stamp))
         self._rolling = rolling
+        self._commands.publish(messages.field_vector(command.field, stamp))

@@ -194,10 +194,17 @@ def _vector_at(header: Header, vector: Vector3) -> tuple[float, np.ndarray]:
 
 
 def field_vector(field: np.ndarray, stamp: Time) -> Vector3Stamped:
-    """A `field` in the plane (2,) [T] with a `stamp`, as on `field/command`."""
+    """A `field` (2,), in the plane, or (3,) [T] with a `stamp`, as on `field/command`."""
     message = Vector3Stamped(header=Header(stamp=stamp, frame_id=WORKSPACE))
-    message.vector.x, message.vector.y = float(field[0]), float(field[1])
+    for name, value in zip('xyz', field.tolist(), strict=False):
+        setattr(message.vector, name, value)
     return message
+
+
+def vector(message: Vector3Stamped) -> np.ndarray:
+    """All of a `message` (3,), in the workspace frame. MessageError for another frame."""
+    in_workspace(message.header)
+    return np.array([message.vector.x, message.vector.y, message.vector.z])
 
 
 def plan_rows(message: JointTrajectory) -> Commands:
@@ -231,7 +238,8 @@ def plan(commands: Commands, stamp: Time) -> JointTrajectory:
 
 
 def magnetic_field(field: np.ndarray, stamp: Time) -> MagneticField:
-    """A `field` in the plane (2,) [T] with a `stamp`, as on `field/applied`."""
+    """A `field` (2,), in the plane, or (3,) [T] with a `stamp`, as on `field/applied`."""
     message = MagneticField(header=Header(stamp=stamp, frame_id=WORKSPACE))
-    message.magnetic_field.x, message.magnetic_field.y = float(field[0]), float(field[1])
+    for name, value in zip('xyz', field.tolist(), strict=False):
+        setattr(message.magnetic_field, name, value)
     return message

@@ -34,6 +34,7 @@ from microbot_ros.virtual_rig.body import bodies
 from microbot_ros.virtual_rig.foreign_effects import make_world
 from microbot_ros.virtual_rig.injected_effects import INJECTABLE, inject_effect
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
+from microbot_ros.virtual_rig.rolling import Rolling
 from microbot_ros.virtual_rig.world import FieldHistory, World
 
 _REFERENCE_FIELD = 5e-3
@@ -59,6 +60,9 @@ class VirtualRigParameters:
                                    read_only=True)
     speeds_um_s: list[float] = setting(
         [3.71, 4.38, 4.98], 'Speed of each particle.', lower=0.0, upper=100.0, read_only=True)
+    gains_um_s_hz: list[float] = setting(
+        [], 'Speed over frequency of each particle, where they roll in a rotating field; empty: '
+        'they swim.', lower=0.0, upper=1000.0, read_only=True)
     phis_rad: list[float] = setting(
         [-1.09, 3.82, 2.64], 'Heading of each particle relative to the field.',
         lower=-7.0, upper=7.0, read_only=True)
@@ -86,7 +90,9 @@ class VirtualRigNode(RigNode):
         self._microscope = Microscope(self._microscope_settings, values.seed)
         self._world = self._make_world()
         self._microscope.render(self._world.position, self._world.heading, 0.0)  # compiles too
-        self._changes = deque([(-1e9, np.zeros(4))])  # since ever nothing flows
+        # Since ever nothing flows.
+        self._changes = deque([(-1e9, np.zeros(len(self._coils.names)))])
+        self._rolling = Rolling(self._mobility()) if values.gains_um_s_hz else None
         self._frames = 0
         self._busy = self._longest = 0.0
         self._images = self.publisher(Image, 'camera/image_raw', IMAGES_OUT)
@@ -101,8 +107,9 @@ class VirtualRigNode(RigNode):
             self._log.close()
 
     def veto(self, proposed: VirtualRigParameters) -> str:
-        if len(proposed.speeds_um_s) != len(proposed.phis_rad):
-            return 'speeds_um_s and phis_rad must be equally many'
+        moved = proposed.gains_um_s_hz or proposed.speeds_um_s
+        if len(moved) != len(proposed.phis_rad):
+            return 'speeds_um_s, or gains_um_s_hz, and phis_rad must be equally many'
         return ''
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
@@ -118,8 +125,9 @@ class VirtualRigNode(RigNode):
         values = self.settings
         fluid = Fluid(viscosity=values.viscosity_mPa_s * 1e-3, temperature=values.temperature_K)
         radius = units.to_si('radius_um', values.radius_um)
-        count = len(values.speeds_um_s)
-        drag = rotational_drag(fluid, radius)
+        count = len(values.phis_rad)
+        own = 'gain' if values.gains_um_s_hz else 'speed'
+        moved = 1e-6 * np.array(values.gains_um_s_hz or values.speeds_um_s)
         rng = np.random.default_rng(values.seed)
         view = self._microscope_settings
         # Walls a diameter inside the picture, so that every particle stays in view.
@@ -127,9 +135,9 @@ class VirtualRigNode(RigNode):
                 view.height_px * view.pixel_size / 2 - 2 * radius)
         made = bodies(
             fluid, np.full(count, radius),
-            np.full(count, drag / (values.alignment_ms * 1e-3 * _REFERENCE_FIELD)),
+            np.full(count, rotational_drag(fluid, radius) * self._mobility()),
             np.array(values.phis_rad), _spread(count, half, rng),
-            speed=np.array(values.speeds_um_s) * 1e-6, heading=rng.uniform(-np.pi, np.pi, count))
+            heading=rng.uniform(-np.pi, np.pi, count), **{own: moved})
         given = _named(values.effect_parameters, self.get_name())
         model = self._model()
         effects = write_effects(model.effects) | ({values.effect: given} if values.effect else {})
@@ -140,6 +148,10 @@ class VirtualRigNode(RigNode):
         # The first step compiles; it must not happen while frames are due.
         world.advance(1e-3, FieldHistory(np.zeros(1), np.zeros((1, count, 2))))
         return world
+
+    def _mobility(self) -> float:
+        """Moment over rotational drag [rad/(s T)]."""
+        return 1 / (self.settings.alignment_ms * 1e-3 * _REFERENCE_FIELD)
 
     def _model(self) -> Model:
         """What the particles obey besides: of `model_file`, the first-order model without one."""
@@ -157,7 +169,8 @@ class VirtualRigNode(RigNode):
         points['id'] = np.arange(len(points))
         points['x'], points['y'] = self._world.position.T
         points['theta'] = self._world.heading
-        points['speed'], points['phi'] = self._world.bodies['speed'], self._world.bodies['phi']
+        points['speed'] = self._world.bodies['gain' if self._rolling else 'speed']
+        points['phi'] = self._world.bodies['phi']
         self._truth.publish(messages.cloud(points, stamp))
         self._frames += 1
         spent = time.monotonic() - began
@@ -171,10 +184,17 @@ class VirtualRigNode(RigNode):
         # A hidden delay looks back; the last change before that still holds.
         while len(changes) > 1 and changes[1][0] < self._world.t - _LONGEST_DELAY:
             changes.popleft()
-        times = np.array([t for t, _ in changes])
-        per_ampere = self._coils.field_per_ampere(self._world.position)[..., :2]
-        field = np.tensordot(np.array([c for _, c in changes]), per_ampere, 1)
-        self._world.advance(now - self._begin, FieldHistory(times, field))
+        times, currents = map(np.array, zip(*changes, strict=True))
+        currents = self._coils.effective(currents)
+        until = now - self._begin
+        if self._rolling is None:
+            per_ampere = self._coils.field_per_ampere(self._world.position)[..., :2]
+            history = FieldHistory(times, np.tensordot(currents, per_ampere, 1))
+        else:
+            field = self._coils.field_per_ampere(np.zeros((1, 3)))[:, 0]
+            self._rolling.take(times, currents @ field, until)
+            history = self._rolling.history(self._world.t - _LONGEST_DELAY)
+        self._world.advance(until, history)
 
 
 class _AmplifierLog:
@@ -191,7 +211,7 @@ class _AmplifierLog:
         self._rest = ''
 
     def read(self) -> Iterator[tuple[float, np.ndarray]]:
-        """New changes: time [s, monotonic] and currents (4,) [A]."""
+        """New changes: time [s, monotonic] and currents (N,) [A]."""
         *lines, self._rest = (self._rest + self._stream.read()).split('\n')
         for line in lines:
             entry = json.loads(line)

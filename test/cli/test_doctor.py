@@ -62,10 +62,14 @@ def test_whose_coils_a_rig_is_driven_by_is_said_and_that_they_can_be(tmp_path):
     section = CoilSettings().model_dump(mode='json', exclude_none=True)
     coils.write_text(yaml.safe_dump({'coils': section}))
     assert (_rig(rig).level, _rig(rig).detail) == (
-        'ok', f'{rig}: coil_driver; coils of {coils}')
+        'ok', f'{rig}: coil_driver; coils of {coils}: 4, for fields along xy')
     coils.write_text('coil: {}\n')
     assert (_rig(rig).level, _rig(rig).detail) == (
-        'fail', f"{coils}:1: unknown key 'coil'; expected one of: background_mT, windings")
+        'fail', f"{coils}:1: unknown key 'coil'; expected one of: axes, background_mT, windings, "
+        'workspace_mm')
+    coils.write_text('axes: xyz\n')
+    assert _rig(rig).level == 'fail'
+    assert _rig(rig).detail.endswith('these make no field along z (0.00, 0.00, 1.00)')
     coils.write_text('coils: {background_mT: [50, 0]}\n')
     assert _rig(rig).level == 'fail'
     assert _rig(rig).detail.startswith(f'{coils}: background_mT: expected a field that the coils')

@@ -7,7 +7,9 @@ import pytest
 from microbot_ros.drive.amplifier import amplifier_class
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.emulator.process import DEVICES
-from microbot_ros.drive.gate import ZERO, Limits, Reason
+from microbot_ros.drive.gate import Limits, Reason
+
+ZERO = (0.0,) * 4
 
 FULL_SCALE_A = 2.0
 LIMITS = Limits(

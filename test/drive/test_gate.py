@@ -6,7 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from microbot_ros.drive.gate import ZERO, Gate, Limits, Reason
+from microbot_ros.drive.gate import Gate, Limits, Reason
+
+ZERO = (0.0,) * 4
 
 LIMITS = Limits(
     current_A=2.0, step_A=3.0, slew_A_per_s=10.0, command_timeout_s=0.125, deviation_A=0.25,

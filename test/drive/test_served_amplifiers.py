@@ -17,8 +17,9 @@ from microbot_ros.drive.errors import (
     PortBusyError,
     WrongDeviceError,
 )
-from microbot_ros.drive.gate import ZERO
 from microbot_ros.errors import InputError
+
+ZERO = (0.0,) * 4
 
 DRIVING = (1.0, -1.0, 0.5, 0.2)
 PROTOCOLS = sorted(DEVICES)

@@ -186,6 +186,27 @@ def test_background_beyond_the_coils_and_coils_in_line_are_refused():
             Allocator(CoilSet(), (30e-3, 20e-3, 0), cancel_gradient=cancel)  # on a wire
 
 
+# Of the enumeration of faces, which knew four coils and two axes only: (seed, wanted), currents.
+ENUMERATED = [
+    (0, (1e-3, 2e-3), (0.5692442770779833, -0.34267661046694825, 0.41349798421294676,
+                       0.0752015277349352)),
+    (0, (3e-3, -8e-3), (-1.0330552710570582, -2.7148085531751387, -2.3412488293872604,
+                        -1.7003023321929485)),
+    (0, (1, -0.2), (-1.03305527105681, -2.7148085531751387, 0.17982238549893736,
+                    1.7778428479582076)),
+    (7, (-6e-3, 1e-3), (0.12230095827010834, -1.5097391753082492, 0.3569805733214319,
+                        -1.490222363737191)),
+    (7, (1, -0.2), (-1.4504143799804297, 1.5097391753082492, 0.8326132590063935,
+                    1.4950298440546617)),
+]
+
+
+@pytest.mark.parametrize(('seed', 'wanted', 'currents'), ENUMERATED)
+def test_four_coils_get_the_currents_of_before(seed, wanted, currents):
+    found = Allocator(rig(seed)).allocate(wanted).currents
+    np.testing.assert_allclose(found, currents, atol=2e-11)
+
+
 def test_many_fields_at_once_get_the_currents_of_each() -> None:
     allocator = Allocator(rig(3))
     wanted = np.random.default_rng(1).normal(0, 10e-3, (200, 2))  # some of them out of reach

@@ -170,9 +170,15 @@ def machine() -> Iterator[Machine]:
 
 
 @pytest.fixture
-def emulator(tmp_path: Path) -> Iterator[Emulator]:
+def emulator_options() -> tuple[str, ...]:
+    """What the emulated amplifier is beside the ordinary."""
+    return ()
+
+
+@pytest.fixture
+def emulator(tmp_path: Path, emulator_options: tuple[str, ...]) -> Iterator[Emulator]:
     """An emulated amplifier that is switched off at the end."""
-    made = Emulator(tmp_path)
+    made = Emulator(tmp_path, *emulator_options)
     yield made
     made.end()
 
