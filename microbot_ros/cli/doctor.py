@@ -54,6 +54,8 @@ def command(config: Path | None, json_path: Path | None) -> None:
 
     from microbot_ros.files import write_text
 
+    if config:
+        _readable(config)
     marks = {'ok': '[green]ok  [/]', 'warn': '[yellow]warn[/]', 'fail': '[red]FAIL[/]'}
     console = Console(highlight=False, soft_wrap=True)
     findings = []
@@ -65,6 +67,13 @@ def command(config: Path | None, json_path: Path | None) -> None:
         write_text(json_path, json.dumps(entries, indent=1, ensure_ascii=False) + '\n')
     if any(finding.level == 'fail' for finding in findings):
         sys.exit(1)
+
+
+def _readable(config: Path) -> None:
+    """InputError for a file that is not that of a rig: nothing can be said of that rig."""
+    from microbot_ros.nodes.configuration import read_rig
+
+    read_rig(config)
 
 
 def _look(config: Path | None) -> Iterator[Finding]:

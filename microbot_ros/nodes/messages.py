@@ -23,6 +23,7 @@ from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from microbot_ros.cameras.camera import CameraFormat
+from microbot_ros.errors import clipped
 from microbot_ros.loop.points import ESTIMATE
 from microbot_ros.records import Commands
 
@@ -81,7 +82,9 @@ def cloud(points: np.ndarray, stamp: Time) -> PointCloud2:
 def in_workspace(header: Header) -> None:
     """MessageError for a `header` with a frame other than the workspace's; '' stands for it."""
     if header.frame_id not in ('', WORKSPACE):
-        raise MessageError(f"expected the frame '{WORKSPACE}'; received '{header.frame_id}'")
+        raise MessageError(
+            f"expected the frame '{WORKSPACE}'; received '{clipped(header.frame_id)}': transform "
+            f"it before it is sent, or set the Fixed Frame of RViz to '{WORKSPACE}'")
 
 
 def estimates(message: PointCloud2) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import magpylib
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,6 +10,8 @@ from scipy.optimize import linprog
 
 from microbot_ros.errors import InputError
 from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings
+
+magpylib = pytest.importorskip('magpylib')
 
 
 def rig(seed: int, background: float = 0.1) -> CoilSet:
