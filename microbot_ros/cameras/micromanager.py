@@ -19,7 +19,10 @@ from microbot_ros.cameras.pixels import encoding_of, picture
 from microbot_ros.errors import InputError
 
 _ENCODINGS = {'GRAY8': 'mono8', 'GRAY16': 'mono16', 'RGB32': 'bgra8'}
-_BUFFER_MB = 64
+_BUFFER_MB = 256
+_FOR_EVER = 2**31 - 1
+"""Frames. A sequence without an end makes its buffer anew when that runs over, under whoever takes
+a frame out of it, and the process ends (MMCore 12); one with an end stops, and is begun again."""
 _POLL_S = 0.0005
 """MMCore has nothing to wait on."""
 
@@ -37,7 +40,7 @@ class MicroManagerCamera(CameraDriver):
             self._load()
             self._set_up()
             core.setCircularBufferMemoryFootprint(_BUFFER_MB)
-            core.startContinuousSequenceAcquisition(0)
+            core.startSequenceAcquisition(_FOR_EVER, 0.0, True)
             return self._first_format()
         except (RuntimeError, OSError) as error:
             self.close()
@@ -51,7 +54,9 @@ class MicroManagerCamera(CameraDriver):
         try:
             while not core.getRemainingImageCount():
                 if not core.isSequenceRunning():
-                    raise InputError(self.wanted.source, 'stopped giving frames')
+                    why = (': its buffer ran over, for this machine did not keep up'
+                           if core.isBufferOverflowed() else '')
+                    raise InputError(self.wanted.source, f'stopped giving frames{why}')
                 if time.monotonic() >= deadline:
                     return None
                 time.sleep(_POLL_S)

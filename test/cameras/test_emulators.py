@@ -188,3 +188,18 @@ def test_stamps_are_by_the_devices_clock(opened):
     _, moments, arrivals = rows.T
     assert np.abs(np.diff(arrivals)).max() > 0.045
     assert np.abs(np.diff(moments)).max() < 0.035
+
+
+@pytest.mark.parametrize(('kind', 'source'), [micromanager])
+def test_a_buffer_that_runs_over_stops_it_and_says_so(kind, source, opened, monkeypatch):
+    monkeypatch.setattr('microbot_ros.cameras.micromanager._BUFFER_MB', 1)
+    stream = opened(kind, source, exposure_ms=1.0)
+    core = stream._camera._core
+    deadline = time.monotonic() + 20
+    while core.isSequenceRunning() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    held = core.getRemainingImageCount()
+    for _ in range(held):  # are given first
+        assert stream.read(0.05)
+    with pytest.raises(InputError, match='its buffer ran over'):
+        stream.read(0.05)
