@@ -2,13 +2,11 @@
 
 Twenty kinds, five of each; eight kinds are of the grammar, twelve are not (`_unlisted_worlds`).
 Beside them sessions with nothing hidden, and with effects of the library, in which nothing may be
-learned. `out/learned.json` has every session.
+learned. `out/learned.jsonl` has every session.
 """
 
 from __future__ import annotations
 
-import dataclasses
-import json
 import time
 import traceback
 from collections.abc import Sequence
@@ -19,7 +17,7 @@ import numpy as np
 
 from bench._closed_loop import FIELD, Loop
 from bench._hidden_suite import blind
-from bench._score_card import run
+from bench._kept import run_kept
 from bench._unlisted_worlds import KINDS, Filmed, HiddenWorld, Law, film
 from bench.discovery import interval
 from bench.figure import Figure
@@ -32,7 +30,6 @@ from microbot_ros.discovery.learned.learn import learn_terms, relearn, told
 from microbot_ros.discovery.result import Discovery
 from microbot_ros.estimation.model_fit import ModelFit, fit_sessions
 from microbot_ros.estimation.prepared_session import PreparedSession
-from microbot_ros.files import write_text
 from microbot_ros.model.learned_term import LearnedTerm
 from microbot_ros.model.model import Model
 
@@ -61,9 +58,7 @@ class Outcome:
 
 def figures() -> list[Figure]:
     """All of them."""
-    outcomes = run(cases(), judge)
-    write_text(Path('out/learned.json'), json.dumps(
-        [dataclasses.asdict(one) for one in outcomes], indent=1) + '\n')
+    outcomes = run_kept(Path('out/learned.jsonl'), cases(), judge, lambda told: Outcome(**told))
     return [*score(outcomes), *wheel()]
 
 

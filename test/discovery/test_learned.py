@@ -206,7 +206,7 @@ def test_a_model_that_is_known_to_be_whole_stays_and_nothing_is_learned(film, fo
     """As one that commands of its own have decided."""
     session, _ = film(4, {'speed_by_heading': {'depth': 0.4}}, count=4)
     selection = StepwiseSelection(check_sessions([session])[0])
-    whole = conclude(selection, (), lambda _: None, explained=True)
+    whole = conclude(selection, (), lambda _: None, decided='named')
     assert whole.model == selection.current.model
     assert whole.learned == ()
     assert found.learned != ()
