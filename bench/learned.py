@@ -12,6 +12,7 @@ import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from statistics import median
 
 import numpy as np
 
@@ -57,7 +58,7 @@ class Outcome:
 def figures() -> list[Figure]:
     """All of them."""
     outcomes = run_kept(Path('out/learned.jsonl'), cases(), judge, lambda told: Outcome(**told))
-    return [*score(outcomes), *wheel()]
+    return [*score(outcomes), *wheel(), *beside(outcomes)]
 
 
 def cases(worlds: int = 5, nulls: int = 200, named: int = 100) -> list[tuple[str, int]]:
@@ -129,6 +130,41 @@ def _gaps(filmed: Filmed) -> tuple[float, float]:
 
     before, after = gaps(filmed, session, [base, learned])
     return before, after
+
+
+# Peers ------------------------------------------------------------------------------------------
+
+COMPARED = ('channel', 'vortex', 'facing', 'settling', 'lamp', 'cells', 'jet', 'recovery')
+"""Kinds of world that peers are given, once each."""
+
+SEED = 3
+
+
+def beside(outcomes: Sequence[Outcome]) -> list[Figure]:
+    """The gap that peers leave, beside ours of the same worlds among the `outcomes`."""
+    from bench._learned_peers import PEERS, Judged
+    from bench._learned_peers import judge as judge_peer
+
+    judged = run_kept(
+        Path('out/learned_peers.jsonl'), [(kind, SEED, peer) for kind in COMPARED
+                                          for peer in PEERS],
+        judge_peer, lambda told: Judged(**told))
+    own = median(_left(o.before, o.after) for o in outcomes
+                 if o.kind in COMPARED and o.seed == SEED)
+    result = []
+    for peer in PEERS:
+        theirs = [one for one in judged if one.peer == peer]
+        left = median(_left(one.before, one.after) for one in theirs)
+        spent = median(one.seconds for one in theirs)
+        result.append(Figure(
+            17, f'part of the gap left on {len(COMPARED)} worlds, over that of {peer}',
+            own / left, '×', '< 1', f'{own:.2f} and {left:.2f}, {spent:.0f} s', own < left))
+    return result
+
+
+def _left(before: float, after: float) -> float:
+    """Part of a gap that is left; all where nothing was learned."""
+    return after / before if np.isfinite(after) else 1.0
 
 
 # At the wheel -----------------------------------------------------------------------------------

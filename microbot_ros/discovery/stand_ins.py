@@ -2,8 +2,7 @@
 
 A spot, a flow and a drift explain much of a vortex between them, and each passes alone, since
 without it the other two leave something that it explains better than any map. So they are asked
-together: what is learned of place instead must not foretell rows it has not seen better than they
-fit the rows they have.
+together: is there one formula of place, of fewer numbers, that explains more than all of them?
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from microbot_ros.discovery.learned.learn import CONVINCING, foretells, learn_term
+from microbot_ros.discovery.learned.learn import finish, learn_term, with_term
 from microbot_ros.discovery.stepwise_selection import without
 from microbot_ros.estimation.model_fit import ModelFit
 from microbot_ros.model.model import Model
@@ -37,11 +36,10 @@ def fields_of_place(model: Model) -> tuple[str, ...]:
 
 def series_for_a_field(fit: ModelFit,
                        report: Callable[[str], None] = lambda _: None) -> StandIns | None:
-    """The fields of place of a `fit` where a learned one is better than all of them together.
+    """The fields of place of a `fit` where one formula explains more with fewer numbers.
 
-    Their likelihood is the largest there is, that of the learned one is of rows it was not learned
-    from: by CONVINCING it is only above where they are not what is there. None where it is not.
-    `report` is told what is being done.
+    Of what is there no other formula is likelier with fewer numbers, but by chance. None where
+    none is. `report` is told what is being done.
     """
     names, rest = fields_of_place(fit.model), fit
     if not names:
@@ -49,8 +47,10 @@ def series_for_a_field(fit: ModelFit,
     for name in names:
         rest = without(rest, name)
     found = learn_term(rest, report)
-    named = fit.log_likelihood - rest.log_likelihood
-    if found is None or found.term.against != 'position' or (
-            foretells(found.moments) < named + CONVINCING):
+    if found is None or found.term.against != 'position':
         return None
-    return StandIns(names, rest)
+    found = finish(found)
+    numbers = len(fit.model.vector()) - len(rest.model.vector())
+    better = found.formula is not None and found.formula.size < numbers and (
+        with_term(rest, found.term).log_likelihood > fit.log_likelihood)
+    return StandIns(names, rest) if better else None

@@ -17,6 +17,7 @@ from microbot_ros.discovery.driven.design import (
     Question,
     Range,
     Search,
+    _Trial,
     choose_plan,
     random_steps,
 )
@@ -232,6 +233,25 @@ def test_nobody_to_ask_is_said(late):
         _design((late[0], (unseen, lag)))
 
 
+def test_where_nothing_is_asked_it_goes_where_it_has_not_been():
+    """What is in no list may be a matter of place: a flow shows only over a distance."""
+    went = []
+    for seen_there in (0.0, 1.0):
+        rig, played, _ = _asked(7, ())
+        session = prepare(join(played))
+        places = session.causal_positions.copy()
+        rng = np.random.default_rng(0)
+        shown = rng.uniform(VIEW.low, VIEW.high, places.shape)
+        places = np.where(rng.random(places.shape[:1])[:, None, None] < seen_there, shown, places)
+        fit = fit_sessions(Model.baseline(session.conditions, session.commands),
+                           [replace(session, causal_positions=places)])
+        trial = _Trial.of(fit, [], Search({}, 1.0), session.times[-1] + 1.0, rig.limits)
+        plans = [Plan(np.array([angle]), np.array([FIELD]), np.array([10.0]))
+                 for angle in np.linspace(-np.pi, np.pi, 12)]
+        went.append(np.mean([trial.score(plan).shown[0] for plan in plans]))
+    assert went[0] > 2 * went[1]
+
+
 def test_what_is_the_same_can_not_be_told_apart(late):
     _, (delay, _) = late
     design = _design(late, questions_=[Question(delay, delay, 5.0)])
@@ -268,6 +288,22 @@ def test_twins_are_told_before_time_is_out():
     assert driven.decided == 'undecidable'
     assert set(driven.twins[0]) == {'coil_gain_mismatch', 'coil_gain_mismatch_twin'}
     assert driven.seconds < 180
+
+
+def test_what_is_in_no_list_is_told_with_what_it_depends_on_and_learned():
+    rig, _ = hidden_world(1, ('speed_by_heading',), 60.0)
+    driven = drive(rig, 1.0)
+    judgement = driven.insight.judgement
+    assert (driven.decided, judgement.unlisted) == ('settled', True)
+    assert judgement.left[0].against == 'heading, along the heading'
+    assert judgement.left[0].fires
+    found, _ = discovered(driven)
+    assert found.verdict == 'unnamed'
+    assert not any(effect.status == 'established' for effect in found.effects)
+    assert found.learned[0].term.against == 'heading'
+    assert found.model.learned
+    assert 'to confirm what was learned' in found.next_experiment.sentence
+    assert 'in no list. It depends on heading' in section(driven)
 
 
 class _Broken:
