@@ -13,7 +13,7 @@ training, policies = ['gymnasium'], ['onnx', 'onnxruntime']
 development = [
     *training, *policies, 'catkin_pkg', 'colcon-common-extensions', 'coverage', 'hypothesis',
     'import-linter', 'magpylib', 'mypy', 'psutil', 'pysindy', 'pytest', 'pytest-timeout',
-    'pytest-xdist', 'ruff', 'StochasticForceInference', 'trackpy', 'types-PyYAML',
+    'pytest-xdist', 'ruff', 'pyoperon', 'StochasticForceInference', 'trackpy', 'types-PyYAML',
     'types-pyserial',
 ]
 
