@@ -14,9 +14,11 @@ import numpy as np
 
 from microbot_ros.drive.emulator.coils import Coils
 from microbot_ros.drive.emulator.faults import Fault, Faults
-from microbot_ros.drive.gate import ZERO, Currents, Gate, Limits
+from microbot_ros.drive.gate import Currents, Gate, Limits
 from microbot_ros.drive.serial_transfer import codec
 from microbot_ros.drive.serial_transfer.emulated import Board
+
+ZERO = (0.0,) * 4
 
 FULL_SCALE_A = 2.0
 _PERIOD_S = 0.09  # just often enough for a watchdog of 100 ms
@@ -102,7 +104,7 @@ def _begin(rig: _Rig, kind: str) -> None:
 
 
 def _drive(rig: _Rig, day: Day, fault: str, random: np.random.Generator) -> None:
-    rig.coils.conduct(*rig.line.conducted(rig.now))
+    rig.coils.conduct(*rig.line.conducted(rig.now, rig.coils.channels))
     wanted = random.uniform(-1.2, 1.2, 4)
     if fault == 'not a number':
         wanted[random.integers(4)] = random.choice([math.nan, math.inf, -math.inf])

@@ -24,6 +24,7 @@ from microbot_ros.drive.emulator.process import DEVICES, make_device
 from microbot_ros.drive.modbus import codec as modbus
 from microbot_ros.drive.roboclaw import codec as roboclaw
 from microbot_ros.drive.roboteq import codec as roboteq
+from microbot_ros.drive.sabertooth import codec as sabertooth
 from microbot_ros.drive.scpi import codec as scpi
 from microbot_ros.drive.serial_transfer import codec as serial_transfer
 
@@ -163,6 +164,8 @@ _FRAMES: dict[str, Callable[[random.Random], bytes]] = {
     'modbus': lambda chance: _with_crc(bytes((chance.randrange(6), chance.choice((3, 6, 16))))
                                        + struct.pack('>HH', chance.randrange(13),
                                                      chance.randrange(65536))),
+    'sabertooth': lambda chance: sabertooth.packet(
+        chance.randrange(0x80, 0x83), chance.randrange(16), chance.randrange(128)),
     'roboteq': lambda chance: (f'!G {chance.randrange(4)} {chance.randrange(-1100, 1100)}\r'
                                .encode()),
     'scpi': lambda chance: f'CURR {chance.uniform(-3, 3):.3E};OUTP ON\n'.encode(),

@@ -6,7 +6,9 @@ import math
 
 import numpy as np
 
-from microbot_ros.drive.gate import ZERO, Gate, Limits
+from microbot_ros.drive.gate import Gate, Limits
+
+ZERO = (0.0,) * 4
 
 LIMIT_A = 2.0
 _BATCH = 100_000

@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from bench._emulator import FULL_SCALE_A, Emulator
-from microbot_ros.drive.emulator.process import DEVICES
+from bench._served import MEASURED
 
 DELAYS_MS = (1, 4, 16)
 _DEADLINE_S = 5.0
@@ -65,7 +65,7 @@ def driving(protocol: str, board: Emulator) -> Iterator[Host]:
 
 
 def spent_s(tries: int, host_tries: int,
-            protocols: Iterable[str] = DEVICES) -> dict[tuple[str, int, str], list[float]]:
+            protocols: Iterable[str] = MEASURED) -> dict[tuple[str, int, str], list[float]]:
     """(protocol, delay [ms], what ended) → seconds to zero, of each try."""
     random.seed(3)
     spent: dict[tuple[str, int, str], list[float]] = {}

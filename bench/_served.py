@@ -18,7 +18,7 @@ import numpy as np
 from microbot_ros.drive.emulator.coils import Coils
 from microbot_ros.drive.emulator.faults import Faults, parse
 from microbot_ros.drive.emulator.line import Line
-from microbot_ros.drive.emulator.process import make_device
+from microbot_ros.drive.emulator.process import DEVICES, make_device
 from microbot_ros.drive.emulator.server import Server
 from microbot_ros.drive.gate import Limits
 
@@ -28,6 +28,8 @@ LIMITS = Limits(
     deviation_A=0.15, settling_s=0.1, feedback_timeout_s=8.0, rated_current_A=3.0, thermal_s=60.0,
     idle_s=60.0)
 """Wide in time: a busy machine is no fault."""
+MEASURED = sorted({*DEVICES} - {'sabertooth'})
+"""The protocols whose devices read currents back."""
 _DEADLINE_S = float(os.environ.get('MICROBOT_TEST_DEADLINE_S', '10'))
 
 
@@ -44,10 +46,12 @@ def until(condition: Callable[[], Any]) -> Any:
 class Served:
     """An emulated amplifier, the log of what flowed in it, and its faults."""
 
-    def __init__(self, protocol: str, folder: Path, watchdog_s: float | None) -> None:
+    def __init__(self, protocol: str, folder: Path, watchdog_s: float | None,
+                 channels: int = 4) -> None:
         self.flowed: list[tuple[float, ...]] = []
         self.causes: list[str] = []
-        self.coils = Coils(FULL_SCALE_A, watchdog_s, cast(TextIO, self))
+        self.times: list[float] = []
+        self.coils = Coils(FULL_SCALE_A, watchdog_s, cast(TextIO, self), channels=channels)
         self.device = make_device(protocol, self.coils)
         self.lines = [Line(folder / f'{protocol}-{port}') for port in range(self.device.ports)]
         self.url = ','.join(str(line.link) for line in self.lines)
@@ -62,6 +66,7 @@ class Served:
         entry = json.loads(line)
         self.flowed.append(tuple(entry['currents_A']))
         self.causes.append(entry['cause'])
+        self.times.append(entry['t_monotonic_s'])
 
     def flush(self) -> None:
         """Nothing waits."""

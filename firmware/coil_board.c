@@ -1,7 +1,10 @@
 /* Reference firmware of a six-channel coil board: ATmega328P at 16 MHz (Arduino Uno, Nano).
  *
- * Host to board: duties in −1 … 1. Board to host: six measured currents, about 50 times a second
- * and when the outputs have done what a command asked. Four things end in zero current without
+ * Host to board: duties in −1 … 1, or duties that turn: steady, cosine and sine part of each coil
+ * (18 int16, full scale 32767) and the angular velocity [rad/s] (float32). What turns begins with
+ * the packet at the cosine part and turns on until the next, which comes long before the dead-man
+ * and sets it right: the host's is the clock. Board to host: six measured currents, about 50 times
+ * a second and when the outputs have done what a command asked. Four things end in zero current without
  * the host: 100 ms without a good command, counted in an interrupt; a channel that carries current
  * it was not told to; a main loop that hangs, through the hardware watchdog; and any reset, after
  * which every output is off until the next good command.
@@ -47,6 +50,8 @@ enum {
     LET_GO_MS = 50,     /* what a coil's current takes to die after a reset */
     SENSE_FULL = 512,   /* counts from 0 A to a rail */
     OFF_CENTRE = SENSE_FULL / 10,
+    FASTEST = 1000,     /* rad/s: a radian in a tick */
+    WHOLE = 32767,      /* a duty of 1 among what turns */
     STRAY = SENSE_FULL / 4,
 };
 #define LIMIT_STEPS ((int16_t)(FULL_STEPS * LIMIT_A / FULL_SCALE_A + 0.5f))
@@ -68,6 +73,14 @@ static const struct {
     {&OCR0B, &PORTB, 1 << PB0},  {&OCR2A, &PORTB, 1 << PB4},  {&OCR2B, &PORTB, 1 << PB5},
 };
 static int16_t target[COILS], output[COILS]; /* steps; shared with the interrupt */
+
+/* Duties that turn: the vector (c, s) goes round by (step_c, step_s) a tick. */
+static struct {
+    bool on;
+    uint8_t tick; /* up to which it has been turned */
+    float c, s, step_c, step_s;
+    int16_t parts[3][COILS]; /* steady, cosine, sine */
+} turn;
 static bool rested[COILS];
 static uint16_t sense_at_zero[COILS];
 static uint8_t last_true[COILS]; /* tick at which a channel last carried what it was told */
@@ -181,6 +194,16 @@ static void report(void)
     since_report = 0;
 }
 
+static void aim(const int16_t wanted[COILS])
+{
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
+    {
+        if (memcmp(target, wanted, sizeof target))
+            since_change = 0;
+        memcpy(target, wanted, sizeof target);
+    }
+}
+
 /* A command with a duty that is not within −1 … 1 (NaN is not), or beyond the limit, changes
  * nothing and keeps nothing on. */
 static bool obey(const uint8_t *payload)
@@ -196,13 +219,51 @@ static bool obey(const uint8_t *payload)
         if (abs(wanted[index]) > LIMIT_STEPS)
             return false;
     }
-    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
-    {
-        if (memcmp(target, wanted, sizeof target))
-            since_change = 0;
-        memcpy(target, wanted, sizeof target);
-        since_command = 0;
+    turn.on = false;
+    aim(wanted);
+    since_command = 0;
+    return true;
+}
+
+/* The targets of this tick, a vector further; each change waits for the interrupt. */
+static void turn_on(void)
+{
+    int16_t wanted[COILS];
+    for (; turn.tick != ticks; turn.tick++) {
+        float c = turn.c * turn.step_c - turn.s * turn.step_s;
+        turn.s = turn.s * turn.step_c + turn.c * turn.step_s;
+        turn.c = c;
     }
+    for (uint8_t index = 0; index < COILS; index++)
+        wanted[index] = (int16_t)lround((turn.parts[0][index] + turn.parts[1][index] * turn.c
+                                         + turn.parts[2][index] * turn.s)
+                                        * ((float)FULL_STEPS / WHOLE));
+    aim(wanted);
+}
+
+/* As `obey`, of what turns. The largest duty on the way counts against the limit. */
+static bool obey_turn(const uint8_t *payload)
+{
+    int16_t parts[3][COILS];
+    float rate;
+    memcpy(parts, payload, sizeof parts);
+    memcpy(&rate, payload + sizeof parts, sizeof rate);
+    if (!(rate >= -FASTEST && rate <= FASTEST))
+        return false;
+    for (uint8_t index = 0; index < COILS; index++) {
+        float largest = fabsf(parts[0][index]) + hypotf(parts[1][index], parts[2][index]);
+        if (lround(largest * ((float)FULL_STEPS / WHOLE)) > LIMIT_STEPS)
+            return false;
+    }
+    memcpy(turn.parts, parts, sizeof parts);
+    turn.on = true;
+    turn.tick = ticks;
+    turn.c = 1.0f;
+    turn.s = 0.0f;
+    turn.step_c = cosf(rate * (TICK_US * 1e-6f));
+    turn.step_s = sinf(rate * (TICK_US * 1e-6f));
+    turn_on();
+    since_command = 0;
     return true;
 }
 
@@ -269,9 +330,13 @@ int main(void)
             uint8_t byte = received[received_tail];
             received_tail = (received_tail + 1) % sizeof received;
             since_byte = 0;
-            if (packet_take(&window, byte, payload) && obey(payload))
+            enum packet_kind kind = packet_take(&window, byte, payload);
+            if ((kind == COMMAND_PACKET && obey(payload))
+                || (kind == TURN_PACKET && obey_turn(payload)))
                 answer_due = true;
         }
+        if (turn.on && turn.tick != ticks)
+            turn_on();
         if (since_report >= REPORT || (answer_due && since_change >= SHOWN)) {
             report();
             answer_due = false;

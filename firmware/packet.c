@@ -8,7 +8,7 @@
 
 #include <string.h>
 
-enum { START = 0x7E, END = 0x81, ID = 0x00, NOTHING_STUFFED = 0xFF, HEADER = 4 };
+enum { START = 0x7E, END = 0x81, ID = 0x00, TURN_ID = 0x01, NOTHING_STUFFED = 0xFF, HEADER = 4 };
 
 static uint8_t crc8(const uint8_t *data, uint8_t length)
 {
@@ -53,7 +53,7 @@ static uint8_t stuff(uint8_t *payload, uint8_t length)
 static bool may_start(const struct packet_window *window)
 {
     const uint8_t *b = window->bytes, n = window->count;
-    return (n < 1 || b[0] == START) && (n < 2 || b[1] == ID)
+    return (n < 1 || b[0] == START) && (n < 2 || b[1] == ID || b[1] == TURN_ID)
         && (n < 3 || b[2] < COMMAND_BYTES || b[2] == NOTHING_STUFFED)
         && (n < 4 || b[3] == COMMAND_BYTES);
 }
@@ -70,12 +70,15 @@ static bool complete(const struct packet_window *window, uint8_t *payload)
     return unstuff(payload, COMMAND_BYTES, window->bytes[2]);
 }
 
-bool packet_take(struct packet_window *window, uint8_t byte, uint8_t payload[COMMAND_BYTES])
+enum packet_kind packet_take(struct packet_window *window, uint8_t byte,
+                             uint8_t payload[COMMAND_BYTES])
 {
+    enum packet_kind good = NO_PACKET;
     window->bytes[window->count++] = byte;
-    bool good = window->count == sizeof window->bytes && complete(window, payload);
-    if (good)
+    if (window->count == sizeof window->bytes && complete(window, payload)) {
+        good = window->bytes[1] == TURN_ID ? TURN_PACKET : COMMAND_PACKET;
         window->count = 0;
+    }
     /* After damage, look for the next start behind the last one believed. */
     while (window->count == sizeof window->bytes || !may_start(window))
         memmove(window->bytes, window->bytes + 1, --window->count);

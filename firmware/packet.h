@@ -5,7 +5,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#define COMMAND_BYTES 68     /* 17 float32 from the host */
+#define COMMAND_BYTES 68     /* from the host: 17 float32, or what turns (coil_board.c) */
 #define MEASUREMENT_BYTES 24 /* 6 float32 to the host */
 #define PACKET_EXTRA 6       /* bytes around a payload */
 
@@ -15,8 +15,12 @@ struct packet_window {
     uint8_t count;
 };
 
-/* Takes one byte. True when it completed a good command, whose payload is then in `payload`. */
-bool packet_take(struct packet_window *window, uint8_t byte, uint8_t payload[COMMAND_BYTES]);
+enum packet_kind { NO_PACKET, COMMAND_PACKET, TURN_PACKET };
+
+/* Takes one byte. The kind of the good packet that it completed, whose payload is then in
+ * `payload`. */
+enum packet_kind packet_take(struct packet_window *window, uint8_t byte,
+                             uint8_t payload[COMMAND_BYTES]);
 
 /* Writes the packet of a measurement. */
 void packet_encode(const uint8_t payload[MEASUREMENT_BYTES],

@@ -79,7 +79,8 @@ class Conditions:
 
     `propulsion` 'catalytic' or 'rolling'; `radius` [m] of the particles; `viscosity` [Pa·s] and
     `temperature` [K] of the fluid; `frame_rate` [Hz]; `pixel_size` [m] in the workspace;
-    `reference_field` [T] at which alignment times are stated.
+    `reference_field` [T] at which alignment times are stated; `height` [m] of the particles'
+    centres above the floor, more than `radius`.
     """
 
     propulsion: str = 'catalytic'
@@ -89,6 +90,18 @@ class Conditions:
     frame_rate: float | None = None
     pixel_size: float | None = None
     reference_field: float | None = None
+    height: float | None = None
+
+
+def height_problem(height_um: float | None, radius_um: float | None) -> str:
+    """What is wrong with a height of the centre above the floor, `height_um` [µm], for people.
+
+    '' where nothing is, or where it or the `radius_um` [µm] is not known (None, 0).
+    """
+    if not (height_um and radius_um) or height_um > radius_um:
+        return ''
+    return (f'expected height_um to be more than radius_um, {radius_um:g}: it is the height of '
+            f'the centre above the floor; received {height_um:g}')
 
 
 @dataclass(frozen=True)
@@ -96,7 +109,8 @@ class Session:
     """One recording: what was seen, what was commanded, under which conditions; its `name`.
 
     `breaks` (K,) [s], ascending, are where what was seen was joined: nothing is known of the way
-    from the last frame before one to the first at or after it.
+    from the last frame before one to the first at or after it. `remarks` are sentences on what is
+    not as it should be: data that were cut off.
     """
 
     tracks: Tracks
@@ -104,3 +118,4 @@ class Session:
     conditions: Conditions = field(default_factory=Conditions)
     name: str = ''
     breaks: np.ndarray = field(default_factory=lambda: np.empty(0))
+    remarks: tuple[str, ...] = ()

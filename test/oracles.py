@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.linalg import solve_banded
 
 from microbot_ros.model.particle import Fluid, stokes_drag
 from microbot_ros.model.vectors import unit
@@ -66,3 +67,33 @@ def swimmer_flow(strength: float, heading: np.ndarray, displacement: np.ndarray)
 def dipole_mobility(fluid: Fluid, radius: float, moment: float) -> float:
     """3µ₀m²/4π over 6πηr [m⁵/s]: the speed by which equal dipoles move each other is this/r⁴."""
     return 3 * MU_0 * moment**2 / (4 * math.pi) / stokes_drag(fluid, radius)
+
+
+def sliding_near_a_wall(height: float, radius: float) -> float:
+    """Drag over 6πηa of a sphere that moves along a plane wall without turning: the exact series.
+
+    In bispherical coordinates (O'Neill, Mathematika 11, 67 (1964), in the notation of Goldman, Cox
+    & Brenner (1967)): a tridiagonal system for the coefficients A, from which the force follows.
+    """
+    alpha = math.acosh(height / radius)
+    count = max(40, round(40 / alpha))
+    n = np.arange(count + 1.0)
+
+    def k(order: np.ndarray) -> np.ndarray:
+        return (order + 0.5) / np.tanh((order + 0.5) * alpha) - 1 / math.tanh(alpha)
+
+    m = n[1:]
+    before = (2 * m - 1) * k(m - 1) - (2 * m - 3) * k(m)
+    after = (2 * m + 5) * k(m) - (2 * m + 3) * k(m + 1)
+    bands = np.zeros((3, count))
+    bands[0, 1:] = (after * (m + 2) / (2 * m + 3))[:-1]
+    bands[1] = -(before * m + after * (m + 1)) / (2 * m + 1)
+    bands[2, :-1] = (before * (m - 1) / (2 * m - 1))[1:]
+    wanted = math.sqrt(2) * (2 / np.tanh((m + 0.5) * alpha) - 1 / np.tanh((m - 0.5) * alpha)
+                             - 1 / np.tanh((m + 1.5) * alpha))
+    a = np.concatenate([[0.0, 0.0], solve_banded((1, 1), bands, wanted), [0.0]])
+    low, here, high = a[:-2], a[1:-1], a[2:]
+    c = -2 * k(n) * ((n - 1) / (2 * n - 1) * low - here + (n + 2) / (2 * n + 3) * high)
+    e = 4 * math.sqrt(2) / np.expm1(np.minimum((2 * n + 1) * alpha, 700.0)) + k(n) * (
+        n * (n - 1) / (2 * n - 1) * low - (n + 1) * (n + 2) / (2 * n + 3) * high)
+    return float(math.sqrt(2) / 6 * math.sinh(alpha) * (e + n * (n + 1) * c).sum())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,15 +15,13 @@ import click
 import numpy as np
 import yaml
 
+from microbot_ros.cli.compiling import note_on_compiling
+from microbot_ros.cli.demo_robots import KINDS, Robots
 from microbot_ros.drive.real_time import LOOP, realtime_priority
 from microbot_ros.ending import Ending, Stopped
 from microbot_ros.errors import InputError
 from microbot_ros.files import output_folder, write_text
 from microbot_ros.nodes.graph import Graph
-
-SPEEDS_UM_S = [3.71, 4.38, 4.98, 4.1]
-PHIS_RAD = [-1.09, 3.82, 2.64, 0.6]
-"""The paper's three particles and one more."""
 
 GOALS_UM = np.array([(16.0, 10.0), (-14.0, 14.0), (-4.0, -10.0)])
 """Where to go, relative to where the steered particle is when it knows its v and φ."""
@@ -56,11 +55,14 @@ class _Run:
 @click.command()
 @click.option('--seconds', default=30.0, show_default=True, help='How long the loop runs.')
 @click.option('--seed', default=1, show_default=True, help='Seed of particles, noise and debris.')
+@click.option('--robots', type=click.Choice(list(KINDS)), default='catalytic', show_default=True,
+              help='What is steered: swimmers that a field turns, or rollers in a field that '
+                   'turns.')
 @click.option('--out', type=click.Path(path_type=Path), default=Path('out/demo'),
               show_default=True, help='Folder for what the demo leaves behind.')
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
               help='Also write the summary here.')
-def command(seconds: float, seed: int, out: Path, json_path: Path | None) -> None:
+def command(seconds: float, seed: int, robots: str, out: Path, json_path: Path | None) -> None:
     """Steer a microrobot on the virtual rig, over a real ROS graph and a real serial line.
 
     Every node is a process. The model learns speed and offset angle of each particle from
@@ -73,12 +75,13 @@ def command(seconds: float, seed: int, out: Path, json_path: Path | None) -> Non
     \b
     Example:
       microbot demo --seconds 30 --seed 1 --out out/demo
+      microbot demo --robots rolling --out out/rollers
     """
     if not seconds >= _FEWEST_SECONDS:
         raise InputError('--seconds', f'expected at least {_FEWEST_SECONDS:g}; got {seconds:g}')
     began = time.monotonic()
     try:
-        run, summary = _demo(seconds, seed, out, began)
+        run, summary = _demo(seconds, seed, KINDS[robots], out, began)
     except Stopped as stopped:
         _say(began, f'stopped by {stopped}: the coils are at zero, nothing was kept')
         sys.exit(stopped.status)
@@ -102,26 +105,30 @@ def tell_shortcomings(faults: list[str], summary: dict[str, Any], began: float) 
     return 1 if faults or missed else 0
 
 
-def _demo(seconds: float, seed: int, out: Path, began: float) -> tuple[_Run, dict[str, Any]]:
+def _demo(seconds: float, seed: int, kind: Callable[[Path], Robots], out: Path,
+          began: float) -> tuple[_Run, dict[str, Any]]:
     graph = Graph(lambda who, line: _say(began, f'{who}: {line}'))
     with Ending(graph.tell_to_end) as ending, output_folder(out) as folder:
         with graph:
-            run = _run(graph, ending, folder, seconds, seed, began)
+            robots = kind(folder)
+            run = _run(graph, ending, folder, seconds, seed, robots, began)
             _say(began, 'stopping; the coils are at zero')
         with ending.interrupts():
-            return run, _look_back(folder, out, run, began)
+            return run, _look_back(folder, out, run, robots, began)
 
 
 def _run(graph: Graph, ending: Ending, folder: Path, seconds: float, seed: int,
-         began: float) -> _Run:
+         robots: Robots, began: float) -> _Run:
     """The whole graph for that long."""
     port, log = folder / 'amplifier', folder / 'amplifier.jsonl'
     rig = folder / 'rig.yaml'
-    write_text(rig, _rig_file(folder, port, log, seed))
+    write_text(rig, _rig_file(folder, port, log, seed, robots))
     _say(began, f'starting the emulated amplifier and {len(NODES)} nodes')
+    if note := note_on_compiling():
+        _say(began, note)
     graph.start('amplifier', [
         sys.executable, '-m', 'microbot_ros.cli', 'emulate', 'serial_transfer',
-        '--link', str(port), '--log', str(log), '--full-scale-A', '2'],
+        '--link', str(port), '--log', str(log), '--full-scale-A', '2', *robots.emulator],
         says_when_ready='serving')
     # The log must be there before the virtual rig reads it. Particles swim as soon as that
     # lives: everybody else is to be there by then.
@@ -131,15 +138,15 @@ def _run(graph: Graph, ending: Ending, folder: Path, seconds: float, seed: int,
         with ending.interrupts():
             graph.wait_ready(patience_s)
     with ending.interrupts(), realtime_priority(LOOP):  # no signal waits for the loop
-        return _steer(graph, seconds, began)
+        return _steer(graph, seconds, robots, began)
 
 
-def _steer(graph: Graph, seconds: float, began: float) -> _Run:
+def _steer(graph: Graph, seconds: float, robots: Robots, began: float) -> _Run:
     """Learn, then visit places, for that long."""
     from microbot_ros.nodes.graph_client import GraphClient
 
     with GraphClient() as client:
-        watch = _Watch(client, graph, began)
+        watch = _Watch(client, graph, robots.unit, began)
         watch.until_tracked(60.0)
         client.arm()
         armed_at = time.time()
@@ -147,22 +154,24 @@ def _steer(graph: Graph, seconds: float, began: float) -> _Run:
         start = time.monotonic()
         _say(began, f'armed; {LEARN_SECONDS:g} s of fixed directions to learn v and φ')
         watch.until(start + LEARN_SECONDS)
-        goals = places_within(start + seconds - time.monotonic(), watch.estimates)
-        client.set('controller', controller='waypoint')
+        goals = places_within(start + seconds - time.monotonic(), watch.estimates,
+                              robots.turns_per_s)
+        client.set('controller', controller=robots.controller)
         client.send_goals([tuple(goal) for goal in goals.tolist()])
-        _say(began, 'switched to waypoint: ' + ' → '.join(
+        _say(began, f'switched to {robots.controller}: ' + ' → '.join(
             f'({x:.0f}, {y:.0f}) µm' for x, y in goals * 1e6))
         watch.until(start + seconds)
         client.set('controller', controller='hold')
         client.arm(False)
-    return _Run(goals, armed_at, ['hold', 'open_loop', 'waypoint', 'hold'], sorted(watch.faults))
+    return _Run(goals, armed_at, ['hold', 'open_loop', robots.controller, 'hold'],
+                sorted(watch.faults))
 
 
 class _Watch:
     """Listens while the demo runs: estimates, faults, what the nodes print."""
 
-    def __init__(self, client: Any, graph: Graph, began: float) -> None:
-        self._client, self._graph, self._began = client, graph, began
+    def __init__(self, client: Any, graph: Graph, unit: str, began: float) -> None:
+        self._client, self._graph, self._unit, self._began = client, graph, unit, began
         self.estimates: Any = np.empty(0)
         self.faults: set[str] = set()
         client.watch_estimates(lambda points: setattr(self, 'estimates', points))
@@ -184,7 +193,7 @@ class _Watch:
             self._graph.pump(0.0)
             known = [f'{e["speed"] * 1e6:.2f}±{1.96 * e["speed_std"] * 1e6:.2f}'
                      for e in self.estimates if np.isfinite(e['speed_std'])]
-            line = f'v = {", ".join(known)} µm/s' if known else 'no estimate yet'
+            line = f'v = {", ".join(known)} {self._unit}' if known else 'no estimate yet'
             _say(self._began, line)
 
     def _on_health(self, node: str, level: bytes, sentence: str, _: dict[str, str]) -> None:
@@ -193,19 +202,21 @@ class _Watch:
             _say(self._began, f'{node}: FAULT {sentence}')
 
 
-def places_within(seconds: float, estimates: np.ndarray) -> np.ndarray:
+def places_within(seconds: float, estimates: np.ndarray, turns_per_s: float = 1.0) -> np.ndarray:
     """Those of the places, in order (n, 2) [m], that `seconds` suffice for; one at least.
 
-    They lie about the particle that is steered, the one of `estimates` with the lowest identity.
+    They lie about the particle that is steered, the one of `estimates` with the lowest identity,
+    whose speed is per turn where it makes `turns_per_s`.
     """
     first = estimates[estimates['id'].argmin()]
     legs = np.diff(GOALS_UM, axis=0, prepend=0.0) * 1e-6
-    needed = np.hypot(*legs.T).cumsum() / first['speed'] + _SPARE_SECONDS
+    needed = np.hypot(*legs.T).cumsum() / (first['speed'] * turns_per_s) + _SPARE_SECONDS
     count = max(1, np.count_nonzero(needed <= seconds))
     return np.array([first['x'], first['y']], float) + GOALS_UM[:count] * 1e-6
 
 
-def _look_back(folder: Path, out: Path, asked: _Run, began: float) -> dict[str, Any]:
+def _look_back(folder: Path, out: Path, asked: _Run, robots: Robots,
+               began: float) -> dict[str, Any]:
     """Summary, figure and video of the recording, written beside it."""
     from microbot_ros.cli.demo_figure import draw
     from microbot_ros.cli.demo_results import DemoRun, summarise
@@ -214,19 +225,19 @@ def _look_back(folder: Path, out: Path, asked: _Run, began: float) -> dict[str, 
     recording = folder / 'recording'
     run = DemoRun.read(recording)
     summary = {**summarise(run, asked.goals, asked.armed_at), 'nodes': list(NODES),
-               'controllers': asked.controllers, 'recording': str(out / 'recording')}
+               'controllers': asked.controllers, 'speed_unit': robots.unit,
+               'recording': str(out / 'recording')}
     write_text(folder / 'summary.json', json.dumps(summary, indent=1) + '\n')
-    draw(run, asked.goals[-1], folder / 'demo.png')
+    draw(run, asked.goals[-1], robots.unit, folder / 'demo.png')
     _say(began, 'drawing the video')
     write_video(run, recording, PIXEL_SIZE_UM * 1e-6, folder / 'demo.mp4')
     return summary
 
 
-def _rig_file(folder: Path, port: Path, log: Path, seed: int) -> str:
+def _rig_file(folder: Path, port: Path, log: Path, seed: int, robots: Robots) -> str:
     """The parameters of every node, as `microbot run` would take them."""
     own: dict[str, dict[str, Any]] = {
-        'virtual_rig': {'amplifier_log': str(log), 'seed': seed, 'speeds_um_s': SPEEDS_UM_S,
-                        'phis_rad': PHIS_RAD},
+        'virtual_rig': {'amplifier_log': str(log), 'seed': seed},
         'tracker': {'pixel_size_um': PIXEL_SIZE_UM},
         'model': {'radius_um': 2.3, 'viscosity_mPa_s': 1.245},
         'controller': {'controller': 'hold', 'open_loop.directions_deg': LEARN_DIRECTIONS_DEG,
@@ -237,8 +248,9 @@ def _rig_file(folder: Path, port: Path, log: Path, seed: int) -> str:
         'recorder': {'folder': str(folder / 'recording'), 'frame_every': 6,
                      'title': 'microbot demo'},
     }
-    return yaml.safe_dump({node: {'ros__parameters': values} for node, values in own.items()},
-                          sort_keys=False)
+    return yaml.safe_dump(
+        {node: {'ros__parameters': values | robots.nodes.get(node, {})}
+         for node, values in own.items()}, sort_keys=False)
 
 
 def _print(summary: dict[str, Any], out: Path) -> None:
@@ -248,7 +260,8 @@ def _print(summary: dict[str, Any], out: Path) -> None:
     table = Table('particle', 'v found', 'true', 'φ found', 'true')
     for name, found in summary['estimate'].items():
         table.add_row(
-            name, f'{found["speed_um_s"]:.2f} ± {1.96 * found["speed_std_um_s"]:.2f} µm/s',
+            name, f'{found["speed_um_s"]:.2f} ± {1.96 * found["speed_std_um_s"]:.2f} '
+            f'{summary["speed_unit"]}',
             f'{found["true_speed_um_s"]:.2f}',
             f'{found["phi_rad"]:.3f} ± {1.96 * found["phi_std_rad"]:.3f} rad',
             f'{found["true_phi_rad"]:.3f}')

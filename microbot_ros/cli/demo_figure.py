@@ -14,13 +14,15 @@ from microbot_ros.cli.demo_results import LAST_SECONDS, DemoRun
 COLOURS = ('#0072B2', '#D55E00', '#009E73', '#CC79A7', '#E69F00', '#56B4E9')
 
 
-def draw(run: DemoRun, goal: np.ndarray, path: Path) -> None:
-    """Write the figure of a `run` to `path`; `goal` (2,) [m] is the last one."""
+def draw(run: DemoRun, goal: np.ndarray, unit: str, path: Path) -> None:
+    """Write the figure of a `run` to `path`; `goal` (2,) [m] is the last one; speeds are in
+    a `unit`.
+    """
     figure = Figure(figsize=(12, 8), layout='constrained')
     axes = figure.subplot_mosaic([['paths', 'speed'], ['paths', 'phi'], ['error', 'latency']])
     colours = {p: COLOURS[i % len(COLOURS)] for i, p in enumerate(sorted(run.matches))}
     _paths(axes['paths'], run, colours)
-    _estimates(axes['speed'], run, colours, 'speed', 1e6, 'v [µm/s]')
+    _estimates(axes['speed'], run, colours, 'speed', 1e6, f'v [{unit}]')
     _estimates(axes['phi'], run, colours, 'phi', 1.0, 'φ [rad]')
     _error(axes['error'], run, goal)
     _latency(axes['latency'], run)

@@ -7,16 +7,23 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
 from microbot_ros.errors import InputError
 
+if TYPE_CHECKING:
+    from microbot_ros.cameras.stream import FrameStream
+
 _WATCH_SECONDS, _TICK_SECONDS, _LATE_MS = 2.0, 0.005, 10.0
+_CAMERA_SECONDS = 1.0
+_ANY_BAUD = 115_200
+_UDEV_HINT = 'see "Low latency" in docs/safety.md for the udev rule that sets it'
 _BUSY = [sys.executable, '-c', 'while True: pass']
 
 
@@ -47,6 +54,8 @@ def command(config: Path | None, json_path: Path | None) -> None:
 
     from microbot_ros.files import write_text
 
+    if config:
+        _readable(config)
     marks = {'ok': '[green]ok  [/]', 'warn': '[yellow]warn[/]', 'fail': '[red]FAIL[/]'}
     console = Console(highlight=False, soft_wrap=True)
     findings = []
@@ -60,11 +69,19 @@ def command(config: Path | None, json_path: Path | None) -> None:
         sys.exit(1)
 
 
+def _readable(config: Path) -> None:
+    """InputError for a file that is not that of a rig: nothing can be said of that rig."""
+    from microbot_ros.nodes.configuration import read_rig
+
+    read_rig(config)
+
+
 def _look(config: Path | None) -> Iterator[Finding]:
     checks: list[Callable[[], Finding]] = [
         _python, _ros, _real_time, _dead_man, _shared_memory, _disk, _ports]
     if config:
-        checks += [lambda: _rig(config), lambda: _watchdog(config)]
+        checks += [lambda: _rig(config), lambda: _camera(config), lambda: _watchdog(config),
+                   lambda: _latency(config)]
     for check in checks:
         try:
             yield check()
@@ -174,6 +191,50 @@ def _rig(config: Path) -> Finding:
     return Finding('rig', 'ok', f'{config}: {", ".join(rig)}{coils}')
 
 
+def _camera(config: Path) -> Finding:
+    """Opens it as its node does, watches it for a moment, and closes it."""
+    from microbot_ros.cameras.camera import CameraSettings, camera_class, kind_of
+    from microbot_ros.cameras.stream import FrameStream
+    from microbot_ros.nodes.configuration import read_rig
+    from microbot_ros.settings import defaults
+
+    given = read_rig(config).get('camera')
+    if given is None:
+        return Finding('camera', 'ok', f'none in {config}')
+    wanted = CameraSettings(**{
+        name: value for name, value in given.items() if name in defaults(CameraSettings)})
+    odd: list[str] = []
+    try:
+        kind = kind_of(given.get('camera', ''), wanted.source)
+        stream = FrameStream(camera_class(kind)(wanted, odd.append))
+        try:
+            seen = _watch_camera(stream)
+        finally:
+            stream.close()
+    except InputError as error:
+        return Finding('camera', 'fail', str(error))
+    form = stream.format
+    return Finding(
+        'camera', 'warn' if odd or stream.lost else 'ok',
+        '; '.join([f'{kind} {wanted.source}: {form.width}×{form.height} {form.pixel_format}, '
+                   f'{seen}, {stream.lost} lost', f'clock: {form.clock}', *odd]))
+
+
+def _watch_camera(stream: FrameStream) -> str:
+    """The rate at which frames come from an opened `stream`; EndOfFrames is no fault of it."""
+    from microbot_ros.cameras.camera import EndOfFrames
+
+    moments: list[float] = []
+    end = time.monotonic() + _CAMERA_SECONDS
+    with suppress(EndOfFrames):
+        while time.monotonic() < end:
+            if found := stream.read(0.1):
+                moments.append(found[1])
+    if len(moments) < 2:
+        return f'{len(moments)} frames in {_CAMERA_SECONDS:g} s'
+    return f'{(len(moments) - 1) / (moments[-1] - moments[0]):.1f} frames/s'
+
+
 def _coils(file: str) -> str:
     """Whose coils the driver makes its currents by; InputError where it cannot."""
     from microbot_ros.files import read_yaml
@@ -184,20 +245,68 @@ def _coils(file: str) -> str:
         Allocator(coils)
     except InputError as error:
         raise InputError(file, str(error)) from None
-    return f'coils of {file}' if file else 'coils of the default rig, for there is no coils_file'
+    if not file:
+        return 'coils of the default rig, for there is no coils_file'
+    return f'coils of {file}: {len(coils.names)}, for fields along {"xyz"[:coils.axes]}'
 
 
 def _watchdog(config: Path) -> Finding:
     from microbot_ros.drive.amplifier import Watchdog, amplifier_class
-    from microbot_ros.drive.coil_driver import WITHOUT_WATCHDOG
+    from microbot_ros.drive.coil_driver import WITHOUT_FEEDBACK, WITHOUT_WATCHDOG
     from microbot_ros.nodes.configuration import read_rig
 
     given = read_rig(config).get('coil_driver', {})
     protocol = given.get('amplifier', 'serial_transfer')
-    watchdog = amplifier_class(protocol).watchdog
+    amplifier = amplifier_class(protocol)
+    watchdog = amplifier.watchdog
+    if not amplifier.reads_back:
+        accepted = given.get('accept_no_feedback')
+        return Finding('watchdog', 'warn' if accepted else 'fail', f'{protocol} reads no currents '
+                       f'back{", which is accepted" if accepted else ""}: {WITHOUT_FEEDBACK}'
+                       + ('' if accepted else '; it is not driven unless '
+                          'coil_driver.accept_no_feedback says that this is accepted'))
     if given.get('accept_no_watchdog') and watchdog is not Watchdog.ARMED:
         return Finding('watchdog', 'warn', f'{protocol}, accepted without one: {WITHOUT_WATCHDOG}')
     if watchdog is Watchdog.NONE:
         return Finding('watchdog', 'fail', f'{protocol} has none: {WITHOUT_WATCHDOG}; it is not '
                        'driven unless coil_driver.accept_no_watchdog says that this is accepted')
     return Finding('watchdog', 'ok', f'{protocol}: {watchdog.value}')
+
+
+def _latency(config: Path) -> Finding:
+    """Opens the port of the amplifier, as the driver does, and closes it: nothing is sent."""
+    from microbot_ros.drive.errors import AmplifierError, PortBusyError
+    from microbot_ros.nodes.configuration import read_rig
+
+    ports = str(read_rig(config).get('coil_driver', {}).get('port', '')).split(',')
+    told, level = [], 'ok'
+    for port in filter(None, ports):
+        try:
+            slow, sentence = _asked_for_low_latency(port)
+        except PortBusyError:
+            slow, sentence = False, 'in use, not asked'
+        except AmplifierError as error:
+            slow, sentence = False, str(error)
+        level = 'warn' if slow else level
+        told.append(f'{port}: {sentence}')
+    return Finding('low latency', level, '; '.join(told) or 'no port to ask')
+
+
+def _asked_for_low_latency(port: str) -> tuple[bool, str]:
+    """Whether an adapter is slower than it could be, and what was found."""
+    from microbot_ros.drive.low_latency import latency_timer_ms
+    from microbot_ros.drive.transport import Port
+
+    line = Port(port, _ANY_BAUD)
+    try:
+        granted, held_ms = line.low_latency, latency_timer_ms(port)
+    finally:
+        line.close()
+    if held_ms is not None and held_ms > 1:
+        return True, (f'the adapter holds answers back for up to {held_ms} ms, low latency was '
+                      + ('granted without effect' if granted else 'refused')
+                      + f'; {_UDEV_HINT}')
+    if held_ms is not None:
+        return False, f'answers are held back for {held_ms} ms at most'
+    return False, ('low latency granted' if granted else 'low latency refused') + (
+        ', and no latency timer that could hold answers back')

@@ -21,6 +21,8 @@ _WATCHDOG_MS = 100.0
               help='File for one line of JSON per change of current.')
 @click.option('--full-scale-A', 'full_scale_a', type=FiniteFloatRange(0, 1000, min_open=True),
               default=1.0, show_default=True, help='Current of a coil at full output.')
+@click.option('--channels', type=click.IntRange(1, 16), default=4, show_default=True,
+              help='How many coils it drives; serial_transfer at most 6.')
 @click.option('--watchdog-ms', type=FiniteFloatRange(0, 60_000, min_open=True),
               help='Zero the coils this long after the last good command.  [default: 100]')
 @click.option('--no-watchdog', is_flag=True,
@@ -31,20 +33,20 @@ _WATCHDOG_MS = 100.0
               help='What goes wrong, when and for how long [s]; may be repeated. A single - reads '
                    'faults from standard input, one a line, as they come.')
 def command(protocol: str, link: Path, log: Path | None, full_scale_a: float,
-            watchdog_ms: float | None, no_watchdog: bool, leave_nothing: bool,
+            channels: int, watchdog_ms: float | None, no_watchdog: bool, leave_nothing: bool,
             faults: tuple[str, ...]) -> None:
     """Emulate an amplifier that speaks PROTOCOL on a pseudo-terminal, until a signal: Ctrl-C,
     SIGTERM or SIGHUP.
 
     The watchdog of a serial_transfer board is on, as in the project's reference firmware;
     --no-watchdog models firmware that keeps the last command when its host dies. Of the other
-    protocols roboclaw and roboteq arm one, scpi and modbus have none.
+    protocols roboclaw, roboteq and sabertooth arm one, scpi and modbus have none.
 
     A host may leave and come back; the device keeps its state meanwhile, its watchdog running.
     A protocol with several ports gets the links PATH-1, PATH-2 and so on.
 
     Faults: drop, flip, double (probability per byte), truncate (per message), delay (ms),
-    silence, reset, wrong_reply, over_temperature, open, reversed, half_gain (coil 1 to 4), unplug.
+    silence, reset, wrong_reply, over_temperature, open, reversed, half_gain (of a coil), unplug.
 
     \b
     Examples:
@@ -54,8 +56,10 @@ def command(protocol: str, link: Path, log: Path | None, full_scale_a: float,
     if no_watchdog + (watchdog_ms is not None) > (protocol == 'serial_transfer'):
         raise click.UsageError('expected either --watchdog-ms or --no-watchdog, and for '
                                'serial_transfer only')
+    if protocol == 'serial_transfer' and channels > 6:
+        raise click.UsageError('expected at most 6 channels of a serial_transfer board')
     watchdog_s = None if no_watchdog else (watchdog_ms or _WATCHDOG_MS) * 1e-3
-    process.run(protocol, link, log, full_scale_a, watchdog_s, list(faults))
+    process.run(protocol, link, log, full_scale_a, watchdog_s, list(faults), channels)
     if leave_nothing:
         if log is not None:
             log.unlink(missing_ok=True)

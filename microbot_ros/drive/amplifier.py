@@ -1,7 +1,7 @@
-"""What every amplifier driver is: four currents out, four measured currents back.
+"""What every amplifier driver is: currents out, measured currents back, one for each coil.
 
-The coils are in the order +Y, +X, −Y, −X. A driver moves current in `write` and `zero` only;
-it keeps no limits but its full scale: those are the gate's.
+Four coils in the plane are in the order +Y, +X, −Y, −X. A driver moves
+current in `write` and `zero` only; it keeps no limits but its full scale: those are the gate's.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
-from importlib.metadata import entry_points
 from typing import Any, ClassVar
 
 import numpy as np
 
 from microbot_ros.drive.errors import AmplifierError, NoAnswerError
 from microbot_ros.errors import InputError
+from microbot_ros.plugins import installed
 
 COILS = ('coil_plus_y', 'coil_plus_x', 'coil_minus_y', 'coil_minus_x')
-"""Names of the four coils, in the order of every array of currents."""
+"""Names of four coils in the plane, in the order of every array of currents."""
 
 READ_BACK_S = 0.5
 """How long a driver waits for the read-back that proves a zero."""
@@ -37,24 +37,44 @@ class Watchdog(StrEnum):
 
     ARMED = 'armed in the device, and read back'
     FIRMWARE = 'in the firmware, where it has one: arming tries it out'
+    UNCONFIRMED = 'armed in the device, which never says so'
     NONE = 'none'
 
 
 @dataclass(frozen=True, eq=False)
-class Command:
-    """`currents_A` (4,) [A], handed to the line at `t_monotonic_s`.
+class Swing:
+    """Currents of a field that turns: `steady` + `cosine` cos ωt + `sine` sin ωt.
 
-    `tag` is the caller's, to know the command again.
+    Each (N,) [A], with ω the `rate` [rad/s] and t [s] since they were sent.
+    """
+
+    steady: np.ndarray
+    cosine: np.ndarray
+    sine: np.ndarray
+    rate: float
+
+    @property
+    def largest(self) -> np.ndarray:
+        """The largest magnitude of each current on the way (N,) [A]."""
+        return np.asarray(np.abs(self.steady) + np.hypot(self.cosine, self.sine))
+
+
+@dataclass(frozen=True, eq=False)
+class Command:
+    """`currents_A` (N,) [A], handed to the line at `t_monotonic_s`.
+
+    `tag` is the caller's, to know the command again; `swing` is how they go on by themselves.
     """
 
     t_monotonic_s: float
     currents_A: np.ndarray
     tag: Any = None
+    swing: Swing | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """Measured `currents_A` (4,) [A], which arrived at `t_monotonic_s`.
+    """Measured `currents_A` (N,) [A], which arrived at `t_monotonic_s`.
 
     `since_s` is when the last command went out that the device had for sure when they were taken:
     every later one may, or may not yet, show in them. `acknowledges` is the oldest command that
@@ -80,20 +100,36 @@ class Counters:
 
 
 class Amplifier(ABC):
-    """A four-channel current source behind one protocol.
+    """A current source of so many `channels`, one for each of N coils, behind one protocol.
 
     `url` names its port (for a protocol with several: all, separated by commas) and
     `full_scale_A` the current of each coil at full output (a scalar means all alike).
-    One thread calls it, but for `wake`, which any may.
+    One thread calls it, but for `wake`, which any may. InputError for more channels than
+    `most_channels`.
     """
 
     watchdog: ClassVar[Watchdog] = Watchdog.NONE
+    reads_back: ClassVar[bool] = True
+    """Whether it measures currents; else `poll` has no readings, and nothing confirms a zero."""
+    most_channels: ClassVar[int] = 16
+    sample_s = 0.0009
+    """How often it is given currents that turn: a little more than a thousand a second, fewer
+    where its line would keep a queue."""
+    can_swing: ClassVar[bool] = False
+    """Whether there are devices that turn currents by themselves, as a `Swing` says."""
+    swings = False
+    """Whether this one does, from command to command."""
     resolution_A = 0.0
     """The step in which the device reports currents."""
 
-    def __init__(self, url: str, full_scale_A: float | Sequence[float]) -> None:
+    def __init__(self, url: str, full_scale_A: float | Sequence[float],
+                 channels: int = len(COILS)) -> None:
+        if not 1 <= channels <= self.most_channels:
+            raise InputError('amplifier', f'expected 1 to {self.most_channels} coils, which '
+                             f'{type(self).__name__} can drive; received {channels}')
         self.url = url
-        self.full_scale_A = np.broadcast_to(np.asarray(full_scale_A, float), 4).copy()
+        self.channels = channels
+        self.full_scale_A = np.broadcast_to(np.asarray(full_scale_A, float), channels).copy()
         if not np.all((self.full_scale_A > 0) & np.isfinite(self.full_scale_A)):
             raise InputError('full_scale_A', f'expected amperes above 0, got {full_scale_A}')
         self.counters = Counters()
@@ -112,30 +148,35 @@ class Amplifier(ABC):
         try:
             self._open()
             self.zero()
-            self._await_zero()
+            if self.reads_back:
+                self._await_zero()
         except BaseException:
             self._release()
             raise
 
-    def write(self, currents_A: Sequence[float] | np.ndarray, tag: Any = None) -> Command:
-        """Send `currents_A` (4,) [A], with a `tag`, in place of any that a slow line has yet to
-        take.
+    def write(self, currents_A: Sequence[float] | np.ndarray, tag: Any = None,
+              swing: Swing | None = None) -> Command:
+        """Send `currents_A` (N,) [A], with a `tag`, in place of any that a slow line has yet to
+        take; with a `swing` a device that `swings` goes on from there by itself.
 
         Zero goes out at once, ahead of all else. Raises ValueError, with nothing sent, for any
         that is not within the full scale (NaN is not), and AmplifierError where the line is lost.
         """
         currents = np.array(currents_A, dtype=float)
-        if currents.shape != (4,) or not np.all(np.abs(currents) <= self.full_scale_A):
+        shape = self.full_scale_A.shape
+        largest = np.abs(currents) if swing is None else swing.largest
+        if currents.shape != shape or not np.all(largest <= self.full_scale_A):
             raise ValueError(
-                f'currents must be 4 values within ±{self.full_scale_A} A; received {currents_A}')
-        command = Command(time.monotonic(), currents, tag)
+                f'currents must be {self.channels} values within ±{self.full_scale_A} A; '
+                f'received {currents_A}')
+        command = Command(time.monotonic(), currents, tag, swing)
         self._unacknowledged.append(command)
         self._send(command)
         return command
 
     def zero(self) -> Command:
-        """Send four zeros."""
-        return self.write(np.zeros(4))
+        """Send zeros."""
+        return self.write(np.zeros(self.channels))
 
     def poll(self, timeout_s: float = 0.0) -> list[Reading]:
         """The readings that arrived; waits at most `timeout_s` for the first. Moves no current
@@ -152,8 +193,9 @@ class Amplifier(ABC):
         """
         try:
             self.zero()
-            self._await_zero()
-            return True
+            if self.reads_back:
+                self._await_zero()
+            return self.reads_back
         except AmplifierError:
             return False
         finally:
@@ -214,12 +256,5 @@ def amplifier_class(protocol: str) -> type[Amplifier]:
     Raises InputError for a name that is not registered or whose driver does not load: there is
     no falling back to another.
     """
-    registered = {entry.name: entry for entry in entry_points(group='microbot_ros.amplifiers')}
-    if protocol not in registered:
-        known = ', '.join(sorted(registered))
-        raise InputError('amplifier', f"expected one of {known}; received '{protocol}'")
-    try:
-        driver: type[Amplifier] = registered[protocol].load()
-    except (ImportError, AttributeError) as error:
-        raise InputError('amplifier', f"the driver '{protocol}' does not load ({error})") from None
+    driver: type[Amplifier] = installed('microbot_ros.amplifiers', 'amplifier', protocol)
     return driver

@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from microbot_ros.drive.amplifier import Amplifier, Command, Reading, Watchdog
+from microbot_ros.drive.amplifier import COILS, Amplifier, Command, Reading, Watchdog
 from microbot_ros.drive.errors import AmplifierError
-from microbot_ros.drive.gate import ZERO, Currents, Gate, Limits, Reason
+from microbot_ros.drive.gate import Currents, Gate, Limits, Reason
 from microbot_ros.drive.last_resort import LastResort
 from microbot_ros.drive.real_time import set_realtime_priority
+from microbot_ros.drive.rotation import Rotation, Turning
 from microbot_ros.drive.self_check import SelfCheck
 from microbot_ros.errors import InputError
 
@@ -29,17 +30,22 @@ _REFRESH_S = 0.04
 and a zero that the line damaged is not the last word."""
 _BACKOFF_S = (0.1, 2.0)
 """First and longest pause between attempts to reconnect; each is twice the one before."""
+_TOLD_S = 0.01
+"""While currents turn, readings are told at most this often: there are a thousand a second."""
 _ARMING_S = 10.0
 _DISARMING_S = 0.2
 WITHOUT_WATCHDOG = ('if this computer loses its power while coils are driven, the last currents '
                     'flow on until somebody switches the amplifier off')
+WITHOUT_FEEDBACK = ('a coil that is open, shorted or reversed goes unnoticed, and so does a '
+                    'current that flows without a command or a timeout that the amplifier did not '
+                    'take')
 
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class _Order:
-    currents_A: tuple[Any, ...]
+    wanted: tuple[Any, ...] | Turning
     given_s: float
     tag: Any
 
@@ -55,23 +61,26 @@ class CoilDriver:
     it, `on_reading` with each reading; they must not block, and if they raise, the coils go to
     zero and the thread goes on. Where the system allows it, the thread runs in real time.
 
-    With `self_check`, arming sends a pulse through each coil first, and tries out the watchdog of
-    a device whose firmware may have one. A device without one needs `accept_no_watchdog`, and is
-    watched by a process of ours, which zeroes it when this one dies or hangs. Raises InputError
-    where that is missing, for a current limit that is more than the amplifier can give, and for
-    limits that leave no room for the pulse.
+    With `self_check`, arming sends a pulse through each coil first, which it calls by its name in
+    `names` (N,), and tries out the watchdog of a device whose firmware may have one. A device
+    without one needs `accept_no_watchdog`, and is watched by a process of ours, which zeroes it
+    when this one dies or hangs. One that reads no currents back needs `accept_no_feedback` and
+    has no self-check; as it cannot say whether its watchdog is armed, it is watched likewise.
+    Raises InputError where that is missing, for a current limit that is more than the amplifier
+    can give, and for limits that leave no room for the pulse.
     """
 
     def __init__(self, amplifier: Amplifier, limits: Limits,
-                 on_reading: Callable[[Reading], None], *,
+                 on_reading: Callable[[Reading], None], *, names: Sequence[str] = COILS,
                  on_sent: Callable[[Command], None] = lambda _: None, self_check: bool = True,
-                 accept_no_watchdog: bool = False) -> None:
+                 accept_no_watchdog: bool = False, accept_no_feedback: bool = False) -> None:
         full_scale_A = float(amplifier.full_scale_A.min())
         if not limits.current_A <= full_scale_A:
             raise InputError('current_A', f'expected at most the full scale of the amplifier, '
                              f'{full_scale_A:g} A; received {limits.current_A:g} A')
         self.amplifier = amplifier
-        self.gate = Gate(limits)
+        self.gate = Gate(limits, amplifier.channels, feedback=amplifier.reads_back)
+        self._names = names
         self.connected = False
         self.real_time = False
         """Whether the thread comes before all that is not real-time."""
@@ -79,19 +88,25 @@ class CoilDriver:
         """Measured over commanded current of each coil in the last self-check that passed."""
         self.watchdog_s: float | None = None
         """How long the device took to zero itself in the last arming that tried it."""
-        self._unwatched = accept_no_watchdog and amplifier.watchdog is not Watchdog.ARMED
+        self._unwatched = amplifier.watchdog is Watchdog.UNCONFIRMED or (
+            accept_no_watchdog and amplifier.watchdog is not Watchdog.ARMED)
         self._checks = self_check
         self._tries_watchdog = amplifier.watchdog is Watchdog.FIRMWARE and not self._unwatched
         self._refuse_unwatched()
+        if not amplifier.reads_back:
+            self._refuse_blind(accept_no_feedback)
         self._check: SelfCheck | None = None
         if self_check:
-            SelfCheck(limits)  # raises now for limits that it would raise for on arming
+            SelfCheck(limits, names)  # raises now for limits that it would raise for on arming
         self._arming: Future[str | None] | None = None
         self._on_reading, self._on_sent = on_reading, on_sent
         self._mail = threading.Lock()
         self._order: _Order | None = None
         self._requests: SimpleQueue[Callable[[], None]] = SimpleQueue()
-        self._sent: Currents = ZERO
+        self._rotation = Rotation(limits.slew_A_per_s)
+        self._turned_s = self._told_s = 0.0
+        self._swinging = False
+        self._sent: Currents = self.gate.zero
         self._sent_s = 0.0
         self._pause_s = _BACKOFF_S[0]
         self._last_resort: LastResort | None = None
@@ -107,9 +122,19 @@ class CoilDriver:
                              f'relied on: {WITHOUT_WATCHDOG}; expected true from whoever accepts '
                              'that')
 
+    def _refuse_blind(self, accepted: bool) -> None:
+        if not accepted:
+            raise InputError('accept_no_feedback', 'the amplifier reads no currents back: '
+                             f'{WITHOUT_FEEDBACK}; expected true from whoever accepts that')
+        if self._checks:
+            raise InputError('self_check', 'expected false, as the amplifier reads no currents '
+                             'back')
+
     @property
     def warning(self) -> str:
         """What whoever arms is to know; '' where there is nothing."""
+        if not self.amplifier.reads_back:
+            return f'no currents are measured: {WITHOUT_FEEDBACK}'
         return f'no watchdog in the amplifier: {WITHOUT_WATCHDOG}' if self._unwatched else ''
 
     # For other threads ----------------------------------------------------------------------
@@ -163,11 +188,22 @@ class CoilDriver:
         done.wait(_DISARMING_S)
 
     def command(self, currents_A: Sequence[float] | np.ndarray, tag: Any = None) -> bool:
-        """Leave `currents_A` (4,) [A] for the gate, in place of any that wait there.
+        """Leave `currents_A` (N,) [A] for the gate, in place of any that wait there.
 
         Whether they may flow, as far as can be said now; `on_sent` tells what went out.
         """
-        order = _Order(tuple(currents_A), time.monotonic(), tag)
+        return self._leave(_Order(tuple(currents_A), time.monotonic(), tag))
+
+    def turn(self, turning: Turning, tag: Any = None) -> bool:
+        """Leave currents that turn for the gate, as `command` does: every sample of `turning` goes
+        through it, as often as the amplifier takes one.
+
+        Like any command they hold for the gate's `command_timeout_s`, with a `tag` that the first
+        sample carries.
+        """
+        return self._leave(_Order(turning, time.monotonic(), tag))
+
+    def _leave(self, order: _Order) -> bool:
         with self._mail:
             self._order = order
         self.amplifier.wake()
@@ -196,7 +232,7 @@ class CoilDriver:
 
     def _serve(self) -> None:
         """Wait for readings, mail or one tick, then let the gate judge what there is."""
-        readings = self.amplifier.poll(_TICK_S)
+        readings = self.amplifier.poll(self._patience_s())
         self._do_requests()
         order = self._take_order()
         now = time.monotonic()
@@ -207,10 +243,10 @@ class CoilDriver:
         was_armed = self.gate.armed
         if self._check is not None:
             self._go_on_checking(self._check, now)
-        elif order is not None:
-            self.gate.command(order.currents_A, now, order.given_s)
+        else:
+            self._obey(order, now)
         tag = order.tag if order is not None and was_armed and self._check is None else None
-        if self.gate.tick(now) != self._sent or tag is not None or self._refresh_due(now):
+        if self._write_due(now, tag):
             self._write(tag)
         if not self.gate.armed:
             self._answer_arming(self._refusal())
@@ -218,6 +254,45 @@ class CoilDriver:
             self.gate.trip(Reason.INTERNAL, 'the process that watches over this one is gone')
             self._replace_last_resort()
         for reading in readings:
+            self._tell(reading, now)
+
+    def _write_due(self, now: float, tag: Any) -> bool:
+        changed = self.gate.tick(now) != self._sent
+        alone = self._swinging and self._may_swing()
+        return (changed and not alone) or tag is not None or self._refresh_due(now)
+
+    def _may_swing(self) -> bool:
+        """Whether the device can turn the currents by itself from here on."""
+        return (self.amplifier.swings and self.gate.armed and self._rotation.turns
+                and self._rotation.settled)
+
+    def _patience_s(self) -> float:
+        if not self._rotation.turns or self._swinging:
+            return _TICK_S
+        return max(self._sent_s + self.amplifier.sample_s - time.monotonic(), 0.0)
+
+    def _obey(self, order: _Order | None, now: float) -> None:
+        """What was ordered last, where that is due: currents once, of what turns a sample."""
+        if order is not None:
+            wanted = order.wanted
+            if isinstance(wanted, Turning):
+                self._rotation.follow(wanted, now, np.array(self.gate.output))
+                self._turned_s = order.given_s
+            else:
+                self._rotation.stop()
+                self.gate.command(wanted, now, order.given_s)
+        due = order is not None or self._swinging or (
+            now - self._sent_s >= self.amplifier.sample_s)
+        if self._rotation.turns and due:
+            sample = self._rotation.currents(now).tolist()
+            self.gate.command(sample, now, self._turned_s)
+            if not self.gate.armed:
+                self._rotation.stop()
+
+    def _tell(self, reading: Reading, now: float) -> None:
+        answers = reading.acknowledges is not None and reading.acknowledges.tag is not None
+        if answers or not self._rotation.turns or now - self._told_s >= _TOLD_S:
+            self._told_s = now
             self._on_reading(reading)
 
     def _refresh_due(self, now: float) -> bool:
@@ -238,7 +313,9 @@ class CoilDriver:
         if not self.connected:
             return
         self._sent, self._sent_s = self.gate.output, time.monotonic()
-        sent = self.amplifier.write(self._sent, tag)
+        self._swinging = self._may_swing()
+        swing = self._rotation.swing() if self._swinging else None
+        sent = self.amplifier.write(self._sent, tag, swing)
         if tag is not None:
             self._on_sent(sent)
 
@@ -269,7 +346,8 @@ class CoilDriver:
         if not self._checks:
             self._answer_arming(None)
         else:
-            self._check = SelfCheck(self.gate.limits, tries_watchdog=self._tries_watchdog)
+            self._check = SelfCheck(self.gate.limits, self._names,
+                                    tries_watchdog=self._tries_watchdog)
 
     def _go_on_checking(self, check: SelfCheck, now: float) -> None:
         self.gate.command(check.wanted, now)
@@ -315,7 +393,7 @@ class CoilDriver:
 
     def _connect(self) -> None:
         self.amplifier.connect()
-        self._sent, self._sent_s = ZERO, time.monotonic()
+        self._sent, self._sent_s = self.gate.zero, time.monotonic()
         self._replace_last_resort()
         self.connected = True
 

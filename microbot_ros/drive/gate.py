@@ -1,8 +1,8 @@
 """The one gate between every controller and the port.
 
 It is pure: no port, no clock, no thread; times come in as seconds of one monotonic clock. What
-it cannot affirm is four zeros, the permission to drive is revoked and the reason latched. A value
-passes a limit only where `low <= value <= high` is True, which NaN never is.
+it cannot affirm is zero in every coil, the permission to drive is revoked and the reason latched.
+A value passes a limit only where `low <= value <= high` is True, which NaN never is.
 """
 
 from __future__ import annotations
@@ -13,8 +13,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from enum import StrEnum
 
-Currents = tuple[float, float, float, float]
-ZERO: Currents = (0.0, 0.0, 0.0, 0.0)
+Currents = tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -54,7 +53,7 @@ class Limits:
 class Reason(StrEnum):
     """Why the gate revoked its permission."""
 
-    MALFORMED = 'not four finite numbers'
+    MALFORMED = 'not a finite number for each coil'
     LIMIT = 'current limit'
     SLEW = 'slew limit'
     STALE = 'stale command'
@@ -81,35 +80,39 @@ class Fault:
 class Gate:
     """Affirms currents within `limits`, or answers zero and latches why. Disarmed at the start.
 
-    Every `now_s` is a time [s] of one monotonic clock.
+    Currents (N,) are of so many `channels`, a coil each. Every `now_s` is a time [s] of one
+    monotonic clock. Without `feedback` no current is measured: then neither silence nor deviation
+    is a fault, and heat is that of what was commanded.
     """
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: Limits, channels: int = 4, *, feedback: bool = True) -> None:
         self.limits = limits
+        self._feedback = feedback
+        self.zero: Currents = (0.0,) * channels
         self.armed = False
         self.fault: Fault | None = None
-        self.output: Currents = ZERO
+        self.output: Currents = self.zero
         """The currents that may flow now."""
-        self.heat: Currents = ZERO
+        self.heat: Currents = self.zero
         """I²t of each coil as a part of what it bears: above 1 is a fault."""
         self._now_s = self._commanded_s = self._heard_s = self._measured_s = -math.inf
-        self._measured: Currents = ZERO
-        self._allowance = _four([limits.step_A] * 4)  # what each current may yet change
+        self._measured: Currents = self.zero
+        self._allowance: Currents = (limits.step_A,) * channels  # what each current may yet change
         self._replaced: deque[tuple[float, Currents]] = deque()  # when, which output
         self._behind_s = 0.0  # the age of what the last reading showed, where that is too old
 
     def arm(self, now_s: float) -> str | None:
         """Clear the fault and affirm from now on; or, where that is not safe, say why not.
 
-        Safe is: measured just now, no current flowing, no coil beyond its heat. A gate that is
-        armed stays as it is.
+        Safe is: measured just now, where there is `feedback`, no current flowing, no coil beyond
+        its heat. A gate that is armed stays as it is.
         """
         self.tick(now_s)
         if self.armed:
             return None
         if not self._advance(now_s):
             return f'the clock went from {self._now_s} to {now_s}'
-        if not now_s - self._measured_s <= self.limits.feedback_timeout_s:
+        if not self._heard_from_coils(now_s):
             return f'no measured currents for {self.limits.feedback_timeout_s:g} s'
         if not all(abs(current) <= self.limits.deviation_A for current in self._measured):
             return f'current flows without a command: {_amperes(self._measured)}'
@@ -121,7 +124,7 @@ class Gate:
     def revoke(self) -> None:
         """Disarm: zero from now on. A fault stays latched."""
         self.armed = False
-        self._put(ZERO)
+        self._put(self.zero)
 
     def trip(self, reason: Reason, detail: str) -> Currents:
         """Disarm and latch a fault, its `reason` and `detail`, unless one stands; the answer is
@@ -129,35 +132,36 @@ class Gate:
         """
         self.fault = self.fault or Fault(reason, detail)
         self.revoke()
-        return ZERO
+        return self.zero
 
     def command(self, currents_A: Sequence[float], now_s: float,
                 given_s: float | None = None) -> Currents:
-        """The wanted `currents_A` (4,) [A], if all is well; else zero.
+        """The wanted `currents_A` (N,) [A], if all is well; else zero.
 
         `given_s` is when the command was given, where it waited until now.
         """
         self.tick(now_s)
         if not self.armed:
-            return ZERO
-        wanted = _currents(currents_A)
+            return self.zero
+        wanted = self._numbers(currents_A)
         if wanted is None:
-            return self.trip(Reason.MALFORMED, f'expected 4 numbers; received {currents_A!r}')
+            return self.trip(Reason.MALFORMED, f'expected {len(self.zero)} numbers; received '
+                             f'{currents_A!r}')
         limit = self.limits.current_A
         if not all(-limit <= value <= limit for value in wanted):
             return self.trip(Reason.LIMIT, f'{_amperes(wanted)} is not within ±{limit:g} A')
         left = self._allowance_after(wanted)
-        if wanted != ZERO and not all(allowance >= 0.0 for allowance in left):
+        if any(wanted) and not all(allowance >= 0.0 for allowance in left):
             return self.trip(Reason.SLEW, f'from {_amperes(self.output)} to {_amperes(wanted)}')
         self._commanded_s = now_s if given_s is None else min(given_s, now_s)
         self._heard_s = now_s
-        if wanted != ZERO and not now_s - self._commanded_s <= self.limits.command_timeout_s:
+        if any(wanted) and not now_s - self._commanded_s <= self.limits.command_timeout_s:
             return self.trip(Reason.STALE, f'given {now_s - self._commanded_s:.3f} s ago')
         return self._put(wanted)
 
     def measured(self, currents_A: Sequence[float], now_s: float,
                  since_s: float | None = None) -> Currents:
-        """Take measured `currents_A` (4,) [A] into account: the currents that may flow now.
+        """Take measured `currents_A` (N,) [A] into account: the currents that may flow now.
 
         They are judged against every output that the coils may have followed when they were
         taken: the present one and those that were replaced after `since_s`, less what settling
@@ -167,8 +171,8 @@ class Gate:
         the present. Any other trip.
         """
         if not self._advance(now_s):
-            return ZERO
-        measured = _currents(currents_A)
+            return self.zero
+        measured = self._numbers(currents_A)
         if measured is None:
             return self.trip(Reason.MALFORMED, f'measured currents of {currents_A!r}')
         self._measured = measured
@@ -206,16 +210,20 @@ class Gate:
     def tick(self, now_s: float) -> Currents:
         """See what time does: the currents that may flow now."""
         if not self._advance(now_s) or not self.armed:
-            return ZERO
-        if not now_s - self._measured_s <= self.limits.feedback_timeout_s:
+            return self.zero
+        if not self._heard_from_coils(now_s):
             return self.trip(Reason.SILENCE, self._silence(now_s - self._measured_s))
-        if self.output != ZERO and not now_s - self._commanded_s <= self.limits.command_timeout_s:
+        if any(self.output) and not now_s - self._commanded_s <= self.limits.command_timeout_s:
             return self.trip(Reason.STALE, f'none for {now_s - self._commanded_s:.3f} s')
         if not now_s - self._heard_s <= self.limits.idle_s:
             return self.trip(Reason.IDLE, f'no command for {now_s - self._heard_s:.0f} s')
         if not all(heat <= 1.0 for heat in self.heat):
             return self.trip(Reason.HEAT, f'a coil is at {max(self.heat):.0%} of what it bears')
         return self.output
+
+    def _heard_from_coils(self, now_s: float) -> bool:
+        return (not self._feedback
+                or now_s - self._measured_s <= self.limits.feedback_timeout_s)
 
     def _silence(self, for_s: float) -> str:
         if not self._behind_s:
@@ -232,9 +240,9 @@ class Gate:
         elapsed = now_s - self._now_s  # infinite at first, when there is no heat to keep
         keep = math.exp(-elapsed / self.limits.thermal_s)
         flowing = zip(self.heat, self.output, self._measured, strict=True)
-        self.heat = _four(self._load(output, measured) * (1.0 - keep) + heat * keep
+        self.heat = tuple(self._load(output, measured) * (1.0 - keep) + heat * keep
                           for heat, output, measured in flowing)
-        self._allowance = _four(min(allowance + elapsed * self.limits.slew_A_per_s,
+        self._allowance = tuple(min(allowance + elapsed * self.limits.slew_A_per_s,
                                     self.limits.step_A) for allowance in self._allowance)
         self._now_s = now_s
         return True
@@ -247,28 +255,22 @@ class Gate:
 
     def _allowance_after(self, currents: Currents) -> Currents:
         changes = zip(self._allowance, self.output, currents, strict=True)
-        return _four(allowance - abs(new - old) for allowance, old, new in changes)
+        return tuple(allowance - abs(new - old) for allowance, old, new in changes)
 
     def _put(self, currents: Currents) -> Currents:
-        self._allowance = _four(max(left, 0.0) for left in self._allowance_after(currents))
+        self._allowance = tuple(max(left, 0.0) for left in self._allowance_after(currents))
         if currents != self.output:
             self._replaced.append((self._now_s, self.output))
         self.output = currents
         return currents
 
-
-def _currents(values: Sequence[float]) -> Currents | None:
-    """Four finite numbers, or None for anything else."""
-    try:
-        numbers = [float(value) for value in values if math.isfinite(value)]
-        return _four(numbers) if len(numbers) == len(values) == 4 else None
-    except (TypeError, OverflowError):  # text, None, a whole number beyond any float
-        return None
-
-
-def _four(values: Iterable[float]) -> Currents:
-    first, second, third, fourth = values
-    return first, second, third, fourth
+    def _numbers(self, values: Sequence[float]) -> Currents | None:
+        """A finite number for each coil, or None for anything else."""
+        try:
+            numbers = tuple(float(value) for value in values if math.isfinite(value))
+            return numbers if len(numbers) == len(values) == len(self.zero) else None
+        except (TypeError, OverflowError):  # text, None, a whole number beyond any float
+            return None
 
 
 def _amperes(currents: Iterable[float]) -> str:

@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from microbot_ros.drive.amplifier import Amplifier, Command, Counters
+from microbot_ros.drive.amplifier import COILS, Amplifier, Command, Counters
 from microbot_ros.drive.errors import NoAnswerError
 from microbot_ros.drive.transport import Port
 from microbot_ros.errors import InputError
@@ -51,11 +51,12 @@ Talk = Generator[Exchange, list[Any], Result]
 class PolledAmplifier(Amplifier):
     """Asks for the currents after each command and at least every `period_s`.
 
-    `url` names its ports, `full_scale_A` [A] the current of a channel at full output.
+    `url` names its ports, `full_scale_A` [A] the current of a channel at full output, of so many
+    `channels`.
     """
 
-    ports = 1
-    """How many serial lines it takes."""
+    channels_per_port = 0
+    """How many channels a serial line serves; 0 for all."""
     baud = 115_200
     xon_xoff = False
     period_s = 0.02
@@ -64,8 +65,12 @@ class PolledAmplifier(Amplifier):
     gap_s = 0.0
     """The silence that ends a request, where nothing else does."""
 
-    def __init__(self, url: str, full_scale_A: float | Sequence[float]) -> None:
-        super().__init__(url, full_scale_A)
+    def __init__(self, url: str, full_scale_A: float | Sequence[float],
+                 channels: int = len(COILS)) -> None:
+        super().__init__(url, full_scale_A, channels)
+        per_port = self.channels_per_port or channels
+        self.ports = math.ceil(channels / per_port)
+        """How many serial lines it takes."""
         self._urls = url.split(',')
         if len(self._urls) != self.ports:
             raise InputError(url, f'expected {self.ports} serial ports, separated by commas')

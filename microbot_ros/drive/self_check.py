@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from microbot_ros.drive.amplifier import COILS
-from microbot_ros.drive.gate import ZERO, Currents, Limits
+from microbot_ros.drive.gate import Currents, Limits
 from microbot_ros.errors import InputError
 
 _PULSE = 3
@@ -23,9 +23,9 @@ LONGEST_WATCHDOG_S = 0.5
 
 
 class SelfCheck:
-    """One pass over the four coils. `wanted` is the command of the moment, `done` comes with the
-    last zero, `complaint` names the first coil that is not right; `gains` (4) are measured over
-    commanded currents.
+    """One pass over the coils, called `names` (N,). `wanted` is the command of the moment, `done`
+    comes with the last zero, `complaint` names the first coil that is not right; `gains` (N) are
+    measured over commanded currents.
 
     With `tries_watchdog` the last pulse is not taken back: while `silent`, nothing may be sent
     and the device is to go to zero by itself; `watchdog_s` is how long it took, from the pulse.
@@ -35,14 +35,17 @@ class SelfCheck:
     room for a pulse in which half a gain would show.
     """
 
-    def __init__(self, limits: Limits, *, tries_watchdog: bool = False) -> None:
+    def __init__(self, limits: Limits, names: Sequence[str] = COILS, *,
+                 tries_watchdog: bool = False) -> None:
         largest = min(limits.current_A, limits.step_A)
         if not largest > 2 * limits.deviation_A:
             raise InputError('deviation_A', f'expected less than half of {largest:g} A, the '
                              'largest step, so that the self-check can tell half a gain; received '
                              f'{limits.deviation_A:g} A')
         self.pulse_A = min(_PULSE * limits.deviation_A, largest)
-        self.wanted: Currents = ZERO
+        self._names = names
+        self._zero: Currents = (0.0,) * len(names)
+        self.wanted = self._zero
         self.gains: list[float] = []
         self.done = self.silent = False
         self.watchdog_s: float | None = None
@@ -53,7 +56,7 @@ class SelfCheck:
 
     def measured(self, currents_A: Sequence[float], now_s: float,
                  since_s: float | None = None) -> None:
-        """Take measured `currents_A` (4,) [A] and go on as they allow; `now_s` [s] is now.
+        """Take measured `currents_A` (N,) [A] and go on as they allow; `now_s` [s] is now.
 
         `since_s`: they show what was wanted then, where the line is too slow for what is now.
         """
@@ -64,30 +67,30 @@ class SelfCheck:
         elif all(abs(current - wanted) <= margin
                for current, wanted in zip(currents_A, self.wanted, strict=True)):
             self._agreed(coil, currents_A, now_s)
-        elif self.wanted != ZERO:
+        elif any(self.wanted):
             settling = all(min(wanted, 0.0) - margin <= current <= max(wanted, 0.0) + margin
                            for current, wanted in zip(currents_A, self.wanted, strict=True))
             if not settling or since_s - self._pulsed_s >= self._limits.settling_s:
                 self.complaint = self._diagnosis(coil, currents_A)
 
     def _agreed(self, coil: int, currents_A: Sequence[float], now_s: float) -> None:
-        if self.wanted != ZERO:
+        if any(self.wanted):
             self.gains.append(currents_A[coil] / self.pulse_A)
-            self.silent = self._tries_watchdog and len(self.gains) == len(COILS)
+            self.silent = self._tries_watchdog and len(self.gains) == len(self._names)
             if not self.silent:
-                self.wanted = ZERO
-        elif coil == len(COILS):
+                self.wanted = self._zero
+        elif coil == len(self._names):
             self.done = True
         else:
-            pulse = [0.0] * len(COILS)
+            pulse = list(self._zero)
             pulse[coil] = self.pulse_A
-            self.wanted = (pulse[0], pulse[1], pulse[2], pulse[3])
+            self.wanted = tuple(pulse)
             self._pulsed_s = now_s
 
     def _await_watchdog(self, currents_A: Sequence[float], now_s: float) -> None:
         lasted_s = now_s - self._pulsed_s
         if all(abs(current) <= self._limits.deviation_A for current in currents_A):
-            self.watchdog_s, self.wanted = lasted_s, ZERO
+            self.watchdog_s, self.wanted = lasted_s, self._zero
             self.silent, self.done = False, True
         elif not lasted_s < LONGEST_WATCHDOG_S:
             self.complaint = ('the amplifier has no watchdog: without a command for '
@@ -96,7 +99,7 @@ class SelfCheck:
 
     def _diagnosis(self, coil: int, currents_A: Sequence[float]) -> str:
         margin, found = self._limits.deviation_A, currents_A[coil]
-        others = [COILS[other] for other, current in enumerate(currents_A)
+        others = [self._names[other] for other, current in enumerate(currents_A)
                   if other != coil and not abs(current) <= margin]
         if others:
             problem = f'drives {" and ".join(others)}: channels are swapped or joined'
@@ -106,5 +109,5 @@ class SelfCheck:
             problem = 'is reversed'
         else:
             problem = f'has a gain of {found / self.pulse_A:.2g}'
-        return (f'{COILS[coil]} {problem} ({found:.2g} A measured where {self.pulse_A:.2g} A was '
-                'sent)')
+        return (f'{self._names[coil]} {problem} ({found:.2g} A measured where '
+                f'{self.pulse_A:.2g} A was sent)')

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import select
 import termios
 import time
 from collections.abc import Iterator
@@ -11,6 +12,7 @@ from contextlib import contextmanager, suppress
 import serial
 
 from microbot_ros.drive.errors import PortBusyError, PortLostError, PortMissingError
+from microbot_ros.drive.low_latency import request_low_latency
 
 _SLICE_S = 0.005
 """Longest uninterrupted wait in the kernel: how long `close` from another thread can take."""
@@ -22,8 +24,8 @@ class Port:
     """One open line to an amplifier, closed to every other program.
 
     `url` is a device (`/dev/ttyACM0`, `/dev/serial/by-id/…`) or a pyserial URL (`socket://`,
-    `rfc2217://`), `baud` its rate [1/s], `xon_xoff` whether it may pause us. Raises
-    PortMissingError or PortBusyError.
+    `rfc2217://`), `baud` its rate [1/s], `xon_xoff` whether it may pause us. It is asked for low
+    latency. Raises PortMissingError or PortBusyError.
     """
 
     def __init__(self, url: str, baud: int, *, xon_xoff: bool = False) -> None:
@@ -39,6 +41,8 @@ class Port:
             if getattr(error, 'errno', None) in (errno.EBUSY, errno.EAGAIN):
                 raise PortBusyError(url) from None
             raise PortMissingError(url, str(error)) from None
+        self.low_latency = request_low_latency(self._serial)
+        """Whether the system hands over every byte at once."""
 
     def send(self, data: bytes) -> None:
         """Hand `data` to the line at once. Raises PortLostError where it takes none for 0.1 s."""
@@ -46,13 +50,19 @@ class Port:
             self._serial.write(data)
 
     def receive(self, timeout_s: float = 0.0) -> bytes:
-        """What has arrived; waits for the first byte at most `timeout_s` (+ 5 ms), or until woken,
-        then b''."""
+        """What has arrived; waits for the first byte at most `timeout_s` (+ 5 ms at a port that is
+        none of the system's), or until woken, then b''. A wait of less than 5 ms is not woken.
+        """
         deadline = time.monotonic() + timeout_s
+        brief = timeout_s < _SLICE_S and self.descriptor is not None
         with self._named():
             data = self._waiting()
-            while not (data or self._woken) and time.monotonic() < deadline:
-                data = bytes(self._serial.read(1)) + self._waiting()
+            while not (data or self._woken) and (left := deadline - time.monotonic()) > 0:
+                if brief:
+                    select.select([self._serial], [], [], left)
+                    data = self._waiting()
+                else:
+                    data = bytes(self._serial.read(1)) + self._waiting()
             self._woken = False
             return data
 

@@ -12,11 +12,13 @@ from microbot_ros.estimation.delay import Delay, DelayedFits
 from microbot_ros.estimation.excitation import Excitation
 from microbot_ros.estimation.likelihood import SessionFit
 from microbot_ros.estimation.model_fit import fit_sessions
-from microbot_ros.estimation.noise import Noise, stokes_einstein, whiten
+from microbot_ros.estimation.noise import Noise, sphere_in_fluid, stokes_einstein, whiten
 from microbot_ros.estimation.one_leg_regression import Leg, one_leg
 from microbot_ros.estimation.phasor import Polar
 from microbot_ros.estimation.prepared_session import PreparedSession, prepare
+from microbot_ros.model.floor import height_of_drag
 from microbot_ros.model.model import Model
+from microbot_ros.model.particle import translational_diffusion
 from microbot_ros.records import Session
 
 GATE = 40.0
@@ -88,7 +90,7 @@ def fit(session: Session, exposure: float = 0.0) -> FitResult:
     if best is not plain:
         noise = best.noise(exposure)
     speeds = best.polar().widened(delay.felt(slope)).of(best.session.main)
-    warnings = [*_steps(best), *excited.sentences]
+    warnings = [*session.remarks, *_steps(best), *excited.sentences]
     if ('φ', 'delay') in excited.pairs:
         warnings.append(
             f'φ is stated for no delay; every 0.1 s of delay would add '
@@ -185,13 +187,27 @@ def _uneven(bands: list[Band]) -> list[str]:
 
 
 def _against_stokes_einstein(session: Session, noise: Noise) -> list[str]:
-    expected, _ = stokes_einstein(session.conditions) or (noise.diffusion, 0.0)
+    sphere = sphere_in_fluid(session.conditions)
+    if sphere is None:
+        return []
+    fluid, radius = sphere
+    expected = translational_diffusion(fluid, radius)
     if abs(noise.diffusion - expected) < max(4 * noise.diffusion_std, 0.2 * expected):
         return []
-    return [
-        f'D is {noise.diffusion * 1e12:.3g} µm²/s where Stokes–Einstein gives '
-        f'{expected * 1e12:.3g}: radius or viscosity are off, or something moves the particles'
-    ]
+    where = f'{fluid.height * 1e6:g} µm above a floor' if fluid.height else 'far from walls'
+    found = (f'D is {noise.diffusion * 1e12:.3g} µm²/s where Stokes–Einstein gives '
+             f'{expected * 1e12:.3g} {where}')
+    factor = expected / noise.diffusion
+    height = None if fluid.height else height_of_drag(factor, radius)
+    if height is not None:
+        return [f'{found}: most likely the particles swim near a floor. A centre '
+                f'{height * 1e6:.3g} µm above it would explain D, and every force is then '
+                f'{factor:.2g} times what is stated here; state height_um where it is known']
+    what = f'{"height, " if fluid.height else ""}radius or viscosity are off'
+    if factor > 1:
+        return [f'{found}: {what}']
+    return [f'{found}: something moves the particles that this model lacks; `microbot discover` '
+            f'looks for it. Otherwise {what}']
 
 
 def _of_particles(tracks: np.ndarray, ids: np.ndarray) -> np.ndarray:

@@ -41,16 +41,24 @@ class Noise:
         return self.localisation**2 / self.diffusion - self.exposure / 3
 
 
-def stokes_einstein(conditions: Conditions) -> tuple[float, float] | None:
-    """D [m²/s] and D_r [rad²/s] of a sphere under some `conditions`; None where not known.
+def sphere_in_fluid(conditions: Conditions) -> tuple[Fluid, float] | None:
+    """The fluid, above its floor, and the radius [m] under some `conditions`.
 
-    At 25 °C where the temperature is not known (Stokes–Einstein and Stokes–Einstein–Debye).
+    None where they are not known; at 25 °C where the temperature is not.
     """
     if not (conditions.radius and conditions.viscosity):
         return None
-    fluid = Fluid(conditions.viscosity, conditions.temperature or 298.15)
-    return (translational_diffusion(fluid, conditions.radius),
-            rotational_diffusion(fluid, conditions.radius))
+    fluid = Fluid(conditions.viscosity, conditions.temperature or 298.15, conditions.height)
+    return fluid, conditions.radius
+
+
+def stokes_einstein(conditions: Conditions) -> tuple[float, float] | None:
+    """D [m²/s] and D_r [rad²/s] of a sphere under some `conditions`; None where not known.
+
+    At their height above the floor (Stokes–Einstein and Stokes–Einstein–Debye).
+    """
+    known = sphere_in_fluid(conditions)
+    return known and (translational_diffusion(*known), rotational_diffusion(*known))
 
 
 def whiten(

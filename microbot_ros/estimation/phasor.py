@@ -9,7 +9,8 @@ import numba
 import numpy as np
 from scipy.special import i0e, i1e
 
-from microbot_ros.model.particle import Fluid, stokes_drag
+from microbot_ros.estimation.noise import sphere_in_fluid
+from microbot_ros.model.particle import stokes_drag
 from microbot_ros.records import Conditions
 
 DRAG_RELATIVE_STD = float(np.hypot(0.05, 0.05))
@@ -45,11 +46,11 @@ class Polar:
     def force(self, conditions: Conditions) -> tuple[np.ndarray, np.ndarray]:
         """F = 6πηr v [N] under some `conditions`, and its standard deviation, that of 6πηr in it.
 
-        NaN where radius or viscosity are not known, and for rollers.
+        With the drag at their height above the floor, which is taken as it was stated. NaN where
+        radius or viscosity are not known, and for rollers.
         """
-        radius, viscosity, drag = conditions.radius, conditions.viscosity, np.nan
-        if radius and viscosity and conditions.propulsion != 'rolling':
-            drag = stokes_drag(Fluid(viscosity), radius)
+        known = sphere_in_fluid(conditions)
+        drag = stokes_drag(*known) if known and conditions.propulsion != 'rolling' else np.nan
         force = drag * self.speed
         return force, np.hypot(drag * self.speed_std, DRAG_RELATIVE_STD * force)
 

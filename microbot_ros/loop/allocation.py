@@ -8,10 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from microbot_ros.drive.gate import Limits
+from microbot_ros.drive.rotation import Turning
 from microbot_ros.errors import InputError
 from microbot_ros.files import read_yaml
 from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings
 from microbot_ros.settings import setting
+
+_IN_PLANE = 1e-6
+"""A field is in the plane where less than this part of it is not."""
+_UPRIGHT = 1 - 1e-9
 
 
 @dataclass(frozen=True)
@@ -65,16 +70,54 @@ class AllocationStage:
         _refuse_contradictions(parameters, self._allocator)
 
     def step(self, field: np.ndarray) -> np.ndarray:
-        """The currents (4,) [A] of a field (2,) [T]; NaN for one that is not finite, which the
-        gate latches as a fault.
+        """The currents (N,) [A] of a `field` (2,) or (3,) [T].
+
+        NaN, which the gate latches as a fault, for one that is not finite. ValueError for one
+        with a part along z that the coils can't make.
         """
         if not np.isfinite(field).all():
-            return np.full(4, np.nan)
-        return self._allocator.cheapest(field)[0]
+            return np.full(len(self.coils.names), np.nan)
+        return self._allocator.cheapest(self._within(field))[0]
+
+    def turn(self, field: np.ndarray, angular_velocity: np.ndarray) -> Turning:
+        """The currents of a `field` (3,) [T] that turns with an `angular_velocity` (3,) [rad/s].
+
+        What of the field lies along the axis stays, as the axis of a cone; the rest turns, and
+        where the currents would be too large it is made smaller. ValueError for a field with a
+        part along z that the coils can't make. NaN gives NaN, which the gate latches as a fault.
+        """
+        if not (np.isfinite(field).all() and np.isfinite(angular_velocity).all()):
+            nothing = np.full(3, np.nan)
+            return Turning(self.step(nothing), np.full((len(self.coils.names), 3), np.nan),
+                           nothing, math.nan, nothing)
+        rate = float(np.linalg.norm(angular_velocity))
+        axis = angular_velocity / rate
+        along = (field @ axis) * axis
+        strength = float(np.linalg.norm(field - along))
+        make = self._allocator.linear
+        per_direction = strength * np.pad(make, ((0, 0), (0, 3 - make.shape[1])))
+        if make.shape[1] < 3 and strength and not abs(axis[2]) > _UPRIGHT:
+            raise ValueError('no field along z, in which it would turn, comes from these coils')
+        steady = make @ (self._within(along) - self.coils.background)
+        # The largest current of a turning field: how much of a coil lies across the axis.
+        across = per_direction - np.outer(per_direction @ axis, axis)
+        largest = np.linalg.norm(across, axis=1)
+        room = np.maximum(self.coils.reach - np.abs(steady), 0.0)
+        share = np.min(np.divide(room, largest, where=largest > room, out=np.ones_like(room)))
+        start = (field - along) / (strength or 1.0)
+        return Turning(steady, share * per_direction, axis, rate, start, self.coils.driven)
+
+    def _within(self, field: np.ndarray) -> np.ndarray:
+        """Of a field (2,) or (3,) what the coils have axes for."""
+        axes = len(self._allocator.matrix)
+        if np.any(np.abs(field[axes:]) > _IN_PLANE * np.linalg.norm(field)):
+            raise ValueError(f'no field along z comes from these coils; {field[2] * 1e3:.3g} mT '
+                             'is asked for')
+        return np.pad(field[:axes], (0, max(axes - len(field), 0)))
 
     def field(self, currents: np.ndarray) -> np.ndarray:
-        """The field (2,) [T] at the centre of the workspace, of currents (4,) [A]."""
-        return np.asarray(self._allocator.matrix @ currents + self.coils.background)
+        """The field (2,) or (3,) [T] at the centre of the workspace, of currents (N,) [A]."""
+        return self._allocator.field(currents)
 
 
 def limits(values: GateParameters) -> Limits:

@@ -31,6 +31,9 @@ class ModelParameters:
                                      read_only=True)
     temperature_K: float = setting(298.0, 'Temperature of the fluid.', lower=250.0, upper=400.0,
                                    read_only=True)
+    height_um: float = setting(
+        0.0, 'Height of the centres above the floor, more than radius_um; 0 is far from any, or '
+        'not known.', lower=0.0, upper=1e5, read_only=True)
     reference_field_mT: float = setting(5.0, 'Field at which alignment times are stated.',
                                         lower=1e-3, upper=1000.0, read_only=True)
     exposure_ms: float = setting(0.0, 'Exposure time of a frame.', lower=0.0, upper=1000.0,
@@ -114,7 +117,8 @@ def _estimator(values: ModelParameters) -> Estimator:
         Conditions(
             propulsion=values.propulsion, radius=values.radius_um * 1e-6,
             viscosity=values.viscosity_mPa_s * 1e-3, temperature=values.temperature_K,
-            reference_field=values.reference_field_mT * 1e-3),
+            reference_field=values.reference_field_mT * 1e-3,
+            height=values.height_um * 1e-6 or None),
         Settings(horizon=values.horizon_s, exposure=values.exposure_ms * 1e-3))
 
 

@@ -1,23 +1,26 @@
-"""Coil currents for a wanted in-plane field: least power, exact limits, direction first.
+"""Coil currents for a wanted field: least power, exact limits, direction first.
 
-Four currents make two components of field, A I + background = wanted, so two degrees of freedom
-are spare. They go to the least heat Σ R I², or, where asked, to cancelling the in-plane gradient
-first. Limits |Iₖ| ≤ Lₖ are met exactly, not by scaling or clipping:
+N currents make two or three components of field, A I + background = wanted, and what is spare goes
+to the least heat Σ R I², or, where asked, to cancelling the gradient first. Limits |Iₖ| ≤ Lₖ are
+met exactly, not by scaling or clipping:
 
-* What the coils can reach is the zonotope {A I : |Iₖ| ≤ Lₖ}, a polygon whose edges lie along the
-  columns of A. The largest field along a direction is where a ray leaves it: the smallest of
-  eight quotients, which is the solution of the linear programme.
-* The least-power currents of a field inside have some coils at a limit and the rest free. Given
-  which, they are an affine function of the field, worked out beforehand for every choice that
-  leaves two dimensions of field to the free coils. Every choice that respects the limits is a
-  candidate, the optimum is among them, so the cheapest candidate is the optimum.
+* What the coils can reach is the zonotope {A I : |Iₖ| ≤ Lₖ}. Each of its faces is spanned by
+  columns of A, one fewer than there are components. The largest field along a direction is where
+  a ray leaves it: the smallest of some quotients, which is the solution of the linear programme.
+* The least-power currents of a field inside are those without limits, I₀, and a mixture Z y of
+  spare currents. With Z orthonormal in the heat, the least heat is the shortest y with
+  |I₀ + Z y| ≤ L, a small quadratic programme (`within.py`).
+
+`Allocator.actuate` makes a field and a pull together, the force on a unit moment that lies along
+the field: rows for the pull join those of A, and what is spare after them goes to the least heat.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import cached_property
-from itertools import product
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -29,14 +32,15 @@ from microbot_ros.magnetics.coils import CoilSet
 # With the gradient to cancel, a gradient weighs this much more than the heat, both measured in
 # their largest singular value: what can be cancelled is, to 1e-8 of what it was.
 _GRADIENT_WEIGHT = 1e4
-# Free coils whose columns span less than this part of the plane's second dimension span a line.
-_IN_LINE = 1e-6
-# The same field to rounding: a choice of free coils this close to its limits respects them.
-_ROUNDING = 1e-9
+# A direction in which the coils make less than this part of what they make in their best one is a
+# direction that they can't make.
+_SINGULAR = 1e-6
+_ROUNDING = 1e-12
+_ALL_ROUND = 2000  # directions on the sphere: 2.5° apart
 
 
 class Allocation(NamedTuple):
-    """Currents (4,) [A], the in-plane field (2,) [T] they make with the background, the heat.
+    """Currents (N,) [A], the field (axes,) [T] they make with the background, the heat.
 
     `power` is the heat [W]. `saturated`: the limits did not allow the wanted magnitude; the
     direction is kept.
@@ -48,80 +52,141 @@ class Allocation(NamedTuple):
     saturated: bool
 
 
+class Actuation(NamedTuple):
+    """Currents (N,) [A], the field (axes,) [T] and the pull (axes,) [T/m] they make, the heat.
+
+    `power` is the heat [W]. `saturated`: the limits did not allow both; they are made smaller by
+    the same part.
+    """
+
+    currents: np.ndarray
+    field: np.ndarray
+    pull: np.ndarray
+    power: float
+    saturated: bool
+
+
 class Allocator:
     """Currents from wanted fields at one point (3,) [m] of the workspace.
 
-    `cancel_gradient`: the in-plane gradient counts before the heat. InputError where the coils
-    can't make every direction of field at the point, as on a wire, or can't cancel the background
-    within their limits.
+    Fields have the components of `coils.axes`; where these are three, a field of two lies in the
+    plane. `cancel_gradient`: the gradient counts before the heat, along the same axes. InputError
+    where the coils can't make every direction of field at the point, naming the one, where a wire
+    is at the point, or where they can't cancel the background within their limits.
     """
 
     def __init__(
         self, coils: CoilSet, point: ArrayLike = (0.0, 0.0, 0.0), cancel_gradient: bool = False,
     ) -> None:
-        self.matrix = coils.actuation_matrix(point)[:2]
-        """In-plane field at the point per ampere (2, 4) [T/A]."""
-        self._background, self._limits = coils.background, coils.max_current
-        self._resistance = coils.resistance
+        from microbot_ros.magnetics.within import within_limits
+        axes = coils.axes
+        self.matrix = coils.actuation_matrix(point)[:axes]
+        """Field at the point per (effective) ampere (axes, N) [T/A]."""
+        self._coils, self._background, self._limits = coils, coils.background, coils.reach
+        self._point = np.reshape(np.asarray(point, dtype=float), (1, -1))
+        _refuse_singular(self.matrix, point)
         self._cost = np.diag(np.sqrt(coils.resistance))
-        finite = np.isfinite(self.matrix).all()
-        if cancel_gradient and finite:
-            gradient = coils.gradient_per_ampere(np.reshape(point, (1, -1)))[:, 0, :2, :2]
-            gradient = gradient.reshape(4, 4).T
+        if cancel_gradient:
+            gradient = self._gradient.reshape(axes * axes, -1)
             weight = _GRADIENT_WEIGHT * self._cost.max() / np.linalg.norm(gradient, 2)
             self._cost = np.vstack([weight * gradient, self._cost])
-        unlimited = self._face(np.zeros(4)) if finite else None
-        if unlimited is None:
-            raise InputError('coils', f'expected coils for every field direction at {point!r} m')
-        self._unlimited = unlimited[0]
-        normals = np.stack([-self.matrix[1], self.matrix[0]], axis=1)
+        spare = np.linalg.svd(self.matrix)[2][axes:].T
+        count = len(coils.names)
+        cheapest = np.eye(count) - spare @ np.linalg.pinv(self._cost @ spare) @ self._cost
+        self._unlimited = cheapest @ np.linalg.pinv(self.matrix)
+        triangle = np.linalg.qr(self._cost @ spare, mode='r')
+        self._spare = np.ascontiguousarray(spare @ np.linalg.inv(triangle))
+        self._within = within_limits
+        self._within(0 * self._limits, self._spare, self._limits)  # compiled now, not when driven
+        normals = _normals(self.matrix)
         self._normals = np.vstack([normals, -normals])
         reach = np.abs(self._normals @ self.matrix) @ self._limits
         self._reach = reach + self._normals @ self._background
         if not np.all(self._reach >= 0):
             raise InputError('background_mT', 'expected a field that the coils can cancel')
 
+    @property
+    def linear(self) -> np.ndarray:
+        """The cheapest currents without limits (N, axes) [A/T], per field made."""
+        return self._unlimited
+
     def allocate(self, wanted: ArrayLike) -> Allocation:
-        """The cheapest currents for a field (2,) [T], or for the most of it that can be had.
+        """The cheapest currents for a field (axes,) [T], or for the most of it that can be had.
 
         A zero field cancels the background. ValueError for NaN or infinity: nothing to drive.
         """
         currents, saturated = self.cheapest(np.asarray(wanted, dtype=float))
-        field = self.matrix @ currents + self._background
-        return Allocation(currents, field, float(currents**2 @ self._resistance), saturated)
+        return Allocation(currents, self.field(currents), self._coils.power(currents), saturated)
 
     def cheapest(self, wanted: np.ndarray) -> tuple[np.ndarray, bool]:
-        """Of what `allocate` gives for a field (2,) [T], the currents (4,) [A] and `saturated`.
+        """Of what `allocate` gives for a field (axes,) [T], the currents (N,) [A] and `saturated`.
 
         ValueError as there.
         """
+        wanted = self._components(wanted)
         magnitude = math.hypot(*wanted.tolist())
         if not magnitude < math.inf:
             raise ValueError(f'wanted field must be finite; received {wanted}')
         currents = self._unlimited @ (wanted - self._background)
         if (np.abs(currents) <= self._limits).all():
-            return currents, False
+            return self._coils.driven(currents), False
         largest = self.largest(wanted) if magnitude > 0 else 0.0
         saturated = magnitude > largest
         target = wanted * (largest / magnitude) if saturated else wanted
-        return self._limited(target - self._background), saturated
+        start = self._unlimited @ (target - self._background)
+        return self._coils.driven(self._within(start, self._spare, self._limits)), saturated
 
     def currents(self, wanted: np.ndarray) -> np.ndarray:
-        """The currents (K, 4) [A] that `allocate` gives for each field `wanted` (K, 2) [T].
+        """The currents (K, N) [A] that `allocate` gives for each field `wanted` (K, axes) [T].
 
         ValueError as there.
         """
+        wanted = self._components(wanted)
         found = (wanted - self._background) @ self._unlimited.T
-        for row in np.flatnonzero(~(np.abs(found) <= self._limits).all(axis=1)).tolist():
+        within = (np.abs(found) <= self._limits).all(axis=1)
+        found[within] = self._coils.driven(found[within])
+        for row in np.flatnonzero(~within).tolist():
             found[row], _ = self.cheapest(wanted[row])
         return np.asarray(found)
 
+    def field(self, currents: np.ndarray) -> np.ndarray:
+        """The field (axes,) [T] at the point, background included, of currents (N,) [A]."""
+        return np.asarray(self.matrix @ self._coils.effective(currents) + self._background)
+
+    def actuate(self, field: ArrayLike, pull: ArrayLike) -> Actuation:
+        """The cheapest currents for a field (axes,) [T] and a pull (axes,) [T/m] together.
+
+        The pull is (b·∇)B with b along the field: the force over the moment of a particle whose
+        moment has turned into the field (Kummer et al., IEEE Transactions on Robotics 26, 1006
+        (2010)). Where the limits don't allow both, they are made smaller by the same part.
+        InputError for a pull that the coils can't make under that field, naming the direction they
+        lack; ValueError for NaN or infinity, and for a zero field, along which no moment lies.
+        """
+        field = self._components(np.asarray(field, dtype=float))
+        pull = self._components(np.asarray(pull, dtype=float))
+        strength = math.hypot(*field.tolist())
+        if not (0 < strength < math.inf and math.hypot(*pull.tolist()) < math.inf):
+            raise ValueError('expected a field that is finite and not zero, and a finite pull; '
+                             f'received {field} and {pull}')
+        currents, rows, spare, lacking, lost = self._together(field, pull)
+        if len(lost) and lost.max() > _ROUNDING * self._steepest + _SINGULAR * np.abs(pull).max():
+            raise InputError('coils', f'no pull along {_in_words(lacking[lost.argmax()])} under a '
+                             f'field along {_in_words(field)}')
+        part = 1.0
+        if not (np.abs(currents) <= self._limits).all():
+            part = self._largest_part(np.concatenate([field, pull]), rows)
+            currents = self._within(
+                self._together(part * field, part * pull)[0], spare, self._limits)
+        driven = self._coils.driven(currents)
+        return Actuation(driven, self.matrix @ currents + self._background, rows @ currents,
+                         self._coils.power(driven), part < 1)
+
     def largest(self, direction: ArrayLike) -> float:
-        """The largest field [T] within the limits along a direction (2,) of any length.
+        """The largest field [T] within the limits along a direction (axes,) of any length.
 
         ValueError for a zero direction, NaN or infinity.
         """
-        across = self._normals @ _unit(direction)
+        across = self._normals @ _unit(self._components(np.asarray(direction, dtype=float)))
         outward = across > 0
         return float((self._reach[outward] / across[outward]).min())
 
@@ -130,44 +195,102 @@ class Allocator:
         round.
         """
         angles = np.radians(np.arange(360.0))
-        fields = magnitude * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-        return max(float(np.abs(self.allocate(field).currents).max()) for field in fields)
+        around = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        if self._coils.axes == 3:
+            around = np.vstack([np.column_stack([around, 0 * angles]), _all_round()])
+        return float(np.abs(self.currents(magnitude * around)).max())
 
-    def _limited(self, field: np.ndarray) -> np.ndarray:
-        """The cheapest currents (4,) [A] within the limits for a field (2,) [T] in reach."""
-        slopes, offsets = self._faces
-        candidates = slopes @ field + offsets
-        excess = (np.abs(candidates) / self._limits).max(axis=1)
-        candidates = candidates[excess <= max(1.0, excess.min()) + _ROUNDING]
-        cost = np.square(candidates @ self._cost.T).sum(axis=1)
-        return np.clip(candidates[cost.argmin()], -self._limits, self._limits)
+    def _components(self, vector: np.ndarray) -> np.ndarray:
+        """Vectors (..., 2) or (..., axes) as they are, or with a zero where they have no third."""
+        axes = self._coils.axes
+        if vector.shape[-1:] == (axes,):
+            return vector
+        if vector.shape[-1:] == (2,):
+            return np.concatenate([vector, np.zeros((*vector.shape[:-1], 1))], axis=-1)
+        raise ValueError(f'expected {axes} components; received {vector}')
+
+    def _largest_part(self, wanted: np.ndarray, rows: np.ndarray) -> float:
+        """The largest part, up to 1, of field and pull (2 axes,) that is within the limits.
+
+        `rows` (axes, N): the pull per ampere.
+        """
+        from scipy.optimize import linprog
+        matrix = np.vstack([self.matrix, rows])
+        scale = 1 / np.abs(matrix).max(axis=1, keepdims=True)
+        constant = np.concatenate([self._background, np.zeros(len(rows))])
+        found = linprog(
+            np.append(np.zeros(len(self._limits)), -1.0),
+            A_eq=scale * np.column_stack([matrix, -wanted]), b_eq=-scale[:, 0] * constant,
+            bounds=[*((-limit, limit) for limit in self._limits), (0.0, 1.0)])
+        if found.x is None:
+            raise InputError('background_mT', 'expected a field that the coils can cancel without '
+                             'a pull')
+        return float(found.x[-1])
 
     @cached_property
-    def _faces(self) -> tuple[np.ndarray, np.ndarray]:
-        """Slopes (F, 4, 2) and offsets (F, 4) of the currents for each choice of free coils."""
-        choices = (self._face(np.array(at) * self._limits) for at in product((0, 1, -1), repeat=4))
-        slopes, offsets = zip(*(face for face in choices if face is not None), strict=True)
-        return np.array(slopes), np.array(offsets)
+    def _gradient(self) -> np.ndarray:
+        """∂Bᵢ/∂xⱼ at the point, along the axes of field, per ampere (axes, axes, N) [T/m/A]."""
+        gradient = self._coils.gradient_per_ampere(self._point)[:, 0]
+        axes = self._coils.axes
+        return np.moveaxis(gradient[:, :axes, :axes], 0, -1)
 
-    def _face(self, fixed: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """The cheapest currents, slope (4, 2) and offset (4,), with the non-zero `fixed` given.
+    @cached_property
+    def _together(self) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, ...]]:
+        """`together` with these coils; the gradient has j first, so that b @ it is (b·∇)B."""
+        from microbot_ros.magnetics.together import together
+        axes = self._coils.axes
+        along = np.ascontiguousarray(np.swapaxes(self._gradient, 0, 1)).reshape(axes, -1)
+        coils = (self._background, self._unlimited, self._spare, along, _SINGULAR * self._steepest)
+        return lambda field, pull: together(field, pull, *coils)
 
-        None where the free coils are too few, or too much in line, for every field.
-        """
-        free = fixed == 0
-        singular = np.linalg.svd(self.matrix * free, compute_uv=False)
-        if singular[1] < _IN_LINE * np.linalg.norm(self.matrix):
-            return None
-        make = np.linalg.pinv(self.matrix * free)
-        held = np.vstack([self.matrix * free, np.eye(4)[~free]])
-        spare = np.linalg.svd(held)[2][len(held):].T
-        cheapest = np.eye(4) - spare @ np.linalg.pinv(self._cost @ spare) @ self._cost
-        offset = cheapest @ (fixed - make @ self.matrix @ fixed)
-        return np.where(free[:, None], cheapest @ make, 0), np.where(free, offset, fixed)
+    @cached_property
+    def _steepest(self) -> float:
+        """About the largest gradient [T/m] that the spare currents make within their limits."""
+        return float(np.linalg.norm(self._gradient @ self._spare))
 
 
-def _unit(direction: ArrayLike) -> np.ndarray:
-    direction = np.asarray(direction, dtype=float)
+def _refuse_singular(matrix: np.ndarray, point: ArrayLike) -> None:
+    """InputError where coils with this `matrix` (axes, N) can't make a direction of field."""
+    axes, count = matrix.shape
+    if not np.isfinite(matrix).all():
+        raise InputError('coils', f'expected coils for every field direction at {point!r} m; '
+                         'a wire or the end of a map is there')
+    if count < axes:
+        raise InputError('coils', f'expected at least {axes} coils for {axes} axes, found {count}')
+    directions, size, _ = np.linalg.svd(matrix)
+    if not size[-1] > _SINGULAR * size[0]:
+        raise InputError('coils', f'expected coils for every field direction at {point!r} m; '
+                         f'these make no field along {_in_words(directions[:, -1])}')
+
+
+def _normals(columns: np.ndarray) -> np.ndarray:
+    """Unit vectors (F, d) across every choice of d − 1 of the columns (d, N).
+
+    Of columns that are in line, one of the vectors across them: no face lies there, but what
+    bounds the zonotope along it is true all the same.
+    """
+    choices = list(combinations(range(columns.shape[1]), len(columns) - 1))
+    return np.linalg.svd(columns.T[choices])[2][:, -1]
+
+
+def _in_words(direction: np.ndarray) -> str:
+    """A direction for people: its axis, where it lies along one, and its unit vector."""
+    unit = direction / np.linalg.norm(direction)
+    main = int((np.abs(unit) > 0.999 * np.abs(unit).max()).argmax())  # of equal ones the first
+    unit = unit * np.sign(unit[main]) + 0.0
+    name = f'{"xyz"[main]} ' if unit[main] > 0.999 else ''
+    return f'{name}({", ".join(f"{part:.2f}" for part in [*unit, 0.0][:3])})'
+
+
+def _all_round() -> np.ndarray:
+    """Unit vectors (K, 3) spread evenly over the sphere, along Fibonacci's spiral."""
+    step = np.arange(_ALL_ROUND) + 0.5
+    z, angle = 1 - 2 * step / _ALL_ROUND, np.pi * (1 + math.sqrt(5)) * step
+    radius = np.sqrt(1 - z * z)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
+
+
+def _unit(direction: np.ndarray) -> np.ndarray:
     length = math.hypot(*direction)
     if not 0 < length < math.inf:
         raise ValueError(f'direction must be finite and not zero; received {direction}')

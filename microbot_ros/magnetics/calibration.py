@@ -8,10 +8,10 @@ coils, no coil by itself (`with_coil_map`).
 
 from __future__ import annotations
 
-import csv
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import permutations, product
+from itertools import combinations, compress, permutations, product
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ import numpy as np
 from microbot_ros.errors import InputError
 from microbot_ros.magnetics.coils import CoilSet
 from microbot_ros.magnetics.settings import CoilSettings, Vector, Winding
+from microbot_ros.magnetics.table import read_table
 from microbot_ros.units import from_si, to_si
 
 # A fit is believed when it leaves less than this part of the readings' variation unexplained (a
@@ -31,11 +32,13 @@ _MUCH_BETTER = 3
 _SINGULAR = 1e6
 # Coils are known better than to this factor; what is beyond is dead, or in other units.
 _PLAUSIBLE = 3
+# Of so few columns every swap of four is tried; of more that would take minutes.
+_FEW = 8
 
 
 @dataclass(frozen=True)
 class Readings:
-    """M readings of a probe: `currents` (M, 4) [A], `points` (M, 3) [m], `field` (M, 3) [T].
+    """M readings of a probe: `currents` (M, N) [A], `points` (M, 3) [m], `field` (M, 3) [T].
 
     `field` has NaN in the z column where the probe did not measure it.
     """
@@ -49,7 +52,7 @@ class Readings:
 class Calibration:
     """What the readings say of the rig, by the `names` of the coils.
 
-    Signed `gain` (4,) with `gain_std`, `background` (2,) [T] with `background_std`; `residuals`
+    Signed `gain` (N,) with `gain_std`, `background` (axes,) [T] with `background_std`; `residuals`
     (M, 3) [T] as `Readings.field`.
     """
 
@@ -81,53 +84,31 @@ class Calibration:
                                        for key in ('gain', 'sign')})
             for winding in settings.windings
         )
-        return CoilSettings(windings=windings, background_mT=tuple(summary['background_mT']))
+        return settings.model_copy(update={
+            'windings': windings, 'background_mT': tuple(summary['background_mT'])})
 
 
 def read_readings(path: str | Path, settings: CoilSettings) -> Readings:
     """Readings from a CSV file: `bx_mT,by_mT`, a column `<coil>_A` for each of the coils.
 
-    Optional are `bz_mT` and the probe's place `x_mm`, `y_mm`, `z_mm`, else the workspace centre.
+    Optional are `bz_mT`, except for coils that make a field along z, and the probe's place `x_mm`,
+    `y_mm`, `z_mm`, else the workspace centre.
     The order of the columns is free. InputError naming file, line and column for anything else.
     """
     currents = [f'{winding.name}_A' for winding in settings.windings]
     needed, optional = ['bx_mT', 'by_mT', *currents], ['bz_mT', 'x_mm', 'y_mm', 'z_mm']
-    try:
-        lines = Path(path).read_text(encoding='utf-8-sig').splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(path, f'expected a readable CSV file ({error})') from None
-    rows = csv.reader(lines)
-    header = [name.strip() for name in next(rows, [])]
-    if sorted(header) != sorted({*needed, *(name for name in header if name in optional)}):
-        expected = f'expected the columns {",".join(needed)} and, if known, {",".join(optional)}'
-        raise InputError(path, f'{expected}; found {",".join(header) or "none"}', 1)
-    values = [_numbers(path, rows.line_num, header, row) for row in rows if row]
-    if not values:
-        raise InputError(path, 'expected readings below the header', 1)
-    table = dict(zip(header, np.array(values).T, strict=True))
-    count = len(values)
+    if CoilSet(settings).axes == 3:
+        needed.insert(2, optional.pop(0))
+    table, lines = read_table(path, needed, optional)
 
     def column(name: str, missing: float) -> np.ndarray:
-        return to_si(name, table.get(name, np.full(count, missing)))
+        return to_si(name, table.get(name, np.full(len(lines), missing)))
 
     return Readings(
         np.column_stack([table[name] for name in currents]),
         np.column_stack([column(name, 0.0) for name in ('x_mm', 'y_mm', 'z_mm')]),
         np.column_stack([column(name, math.nan) for name in ('bx_mT', 'by_mT', 'bz_mT')]),
     )
-
-
-def _numbers(path: str | Path, line: int, header: list[str], row: list[str]) -> list[float]:
-    if len(row) != len(header):
-        raise InputError(path, f'expected {len(header)} values, found {len(row)}', line)
-    for name, text in zip(header, row, strict=True):
-        try:
-            finite = math.isfinite(float(text))
-        except ValueError:
-            finite = False
-        if not finite:
-            raise InputError(path, f'expected a finite number in {name}, found {text!r}', line)
-    return [float(text) for text in row]
 
 
 def calibrate(readings: Readings, settings: CoilSettings, source: str | Path) -> Calibration:
@@ -163,7 +144,8 @@ def _fit(readings: Readings, coils: CoilSet) -> tuple[Calibration, float] | None
     """
     axes = np.flatnonzero(np.isfinite(readings.field).all(axis=0))
     field = readings.field[:, axes]
-    driven = readings.currents.T[:, :, None] * coils.field_per_ampere(readings.points)[..., axes]
+    driven = coils.effective(readings.currents).T[:, :, None] * coils.field_per_ampere(
+        readings.points)[..., axes]
     constant = np.broadcast_to(np.eye(len(axes))[:, None], (len(axes), *field.shape))
     design = np.concatenate([driven, constant]).reshape(-1, field.size).T
     scale = np.linalg.norm(design, axis=0)
@@ -178,15 +160,17 @@ def _fit(readings: Readings, coils: CoilSet) -> tuple[Calibration, float] | None
     residuals[:, axes] = residual
     variation = np.linalg.norm(field - field.mean(axis=0))
     unexplained = np.linalg.norm(residual) / variation if variation else math.inf
+    count = len(coils.names)
+    gain, background = slice(count), slice(count, count + coils.axes)
     return Calibration(
-        coils.names, solution[:4], std[:4], solution[4:6], std[4:6], residuals,
+        coils.names, solution[gain], std[gain], solution[background], std[background], residuals,
     ), float(unexplained)
 
 
 def _swap(readings: Readings, coils: CoilSet, unexplained: float) -> str:
     """The simplest swap of columns that explains the readings much better; '' if there is none."""
     fits: list[tuple[float, list[str]]] = []
-    for order, axes in product(permutations(range(4)), ((0, 1, 2), (1, 0, 2))):
+    for order, axes in product(_orders(len(coils.names)), ((0, 1, 2), (1, 0, 2))):
         swapped = Readings(readings.currents[:, order], readings.points, readings.field[:, axes])
         fit = _fit(swapped, coils)
         if fit and fit[1] < unexplained / _MUCH_BETTER:
@@ -201,22 +185,39 @@ def _swap(readings: Readings, coils: CoilSet, unexplained: float) -> str:
     return ', '.join(simplest)
 
 
+def _orders(count: int) -> Iterator[tuple[int, ...]]:
+    """Every order of so many columns in which at most four, of many at most two, are not in place.
+    """
+    moved = min(count, 4) if count <= _FEW else 2
+    for places in combinations(range(count), moved):
+        for order in permutations(places):
+            there = dict(zip(places, order, strict=True))
+            yield tuple(there.get(k, k) for k in range(count))
+
+
 def with_coil_map(settings: CoilSettings, gain_ratio: float, skew: float, matrix: np.ndarray,
                offset: np.ndarray) -> CoilSettings:
     """Coils that make B = `matrix` (2, 2) B_cmd + `offset` (2,) [T] of the currents that the coils
     in `settings` need for B_cmd: the y pair stronger by `gain_ratio` and turned about the
-    workspace centre by `skew` [rad] towards +x. Raises InputError where there are no such pairs.
+    workspace centre by `skew` [rad] towards +x. Coils along z stay. Raises InputError where there
+    are no such pairs, and where the y pair is none of wires.
     """
-    field = np.abs(CoilSet(settings).actuation_matrix()[:2])
-    of_y = field[1] > field[0]
-    if of_y.sum() != 2:
+    coils = CoilSet(settings)
+    along = np.abs(coils.actuation_matrix()).argmax(axis=0)
+    of_y = along == 1
+    if of_y.sum() != 2 or (along == 0).sum() != 2:
         raise InputError('coils', 'expected two coils along x and two along y')
+    for winding in compress(settings.windings, of_y):
+        if winding.turns is None:
+            raise InputError(winding.name, 'expected a wire; a measured field can not be turned')
     windings = tuple(
         _turned(winding, -skew).model_copy(update={'gain': winding.gain * gain_ratio})
         if y else winding for winding, y in zip(settings.windings, of_y, strict=True))
     # Currents were chosen for what was wanted less the background that the file knew.
-    background = 1e3 * (offset + matrix @ (1e-3 * np.array(settings.background_mT)))
-    return CoilSettings(windings=windings, background_mT=tuple(background.tolist()))
+    known, above = settings.background_mT[:2], settings.background_mT[2:]
+    background = 1e3 * (offset + matrix @ (1e-3 * np.array(known)))
+    return settings.model_copy(update={
+        'windings': windings, 'background_mT': (*background.tolist(), *above)})
 
 
 def _turned(winding: Winding, angle: float) -> Winding:

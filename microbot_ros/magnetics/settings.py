@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import combinations
+from pathlib import Path
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -10,55 +11,119 @@ import pydantic
 from pydantic import Field, PositiveFloat, PositiveInt
 
 from microbot_ros.files import Settings
-from microbot_ros.magnetics.sources import Loop, Polyline, Source
+from microbot_ros.magnetics.saturation import Saturation
+from microbot_ros.magnetics.sources import Loop, Placed, Polyline, Source
 
 Vector = tuple[float, float, float]
 
+_MOST = 16
+_ALONG_AXIS = ('radius_mm', 'rectangle_mm')
+_WOUND = (*_ALONG_AXIS, 'vertices_mm')
+_SHAPES = (*_WOUND, 'field_map', 'source')
+
 
 class Winding(Settings):
-    """One coil: turns round a circle, or along a closed polyline.
+    """One coil: turns round a circle, a rectangle or a path; or its field as it was measured.
 
     Lengths are in the workspace frame: origin at the workspace centre, x right, y up, z towards
-    the camera. Positive current makes a field along `axis` (along the polyline's right-hand
-    normal), unless `sign` −1 says that the coil is connected the other way round. `gain` is the
-    measured field per ampere over the one of the geometry.
+    the camera. Positive current makes a field along `axis` (along the path's right-hand normal),
+    unless `sign` −1 says that the coil is connected the other way round. `gain` is the measured
+    field per ampere over the one of the geometry.
+
+    * `radius_mm` and `axis`: a circle about `position_mm`.
+    * `rectangle_mm`, its width and height, and `axis`: the width lies in the plane of the
+      workspace, the height across it; for an axis along z the width lies along x.
+    * `vertices_mm`, from `position_mm`: a path, which is closed where it does not end where it
+      began. With `closed: false` it has to.
+    * `field_map`: a file with the field per ampere, its origin at `position_mm` (`field_map.py`).
+      A relative path starts at the file of the coils.
+    * `source`: what a package brings by the entry point `microbot_ros.coils` (`adapters.py`), its
+      origin at `position_mm`.
+
+    `saturation`, for a core: pairs [A, effective A] (`saturation.py`) up to `max_current_A`.
     """
 
     name: str = Field(min_length=1)
     position_mm: Vector
     axis: Vector | None = None
     radius_mm: PositiveFloat | None = None
+    rectangle_mm: tuple[PositiveFloat, PositiveFloat] | None = None
     vertices_mm: tuple[Vector, ...] | None = Field(None, min_length=3)
-    turns: PositiveInt
+    closed: bool | None = None
+    field_map: Path | None = None
+    source: str | None = None
+    turns: PositiveInt | None = None
     resistance_ohm: PositiveFloat
     max_current_A: PositiveFloat
+    saturation: tuple[tuple[PositiveFloat, PositiveFloat], ...] | None = None
     gain: PositiveFloat = 1.0
     sign: Literal[1, -1] = 1
 
+    @pydantic.field_validator('field_map')
+    @classmethod
+    def _beside_the_file(cls, path: Path | None, info: pydantic.ValidationInfo) -> Path | None:
+        return path and Path((info.context or {}).get('folder', '')) / path
+
     @pydantic.model_validator(mode='after')
     def _is_a_coil(self) -> Self:
-        given = (self.axis is not None, self.radius_mm is not None, self.vertices_mm is not None)
-        if given not in ((True, True, False), (False, False, True)):
-            raise ValueError('expected radius_mm and axis, or vertices_mm alone')
-        self.source()  # its own checks, while there is still a file and a line to name
+        shapes = [name for name in _SHAPES if getattr(self, name) is not None]
+        if len(shapes) != 1 or (self.axis is None) == (shapes[0] in _ALONG_AXIS):
+            raise ValueError('expected radius_mm and axis, rectangle_mm and axis, or one of '
+                             'vertices_mm, field_map and source alone')
+        if (self.turns is None) == (shapes[0] in _WOUND):
+            raise ValueError('expected turns of a wire, and none of a field_map or a source')
+        ends = self.vertices_mm and self.vertices_mm[0] == self.vertices_mm[-1]
+        if self.closed is False and not ends:
+            raise ValueError('expected a path that ends where it began: no current is open')
+        if self.saturation is not None:
+            self.curve()
+            if not self.saturation[-1][0] >= self.max_current_A:
+                raise ValueError('expected a saturation up to max_current_A')
+        self.made_by()  # its own checks, while there is still a file and a line to name
         return self
 
-    def source(self) -> Source:
-        """The wire that makes this coil's field, its gain and sign included."""
-        turns = self.turns * self.gain * self.sign
-        centre = 1e-3 * np.array(self.position_mm)
-        if self.vertices_mm is not None:
-            vertices = centre + 1e-3 * np.array(self.vertices_mm)
-            return Polyline(np.vstack([vertices, vertices[:1]]), turns)
-        return Loop(1e-3 * (self.radius_mm or 0.0), centre, np.array(self.axis), turns)
+    def made_by(self) -> Source:
+        """What makes this coil's field, its gain and sign included."""
+        centre, factor = 1e-3 * np.array(self.position_mm), self.gain * self.sign
+        if self.field_map is not None:
+            from microbot_ros.magnetics.field_map import read_field_map
+            return Placed(read_field_map(self.field_map), centre, factor)
+        if self.source is not None:
+            from microbot_ros.magnetics.adapters import installed_source
+            return Placed(installed_source(self.source), centre, factor)
+        turns = (self.turns or 0) * factor
+        if self.radius_mm is not None:
+            return Loop(1e-3 * self.radius_mm, centre, np.array(self.axis), turns)
+        corners = centre + 1e-3 * self._corners()
+        if (corners[0] != corners[-1]).any():
+            corners = np.vstack([corners, corners[:1]])
+        return Polyline(corners, turns)
+
+    def curve(self) -> Saturation:
+        """How the core saturates; InputError for pairs that do not rise."""
+        return Saturation(self.saturation or ())
 
     def coincides_with(self, other: Winding) -> bool:
-        """Whether both wires lie in the same place, whatever way they are wound."""
-        alike = (self.position_mm, self.radius_mm, self.vertices_mm) == (
-            other.position_mm, other.radius_mm, other.vertices_mm)
+        """Whether both coils lie in the same place, whatever way they are wound."""
+        alike = all(getattr(self, name) == getattr(other, name)
+                    for name in ('position_mm', *_SHAPES))
         if alike and self.axis is not None and other.axis is not None:
             return not np.any(np.cross(self.axis, other.axis))
         return alike
+
+    def _corners(self) -> np.ndarray:
+        """The path about the position [mm] (V, 3), of the vertices or of the rectangle."""
+        if self.rectangle_mm is None:
+            return np.array(self.vertices_mm)
+        axis = np.array(self.axis)
+        if not axis.any():
+            raise ValueError('axis: expected a direction, got a vector of no length')
+        axis /= np.linalg.norm(axis)
+        across = np.cross((0.0, 0.0, 1.0), axis)
+        across = across / np.linalg.norm(across) if across.any() else np.array([1.0, 0.0, 0.0])
+        width, height = np.array(self.rectangle_mm) / 2
+        along, up = width * across, height * np.cross(axis, across)
+        return np.array([-along - up, along - up, along + up, up - along])
 
 
 def _four_in_plane() -> tuple[Winding, ...]:
@@ -81,35 +146,49 @@ def _four_in_plane() -> tuple[Winding, ...]:
 
 
 class CoilSettings(Settings):
-    """Four coils and the field that is there without them.
+    """The coils, 2 to 16, and the field that is there without them.
 
     Currents are ordered as `windings`, which are in the order of the amplifier's channels. The
     default is a bench rig: 400 turns of 0.5 mm copper wire on a 20 mm radius, 30 mm from the
-    centre, four times.
+    centre, four times. `background_mT` has two components or three. `axes` says along which axes
+    fields are commanded: `xy` or `xyz`, by default what the coils are good for. No wire may come
+    nearer to the workspace centre than `workspace_mm`, and every field map covers as much.
     """
 
+    workspace_mm: PositiveFloat = 1.0
     windings: tuple[Winding, ...] = Field(default_factory=_four_in_plane)
-    background_mT: tuple[float, float] = (0.0, 0.0)
+    background_mT: tuple[float, float] | Vector = (0.0, 0.0)
+    axes: Literal['xy', 'xyz'] | None = None
 
     @pydantic.model_validator(mode='wrap')
     @classmethod
     def _from_a_file(cls, content: Any, validated: pydantic.ModelWrapValidatorHandler[Self],
-                     ) -> CoilSettings:
+                     info: pydantic.ValidationInfo) -> CoilSettings:
         """A file of coils has them under the one key `coils`; those without it are read too."""
         if isinstance(content, dict) and 'coils' in content:
-            return _CoilsFile.model_validate(content).coils
+            return _CoilsFile.model_validate(content, context=info.context).coils
         return validated(content)
 
     @pydantic.field_validator('windings')
     @classmethod
-    def _are_four_apart(cls, windings: tuple[Winding, ...]) -> tuple[Winding, ...]:
-        if len(windings) != 4:
-            raise ValueError('expected four coils')
+    def _are_apart(
+        cls, windings: tuple[Winding, ...], info: pydantic.ValidationInfo,
+    ) -> tuple[Winding, ...]:
+        if not 2 <= len(windings) <= _MOST:
+            raise ValueError(f'expected 2 to {_MOST} coils, found {len(windings)}')
         for one, other in combinations(windings, 2):
             if one.name == other.name:
-                raise ValueError(f"expected four different names, found '{one.name}' twice")
+                raise ValueError(f"expected different names, found '{one.name}' twice")
             if one.coincides_with(other):
                 raise ValueError(f"'{one.name}' and '{other.name}' lie in the same place")
+        workspace = info.data.get('workspace_mm', 0.0)
+        for winding in windings:
+            margin = 1e3 * winding.made_by().margin(np.zeros(3))
+            if not margin > workspace:
+                what = 'a map that ends' if winding.field_map else 'its wire'
+                raise ValueError(f"'{winding.name}' has {what} {max(margin, 0.0):.3g} mm from the "
+                                 'workspace centre; expected more than workspace_mm, '
+                                 f'{workspace:g} mm')
         return windings
 
 

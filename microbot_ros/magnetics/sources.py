@@ -1,4 +1,4 @@
-"""Current-carrying wires in the workspace: circular loops and polylines, N turns, any pose.
+"""What makes a field per ampere: circular loops and polylines, N turns, and anything else placed.
 
 Workspace frame: origin at the workspace centre, x right, y up, z towards the camera, right-handed.
 Fields are linear in the current, so everything here is per ampere. A gradient is
@@ -19,13 +19,19 @@ from microbot_ros.errors import InputError
 
 
 class Source(Protocol):
-    """A wire with its own current."""
+    """A coil under 1 A."""
 
     def field_per_ampere(self, points: ArrayLike) -> np.ndarray:
         """Field [T/A] at points (M, 3) [m]: (M, 3)."""
 
     def gradient_per_ampere(self, points: ArrayLike) -> np.ndarray:
         """Gradient ∂Bᵢ/∂xⱼ [T/m/A] at points (M, 3) [m]: (M, 3, 3)."""
+
+    def margin(self, point: np.ndarray) -> float:
+        """How far a point (3,) [m] is from where the field ends: the wire, the edge of a map [m].
+
+        Negative beyond a map; infinite where nothing is known to end.
+        """
 
 
 def as_points(points: ArrayLike) -> np.ndarray:
@@ -64,6 +70,12 @@ class Loop:
         from microbot_ros.magnetics.loop import loop_gradient
         return _fill(loop_gradient, points, (3, 3), *self._wire)
 
+    def margin(self, point: np.ndarray) -> float:
+        """Distance [m] from a point (3,) [m] to the wire."""
+        centre, axes, radius, _ = self._wire
+        x, y, z = (point - centre) @ axes
+        return math.hypot(math.hypot(x, y) - radius, z)
+
 
 class Polyline:
     """Straight segments through `vertices` (V, 3) [m] in their order, `turns` times.
@@ -88,6 +100,36 @@ class Polyline:
         """Gradient ∂Bᵢ/∂xⱼ [T/m/A] at points (M, 3) [m]: (M, 3, 3)."""
         from microbot_ros.magnetics.polyline import polyline_gradient
         return _fill(polyline_gradient, points, (3, 3), *self._wire)
+
+    def margin(self, point: np.ndarray) -> float:
+        """Distance [m] from a point (3,) [m] to the wire."""
+        starts, sides = self._wire[0][:-1], np.diff(self._wire[0], axis=0)
+        along = np.einsum('vi,vi->v', point - starts, sides) / np.square(sides).sum(axis=1)
+        nearest = starts + np.clip(along, 0, 1)[:, None] * sides
+        return float(np.linalg.norm(point - nearest, axis=1).min())
+
+
+class Placed:
+    """Another `source`, its origin moved to `centre` (3,) [m] and its field times `factor`.
+
+    InputError for anything not finite.
+    """
+
+    def __init__(self, source: Source, centre: ArrayLike, factor: float = 1.0) -> None:
+        self._source, self._centre = source, _finite('centre', centre)
+        self._factor = float(_finite('factor', factor))
+
+    def field_per_ampere(self, points: ArrayLike) -> np.ndarray:
+        """Field [T/A] at points (M, 3) [m]: (M, 3)."""
+        return self._factor * self._source.field_per_ampere(as_points(points) - self._centre)
+
+    def gradient_per_ampere(self, points: ArrayLike) -> np.ndarray:
+        """Gradient ∂Bᵢ/∂xⱼ [T/m/A] at points (M, 3) [m]: (M, 3, 3)."""
+        return self._factor * self._source.gradient_per_ampere(as_points(points) - self._centre)
+
+    def margin(self, point: np.ndarray) -> float:
+        """As `Source.margin` at a point (3,) [m]."""
+        return self._source.margin(point - self._centre)
 
 
 def _fill(

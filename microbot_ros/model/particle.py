@@ -1,18 +1,21 @@
 """A sphere in a fluid at low Reynolds number: drag, diffusion and the times that follow.
 
-Stokes' drag on a translating and a rotating sphere far from walls and neighbours; diffusion by
-the Einstein relation (Happel & Brenner, "Low Reynolds number hydrodynamics", 1983). Every
-function takes one radius or an array of them and returns the same shape.
+Stokes' drag on a translating and a rotating sphere far from neighbours, and from walls but for
+the floor that a `Fluid` may have; diffusion by the Einstein relation (Happel & Brenner, "Low
+Reynolds number hydrodynamics", 1983). Every function takes one radius or an array of them and
+returns the same shape. ValueError where a sphere does not fit above the floor.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
+from microbot_ros.model.floor import rolling_factor, sliding_factor, spinning_factor
 from microbot_ros.units import BOLTZMANN
 
 Values = TypeVar('Values', float, np.ndarray)
@@ -20,17 +23,21 @@ Values = TypeVar('Values', float, np.ndarray)
 
 @dataclass(frozen=True)
 class Fluid:
-    """What the particle swims in: viscosity [Pa·s], temperature [K].
+    """What the particle swims in, and where: viscosity [Pa·s], temperature [K].
 
-    ValueError unless both are positive and finite.
+    `height` [m] of its centre above a floor; None is far from any. ValueError unless all are
+    positive and finite.
     """
 
     viscosity: float
     temperature: float = 298.15
+    height: float | None = None
 
     def __post_init__(self) -> None:
         _require_positive('viscosity [Pa·s]', self.viscosity)
         _require_positive('temperature [K]', self.temperature)
+        if self.height is not None:
+            _require_positive('height [m]', self.height)
 
 
 @dataclass(frozen=True)
@@ -66,13 +73,33 @@ def _require_positive(name: str, value: float) -> None:
 
 
 def stokes_drag(fluid: Fluid, radius: Values) -> Values:
-    """Translational drag coefficient 6πηr [N·s/m] of a sphere of `radius` r [m]."""
-    return 6 * math.pi * fluid.viscosity * radius
+    """Translational drag coefficient 6πηr [N·s/m] of a sphere of `radius` r [m].
+
+    Above a floor, of moving along it.
+    """
+    return _near_floor(6 * math.pi * fluid.viscosity * radius, sliding_factor, fluid, radius)
 
 
 def rotational_drag(fluid: Fluid, radius: Values) -> Values:
-    """Rotational drag coefficient 8πηr³ [N·m·s] of a sphere of `radius` r [m]."""
-    return 8 * math.pi * fluid.viscosity * radius**3
+    """Rotational drag coefficient 8πηr³ [N·m·s] of a sphere of `radius` r [m].
+
+    Above a floor, of turning about the axis across it, as a heading in the plane does.
+    """
+    return _near_floor(8 * math.pi * fluid.viscosity * radius**3, spinning_factor, fluid, radius)
+
+
+def rolling_drag(fluid: Fluid, radius: Values) -> Values:
+    """Rotational drag coefficient [N·m·s] of a sphere of `radius` r [m] about an axis along the
+    floor; 8πηr³ without one.
+    """
+    return _near_floor(8 * math.pi * fluid.viscosity * radius**3, rolling_factor, fluid, radius)
+
+
+def _near_floor(bulk: Values, factor: Callable[..., Any], fluid: Fluid, radius: Values) -> Values:
+    if fluid.height is None:
+        return bulk
+    raised: Values = bulk * factor(fluid.height, radius)
+    return raised
 
 
 def translational_diffusion(fluid: Fluid, radius: Values) -> Values:
@@ -99,7 +126,7 @@ def rotational_time(fluid: Fluid, radius: Values, mass: Values) -> Values:
     Of a uniform sphere of `radius` r [m] and `mass` m [kg]. Not the time in which the heading
     aligns with a field: that is `alignment_time`.
     """
-    return mass / (20 * math.pi * fluid.viscosity * radius)
+    return 0.4 * mass * radius**2 / rotational_drag(fluid, radius)
 
 
 def alignment_time(fluid: Fluid, radius: Values, moment: Values, field: Values) -> Values:

@@ -40,6 +40,9 @@ class CoilDriverParameters(GateParameters):
     max_command_age_ms: float = setting(
         75.0, 'A command whose stamp, the exposure that it answers, is older is not driven.',
         lower=10.0, upper=2000.0, read_only=True, formerly='stale_ms')
+    board_turns: bool = setting(
+        False, 'The firmware of the board turns a rotating field by itself, as the reference '
+        'firmware does; else the driver sends every sample.', read_only=True)
     self_check: bool = setting(
         True, 'Check sign and gain of each coil with a short pulse on arming, and the watchdog of '
         'a device whose firmware may have one; false for an amplifier that reads no currents '
@@ -47,14 +50,20 @@ class CoilDriverParameters(GateParameters):
     accept_no_watchdog: bool = setting(
         False, 'Drive an amplifier without a watchdog of its own: if this computer loses its '
         'power while coils are driven, the last currents flow on.', read_only=True)
+    accept_no_feedback: bool = setting(
+        False, 'Drive an amplifier that reads no currents back, with self_check false: nothing '
+        'notices a coil that does not carry what it is told, nor whether the timeout of the '
+        'amplifier is armed.', read_only=True)
 
 
 class CoilDriverNode(RigNode):
     """`field/command` → the line; the line → `coils/…`, `field/applied`, `~/latency`.
 
+    With an angular velocity on `field/rotation` the commanded field turns.
+
     A shell: the gate, the dead-man and the reconnecting are in `drive`, and need no executor.
     Arming is for one commander, the one publisher of `field/command` that is there then: a
-    second one, or another in its place, ends it.
+    second one, or another in its place, or another's `field/rotation`, ends it.
     """
 
     Parameters: ClassVar[type] = CoilDriverParameters
@@ -68,16 +77,26 @@ class CoilDriverNode(RigNode):
         self._latency = math.nan
         self._refused = 0
         self._commander: bytes | None = None
-        amplifier = amplifier_class(values.amplifier)(values.port, values.full_scale_A)
+        amplifier = amplifier_class(values.amplifier)(
+            values.port, values.full_scale_A, len(self.stage.coils.names))
+        if values.board_turns and not amplifier.can_swing:
+            raise InputError('board_turns', f'{values.amplifier} turns no currents by itself; '
+                             'expected false')
+        amplifier.swings = values.board_turns
+        self._rotation, self._rotation_s = np.zeros(3), -math.inf
         self._driver = CoilDriver(
-            amplifier, limits(values), self._on_reading, on_sent=self._on_sent,
-            self_check=values.self_check, accept_no_watchdog=values.accept_no_watchdog)
+            amplifier, limits(values), self._on_reading, names=self.stage.coils.names,
+            on_sent=self._on_sent,
+            self_check=values.self_check, accept_no_watchdog=values.accept_no_watchdog,
+            accept_no_feedback=values.accept_no_feedback)
         self._wanted = self.publisher(JointState, 'coils/command')
         self._applied = self.publisher(JointState, 'coils/applied')
         self._measured = self.publisher(JointState, 'coils/measured')
         self._field = self.publisher(MagneticField, 'field/applied')
         self._latencies = self.publisher(TimeReference, '~/latency')
         self.subscribe(Vector3Stamped, 'field/command', self._on_command, NEWEST,
+                       on_matched=self._on_commanders)
+        self.subscribe(Vector3Stamped, 'field/rotation', self._on_rotation, NEWEST,
                        on_matched=self._on_commanders)
         self.service(SetBool, '~/arm', self._on_arm)
         try:
@@ -129,16 +148,40 @@ class CoilDriverNode(RigNode):
         return f'in the firmware, zeroed after {self._driver.watchdog_s * 1e3:.0f} ms'
 
     def _on_command(self, message: Vector3Stamped) -> None:
-        messages.in_workspace(message.header)
-        age = self.seconds() - messages.to_seconds(message.header.stamp)
-        if not -0.05 <= age <= self.settings.max_command_age_ms * 1e-3:
-            self._refused += 1
-            self.complain(f'field/command is {age:.3f} s old; not driven')
-            return
-        wanted = self.stage.step(np.array([message.vector.x, message.vector.y]))
-        stamp = message.header.stamp
-        self._driver.command(wanted, stamp)
-        self._wanted.publish(messages.currents(self.stage.coils.names, wanted, stamp))
+        field, stamp = messages.vector(message), message.header.stamp
+        exposed = messages.to_seconds(stamp)
+        age, newest = self.seconds() - exposed, self.settings.max_command_age_ms * 1e-3
+        if not -0.05 <= age <= newest:
+            self._refuse(f'field/command is {age:.3f} s old, more than max_command_age_ms; '
+                         'not driven')
+        elif self._rotation.any() and not abs(exposed - self._rotation_s) <= newest:
+            self._refuse(f'field/rotation is {exposed - self._rotation_s:.3f} s older than '
+                         'field/command; not driven')
+        else:
+            try:
+                wanted = self._drive(field, stamp)
+            except ValueError as error:
+                self._refuse(f'{error}; not driven')
+                return
+            self._wanted.publish(messages.currents(self.stage.coils.names, wanted, stamp))
+
+    def _drive(self, field: np.ndarray, stamp: Any) -> np.ndarray:
+        """Leave a field for the driver, turning where it is to; the currents that begin it."""
+        if not self._rotation.any():
+            wanted = self.stage.step(field)
+            self._driver.command(wanted, stamp)
+            return wanted
+        turning = self.stage.turn(field, self._rotation)
+        self._driver.turn(turning, stamp)
+        return turning.at(turning.start)
+
+    def _refuse(self, sentence: str) -> None:
+        self._refused += 1
+        self.complain(sentence)
+
+    def _on_rotation(self, message: Vector3Stamped) -> None:
+        self._rotation = messages.vector(message)
+        self._rotation_s = messages.to_seconds(message.header.stamp)
 
     def _on_sent(self, command: Command) -> None:
         """In the driver's thread: a command has gone out, zeros where the gate tripped."""
@@ -164,10 +207,20 @@ class CoilDriverNode(RigNode):
         return {bytes(found.endpoint_gid): f'{found.node_namespace.rstrip("/")}/{found.node_name}'
                 for found in self.get_publishers_info_by_topic('field/command')}
 
+    def _strangers(self, commanders: dict[bytes, str]) -> str:
+        """Who publishes `field/rotation` and is none of these `commanders`; '' for nobody."""
+        found = {f'{one.node_namespace.rstrip("/")}/{one.node_name}'
+                 for one in self.get_publishers_info_by_topic('field/rotation')}
+        return ' and '.join(sorted(found - set(commanders.values())))
+
     def _on_commanders(self, _: Any) -> None:
         """Somebody who commands has come or gone: what was armed was armed for one."""
         found = self._commanders()
-        if not self._driver.gate.armed or not found or found.keys() == {self._commander}:
+        if not self._driver.gate.armed or not found:
+            return
+        if strangers := self._strangers(found):
+            self._driver.disarm((Reason.COMMANDER, f'{strangers} publishes field/rotation'))
+        if found.keys() == {self._commander}:
             return
         names = ' and '.join(sorted(found.values()))
         if len(found) > 1:
@@ -187,6 +240,9 @@ class CoilDriverNode(RigNode):
             names = ' and '.join(sorted(found.values()))
             return (f'{len(found)} publish field/command, expected one: {names} (a process that '
                     'was killed counts for some seconds)')
+        if strangers := self._strangers(found):
+            return f'{strangers} publishes field/rotation, expected only who publishes ' \
+                   'field/command'
         self._commander, = found
         return ''
 

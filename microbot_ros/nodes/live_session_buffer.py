@@ -58,12 +58,13 @@ class LiveSessionBuffer:
     def conditions(self) -> Conditions:
         """What the model node was told of particles and fluid."""
         told = self._client.get('model', 'propulsion', 'radius_um', 'viscosity_mPa_s',
-                                'temperature_K', 'reference_field_mT')
+                                'temperature_K', 'reference_field_mT', 'height_um')
         return Conditions(
             propulsion=told['propulsion'],
-            **{name: float(units.to_si(key, told[key])) for name, key in (
+            **{name: float(units.to_si(key, told[key])) or None for name, key in (
                 ('radius', 'radius_um'), ('viscosity', 'viscosity_mPa_s'),
-                ('temperature', 'temperature_K'), ('reference_field', 'reference_field_mT'))})
+                ('temperature', 'temperature_K'), ('reference_field', 'reference_field_mT'),
+                ('height', 'height_um'))})
 
     @property
     def span(self) -> float:

@@ -29,7 +29,8 @@ from microbot_ros.settings import setting
 
 _FRAMES, _OVERLAY = 'camera/image_raw', 'overlay/image_raw'
 _CONDITIONS = (
-    'propulsion', 'radius_um', 'viscosity_mPa_s', 'temperature_K', 'reference_field_mT')
+    'propulsion', 'radius_um', 'viscosity_mPa_s', 'temperature_K', 'reference_field_mT',
+    'height_um')
 """Parameters of the node `model` that a session keeps."""
 _LIBRARIES = ('microbot_ros', 'ros-jazzy-rclpy', 'numpy', 'scipy', 'numba',
               'opencv-python-headless')
@@ -180,7 +181,8 @@ def keep_parameters(writer: RecordingWriter, node: str, values: dict[str, Any],
     writer.attach(f'parameters/{node}.yaml', text)
     _keep_files(writer, plain, kept)
     if node == 'model':
-        writer.describe('session', {name: str(plain[name]) for name in _CONDITIONS})
+        writer.describe('session', {
+            name: str(plain[name]) for name in _CONDITIONS if plain[name]})
 
 
 def _keep_files(writer: RecordingWriter, values: dict[str, Any], kept: set[str]) -> None:

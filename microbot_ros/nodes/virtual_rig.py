@@ -26,14 +26,16 @@ from microbot_ros.magnetics.settings import CoilSettings
 from microbot_ros.model.effect_table import write_effects
 from microbot_ros.model.model import Model
 from microbot_ros.model.model_file import read_model
-from microbot_ros.model.particle import Fluid, rotational_drag
+from microbot_ros.model.particle import Fluid, rolling_drag, rotational_drag
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import IMAGES_OUT, OK, WARN, RigNode
+from microbot_ros.records import height_problem
 from microbot_ros.settings import setting
 from microbot_ros.virtual_rig.body import bodies
 from microbot_ros.virtual_rig.foreign_effects import make_world
 from microbot_ros.virtual_rig.injected_effects import INJECTABLE, inject_effect
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
+from microbot_ros.virtual_rig.rolling import Rolling
 from microbot_ros.virtual_rig.world import FieldHistory, World
 
 _REFERENCE_FIELD = 5e-3
@@ -53,12 +55,18 @@ class VirtualRigParameters:
                                    read_only=True)
     radius_um: float = setting(2.3, 'Radius of every particle.', lower=0.1, upper=20.0,
                                read_only=True)
+    height_um: float = setting(
+        0.0, 'Height of the centres above the floor, more than radius_um; 0 is far from any.',
+        lower=0.0, upper=1e5, read_only=True)
     viscosity_mPa_s: float = setting(1.245, 'Viscosity of the fluid.', lower=0.1, upper=1000.0,
                                      read_only=True)
     temperature_K: float = setting(298.0, 'Temperature of the fluid.', lower=270.0, upper=370.0,
                                    read_only=True)
     speeds_um_s: list[float] = setting(
         [3.71, 4.38, 4.98], 'Speed of each particle.', lower=0.0, upper=100.0, read_only=True)
+    gains_um_s_hz: list[float] = setting(
+        [], 'Speed over frequency of each particle, where they roll in a rotating field; empty: '
+        'they swim.', lower=0.0, upper=1000.0, read_only=True)
     phis_rad: list[float] = setting(
         [-1.09, 3.82, 2.64], 'Heading of each particle relative to the field.',
         lower=-7.0, upper=7.0, read_only=True)
@@ -86,7 +94,9 @@ class VirtualRigNode(RigNode):
         self._microscope = Microscope(self._microscope_settings, values.seed)
         self._world = self._make_world()
         self._microscope.render(self._world.position, self._world.heading, 0.0)  # compiles too
-        self._changes = deque([(-1e9, np.zeros(4))])  # since ever nothing flows
+        # Since ever nothing flows.
+        self._changes = deque([(-1e9, np.zeros(len(self._coils.names)))])
+        self._rolling = self._make_rolling() if values.gains_um_s_hz else None
         self._frames = 0
         self._busy = self._longest = 0.0
         self._images = self.publisher(Image, 'camera/image_raw', IMAGES_OUT)
@@ -101,9 +111,10 @@ class VirtualRigNode(RigNode):
             self._log.close()
 
     def veto(self, proposed: VirtualRigParameters) -> str:
-        if len(proposed.speeds_um_s) != len(proposed.phis_rad):
-            return 'speeds_um_s and phis_rad must be equally many'
-        return ''
+        moved = proposed.gains_um_s_hz or proposed.speeds_um_s
+        if len(moved) != len(proposed.phis_rad):
+            return 'speeds_um_s, or gains_um_s_hz, and phis_rad must be equally many'
+        return height_problem(proposed.height_um, proposed.radius_um)
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         share = self._busy * self.settings.frame_rate_hz / max(1, self._frames)
@@ -116,10 +127,10 @@ class VirtualRigNode(RigNode):
 
     def _make_world(self) -> World:
         values = self.settings
-        fluid = Fluid(viscosity=values.viscosity_mPa_s * 1e-3, temperature=values.temperature_K)
-        radius = units.to_si('radius_um', values.radius_um)
-        count = len(values.speeds_um_s)
-        drag = rotational_drag(fluid, radius)
+        fluid, radius = self._fluid(), units.to_si('radius_um', values.radius_um)
+        count = len(values.phis_rad)
+        own = 'gain' if values.gains_um_s_hz else 'speed'
+        moved = 1e-6 * np.array(values.gains_um_s_hz or values.speeds_um_s)
         rng = np.random.default_rng(values.seed)
         view = self._microscope_settings
         # Walls a diameter inside the picture, so that every particle stays in view.
@@ -127,9 +138,9 @@ class VirtualRigNode(RigNode):
                 view.height_px * view.pixel_size / 2 - 2 * radius)
         made = bodies(
             fluid, np.full(count, radius),
-            np.full(count, drag / (values.alignment_ms * 1e-3 * _REFERENCE_FIELD)),
+            np.full(count, self._moment()),
             np.array(values.phis_rad), _spread(count, half, rng),
-            speed=np.array(values.speeds_um_s) * 1e-6, heading=rng.uniform(-np.pi, np.pi, count))
+            heading=rng.uniform(-np.pi, np.pi, count), **{own: moved})
         given = _named(values.effect_parameters, self.get_name())
         model = self._model()
         effects = write_effects(model.effects) | ({values.effect: given} if values.effect else {})
@@ -140,6 +151,22 @@ class VirtualRigNode(RigNode):
         # The first step compiles; it must not happen while frames are due.
         world.advance(1e-3, FieldHistory(np.zeros(1), np.zeros((1, count, 2))))
         return world
+
+    def _fluid(self) -> Fluid:
+        values = self.settings
+        return Fluid(values.viscosity_mPa_s * 1e-3, values.temperature_K,
+                     values.height_um * 1e-6 or None)
+
+    def _moment(self) -> float:
+        """The moment [A·m²] that aligns as fast as asked."""
+        values = self.settings
+        drag = rotational_drag(self._fluid(), units.to_si('radius_um', values.radius_um))
+        return float(drag / (values.alignment_ms * 1e-3 * _REFERENCE_FIELD))
+
+    def _make_rolling(self) -> Rolling:
+        """Rollers of the same moment, which turn about an axis along the floor."""
+        radius = units.to_si('radius_um', self.settings.radius_um)
+        return Rolling(float(self._moment() / rolling_drag(self._fluid(), radius)))
 
     def _model(self) -> Model:
         """What the particles obey besides: of `model_file`, the first-order model without one."""
@@ -157,7 +184,8 @@ class VirtualRigNode(RigNode):
         points['id'] = np.arange(len(points))
         points['x'], points['y'] = self._world.position.T
         points['theta'] = self._world.heading
-        points['speed'], points['phi'] = self._world.bodies['speed'], self._world.bodies['phi']
+        points['speed'] = self._world.bodies['gain' if self._rolling else 'speed']
+        points['phi'] = self._world.bodies['phi']
         self._truth.publish(messages.cloud(points, stamp))
         self._frames += 1
         spent = time.monotonic() - began
@@ -171,10 +199,17 @@ class VirtualRigNode(RigNode):
         # A hidden delay looks back; the last change before that still holds.
         while len(changes) > 1 and changes[1][0] < self._world.t - _LONGEST_DELAY:
             changes.popleft()
-        times = np.array([t for t, _ in changes])
-        per_ampere = self._coils.field_per_ampere(self._world.position)[..., :2]
-        field = np.tensordot(np.array([c for _, c in changes]), per_ampere, 1)
-        self._world.advance(now - self._begin, FieldHistory(times, field))
+        times, currents = map(np.array, zip(*changes, strict=True))
+        currents = self._coils.effective(currents)
+        until = now - self._begin
+        if self._rolling is None:
+            per_ampere = self._coils.field_per_ampere(self._world.position)[..., :2]
+            history = FieldHistory(times, np.tensordot(currents, per_ampere, 1))
+        else:
+            field = self._coils.field_per_ampere(np.zeros((1, 3)))[:, 0]
+            self._rolling.take(times, currents @ field, until)
+            history = self._rolling.history(self._world.t - _LONGEST_DELAY)
+        self._world.advance(until, history)
 
 
 class _AmplifierLog:
@@ -191,7 +226,7 @@ class _AmplifierLog:
         self._rest = ''
 
     def read(self) -> Iterator[tuple[float, np.ndarray]]:
-        """New changes: time [s, monotonic] and currents (4,) [A]."""
+        """New changes: time [s, monotonic] and currents (N,) [A]."""
         *lines, self._rest = (self._rest + self._stream.read()).split('\n')
         for line in lines:
             entry = json.loads(line)

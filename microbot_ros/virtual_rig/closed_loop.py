@@ -100,6 +100,7 @@ def _make_loop(scenario: Scenario, source: str) -> Loop:
             ModelParameters(radius_um=scenario.radius_um,
                             viscosity_mPa_s=scenario.fluid.viscosity_mPa_s,
                             temperature_K=scenario.fluid.temperature_K,
+                            height_um=scenario.height_um or 0.0,
                             reference_field_mT=scenario.reference_field_mT),
             ControllerParameters(controller=wanted.name, max_field_mT=wanted.max_field_mT),
             gate, {wanted.name: own}))

@@ -17,15 +17,17 @@ from microbot_ros.model.learned_term import LearnedTerm
 from microbot_ros.model.model import Model, ParticleParameters, Propulsion
 from microbot_ros.model.model_file import read_model
 from microbot_ros.model.particle import Fluid
-from microbot_ros.records import Commands, Conditions
+from microbot_ros.plausible import check_plausible
+from microbot_ros.records import Commands, Conditions, height_problem
 from microbot_ros.units import exact_si
-from microbot_ros.virtual_rig.commands import Herding, rotating, steps
+from microbot_ros.virtual_rig.commands import ROTATING_HZ, Herding, rotating, steps
 from microbot_ros.virtual_rig.foreign_effects import check_effect
 from microbot_ros.virtual_rig.record_session import Camera, Feedback
 
 Positive = Annotated[float, pydantic.Field(gt=0)]
 Fraction = Annotated[float, pydantic.Field(ge=0, lt=1)]
 LevelSettings = Positive | Annotated[tuple[Positive, ...], pydantic.Field(min_length=1)]
+_MOST_ROWS = 1e7
 EffectSettings = dict[str, dict[str, float | tuple[float, ...]]]
 
 
@@ -147,6 +149,11 @@ class CommandSettings(Settings):
         return self._listed()
 
     @property
+    def rate_hz(self) -> float:
+        """How many commands a second there can be."""
+        return 1 / self.steps.dwell_s[0] if self.steps else ROTATING_HZ if self.rotating else 0.0
+
+    @property
     def rolls(self) -> bool:
         """Whether the field rotates to roll particles."""
         ways = self.rows or (self.steps,)
@@ -186,7 +193,8 @@ class Scenario(Settings):
     `particles` are listed, or `model` names a `model.yaml` (its path from the scenario's folder)
     whose particles start at random within ± `spread_um`, whose effects are added to `effects` and
     whose learned terms act too.
-    `alignment_ms` is how fast the field aligns them at the reference field. Either `commands` say
+    `alignment_ms` is how fast the field aligns them at the reference field, `height_um` how high
+    their centres are above the floor, far where it is not said. Either `commands` say
     what the field does, or a `controller` does.
     """
 
@@ -195,6 +203,7 @@ class Scenario(Settings):
     duration_s: Positive
     seed: Annotated[int, pydantic.Field(ge=0)] = 0
     radius_um: Positive
+    height_um: Positive | None = None
     reference_field_mT: Positive
     alignment_ms: Positive = 0.5
     fluid: FluidSettings
@@ -211,6 +220,13 @@ class Scenario(Settings):
     def learned(self) -> tuple[LearnedTerm, ...]:
         """Terms that its `model` learned."""
         return self._learned
+
+    @pydantic.field_validator('height_um')
+    @classmethod
+    def above_the_floor(cls, height: float | None, info: pydantic.ValidationInfo) -> float | None:
+        if problem := height_problem(height, info.data.get('radius_um')):
+            raise ValueError(problem)
+        return height
 
     @pydantic.model_validator(mode='after')
     def particles_fit(self) -> Scenario:
@@ -232,6 +248,11 @@ class Scenario(Settings):
             raise ValueError("expected 'frequency_hz' in the commands of rolling particles only")
         if self.duration_s * self.camera.frame_rate_hz < 2:
             raise ValueError("expected 'duration_s' to hold at least two frames")
+        rows = self.duration_s * max(
+            self.camera.frame_rate_hz, self.commands.rate_hz if self.commands else 0.0)
+        if rows > _MOST_ROWS:
+            raise ValueError(f"expected 'duration_s' to hold at most {_MOST_ROWS:g} frames, and "
+                             f'as many commands; it would hold {rows:.3g}')
         return self
 
     @property
@@ -259,17 +280,24 @@ class Scenario(Settings):
         return exact_si('radius_um', self.radius_um)
 
     @property
+    def height(self) -> float | None:
+        """In metres."""
+        return None if self.height_um is None else exact_si('height_um', self.height_um)
+
+    @property
     def medium(self) -> Fluid:
         """The fluid in SI."""
         return Fluid(
-            exact_si('viscosity_mPa_s', self.fluid.viscosity_mPa_s), self.fluid.temperature_K)
+            exact_si('viscosity_mPa_s', self.fluid.viscosity_mPa_s), self.fluid.temperature_K,
+            self.height)
 
     @property
     def conditions(self) -> Conditions:
         """What the session will say of its rig."""
         return Conditions(
             self.propulsion, self.radius, self.medium.viscosity,
-            self.medium.temperature, self.camera.frame_rate_hz, None, self.reference_field)
+            self.medium.temperature, self.camera.frame_rate_hz, None, self.reference_field,
+            self.height)
 
 
 def read_scenario(path: Path) -> tuple[Scenario, ParticleParameters]:
@@ -284,6 +312,8 @@ def read_scenario(path: Path) -> tuple[Scenario, ParticleParameters]:
         scenario = _with_model(path, scenario, model)
     for effect, parameters in scenario.effects.items():
         try:
+            for name, value in parameters.items():
+                check_plausible(name, value)
             check_effect(effect, parameters)
         except ValueError as error:
             raise InputError(path, str(error), line_of(path, 'effects', effect)) from None

@@ -198,6 +198,8 @@ def test_controllers_that_cannot_be_are_refused(tmp_path, scenario, complaint):
     (changed(duration_s=float('inf')), 'duration_s:', 'duration_s'),
     (changed(duration_s=0), 'duration_s:', 'duration_s'),
     (changed(radius_um=-4.6), 'radius_um:', 'radius_um'),
+    (changed(height_um=4.6), 'height_um:', 'more than radius_um, 4.6'),
+    (changed(height_um=float('nan')), 'height_um:', 'height_um'),
     (changed(camera={'frame_rate_hz': 20, 'missed': 1.0}), '  missed:', 'camera.missed'),
     (changed(commands={}), 'commands:', 'exactly one of: steps, rotating, herding, rows'),
     (changed(effects={'gravity': {'g_um_s': 1.0}}), '  gravity:', "unknown effect 'gravity'"),

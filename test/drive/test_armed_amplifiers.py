@@ -4,10 +4,12 @@ import threading
 
 import pytest
 
+from bench._served import MEASURED
 from microbot_ros.drive.amplifier import amplifier_class
 from microbot_ros.drive.coil_driver import CoilDriver
-from microbot_ros.drive.emulator.process import DEVICES
-from microbot_ros.drive.gate import ZERO, Limits, Reason
+from microbot_ros.drive.gate import Limits, Reason
+
+ZERO = (0.0,) * 4
 
 FULL_SCALE_A = 2.0
 LIMITS = Limits(
@@ -39,7 +41,7 @@ def driver(device, protocol):
     driver.stop()
 
 
-every_amplifier = pytest.mark.parametrize('protocol', sorted(DEVICES))
+every_amplifier = pytest.mark.parametrize('protocol', MEASURED)
 
 
 @every_amplifier
@@ -71,7 +73,7 @@ def test_a_coil_that_is_wrong_refuses_arming(driver, device, sentence):
     device.eventually_at(ZERO)
 
 
-@pytest.mark.parametrize('protocol', sorted({*DEVICES} - {'serial_transfer'}))
+@pytest.mark.parametrize('protocol', sorted({*MEASURED} - {'serial_transfer'}))
 def test_a_device_that_is_too_hot_is_a_fault_and_cannot_be_armed(driver, device):
     device.fault('over_temperature')
     found = device.until(lambda: driver.gate.fault)

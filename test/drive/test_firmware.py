@@ -127,6 +127,12 @@ def raw_command(duties: list[float]) -> bytes:
     return codec.encode(struct.pack('<17f', *[0.0] * 11, *duties, *[0.0] * (6 - len(duties))))
 
 
+def raw_turn(parts: list[list[float]], rate: float) -> bytes:
+    """Of six coils, whatever the host's own codec would say of it."""
+    steps = [round(32767 * duty) for part in parts for duty in part]
+    return codec.encode(struct.pack('<18hf28x', *steps, rate), codec.TURN_ID)
+
+
 class Line:
     """A host that sends what it likes to all six channels."""
 
@@ -212,6 +218,67 @@ def test_what_is_no_command_changes_nothing(line, board):
     assert not board.duties().any()
     line.write(good)
     board.until_at([0.5, 0.25, 0.0, 0.0])
+
+
+ROUND = [[0.0, 0.1, 0, 0, 0, 0], [0.5, 0, -0.5, 0, 0, 0.3], [0, 0.4, 0, -0.4, 0, 0.3]]
+"""Steady, cosine and sine parts: a field of amplitude ½ that goes round, and more."""
+
+
+def turned(angle: np.ndarray) -> np.ndarray:
+    steady, cosine, sine = np.array(ROUND)
+    return steady + np.outer(np.cos(angle), cosine) + np.outer(np.sin(angle), sine)
+
+
+@needs_simulator
+@pytest.mark.parametrize('hertz', [-2.0, 10.0])
+def test_what_turns_turns_on_by_itself_and_ends_with_the_dead_man(line, board, hertz):
+    before = len(board.entries())
+    line.write(raw_turn(ROUND, math.tau * hertz))
+    board.until_at(OFF, before + 20)
+    entries = board.entries()[before:]
+    t = np.array([entry['t_device_s'] for entry in entries])
+    duties = board.duties(before)
+    # It begins slowly, as the board's own limit has it; then it is where it should be.
+    begun = t[0] - 1.024e-3 * 1.5
+    during = (t > t[0] + 0.02) & (t < t[0] + 0.09)
+    assert during.sum() > 20
+    expected = turned(math.tau * hertz * (t[during] - begun))
+    late = [np.abs(duties[during] - turned(math.tau * hertz * (t[during] - begun - shift))).max()
+            for shift in np.arange(-2, 3) * 1.024e-3]
+    assert min(late) < 0.05, np.abs(duties[during] - expected).max()
+    assert 0.095 <= t[-1] - t[0] <= 0.104
+    assert not duties[-1].any()
+
+
+@needs_simulator
+def test_packets_set_what_turns_right_without_a_jump(line, board):
+    before, hertz = len(board.entries()), 5.0
+    steady, cosine, sine = np.array(ROUND)
+    while len(board.entries()) < before + 300:  # as a driver does: from where it is now
+        a = math.tau * hertz * board.entries()[-1]['t_device_s']  # a busy machine's runs late
+        line.write(raw_turn([steady.tolist(), (cosine * math.cos(a) + sine * math.sin(a)).tolist(),
+                             (sine * math.cos(a) - cosine * math.sin(a)).tolist()],
+                            math.tau * hertz))
+        time.sleep(0.02)
+    duties = board.duties(before)[40:]
+    radius = np.hypot(duties[:, 0] / 0.5, (duties[:, 1] - 0.1) / 0.4)
+    off = np.abs(radius - 1)  # a sign turns at zero, where it rests for 2 ms
+    assert np.median(off) < 0.02
+    assert np.quantile(off, 0.9) < 0.3
+
+
+@needs_simulator
+def test_what_turns_beyond_the_limits_changes_nothing(line, board):
+    beyond = [[0.6] + [0.0] * 5, [0.3] + [0.0] * 5, [0.4] + [0.0] * 5]  # 0.6 + ½ at the most
+    for parts, rate in ((beyond, 1.0), (ROUND, math.nan), (ROUND, math.inf), (ROUND, 1001.0)):
+        line.write(raw_turn(parts, rate))
+    for _ in range(10):
+        line.report()
+    assert not board.duties().any()
+    line.write(raw_turn(ROUND, 1.0))
+    board.until_at([0.5, 0.1, -0.5, 0.0, 0.0, 0.3])
+    line.send([0.25, 0.0, 0.0, 0.0])  # and a command that stands ends it
+    board.until_at([0.25, 0.0, 0.0, 0.0])
 
 
 @needs_simulator
@@ -392,12 +459,11 @@ def take(tmp_path_factory):
     subprocess.run(['cc', '-shared', '-fPIC', '-Wall', '-Werror', '-o', library,
                     SOURCE / 'packet.c'], check=True)
     compiled = ctypes.CDLL(str(library))
-    compiled.packet_take.restype = ctypes.c_bool
 
-    def take(stream: bytes) -> list[bytes]:
+    def take(stream: bytes) -> list[tuple[int, bytes]]:
         window, payload = ctypes.create_string_buffer(75), ctypes.create_string_buffer(68)
-        return [payload.raw for byte in stream
-                if compiled.packet_take(window, ctypes.c_uint8(byte), payload)]
+        return [(kind - 1, payload.raw) for byte in stream
+                if (kind := compiled.packet_take(window, ctypes.c_uint8(byte), payload))]
 
     take.encode = compiled.packet_encode
     return take
@@ -410,12 +476,12 @@ def test_firmware_and_host_agree_on_what_is_a_packet(take):
         stream = b''
         for _ in range(3):
             payload = bytes(random.choice([0x7E, 0x00, 0x81, 0xFF, 0x44, 0x3F], 68).tolist())
-            packet = bytearray(codec.encode(payload))
+            packet = bytearray(codec.encode(payload, int(random.integers(2))))
             for _ in range(random.integers(0, 3)):
                 packet[random.integers(len(packet))] = random.integers(256)
             del packet[:random.choice([0, 0, 0, 5])]
             stream += bytes(packet)
-        expected = codec.Decoder(68).feed(stream, 0.0)
+        expected = codec.Decoder(68, (codec.PACKET_ID, codec.TURN_ID)).feed_packets(stream, 0.0)
         assert take(stream) == expected
         accepted += len(expected)
     assert accepted > 100

@@ -6,7 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from microbot_ros.drive.gate import ZERO, Gate, Limits, Reason
+from microbot_ros.drive.gate import Gate, Limits, Reason
+
+ZERO = (0.0,) * 4
 
 LIMITS = Limits(
     current_A=2.0, step_A=3.0, slew_A_per_s=10.0, command_timeout_s=0.125, deviation_A=0.25,
@@ -496,3 +498,32 @@ def test_random_commands_never_break_a_limit():
         total = np.array([rise[i:i + window].sum(axis=0) for i in range(len(rise) - window)])
         lasted = (times[window:] - times[:-window])[:len(total), None]
         assert np.all(total <= 3.0 + 10.0 * lasted + 1e-9)
+
+
+def test_without_feedback_it_keeps_every_rule_but_those_of_measurement():
+    limits = dataclasses.replace(LIMITS, command_timeout_s=32.0)
+    gate = Gate(limits, feedback=False)
+    assert gate.arm(0.0) is None
+    assert gate.command(only(0, 1.0), 0.0) == only(0, 1.0)
+    assert gate.tick(4.0) == only(0, 1.0)  # sixteen times what silence may last
+    assert gate.command(only(0, 2.0), 4.0) == only(0, 2.0)
+    # I²t of what was commanded: 1 − e^(−½), then towards 4 with the same constant.
+    heated = 4.0 + 8.0 * math.log((4 - (1 - math.exp(-0.5))) / 3)
+    assert gate.tick(math.nextafter(heated, 0) - 1e-9) == only(0, 2.0)
+    assert gate.tick(heated + 1e-9) == ZERO
+    assert tripped(gate, Reason.HEAT)
+    assert 'too hot' in gate.arm(heated + 1e-9)
+    for wanted, reason in ((only(1, math.nan), Reason.MALFORMED), (only(1, 2.5), Reason.LIMIT)):
+        gate = Gate(LIMITS, feedback=False)
+        assert gate.arm(0.0) is None
+        assert gate.command(wanted, 0.0) == ZERO
+        assert tripped(gate, reason)
+    gate = Gate(LIMITS, feedback=False)
+    gate.arm(0.0)
+    gate.command(only(1, 1.0), 0.0)
+    assert gate.tick(0.126) == ZERO
+    assert tripped(gate, Reason.STALE)
+
+
+def test_with_feedback_it_needs_it_to_be_armed():
+    assert 'no measured currents' in Gate(LIMITS).arm(0.0)

@@ -8,9 +8,11 @@ from hypothesis import strategies as st
 
 from microbot_ros.drive.amplifier import COILS, amplifier_class
 from microbot_ros.drive.coil_driver import CoilDriver
-from microbot_ros.drive.gate import ZERO, Limits
+from microbot_ros.drive.gate import Limits
 from microbot_ros.drive.self_check import SelfCheck
 from microbot_ros.errors import InputError
+
+ZERO = (0.0,) * 4
 
 FULL_SCALE_A = 2.0
 LIMITS = Limits(

@@ -7,21 +7,21 @@ import time
 import numpy as np
 import pytest
 
-from bench._served import FULL_SCALE_A, until
+from bench._served import FULL_SCALE_A, MEASURED, until
 from microbot_ros.drive import polled, sentinel
 from microbot_ros.drive.amplifier import Command, Watchdog, amplifier_class
-from microbot_ros.drive.emulator.process import DEVICES
 from microbot_ros.drive.errors import (
     AmplifierError,
     NoAnswerError,
     PortBusyError,
     WrongDeviceError,
 )
-from microbot_ros.drive.gate import ZERO
 from microbot_ros.errors import InputError
 
+ZERO = (0.0,) * 4
+
 DRIVING = (1.0, -1.0, 0.5, 0.2)
-PROTOCOLS = sorted(DEVICES)
+PROTOCOLS = MEASURED
 WITHOUT_WATCHDOG = ('modbus', 'scpi')
 
 every_protocol = pytest.mark.parametrize('protocol', PROTOCOLS)

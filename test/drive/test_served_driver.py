@@ -9,19 +9,20 @@ from concurrent.futures import Future
 
 import pytest
 
-from bench._served import FULL_SCALE_A, LIMITS, until
+from bench._served import FULL_SCALE_A, LIMITS, MEASURED, until
 from microbot_ros.drive import coil_driver, polled
 from microbot_ros.drive.amplifier import amplifier_class
 from microbot_ros.drive.coil_driver import CoilDriver
-from microbot_ros.drive.emulator.process import DEVICES
 from microbot_ros.drive.errors import (
     NoAnswerError,
 )
-from microbot_ros.drive.gate import ZERO, Limits, Reason
+from microbot_ros.drive.gate import Limits, Reason
 from microbot_ros.errors import InputError
 
+ZERO = (0.0,) * 4
+
 DRIVING = (1.0, -1.0, 0.5, 0.2)
-PROTOCOLS = sorted(DEVICES)
+PROTOCOLS = MEASURED
 WITHOUT_WATCHDOG = ('modbus', 'scpi')
 
 every_protocol = pytest.mark.parametrize('protocol', PROTOCOLS)
@@ -384,10 +385,10 @@ def test_whatever_fails_ends_in_zero_and_the_thread_goes_on(drivers, device, whe
     drive(driver, device)
     write = driver.amplifier.write
 
-    def refuse(currents, tag=None):
+    def refuse(currents, *more):
         if failing.is_set() and any(currents):
             raise RuntimeError('subscriber gone')
-        return write(currents, tag)
+        return write(currents, *more)
 
     if where == 'write':
         monkeypatch.setattr(driver.amplifier, 'write', refuse)

@@ -1,10 +1,13 @@
 """The batch fit on simulated and real recordings, beside the paper's recipe."""
 
 import json
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from oracles import sliding_near_a_wall
 
 from microbot_ros.errors import InputError
 from microbot_ros.estimation import report
@@ -48,6 +51,55 @@ def test_everything_comes_out_within_its_spread():
         assert not [text for text in result.warnings if 'Stokes' in text or 'too large' in text]
     # 36 deviates: their root mean square strays by 0.12.
     assert 0.65 < np.sqrt(np.mean(np.square(off))) < 1.4
+
+
+def near_a_floor(seed, height, told):
+    """A session above a floor, whose `session.yaml` tells a height (or None), and its speeds."""
+    rng = np.random.default_rng(seed)
+    swarm = draw_swarm(rng, 3, Fluid(1.245e-3, height=height), FIELD, half_extent=300e-6,
+                       spacing=100e-6)
+    session, _ = record_session(World(swarm, rng), steps(rng, 60.0, FIELD, (2.0, 6.0)),
+                                Camera(20.0, 0.0, 0.05e-6, 0.0), 60.0, rng,
+                                replace(CONDITIONS, height=told))
+    return session, swarm['speed']
+
+
+@pytest.mark.parametrize('height', [4.7e-6, 5.2e-6, 9e-6])
+def test_a_floor_is_named_where_nobody_stated_it(height):
+    exact = sliding_near_a_wall(height, 4.6e-6)
+    session, speed = near_a_floor(5, height, None)
+    found = fit(session)
+    said, = (text for text in found.warnings if 'Stokes' in text)
+    assert 'far from walls: most likely the particles swim near a floor' in said
+    guessed = float(re.search(r'A centre ([0-9.]+) µm above it', said)[1]) * 1e-6
+    # A spread of D that is known moves the height, by as much as it moves the drag.
+    spread = 4 * found.noise.diffusion_std / found.noise.diffusion * exact
+    assert abs(sliding_near_a_wall(guessed, 4.6e-6) - exact) < spread
+    assert found.force == pytest.approx(6 * np.pi * 1.245e-3 * 4.6e-6 * speed, rel=0.08)
+
+
+@pytest.mark.parametrize('height', [4.7e-6, 5.2e-6, 9e-6])
+def test_where_the_floor_is_stated_force_and_diffusion_are_those_above_it(height):
+    exact = sliding_near_a_wall(height, 4.6e-6)
+    session, speed = near_a_floor(5, height, height)
+    found = fit(session)
+    assert not [text for text in found.warnings if 'Stokes' in text]
+    assert found.force == pytest.approx(6 * np.pi * 1.245e-3 * 4.6e-6 * speed * exact, rel=0.08)
+
+
+@pytest.mark.parametrize(('conditions', 'said'), [
+    # ten times the drag: nearer than surfaces come
+    (Conditions(radius=4.6e-7, viscosity=1.245e-3), 'radius or viscosity are off'),
+    (Conditions(radius=9.2e-6, viscosity=1.245e-3), 'radius or viscosity are off'),
+    (Conditions(radius=4.6e-6, viscosity=1.245e-3, height=4.7e-6),
+     '4.7 µm above a floor: height, radius or viscosity are off'),
+])
+def test_a_floor_is_not_blamed_for_what_it_does_not_do(conditions, said):
+    session, _ = experiment(0)
+    warning, = (text for text in fit(replace(session, conditions=conditions)).warnings
+                if 'Stokes' in text)
+    assert said in warning
+    assert 'most likely' not in warning
 
 
 def test_a_delay_is_used_only_where_the_data_demand_it():

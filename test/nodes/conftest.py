@@ -170,11 +170,32 @@ def machine() -> Iterator[Machine]:
 
 
 @pytest.fixture
-def emulator(tmp_path: Path) -> Iterator[Emulator]:
+def emulator_options() -> tuple[str, ...]:
+    """What the emulated amplifier is beside the ordinary."""
+    return ()
+
+
+@pytest.fixture
+def emulator(tmp_path: Path, emulator_options: tuple[str, ...]) -> Iterator[Emulator]:
     """An emulated amplifier that is switched off at the end."""
-    made = Emulator(tmp_path)
+    made = Emulator(tmp_path, *emulator_options)
     yield made
     made.end()
+
+
+@pytest.fixture
+def emulator_in() -> Iterator[Callable[[Path], Emulator]]:
+    """Makes emulated amplifiers, each in a folder, that are switched off at the end."""
+    made: list[Emulator] = []
+
+    def start(folder: Path) -> Emulator:
+        folder.mkdir()
+        made.append(Emulator(folder))
+        return made[-1]
+
+    yield start
+    for emulator in made:
+        emulator.end()
 
 
 @pytest.fixture

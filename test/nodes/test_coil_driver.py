@@ -81,7 +81,7 @@ def test_a_field_that_is_no_number_latches_zero(
     graph.until(lambda: emulator.zero)
     level, sentence, _ = driver.health()
     assert level == b'\x02'
-    assert 'not four finite numbers' in sentence
+    assert 'not a finite number for each coil' in sentence
     _command(graph, 3e-3, 0.0)  # and stays latched
     sent = driver._driver.amplifier.counters
     begin = sent.frames_sent

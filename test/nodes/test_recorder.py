@@ -63,11 +63,12 @@ def test_tracks_commands_and_every_second_frame(ros: Any, tmp_path: Path) -> Non
     assert (session.commands.field == [1e-3, 0.0]).all()
 
 
+@pytest.mark.parametrize('height', [{}, {'height_um': 1.8}])
 def test_the_conditions_that_the_model_knows_are_in_the_recording(
-        ros: Any, tmp_path: Path) -> None:
+        ros: Any, tmp_path: Path, height: dict[str, float]) -> None:
     folder = tmp_path / 'recording'
     graph = ros({'recorder': {'folder': str(folder)},
-                 'model': {'radius_um': 1.5, 'viscosity_mPa_s': 0.9}})
+                 'model': {'radius_um': 1.5, 'viscosity_mPa_s': 0.9, **height}})
     assert graph.add('model').active
     recorder = graph.add('recorder')
     particles = graph.probe.create_publisher(PointCloud2, 'particles', 10)
@@ -80,6 +81,7 @@ def test_the_conditions_that_the_model_knows_are_in_the_recording(
     conditions = read_session(folder).conditions
     assert conditions.radius == pytest.approx(1.5e-6)
     assert conditions.viscosity == pytest.approx(0.9e-3)
+    assert conditions.height == (pytest.approx(1.8e-6) if height else None)
 
 
 def test_every_parameter_and_the_files_that_they_name_are_kept(ros: Any, tmp_path: Path) -> None:

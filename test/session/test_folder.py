@@ -51,6 +51,14 @@ def test_reads_si_values_from_the_units_of_the_names(tmp_path):
     assert session.name == tmp_path.name
 
 
+def test_a_height_above_the_floor_is_kept(tmp_path):
+    (tmp_path / 'copy').mkdir()
+    session = read_session(folder(tmp_path, yaml='radius_um: 2.5\nheight_um: 2.8\n'))
+    assert session.conditions == Conditions(radius=2.5e-6, height=2.8e-6)
+    write_session(tmp_path / 'copy', session)
+    assert read_session(tmp_path / 'copy').conditions == session.conditions
+
+
 def test_rolling_commands_point_where_they_say_and_make_the_session_rolling(tmp_path):
     rows = 't_s,direction_rad,frequency_hz\n0,0,0\n0.05,1.5707963267948966,7\n'
     session = read_session(folder(tmp_path, commands=rows, yaml='reference_field_mT: 3\n'))
@@ -126,6 +134,10 @@ def test_bad_commands_are_refused_with_file_and_line(tmp_path, commands, line, s
 @pytest.mark.parametrize(('yaml', 'said'), [
     ('propulsion: magic', 'propulsion'), ('radius_um: -1', 'radius_um'),
     ('radius_um: .nan', 'radius_um'), ('raduis_um: 1', 'raduis_um'),
+    ('{radius_um: 2.3, height_um: 2.3}', 'more than radius_um, 2.3'),
+    ('{height_um: 2, radius_um: 2.3}', 'more than radius_um, 2.3'),
+    ('height_um: .inf', 'height_um'), ('height_um: .nan', 'height_um'),
+    ('height_um: 0', 'height_um'),
 ])
 def test_bad_conditions_are_refused(tmp_path, yaml, said):
     with pytest.raises(InputError, match=said) as refusal:
@@ -175,7 +187,9 @@ def test_a_session_survives_the_round_trip(tmp_path_factory, seed, with_heading)
         rng.normal(0, 1e-5, (len(t), 2))[seen], theta[seen], np.full(seen.sum(), np.nan),
     )
     commands = Commands(np.sort(rng.uniform(-1, 0, 4)), rng.normal(0, 1e-3, (4, 2)))
-    conditions = Conditions('catalytic', *rng.uniform(1e-6, 300, 6).tolist())
+    conditions = Conditions('catalytic', *rng.uniform(
+        (1e-8, 1e-6, 1, 1e-3, 1e-9, 1e-6), (1e-2, 300, 300, 300, 1e-2, 9)).tolist(),
+        height=float(rng.uniform(1e-2, 1e-1)))
     session = Session(tracks, commands, conditions)
     path = tmp_path_factory.mktemp('session') / 'copy'
     write_session(path, session)

@@ -10,7 +10,8 @@ from typing import TextIO
 
 
 class Coils:
-    """Four currents within ±`full_scale_A` that change at once, and the watchdog that zeroes them.
+    """Currents of so many `channels` within ±`full_scale_A` that change at once, and the watchdog
+    that zeroes them.
 
     Every change is one line of JSON in `log`, flushed: `t_monotonic_s`, `currents_A`, `cause`.
     `watchdog_s` is how long after the last good command the currents go to zero; None models
@@ -18,24 +19,31 @@ class Coils:
     """
 
     def __init__(self, full_scale_A: float, watchdog_s: float | None, log: TextIO,
-                 clock: Callable[[], float] = time.monotonic) -> None:
+                 clock: Callable[[], float] = time.monotonic, channels: int = 4) -> None:
+        self.channels = channels
         self.full_scale_A = full_scale_A
         self.watchdog_s = watchdog_s
         self.currents_A: tuple[float, ...] = ()
         """What flows, and is measured."""
-        self._wanted: list[float] = [0.0] * 4
-        self._shares: tuple[float, ...] = (1.0,) * 4
+        self._wanted: list[float] = [0.0] * channels
+        self._shares: tuple[float, ...] = (1.0,) * channels
         self._log = log
         self._clock = clock
         self._deadline_s = math.inf
         self.zero('reset')
 
-    def command(self, wanted_A: dict[int, float] | Sequence[float]) -> None:
-        """Take `wanted_A` [A], of some coils, by index, or of all, and feed the watchdog."""
-        self.feed()
+    def command(self, wanted_A: dict[int, float] | Sequence[float], feeds: bool = True) -> None:
+        """Take `wanted_A` [A], of some coils, by index, or of all.
+
+        That `feeds` the watchdog where a host has asked for it. A channel without a coil carries
+        nothing.
+        """
+        if feeds:
+            self.feed()
         for coil, current in dict(wanted_A if isinstance(wanted_A, dict)
                                   else enumerate(wanted_A)).items():
-            self._wanted[coil] = current
+            if coil < self.channels:
+                self._wanted[coil] = current
         self._settle('command')
 
     def feed(self) -> None:
@@ -46,7 +54,7 @@ class Coils:
     def zero(self, cause: str) -> None:
         """Zero for a reason other than a command; the watchdog rests until the next command."""
         self._deadline_s = math.inf
-        self._wanted = [0.0] * 4
+        self._wanted = [0.0] * self.channels
         self._settle(cause)
 
     def conduct(self, shares: tuple[float, ...], cause: str) -> None:

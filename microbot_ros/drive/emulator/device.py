@@ -11,11 +11,13 @@ from microbot_ros.drive.emulator.coils import Coils
 class Device(ABC):
     """An amplifier of some `coils` as its bytes show it: no clock of its own, no port, no file."""
 
-    ports = 1
-    """How many serial lines it has."""
+    channels_per_port = 0
+    """How many channels a serial line serves; 0 for all."""
 
     def __init__(self, coils: Coils) -> None:
         self.coils = coils
+        self.ports = math.ceil(coils.channels / (self.channels_per_port or coils.channels))
+        """How many serial lines it has."""
         self.wrong_device = False
         """Whether it answers as another model would."""
         self.hot = False

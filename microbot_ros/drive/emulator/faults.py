@@ -19,15 +19,16 @@ KINDS: dict[str, tuple[float, str]] = {
     'reset': (500.0, 'restart the device, which is deaf and dumb for VALUE ms'),
     'wrong_reply': (0.0, 'answer as another model does'),
     'over_temperature': (0.0, 'switch the outputs off for heat'),
-    'open': (1.0, 'break the wire of coil VALUE, 1 to 4'),
-    'reversed': (1.0, 'let the current of coil VALUE, 1 to 4, flow the other way'),
-    'half_gain': (1.0, 'let half the current flow in coil VALUE, 1 to 4'),
+    'open': (1.0, 'break the wire of coil VALUE'),
+    'reversed': (1.0, 'let the current of coil VALUE flow the other way'),
+    'half_gain': (1.0, 'let half the current flow in coil VALUE'),
     'unplug': (0.0, 'take the line away'),
 }
 """Kind of fault → value where none is given, what it does."""
 
 _SHARES = {'open': 0.0, 'reversed': -1.0, 'half_gain': 0.5}
 """Fault of one coil → the share of its current that flows."""
+_MOST_COILS = 16
 _BYTE_FAULTS = frozenset({'drop', 'flip', 'double'})
 _SYNTAX = re.compile(r'([a-z_]+)(?:=([\d.]+))?(?:@([\d.]+))?(?:\+([\d.]+))?')
 
@@ -69,7 +70,7 @@ def parse(text: str, now_s: float) -> Fault:
 
 def _valid(kind: str, value: float) -> bool:
     if kind in _SHARES:
-        return value in (1.0, 2.0, 3.0, 4.0)
+        return value in range(1, _MOST_COILS + 1)
     return 0.0 <= value <= (1.0 if kind in _BYTE_FAULTS | {'truncate'} else 60_000.0)
 
 
@@ -90,14 +91,15 @@ class Faults:
         return next((fault.value for fault in self._faults
                      if fault.kind == kind and fault.start_s <= now_s < fault.end_s), None)
 
-    def conducted(self, now_s: float) -> tuple[tuple[float, ...], str]:
-        """The share of its current that each coil carries at `now_s`, and the fault that says so.
+    def conducted(self, now_s: float, coils: int) -> tuple[tuple[float, ...], str]:
+        """The share of its current that each of so many `coils` carries at `now_s`, and the fault
+        that says so. A fault of a coil that is not there is none.
         """
         if self.value('over_temperature', now_s) is not None:
-            return (0.0,) * 4, 'over_temperature'
-        shares, cause = [1.0] * 4, 'repaired'
+            return (0.0,) * coils, 'over_temperature'
+        shares, cause = [1.0] * coils, 'repaired'
         for kind, share in _SHARES.items():
-            if (coil := self.value(kind, now_s)) is not None:
+            if (coil := self.value(kind, now_s)) is not None and coil <= coils:
                 shares[int(coil) - 1], cause = share, kind
         return tuple(shares), cause
 

@@ -27,6 +27,7 @@ DEVICES = {
     'scpi': 'microbot_ros.drive.scpi.emulated:Supplies',
     'roboclaw': 'microbot_ros.drive.roboclaw.emulated:Controllers',
     'modbus': 'microbot_ros.drive.modbus.emulated:Bridges',
+    'sabertooth': 'microbot_ros.drive.sabertooth.emulated:Controllers',
     'roboteq': 'microbot_ros.drive.roboteq.emulated:Controllers',
 }
 """Protocol → emulated device, imported only where it is emulated."""
@@ -40,19 +41,20 @@ def make_device(protocol: str, coils: Coils) -> Device:
 
 
 def run(protocol: str, link: Path, log: Path | None, full_scale_A: float,
-        watchdog_s: float | None, faults: list[str]) -> None:
+        watchdog_s: float | None, faults: list[str], channels: int = 4) -> None:
     """Emulate until it is to end (`Ending`); then the coils are at zero and the link is gone.
 
-    `full_scale_A` and `watchdog_s` are the device's; `faults` as `parse` reads them. A protocol
-    with several ports gets the links `link`-1, `link`-2 and so on. A fault `-` means
-    that more come on standard input, one a line. Raises InputError for a link or a log that
-    cannot be made and for a fault that is none.
+    `full_scale_A`, `watchdog_s` and the number of `channels` are the device's; `faults` as
+    `parse` reads them. A protocol with several ports gets the links `link`-1, `link`-2 and so on.
+    A fault `-` means that more come on standard input, one a line. Raises InputError for
+    a link or a log that cannot be made and for a fault that is none.
     """
     started = time.monotonic()
     planned = Faults([parse(text, started) for text in faults if text != '-'])
     with Ending(launcher=find_launcher()) as ending, ExitStack() as stack:
         diary = stack.enter_context(_Diary(stack.enter_context(_open_log(log))))
-        coils = Coils(full_scale_A, watchdog_s, cast(TextIO, diary))
+        coils = Coils(full_scale_A, watchdog_s, cast(TextIO, diary),
+                      channels=channels)
         device = make_device(protocol, coils)
         lines = []
         for path in links(link, device.ports):

@@ -82,7 +82,7 @@ class Server:
             device.reset()
         device.wrong_device = faults.value('wrong_reply', now_s) is not None
         device.hot = faults.value('over_temperature', now_s) is not None
-        device.coils.conduct(*faults.conducted(now_s))
+        device.coils.conduct(*faults.conducted(now_s, device.coils.channels))
         unplugged = faults.value('unplug', now_s) is not None
         for line in self._lines:
             if unplugged:

@@ -1,4 +1,4 @@
-"""Driver for four Modbus RTU H-bridges, slaves 1 to 4 on one line.
+"""Driver for Modbus RTU H-bridges, slaves 1, 2, … on one line.
 
 The bridges have no watchdog: when the host dies they keep their last duty.
 """
@@ -14,7 +14,6 @@ from microbot_ros.drive.polled import Exchange, PolledAmplifier, Talk
 
 EVERY_SLAVE = 0
 """Takes what all slaves are to obey and none answers (Modbus over serial line, 2.1)."""
-SLAVES = (1, 2, 3, 4)
 _HOTTEST_C = 85.0
 """What electronics of the industrial grade are made for."""
 
@@ -26,8 +25,12 @@ class ModbusAmplifier(PolledAmplifier):
     gap_s = 0.002
     resolution_A = 0.001
 
+    @property
+    def _slaves(self) -> range:
+        return range(1, self.channels + 1)
+
     def _identify(self) -> Talk[None]:
-        for slave in SLAVES:
+        for slave in self._slaves:
             yield self._set(slave, codec.DUTY_PERCENT, 0)
             yield self._set(slave, codec.ENABLE, 1)
 
@@ -35,19 +38,19 @@ class ModbusAmplifier(PolledAmplifier):
         duties = (currents_A / self.full_scale_A).tolist()
         if not any(duties):
             yield Exchange(self._zeros(), rest_s=self.gap_s)
-        for slave, duty in zip(SLAVES, duties, strict=True):
+        for slave, duty in zip(self._slaves, duties, strict=True):
             yield self._set(slave, codec.DUTY_PERCENT, codec.duty_percent(duty))
 
     def _measure(self) -> Talk[np.ndarray]:
         currents = []
-        for slave in SLAVES:
+        for slave in self._slaves:
             answer, = yield self._get(slave, range(codec.CURRENT_MA, codec.CURRENT_MA + 1))
             currents.append(answer[0] * 1e-3)
         return np.array(currents)
 
     def _inspect(self) -> Talk[str]:
         fault = ''
-        for slave in SLAVES:
+        for slave in self._slaves:
             temperatures, = yield self._get(slave, codec.TEMPERATURES)
             hottest = max(temperatures) * 1e-2
             if not hottest <= _HOTTEST_C:
@@ -58,7 +61,7 @@ class ModbusAmplifier(PolledAmplifier):
         return [codec.write(EVERY_SLAVE, codec.DUTY_PERCENT, 0)]
 
     def _switch_off(self) -> Talk[None]:
-        for slave in SLAVES:
+        for slave in self._slaves:
             yield self._set(slave, codec.ENABLE, 0)
 
     def _get(self, slave: int, registers: range) -> Exchange:

@@ -1,4 +1,4 @@
-"""Four emulated H-bridges, slaves 1 to 4 of one Modbus RTU line."""
+"""Emulated H-bridges, slaves 1, 2, … of one Modbus RTU line."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pymodbus.pdu.register_message import (
 from microbot_ros.drive.emulator.coils import Coils
 from microbot_ros.drive.emulator.device import Device
 from microbot_ros.drive.modbus import codec
-from microbot_ros.drive.modbus.driver import EVERY_SLAVE, SLAVES
+from microbot_ros.drive.modbus.driver import EVERY_SLAVE
 
 _GAP_S = 0.00175
 """Above 19 200 baud a silence of 1.75 ms ends a frame (Modbus over serial line, 2.5.1.1)."""
@@ -39,7 +39,8 @@ class Bridges(Device):
         super().reset()
         self._pending = b''
         self._last_byte_s = 0.0
-        self._values = {slave: [0] * _REGISTERS for slave in SLAVES}
+        self._values = {slave: [0] * _REGISTERS for slave
+                        in range(1, self.coils.channels + 1)}
 
     def receive(self, port: int, data: bytes, now_s: float) -> bytes:
         if now_s - self._last_byte_s > _GAP_S:
@@ -63,21 +64,21 @@ class Bridges(Device):
 
     def _obey(self, request: ModbusPDU) -> bytes:
         if request.dev_id == EVERY_SLAVE:
-            for slave in SLAVES:
+            for slave in self._values:
                 request.dev_id = slave
                 self._answer(request)
             return b''
-        if request.dev_id not in SLAVES:
+        if request.dev_id not in self._values:
             return b''
         answer = self._answer(request)
-        answer.dev_id = request.dev_id + len(SLAVES) if self.wrong_device else request.dev_id
+        answer.dev_id = request.dev_id + len(self._values) if self.wrong_device else request.dev_id
         return self._framer.buildFrame(answer)
 
     def _answer(self, request: ModbusPDU) -> ModbusPDU:
         values = self._values[request.dev_id]
         end = request.address + max(request.count, 1)
         if isinstance(request, ReadHoldingRegistersRequest) and end <= _REGISTERS:
-            current = self.coils.currents_A[SLAVES.index(request.dev_id)]
+            current = self.coils.currents_A[request.dev_id - 1]
             values[codec.CURRENT_MA] = round(current * 1e3) & 0xFFFF
             for register in codec.TEMPERATURES:
                 values[register] = _HOT if self.hot else _COOL
@@ -93,4 +94,4 @@ class Bridges(Device):
         percent = struct.unpack('>h', values[codec.DUTY_PERCENT].to_bytes(2, 'big'))[0]
         if -100 <= percent <= 100:
             share = percent / 100 if values[codec.ENABLE] == 1 else 0.0
-            self.coils.command({SLAVES.index(slave): share * self.coils.full_scale_A})
+            self.coils.command({slave - 1: share * self.coils.full_scale_A})

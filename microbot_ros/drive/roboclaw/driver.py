@@ -1,4 +1,4 @@
-"""Driver for two RoboClaw controllers on one line: coils 1 and 2 at 0x80, 3 and 4 at 0x81."""
+"""Driver for RoboClaw controllers on one line: coils 1 and 2 at 0x80, 3 and 4 at 0x81, …"""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from microbot_ros.drive.errors import WrongDeviceError
 from microbot_ros.drive.polled import Exchange, PolledAmplifier, Talk
 from microbot_ros.drive.roboclaw import codec
 
-ADDRESSES = (0x80, 0x81)
+ADDRESSES = range(0x80, 0x88)
+"""Of the controllers; each has two channels."""
 _WATCHDOG_S = 0.1
 _MODEL = 'roboclaw'
 _HOTTEST_C = 85.0
@@ -27,8 +28,12 @@ class RoboclawAmplifier(PolledAmplifier):
     watchdog = Watchdog.ARMED
     resolution_A = 0.01
 
+    @property
+    def _addresses(self) -> range:
+        return ADDRESSES[:-(-self.channels // 2)]
+
     def _identify(self) -> Talk[None]:
-        for address in ADDRESSES:
+        for address in self._addresses:
             name, = yield self._query(codec.ask_version(address), codec.version, 'a version')
             if _MODEL not in name.lower():
                 raise WrongDeviceError(self.url, 'a RoboClaw', name)
@@ -40,19 +45,20 @@ class RoboclawAmplifier(PolledAmplifier):
                 raise WrongDeviceError(self.url, expected, f'{armed:g} s')
 
     def _drive(self, currents_A: np.ndarray) -> Talk[None]:
-        duties = (currents_A / self.full_scale_A).tolist()
-        yield self._obeyed(codec.drive(ADDRESSES[0], duties[0], duties[1]))
-        yield self._obeyed(codec.drive(ADDRESSES[1], duties[2], duties[3]))
+        duties = [*(currents_A / self.full_scale_A).tolist(), 0.0]  # of a channel that is spare
+        for address, first, second in zip(self._addresses, duties[::2], duties[1::2],
+                                          strict=False):
+            yield self._obeyed(codec.drive(address, first, second))
 
     def _measure(self) -> Talk[np.ndarray]:
         found = []
-        for address in ADDRESSES:
+        for address in self._addresses:
             found += yield self._query(codec.ask_currents(address), codec.currents, 'currents')
-        return np.ravel(found)
+        return np.ravel(found)[:self.channels]
 
     def _inspect(self) -> Talk[str]:
         fault = ''
-        for address in ADDRESSES:
+        for address in self._addresses:
             found, = yield self._query(codec.ask_temperature(address), codec.temperature,
                                        'a temperature')
             if not found <= _HOTTEST_C:
@@ -61,7 +67,7 @@ class RoboclawAmplifier(PolledAmplifier):
         return fault
 
     def _zeros(self) -> list[bytes]:
-        return [b''.join(codec.drive(address, 0.0, 0.0) for address in ADDRESSES)]
+        return [b''.join(codec.drive(address, 0.0, 0.0) for address in self._addresses)]
 
     def _obeyed(self, packet: bytes) -> Exchange:
         return Exchange([packet], lambda received: received == codec.ACKNOWLEDGED or None, 'FF')

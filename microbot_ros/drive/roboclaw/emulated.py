@@ -1,7 +1,8 @@
-"""Two emulated RoboClaw controllers on one line."""
+"""Emulated RoboClaw controllers on one line."""
 
 from __future__ import annotations
 
+import math
 import struct
 
 from microbot_ros.drive.emulator.device import Device
@@ -26,7 +27,7 @@ class Controllers(Device):
         self.coils.watchdog_s = None
         self._pending = b''
         self._last_byte_s = 0.0
-        self._timeouts = dict.fromkeys(ADDRESSES, 0)
+        self._timeouts = dict.fromkeys(ADDRESSES[:math.ceil(self.coils.channels / 2)], 0)
 
     def receive(self, port: int, data: bytes, now_s: float) -> bytes:
         if now_s - self._last_byte_s > _GAP_S:
@@ -36,7 +37,7 @@ class Controllers(Device):
         answers = b''
         while len(self._pending) >= 2:
             address, command = self._pending[:2]
-            if address not in ADDRESSES or command not in _LENGTHS:
+            if address not in self._timeouts or command not in _LENGTHS:
                 self._pending = self._pending[1:]
                 continue
             if len(self._pending) < (length := _LENGTHS[command]):
@@ -65,8 +66,9 @@ class Controllers(Device):
             return bytes((self._timeouts[address],))
         if command == codec.GET_TEMPERATURE:
             return (_HOT if self.hot else _COOL).to_bytes(2, 'big')
-        return struct.pack('>hh', *(round(self.coils.currents_A[coil] / codec.CURRENT_STEP_A)
-                                    for coil in _coils(address)))
+        first = _first_coil(address)
+        both = (*self.coils.currents_A, 0.0)[first:first + 2]
+        return struct.pack('>hh', *(round(current / codec.CURRENT_STEP_A) for current in both))
 
     def _obey(self, address: int, command: int, data: bytes) -> None:
         if command == codec.SET_TIMEOUT:
@@ -75,11 +77,9 @@ class Controllers(Device):
             self.coils.watchdog_s = longest * codec.TIMEOUT_STEP_S if longest else None
         else:
             scale = self.coils.full_scale_A / codec.FULL_DUTY
-            duties = struct.unpack('>hh', data)
             self.coils.command({coil: duty * scale for coil, duty
-                                in zip(_coils(address), duties, strict=True)})
+                                in enumerate(struct.unpack('>hh', data), _first_coil(address))})
 
 
-def _coils(address: int) -> range:
-    first = 2 * ADDRESSES.index(address)
-    return range(first, first + 2)
+def _first_coil(address: int) -> int:
+    return 2 * ADDRESSES.index(address)

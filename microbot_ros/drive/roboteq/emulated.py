@@ -1,4 +1,4 @@
-"""Two emulated Roboteq controllers, one on each line."""
+"""Emulated Roboteq controllers, one on each line."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Controllers(Device):
     The watchdog is one for both controllers here: the driver sets them alike.
     """
 
-    ports = 2
+    channels_per_port = 2
 
     def reset(self) -> None:
         super().reset()
@@ -44,8 +44,8 @@ class Controllers(Device):
             case ['?FID']:
                 return 'FID=' + ('Sabertooth' if self.wrong_device else 'Roboteq v2.1 SDC2130')
             case ['?A']:
-                tenths = [round(current / codec.CURRENT_STEP_A)
-                          for current in self.coils.currents_A[2 * port:2 * port + 2]]
+                both = (*self.coils.currents_A, 0.0)[2 * port:2 * port + 2]
+                tenths = [round(current / codec.CURRENT_STEP_A) for current in both]
                 return f'A={tenths[0]}:{tenths[1]}'
             case ['?FF']:
                 return f'FF={int(self.hot)}'

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from microbot_ros.drive.amplifier import COILS
 from microbot_ros.drive.errors import WrongDeviceError
 from microbot_ros.drive.polled import Exchange, PolledAmplifier, Talk
 from microbot_ros.drive.scpi import codec
@@ -20,9 +19,9 @@ _LIMIT_AGREES = 1e-2  # supplies answer with three digits
 
 
 class ScpiAmplifier(PolledAmplifier):
-    """Four supplies; `full_scale_A` becomes their own protection limit."""
+    """A supply a coil; `full_scale_A` becomes their own protection limit."""
 
-    ports = len(COILS)
+    channels_per_port = 1
     baud = 9_600
     xon_xoff = True
     period_s = 0.05

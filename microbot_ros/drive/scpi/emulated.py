@@ -1,4 +1,4 @@
-"""Four emulated Kepco BOP supplies."""
+"""Emulated Kepco BOP supplies."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class Supplies(Device):
     does.
     """
 
-    ports = 4
+    channels_per_port = 1
 
     def __init__(self, coils: Coils) -> None:
         coils.watchdog_s = None

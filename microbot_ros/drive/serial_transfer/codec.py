@@ -1,11 +1,11 @@
-"""The SerialTransfer packet and the two payloads that a coil board exchanges in it.
+"""The SerialTransfer packet and the payloads that a coil board exchanges in it.
 
     7E · id · overhead · length · payload · CRC-8 · 81
 
 Only 7E is stuffed: `overhead` is the index of the first 7E in the payload (FF: there is none),
 and each 7E is replaced by the distance to the next, the last by 0. The CRC, polynomial 0x9B and
 initial value 0, covers the stuffed payload and nothing else, so the decoder also insists on the
-one id and payload length of its direction and on a chain of stuffed bytes that holds together:
+ids and the payload length of its direction and on a chain of stuffed bytes that holds together:
 what it accepts is byte for byte what `encode` would have sent.
 """
 
@@ -13,10 +13,10 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 START, END = 0x7E, 0x81
-PACKET_ID = 0x00
+PACKET_ID, TURN_ID = 0x00, 0x01
 NOTHING_STUFFED = 0xFF
 MAX_PAYLOAD = 254
 STALL_S = 0.05
@@ -24,6 +24,8 @@ STALL_S = 0.05
 
 _HEADER, _TRAILER = 4, 2
 _COMMAND = struct.Struct('<17f')
+_TURN = struct.Struct('<18hf28x')  # as long as a command
+_WHOLE = 32767  # a duty of 1 among what turns
 _MEASUREMENT = struct.Struct('<6f')
 _FIRST_DUTY = 11  # after amplitude, B, angles, frequency, psi, gradient and the two modes
 COILS = 6
@@ -49,8 +51,10 @@ def crc8(data: bytes) -> int:
     return crc
 
 
-def encode(payload: bytes) -> bytes:
-    """The packet that carries a payload of 1 to 254 bytes; ValueError for any other length."""
+def encode(payload: bytes, packet_id: int = PACKET_ID) -> bytes:
+    """The packet of a `packet_id` that carries a `payload` of 1 to 254 bytes; ValueError for any
+    other length.
+    """
     if not 1 <= len(payload) <= MAX_PAYLOAD:
         raise ValueError(f'payload must be 1 to {MAX_PAYLOAD} bytes; received {len(payload)}')
     stuffed = bytearray(payload)
@@ -59,7 +63,7 @@ def encode(payload: bytes) -> bytes:
         if payload[index] == START:
             stuffed[index] = following - index if following else 0
             overhead = following = index
-    header = bytes((START, PACKET_ID, overhead, len(payload)))
+    header = bytes((START, packet_id, overhead, len(payload)))
     return header + stuffed + bytes((crc8(bytes(stuffed)), END))
 
 
@@ -79,24 +83,32 @@ def _unstuff(stuffed: bytes, overhead: int) -> bytes | None:
 class Decoder:
     """Turns bytes as they come into payloads of `payload_length`, and never passes a bad one.
 
+    `ids` are those of the packets that there are.
+
     After damage it looks for the next start byte right behind the last one it believed, so a
     good packet is never lost with a bad one in front of it.
     """
 
-    def __init__(self, payload_length: int) -> None:
+    def __init__(self, payload_length: int, ids: Collection[int] = (PACKET_ID,)) -> None:
         self.crc_errors = 0
         """Packets with both end marks in place and a wrong CRC."""
         self.discarded_bytes = 0
         """Bytes that were part of no good packet: noise, another protocol, damage."""
         self._length = payload_length
         self._header = (
-            {PACKET_ID}, {*range(payload_length), NOTHING_STUFFED}, {payload_length})
+            {*ids}, {*range(payload_length), NOTHING_STUFFED}, {payload_length})
         self._pending = bytearray()
         self._last_byte_s = -math.inf
 
     def feed(self, data: bytes, now_s: float) -> list[bytes]:
         """The payloads completed by `data`, which arrived at `now_s` on the monotonic clock."""
-        payloads: list[bytes] = []
+        return [payload for _, payload in self.feed_packets(data, now_s)]
+
+    def feed_packets(self, data: bytes, now_s: float) -> list[tuple[int, bytes]]:
+        """The payloads completed by `data`, which arrived at `now_s` [s], after the ids of their
+        packets.
+        """
+        payloads: list[tuple[int, bytes]] = []
         if self._pending and now_s - self._last_byte_s > STALL_S:
             self._discard(1)
             self._take(payloads)
@@ -107,7 +119,7 @@ class Decoder:
             self._take(payloads)
         return payloads
 
-    def _take(self, payloads: list[bytes]) -> None:
+    def _take(self, payloads: list[tuple[int, bytes]]) -> None:
         """Move every complete payload out of the pending bytes; what may yet be one stays."""
         pending, size = self._pending, _HEADER + self._length + _TRAILER
         while (start := pending.find(START)) >= 0:
@@ -119,7 +131,7 @@ class Decoder:
             elif (payload := self._payload(bytes(pending[:size]))) is None:
                 self._discard(1)
             else:
-                payloads.append(payload)
+                payloads.append((pending[1], payload))
                 del pending[:size]
         self._discard(len(pending))
 
@@ -137,7 +149,7 @@ class Decoder:
         if end == END and crc != crc8(stuffed):
             self.crc_errors += 1
         payload = _unstuff(stuffed, packet[2])
-        return payload if payload is not None and encode(payload) == packet else None
+        return payload if payload is not None and encode(payload, packet[1]) == packet else None
 
 
 COMMAND_BYTES = _COMMAND.size
@@ -160,6 +172,36 @@ def duties(payload: bytes) -> tuple[float, ...] | None:
     """The six duties of a command's `payload`; None where one is not between −1 and 1, as NaN."""
     values = _COMMAND.unpack(payload)[_FIRST_DUTY:]
     return values if all(-1.0 <= value <= 1.0 for value in values) else None
+
+
+def turn(parts: Sequence[Sequence[float]], rate: float) -> bytes:
+    """The payload of duties that turn: at t after it comes a + b cos t·`rate` + c sin t·`rate`.
+
+    The `parts` are a, b and c, each for coils 1, 2, … as in `command`; `rate` is in rad/s. Only
+    boards with the reference firmware know it. ValueError for parts that together leave −1 … 1 on
+    the way, and for a rate that is not finite.
+    """
+    if len(parts[0]) > COILS or not (_within(parts, 1.0) and math.isfinite(rate)):
+        raise ValueError(f'duties must be up to {COILS} values that stay in −1 … 1, and a finite '
+                         f'rate; received {parts} and {rate}')
+    rest = (0,) * (COILS - len(parts[0]))
+    return _TURN.pack(*(step for part in parts
+                        for step in (*(round(_WHOLE * duty) for duty in part), *rest)), rate)
+
+
+def _within(parts: Sequence[Sequence[float]], bound: float) -> bool:
+    return all(abs(a) + math.hypot(b, c) <= bound for a, b, c in zip(*parts, strict=True))
+
+
+def turning(payload: bytes) -> tuple[list[tuple[float, ...]], float] | None:
+    """Steady, cosine and sine part of the six duties in a `payload`, and the rate [rad/s].
+
+    None where they leave −1 … 1 on the way or the rate is not finite.
+    """
+    *steps, rate = _TURN.unpack(payload)
+    parts = [tuple(step / _WHOLE for step in steps[k:k + COILS]) for k in range(0, 18, COILS)]
+    rounded = 1.0 + 2 / _WHOLE
+    return (parts, rate) if _within(parts, rounded) and math.isfinite(rate) else None
 
 
 def measurement(currents_A: Sequence[float]) -> bytes:

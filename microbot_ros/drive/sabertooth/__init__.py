@@ -1,0 +1,1 @@
+"""Sabertooth packet serial: two-channel controllers that listen and never answer."""

@@ -1,0 +1,112 @@
+"""The field of a coil as measured or computed on a grid of places."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from microbot_ros.errors import InputError
+from microbot_ros.magnetics.sources import as_points
+from microbot_ros.magnetics.table import read_table
+from microbot_ros.units import from_si, to_si
+
+COLUMNS = ('x_mm', 'y_mm', 'z_mm', 'bx_mT_per_A', 'by_mT_per_A', 'bz_mT_per_A')
+_FIELD = 'field_mT_per_A'
+
+
+class FieldMap:
+    """Field per ampere between the places of a grid, by cubic splines; NaN outside.
+
+    `places`: the three rising axes of the grid [m], two or more places each. `field` (X, Y, Z, 3)
+    [T/A] at them. The gradient is that of the splines. With three places along an axis the spline
+    is quadratic there, with two linear. InputError naming `source` for anything else.
+    """
+
+    def __init__(self, places: tuple[np.ndarray, ...], field: np.ndarray,
+                 source: str | Path = 'field_map') -> None:
+        from scipy.interpolate import NdBSpline, make_interp_spline
+        if field.shape != (*map(len, places), 3) or not np.isfinite(field).all():
+            raise InputError(source, 'expected a finite field at each place of the grid, an array '
+                             f'of {(*map(len, places), 3)}, got one of {field.shape}')
+        for name, along in zip('xyz', places, strict=True):
+            if len(along) < 2 or not (np.isfinite(along).all() and (np.diff(along) > 0).all()):
+                raise InputError(source, f'expected two or more places along {name}, rising')
+        knots, degrees = [], []
+        for axis, along in enumerate(places):
+            spline = make_interp_spline(along, field, min(3, len(along) - 1), axis=axis)
+            # Its coefficients come with the axis in front.
+            field = np.moveaxis(spline.c, 0, axis)
+            knots.append(spline.t)
+            degrees.append(spline.k)
+        self._spline = NdBSpline(tuple(knots), np.ascontiguousarray(field), tuple(degrees))
+        self._low, self._high = (np.array([along[end] for along in places]) for end in (0, -1))
+
+    def field_per_ampere(self, points: ArrayLike) -> np.ndarray:
+        """Field [T/A] at points (M, 3) [m]: (M, 3); NaN outside the grid."""
+        return self._evaluate(as_points(points), (0, 0, 0))
+
+    def gradient_per_ampere(self, points: ArrayLike) -> np.ndarray:
+        """Gradient ∂Bᵢ/∂xⱼ [T/m/A] at points (M, 3) [m]: (M, 3, 3); NaN outside the grid."""
+        points = as_points(points)
+        return np.stack([self._evaluate(points, orders) for orders in np.eye(3, dtype=int)], -1)
+
+    def margin(self, point: np.ndarray) -> float:
+        """Distance [m] from a point (3,) [m] to the nearest side of the grid; negative outside."""
+        return float(np.minimum(point - self._low, self._high - point).min())
+
+    def _evaluate(self, points: np.ndarray, orders: ArrayLike) -> np.ndarray:
+        return np.asarray(self._spline(points, nu=orders, extrapolate=False))
+
+
+def read_field_map(path: str | Path) -> FieldMap:
+    """The map in a file: a table (CSV) of every place of the grid, or its arrays (NPZ).
+
+    CSV has `COLUMNS`, in any order of rows and columns; NPZ has `x_mm`, `y_mm`, `z_mm` and
+    `field_mT_per_A` (X, Y, Z, 3). InputError naming the file, for a table also the line, for
+    what is missing, twice there or not finite.
+    """
+    path = Path(path)
+    if path.suffix == '.npz':
+        return _from_arrays(path)
+    if path.suffix == '.csv':
+        return _from_table(path)
+    raise InputError(path, 'expected a map with the ending .csv or .npz')
+
+
+def _from_arrays(path: Path) -> FieldMap:
+    names = (*COLUMNS[:3], _FIELD)
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = [np.asarray(file[name], dtype=float) for name in names]
+    except (OSError, ValueError, TypeError, KeyError, EOFError) as error:
+        raise InputError(path, f'expected an NPZ file with {", ".join(names)} ({error})') from None
+    if any(array.ndim != 1 for array in arrays[:3]):
+        raise InputError(path, 'expected one dimension in x_mm, y_mm and z_mm')
+    places = tuple(to_si('_mm', array) for array in arrays[:3])
+    return FieldMap(places, to_si('_mT', arrays[3]), path)
+
+
+def _from_table(path: Path) -> FieldMap:
+    table, lines = read_table(path, COLUMNS)
+    columns = [to_si(name, table[name]) for name in COLUMNS[:3]]
+    places = tuple(np.unique(column) for column in columns)
+    at = tuple(np.searchsorted(*pair) for pair in zip(places, columns, strict=True))
+    size = tuple(map(len, places))
+    index = np.ravel_multi_index(at, size)
+    first, counts = np.unique(index, return_index=True, return_counts=True)[1:]
+    if (counts > 1).any():
+        again = np.flatnonzero(index == index[first[counts.argmax()]])[1]
+        raise InputError(path, 'expected every place once; this one is there already',
+                         lines[again])
+    if len(index) < math.prod(size):
+        hole = np.unravel_index(np.setdiff1d(np.arange(math.prod(size)), index)[0], size)
+        spot = ', '.join(f'{from_si("_mm", along[k]):g}'
+                         for along, k in zip(places, hole, strict=True))
+        raise InputError(path, f'expected a full grid of {" × ".join(map(str, size))} places; '
+                         f'({spot}) mm is missing')
+    field = np.empty((len(index), 3))
+    field[index] = np.column_stack([table[name] for name in COLUMNS[3:]])
+    return FieldMap(places, to_si('_mT', field.reshape(*size, 3)), path)

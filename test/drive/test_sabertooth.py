@@ -1,0 +1,340 @@
+"""Sabertooth: golden bytes, what goes out and when, and what is asked of whoever drives blind."""
+
+import io
+import math
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bench._served import FULL_SCALE_A, LIMITS, Served, until
+from microbot_ros.cli import doctor
+from microbot_ros.drive.amplifier import Watchdog
+from microbot_ros.drive.coil_driver import CoilDriver
+from microbot_ros.drive.emulator.coils import Coils
+from microbot_ros.drive.errors import NoAnswerError, PortBusyError, PortLostError
+from microbot_ros.drive.gate import Limits, Reason
+from microbot_ros.drive.sabertooth import codec
+from microbot_ros.drive.sabertooth.driver import SabertoothAmplifier
+from microbot_ros.drive.sabertooth.emulated import Controllers
+from microbot_ros.errors import InputError
+
+ZERO = (0.0,) * 4
+DRIVING = (1.0, -1.0, 0.5, 0.2)
+ZEROS = bytes.fromhex('80000000 80040004 81000001 81040005')
+
+
+# Packets ------------------------------------------------------------------------------------
+
+def test_golden_bytes():
+    assert codec.packet(0x80, 0, 64) == bytes.fromhex('80004040')  # half forward
+    assert codec.packet(130, 0, 64) == bytes((130, 0, 64, 66))  # the example of the manual
+    assert codec.drive(0x80, 0, 0.5) == bytes.fromhex('80004040')
+    assert codec.drive(0x80, 0, -1.0) == bytes.fromhex('80017f00')
+    assert codec.drive(0x80, 1, 1.0) == bytes.fromhex('80047f03')
+    assert codec.drive(0x87, 1, -0.5) == bytes.fromhex('8705404c')
+    assert codec.set_timeout(0x80, 0.1) == bytes.fromhex('800e010f')
+    assert codec.set_timeout(0x81, 1.0) == bytes((129, 14, 10, (129 + 14 + 10) % 128))
+
+
+@pytest.mark.parametrize('duty', [math.nan, math.inf, -math.inf, 1.001, -1.001])
+def test_a_duty_outside_is_refused(duty):
+    with pytest.raises(ValueError, match='duty'):
+        codec.drive(0x80, 0, duty)
+
+
+@pytest.mark.parametrize('seconds', [0.0, 0.04, 12.8, -0.1])
+def test_a_timeout_that_is_none_is_refused(seconds):
+    with pytest.raises(ValueError, match='timeout'):
+        codec.set_timeout(0x80, seconds)
+
+
+def controllers(channels=4):
+    return Controllers(Coils(FULL_SCALE_A, None, io.StringIO(), channels=channels))
+
+
+@given(st.integers(0, 3), st.floats(-1, 1))
+def test_a_device_takes_what_was_meant(channel, duty):
+    device = controllers()
+    assert device.receive(0, codec.drive(0x80 + channel // 2, channel % 2, duty), 0.0) == b''
+    wanted = np.zeros(4)
+    wanted[channel] = duty * FULL_SCALE_A
+    np.testing.assert_allclose(device.coils.currents_A, wanted, atol=FULL_SCALE_A / 254)
+
+
+@given(st.binary(max_size=12), st.integers(0, 31))
+def test_a_packet_is_whole_and_right_or_none(before, bit):
+    packet = codec.drive(0x80, 0, 0.5)
+    damaged = bytearray(packet)
+    damaged[bit // 8] ^= 1 << bit % 8
+    device = controllers()
+    device.receive(0, bytes(damaged), 0.0)
+    assert not any(device.coils.currents_A)
+    # Whatever was cut off before, an address begins anew.
+    device = controllers()
+    device.receive(0, bytes(b for b in before if b < 128) + codec.packet(0x81, 0, 5)[:2], 0.0)
+    device.receive(0, packet, 0.0)
+    assert device.coils.currents_A[0] == pytest.approx(FULL_SCALE_A / 2, abs=FULL_SCALE_A / 254)
+
+
+# The driver ---------------------------------------------------------------------------------
+
+class Line:
+    """A port that keeps what is sent, and a clock that its bytes and the waits drive."""
+
+    def __init__(self, monkeypatch):
+        self.now, self.sent, self.discarded = 100.0, [], 0
+        driver = 'microbot_ros.drive.sabertooth.driver.'
+        monkeypatch.setattr(driver + 'Port', self.open)
+        monkeypatch.setattr(driver + 'time.monotonic', lambda: self.now)
+
+    def open(self, url, baud):
+        self.opened = (url, baud)
+        return self
+
+    descriptor = 7
+
+    def send(self, data):
+        self.sent.append((self.now, data))
+
+    def discard_output(self):
+        self.discarded += 1
+
+    def close(self):
+        self.opened = None
+
+    def wait(self, seconds):
+        self.now += max(seconds, 1e-6)
+
+    def packets(self):
+        """What was sent since it was asked last."""
+        sent, self.sent = [data for _, data in self.sent], []
+        return sent
+
+
+@pytest.fixture
+def line(monkeypatch):
+    return Line(monkeypatch)
+
+
+@pytest.fixture
+def blind(line, monkeypatch):
+    """A driver of four channels that is connected, on that line and clock."""
+    amplifier = SabertoothAmplifier('line', 2.0)
+    monkeypatch.setattr(amplifier._woken, 'wait', line.wait)
+    amplifier.connect()
+    amplifier.poll(1.0)
+    line.sent.clear()
+    return amplifier
+
+
+def test_the_transcript_of_a_session(line):
+    amplifier = SabertoothAmplifier('line', 2.0)
+    amplifier.connect()
+    assert line.opened == ('line', 9600)
+    assert line.packets() == [b'\xaa' + ZEROS + bytes.fromhex('800e010f 810e0110')]
+    line.now += 1.0
+    amplifier.write([2.0, -1.0, 0.0, 0.5])
+    amplifier.write(ZERO)
+    line.now += 1.0
+    amplifier.zero()
+    assert line.packets() == [
+        bytes.fromhex('800e010f 80007f7f 80054045 81000001 81042025'), ZEROS,
+        # A zero that is said again comes with the timeout of the other controller.
+        bytes.fromhex('810e0110') + ZEROS]
+    assert amplifier.close() is False  # for nothing confirms it
+    assert line.opened is None
+    assert amplifier.counters.frames_sent == 5
+    for use in (amplifier.zero, amplifier.poll, amplifier.last_words):
+        with pytest.raises(NoAnswerError):
+            use()
+    assert amplifier.close() is False
+
+
+def test_only_the_newest_waits_for_a_slow_line(line, blind):
+    began = line.now
+    for duty in (0.1, 0.2, 0.3, 0.4):
+        blind.write([2 * duty, 0.0, 0.0, 0.0])
+    assert blind.poll(1.0) == []
+    (first_s, first), (second_s, second) = line.sent
+    assert codec.drive(0x80, 0, 0.1) in first
+    assert codec.drive(0x80, 0, 0.4) in second
+    # 20 bytes of ten bits at 9600 a second.
+    assert (first_s, second_s) == (began, pytest.approx(began + 20 * 10 / 9600, abs=1e-4))
+    assert blind.sample_s == pytest.approx(20 * 10 / 9600)
+    assert line.now == pytest.approx(began + 1.0, abs=1e-3)
+
+
+def test_zero_waits_for_nothing_and_nothing_comes_after_it(line, blind):
+    blind.write([1.0, 0.0, 0.0, 0.0])
+    blind.write([2.0, 0.0, 0.0, 0.0])
+    line.packets()
+    blind.write(ZERO)
+    assert (line.discarded, line.packets()) == (1, [ZEROS])
+    blind.poll(1.0)
+    assert line.packets() == []
+
+
+def test_a_poll_is_woken(line, blind):
+    began = line.now
+    blind.wake()
+    assert blind.poll(1.0) == []
+    assert line.now == began
+
+
+@pytest.mark.parametrize(('channels', 'timeout_s'), [(1, 0.1), (4, 0.1), (6, 0.1), (16, 0.2)])
+def test_the_timeout_leaves_time_for_the_next_packet(line, channels, timeout_s):
+    amplifier = SabertoothAmplifier('line', 2.0, channels)
+    assert amplifier.timeout_s == pytest.approx(timeout_s)
+    # The driver of the coils repeats itself after 40 ms, a tick of 5 ms late at most.
+    assert amplifier.timeout_s > amplifier.sample_s + 0.04 + 0.005 + 0.02
+    amplifier.connect()
+    for address in range(0x80, 0x80 + -(-channels // 2)):
+        assert codec.set_timeout(address, timeout_s) in line.sent[0][1]
+    assert amplifier.last_words() == [(7, amplifier._zeros())]
+
+
+@pytest.mark.parametrize('value', [math.nan, math.inf, -math.inf, math.nextafter(2, 3), -5.0])
+def test_a_current_outside_is_refused_before_any_byte(line, blind, value):
+    for coil in range(4):
+        currents = list(DRIVING)
+        currents[coil] = value
+        with pytest.raises(ValueError, match='within'):
+            blind.write(currents)
+    assert not line.sent
+
+
+def test_more_channels_than_eight_controllers_have_are_refused():
+    with pytest.raises(InputError, match='1 to 16 coils'):
+        SabertoothAmplifier('line', 2.0, 17)
+
+
+# With gate and driver of the coils ------------------------------------------------------------
+
+@pytest.fixture
+def device(tmp_path):
+    made = Served('sabertooth', tmp_path, None)
+    yield made
+    made.end()
+
+
+@pytest.fixture
+def drive(device):
+    started = []
+
+    def start(**limits):
+        driver = CoilDriver(
+            SabertoothAmplifier(device.url, FULL_SCALE_A), Limits(**{**vars(LIMITS), **limits}),
+            lambda _: None, self_check=False, accept_no_feedback=True)
+        driver.start()
+        started.append(driver)
+        assert driver.arm() is None
+        assert driver.command(DRIVING)
+        device.eventually(DRIVING)
+        return driver
+
+    yield start
+    for driver in started:
+        driver.stop()
+
+
+def test_a_command_flows_and_ends_by_itself(drive, device):
+    driver = drive(command_timeout_s=0.5)
+    assert until(lambda: driver.gate.fault).reason is Reason.STALE
+    device.eventually(ZERO)
+    assert device.causes[-1] == 'command'
+    assert driver.stop() is False  # nothing confirmed it
+
+
+def test_it_is_armed_and_fed_for_as_long_as_a_command_holds(drive, device):
+    drive()
+    assert device.coils.watchdog_s == pytest.approx(0.1)
+    time.sleep(0.5)
+    # On a busy machine it may fire; the next packet brings the currents back.
+    device.eventually(DRIVING)
+
+
+def test_a_host_that_dies_leaves_it_to_the_timeout(device):
+    amplifier = SabertoothAmplifier(device.url, FULL_SCALE_A)
+    amplifier.connect()
+    amplifier.poll(0.05)
+    amplifier.write(DRIVING)
+    device.eventually(DRIVING)
+    amplifier._release()
+    device.eventually(ZERO)
+    assert device.causes[-1] == 'watchdog'
+
+
+def test_a_controller_that_lost_its_power_is_told_its_timeout_again(drive, device):
+    drive()
+    device.device.reset()
+    assert device.coils.watchdog_s is None
+    until(lambda: device.coils.watchdog_s == pytest.approx(0.1))
+    assert set(device.device._timeouts.values()) <= {0, 1}
+    until(lambda: set(device.device._timeouts.values()) == {1})
+
+
+def test_an_unplugged_line_is_noticed_and_comes_back_at_zero(drive, device):
+    driver = drive()
+    device.fault('unplug')
+    assert until(lambda: driver.gate.fault).reason is Reason.LINE
+    device.mend()
+    until(lambda: driver.connected)
+    device.eventually(ZERO)
+    assert not driver.gate.armed
+
+
+def test_two_drivers_on_one_port_is_an_error(drive, device):
+    drive()
+    with pytest.raises(PortBusyError):
+        SabertoothAmplifier(device.url, FULL_SCALE_A).connect()
+
+
+def test_a_line_that_is_lost_says_so(device):
+    amplifier = SabertoothAmplifier(device.url, FULL_SCALE_A)
+    amplifier.connect()
+    device.fault('unplug')
+
+    def use() -> None:
+        amplifier.write(DRIVING)
+        amplifier.poll(0.03)
+
+    with pytest.raises(PortLostError):
+        until(use)
+    assert amplifier.close() is False
+
+
+def test_it_is_watched_by_a_process_as_nothing_says_that_its_timeout_is_armed(drive):
+    driver = drive()
+    assert driver.amplifier.watchdog is Watchdog.UNCONFIRMED
+    assert driver._last_resort is not None
+    assert driver.warning.startswith('no currents are measured: a coil that is open')
+
+
+@pytest.mark.parametrize(('given', 'culprit'), [
+    ({}, 'accept_no_feedback'), ({'accept_no_watchdog': True}, 'accept_no_feedback'),
+    ({'self_check': False}, 'accept_no_feedback'),
+    ({'accept_no_feedback': True}, 'self_check'),
+    ({'accept_no_feedback': True, 'accept_no_watchdog': True}, 'self_check')])
+def test_driving_blind_has_to_be_accepted(given, culprit):
+    with pytest.raises(InputError, match='reads no currents back') as refusal:
+        CoilDriver(SabertoothAmplifier('line', FULL_SCALE_A), LIMITS, print, **given)
+    assert refusal.value.source == culprit
+
+
+@pytest.mark.parametrize(('parameters', 'level', 'said'), [
+    ('', 'fail', 'it is not driven unless coil_driver.accept_no_feedback says'),
+    (', accept_no_watchdog: true', 'fail', 'it is not driven unless'),
+    (', accept_no_feedback: true', 'warn', 'which is accepted: a coil that is open'),
+])
+def test_the_doctor_says_what_it_means(monkeypatch, tmp_path, parameters, level, said):
+    monkeypatch.setattr('microbot_ros.drive.amplifier.amplifier_class',
+                        lambda _: SabertoothAmplifier)
+    rig = tmp_path / 'rig.yaml'
+    rig.write_text(f'coil_driver: {{ros__parameters: {{amplifier: sabertooth{parameters}}}}}\n')
+    found = doctor._watchdog(rig)
+    assert found.level == level
+    assert found.detail.startswith('sabertooth reads no currents back')
+    assert said in found.detail

@@ -1,0 +1,112 @@
+"""A field that turns, from two topics to what six coils carry."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from geometry_msgs.msg import Vector3Stamped
+from std_srvs.srv import SetBool
+
+from microbot_ros.cli.demo_robots import three_pairs
+from microbot_ros.magnetics import CoilSet
+from microbot_ros.nodes import messages
+
+B, HERTZ = 3e-3, 4.0
+
+
+@pytest.fixture
+def emulator_options() -> tuple[str, ...]:
+    """A board of six coils."""
+    return '--channels', '6'
+
+
+@pytest.fixture
+def graph(emulator: Any, ros: Any, tmp_path: Path) -> Any:
+    """A coil driver for it, armed, and who commands it."""
+    coils = tmp_path / 'coils.yaml'
+    coils.write_text(yaml.safe_dump({'coils': three_pairs().model_dump(mode='json')}))
+    made = ros({'coil_driver': {'port': str(emulator.port), 'coils_file': str(coils),
+                                'command_timeout_ms': 500.0, 'max_command_age_ms': 500.0}})
+    made.due = 0.0
+    assert made.add('coil_driver').active
+    made.commands = made.probe.create_publisher(Vector3Stamped, 'field/command', 10)
+    made.rotations = made.probe.create_publisher(Vector3Stamped, 'field/rotation', 10)
+    made.until(lambda: made.commands.get_subscription_count() == 1
+               and made.rotations.get_subscription_count() == 1)
+    made.until(lambda: made.call(SetBool, 'coil_driver/arm', SetBool.Request(data=True)).success)
+    return made
+
+
+def _turn(graph: Any, field: tuple[float, ...], turned: tuple[float, ...],
+          older: float = 0.0) -> bool:
+    """Command it, 50 times a second at most, as a camera has frames; False."""
+    if time.monotonic() < graph.due:
+        return False
+    graph.due = time.monotonic() + 0.02
+    now = graph.nodes['coil_driver'].seconds()
+    graph.rotations.publish(
+        messages.field_vector(np.array(turned), messages.to_stamp(now - older)))
+    graph.commands.publish(messages.field_vector(np.array(field), messages.to_stamp(now)))
+    return False
+
+
+def _flowed(emulator: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Times [s] and fields (K, 3) [T] at the centre."""
+    entries = emulator.entries()
+    field = np.array([entry['currents_A'] for entry in entries]) @ CoilSet(
+        three_pairs()).actuation_matrix().T
+    return np.array([entry['t_monotonic_s'] for entry in entries]), field
+
+
+def test_the_field_turns_about_the_axis_as_fast_as_told(graph: Any, emulator: Any) -> None:
+    begun = time.monotonic()
+    graph.until(lambda: time.monotonic() > begun + 2.5
+                or _turn(graph, (B, 0.0, 0.0), (0.0, math.tau * HERTZ, 0.0)))
+    t, field = _flowed(emulator)
+    assert graph.nodes['coil_driver']._driver.gate.fault is None
+    during = (t > begun + 0.5) & (t < begun + 2.4)
+    t, field = t[during], field[during]
+    assert np.linalg.norm(field, axis=1) == pytest.approx(B, rel=0.01)
+    assert np.abs(field[:, 1]).max() < 0.01 * B
+    phase = np.unwrap(np.arctan2(-field[:, 2], field[:, 0]))
+    assert np.polyfit(t, phase, 1)[0] / math.tau == pytest.approx(HERTZ, rel=2e-3)
+
+
+def test_when_the_rotation_ends_the_field_stands(graph: Any, emulator: Any) -> None:
+    graph.until(lambda: not emulator.zero or _turn(graph, (B, 0, 0), (0, math.tau * HERTZ, 0)))
+    stand = np.array([B, 0.0, 0.0])
+    graph.until(lambda: np.allclose(_flowed(emulator)[1][-1], stand, atol=0.02 * B)
+                or _turn(graph, (B, 0.0, 0.0), (0.0, 0.0, 0.0)))
+
+
+@pytest.mark.parametrize(('field', 'turned'), [
+    ((math.nan, 0, 0), (0, 1, 0)), ((B, 0, 0), (0, math.inf, 0)), ((B, 0, 0), (math.nan, 0, 0))])
+def test_what_is_no_number_is_zero(
+        graph: Any, emulator: Any, field: tuple[float, ...], turned: tuple[float, ...]) -> None:
+    graph.until(lambda: not emulator.zero or _turn(graph, (B, 0, 0), (0, math.tau * HERTZ, 0)))
+    graph.until(lambda: graph.nodes['coil_driver']._driver.gate.fault
+                or _turn(graph, field, turned))
+    graph.until(lambda: emulator.zero)
+
+
+def test_a_rotation_of_long_ago_is_not_driven(graph: Any, emulator: Any) -> None:
+    driver = graph.nodes['coil_driver']
+    graph.until(lambda: driver._refused > 3
+                or _turn(graph, (B, 0, 0), (0, math.tau * HERTZ, 0), older=1.0))
+    graph.until(lambda: emulator.zero)
+
+
+def test_a_rotation_by_somebody_else_ends_the_permission(graph: Any, emulator: Any) -> None:
+    graph.until(lambda: not emulator.zero or _turn(graph, (B, 0, 0), (0, math.tau * HERTZ, 0)))
+    other = graph.nodes['coil_driver'].create_publisher(Vector3Stamped, 'field/rotation', 10)
+    driver = graph.nodes['coil_driver']._driver
+    graph.until(lambda: driver.gate.fault)
+    assert 'publishes field/rotation' in driver.gate.fault.detail
+    graph.until(lambda: emulator.zero)
+    graph.nodes['coil_driver'].destroy_publisher(other)
