@@ -18,8 +18,8 @@ tests = ['hypothesis', 'psutil', 'pytest', 'pytest-timeout']
 
 development = [
     *training, *policies, *cameras, *tests, 'mm-test-adapters', 'catkin_pkg',
-    'colcon-common-extensions', 'coverage', 'import-linter', 'magpylib', 'mypy', 'pysindy',
-    'pytest-xdist', 'ruff', 'StochasticForceInference', 'trackpy', 'types-PyYAML',
+    'colcon-common-extensions', 'coverage', 'import-linter', 'magpylib', 'mypy', 'pyoperon>=0.6',
+    'pysindy', 'pytest-xdist', 'ruff', 'StochasticForceInference', 'trackpy', 'types-PyYAML',
     'types-pyserial',
 ]
 

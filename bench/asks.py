@@ -190,8 +190,8 @@ def _told(asked: str, hidden: tuple[str, ...], seed: int, driven: Driven) -> Run
     if insight is None:
         return Run(asked, hidden, seed, driven.decided, driven.seconds / 60, (), (), (), ())
     judgement = insight.judgement
-    ever = {name for look in driven.looks if look.insight
-            for name in look.insight.judgement.named} if asked == 'nothing' else set()
+    ever = {name for look in driven.looks if look.judgement
+            for name in look.judgement.named} if asked == 'nothing' else set()
     after = driven.named_after
     minutes = (driven.seconds if after is None else after) / 60
     return Run(asked, hidden, seed, driven.decided, minutes,

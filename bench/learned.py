@@ -2,37 +2,33 @@
 
 Twenty kinds, five of each; eight kinds are of the grammar, twelve are not (`_unlisted_worlds`).
 Beside them sessions with nothing hidden, and with effects of the library, in which nothing may be
-learned. `out/learned.json` has every session.
+learned. `out/learned.jsonl` has every session.
 """
 
 from __future__ import annotations
 
-import dataclasses
-import json
 import time
 import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from statistics import median
 
 import numpy as np
 
 from bench._closed_loop import FIELD, Loop
 from bench._hidden_suite import blind
-from bench._score_card import run
+from bench._kept import run_kept
+from bench._learned_gap import Foretold, first_order, gaps, only_session
 from bench._unlisted_worlds import KINDS, Filmed, HiddenWorld, Law, film
 from bench.discovery import interval
 from bench.figure import Figure
 from microbot_ros.control.predictive import Predictive
 from microbot_ros.discovery import held_out
 from microbot_ros.discovery.discover import discover
-from microbot_ros.discovery.input_checks import check_sessions
 from microbot_ros.discovery.learned.candidates import columns
 from microbot_ros.discovery.learned.learn import learn_terms, relearn, told
 from microbot_ros.discovery.result import Discovery
-from microbot_ros.estimation.model_fit import ModelFit, fit_sessions
-from microbot_ros.estimation.prepared_session import PreparedSession
-from microbot_ros.files import write_text
 from microbot_ros.model.learned_term import LearnedTerm
 from microbot_ros.model.model import Model
 
@@ -61,10 +57,8 @@ class Outcome:
 
 def figures() -> list[Figure]:
     """All of them."""
-    outcomes = run(cases(), judge)
-    write_text(Path('out/learned.json'), json.dumps(
-        [dataclasses.asdict(one) for one in outcomes], indent=1) + '\n')
-    return [*score(outcomes), *wheel()]
+    outcomes = run_kept(Path('out/learned.jsonl'), cases(), judge, lambda told: Outcome(**told))
+    return [*score(outcomes), *wheel(), *beside(outcomes)]
 
 
 def cases(worlds: int = 5, nulls: int = 200, named: int = 100) -> list[tuple[str, int]]:
@@ -122,38 +116,55 @@ def _of_world(outcome: Outcome, filmed: Filmed) -> Outcome:
         covered=_covered(term, filmed) if right else np.nan)
 
 
-def _gaps(filmed: Filmed) -> tuple[float, ...]:
-    """Held-out gap [m] without and with what is learned, to where particles would have gone.
-
-    As `held_out_gap`, blocks learned from the others, but against the displacement that the world
-    really asked for, since the noise of a minute hides what is less than a quarter of its floor;
-    beyond what is missed where all that was hidden is known, and v and φ are not.
-    """
-    prepared, _ = check_sessions([filmed.session])
-    (session,), fit = prepared, _first_order(prepared)
+def _gaps(filmed: Filmed) -> tuple[float, float]:
+    """Held-out gap [m] without and with what is learned."""
+    session = only_session(filmed)
+    fit = first_order([session])
     findings = learn_terms(fit)
-    own = filmed.swarm['speed'] * np.exp(1j * filmed.swarm['phi'])
-    done = filmed.velocities(session.times + filmed.session.tracks.t.min())
-    pushed = np.concatenate([np.zeros((1, len(own)), complex), np.cumsum(
-        done * np.diff(session.times)[:, None], axis=0)])[:, session.ids]
-    true = fit.session_fits[0].expected.at(own[session.ids]) + pushed
-    errors: list[list[np.ndarray]] = [[], [], []]
-    clean = replace(session, z=session.z - pushed)
-    for block in range(held_out.BLOCKS):
-        hidden = held_out._turns(session, 1.0) == block
-        base = held_out.learn(fit.model, [session.only(~hidden)], ())
-        told = held_out.learn(fit.model, [clean.only(~hidden)], ())
-        for one, target, kept in zip(
-                (base, relearn(findings, base), told), (true, true, true - pushed), errors,
-                strict=True):
-            (known,) = one.session_fits
-            here = held_out._carried_over(one.model, known, session)
-            left = target - here.expected.at(known.velocity_phasor)
-            ahead = max(round(1.0 / session.interval), 1)
-            both = session.joined(ahead) & (hidden[ahead:] & hidden[:-ahead])[:, None]
-            kept.append(np.abs((left[ahead:] - left[:-ahead])[both]) / np.sqrt(2))
-    before, after, known_v = (float(np.mean(np.concatenate(kept) ** 2)) for kept in errors)
-    return tuple(float(np.sqrt(max(one - known_v, 0.0))) for one in (before, after))
+
+    def base(shown: np.ndarray) -> Foretold:
+        return held_out.learn(fit.model, [session.only(shown)], ()), 0.0
+
+    def learned(shown: np.ndarray) -> Foretold:
+        return relearn(findings, base(shown)[0]), 0.0
+
+    before, after = gaps(filmed, session, [base, learned])
+    return before, after
+
+
+# Peers ------------------------------------------------------------------------------------------
+
+COMPARED = ('channel', 'vortex', 'facing', 'settling', 'lamp', 'cells', 'jet', 'recovery')
+"""Kinds of world that peers are given, once each."""
+
+SEED = 3
+
+
+def beside(outcomes: Sequence[Outcome]) -> list[Figure]:
+    """The gap that peers leave, beside ours of the same worlds among the `outcomes`."""
+    from bench._learned_peers import PEERS, Judged
+    from bench._learned_peers import judge as judge_peer
+
+    judged = run_kept(
+        Path('out/learned_peers.jsonl'), [(kind, SEED, peer) for kind in COMPARED
+                                          for peer in PEERS],
+        judge_peer, lambda told: Judged(**told))
+    own = median(_left(o.before, o.after) for o in outcomes
+                 if o.kind in COMPARED and o.seed == SEED)
+    result = []
+    for peer in PEERS:
+        theirs = [one for one in judged if one.peer == peer]
+        left = median(_left(one.before, one.after) for one in theirs)
+        spent = median(one.seconds for one in theirs)
+        result.append(Figure(
+            17, f'part of the gap left on {len(COMPARED)} worlds, over that of {peer}',
+            own / left, '×', '< 1', f'{own:.2f} and {left:.2f}, {spent:.0f} s', own < left))
+    return result
+
+
+def _left(before: float, after: float) -> float:
+    """Part of a gap that is left; all where nothing was learned."""
+    return after / before if np.isfinite(after) else 1.0
 
 
 # At the wheel -----------------------------------------------------------------------------------
@@ -198,18 +209,12 @@ def _distance(model: Model, filmed: Filmed) -> float:
     return loop.distance(Predictive(), goal, _SECONDS, _JUDGED)
 
 
-def _first_order(prepared: Sequence[PreparedSession]) -> ModelFit:
-    return fit_sessions(
-        Model.baseline(prepared[0].conditions, prepared[0].commands), prepared)
-
-
 def _covered(term: LearnedTerm, filmed: Filmed) -> float:
     """Which part of the band of a `term`, by what each knot moves, holds what was done.
 
     What was done is brought to the knots by least squares, without noise, at the true speeds.
     """
-    prepared, _ = check_sessions([filmed.session])
-    fit = told(_first_order(prepared))
+    fit = told(first_order([only_session(filmed)]))
     p = replace(fit.session_fits[0])
     session = p.session
     own = filmed.swarm['speed'] * np.exp(1j * filmed.swarm['phi'])

@@ -33,6 +33,7 @@ from microbot_ros.discovery.result import (
 )
 from microbot_ros.discovery.score_tests import residual_maps
 from microbot_ros.discovery.search import CandidateFit, compare
+from microbot_ros.discovery.stand_ins import series_for_a_field
 from microbot_ros.discovery.stepwise_selection import (
     BACKWARD,
     FORWARD,
@@ -86,11 +87,11 @@ def discover(sessions: Sequence[Session],
 
 def conclude(selection: StepwiseSelection, remarks: tuple[str, ...],
              report: Callable[[str], None], truth: Model | None = None,
-             run: Run = serially, *, explained: bool = False) -> Discovery:
+             run: Run = serially, *, decided: Verdict | None = None) -> Discovery:
     """The result of a `selection` that has been made, with `remarks` on its sessions.
 
-    `report` and `truth` as for `discover`; `run` shares the work. `explained`: the model is known
-    to be whole, whatever is said here of what is left: then it stays, and nothing is learned.
+    `report` and `truth` as for `discover`; `run` shares the work. `decided`: the verdict where it
+    is known, whatever is said here of what is left.
     """
     report('mapping what is left')
     start = selection.start
@@ -110,9 +111,15 @@ def conclude(selection: StepwiseSelection, remarks: tuple[str, ...],
         one.entry(Intervals(one.own.fit), bool(unexplained)) for one in weak]
     told = not doubts and any(one.sure and one.dwarfs for one in assessments)
     rivals = [rival.fit.model for one in assessments for rival in one.rivals]
-    verdict = _verdict(effects, bool(unexplained) and not told)
-    learned = (_learned(selection, effects, report)
-               if verdict == 'unnamed' and not explained else None)
+    verdict = decided or _verdict(effects, bool(unexplained) and not told)
+    series = series_for_a_field(fit, report) if verdict == 'named' and not decided else None
+    if series:
+        verdict, unexplained = 'unnamed', _worst(
+            m for m in residual_maps(series.rest, run) if m.fires)
+    if verdict == 'unnamed':
+        stand_ins = series.names if series else [e.id for e in effects if decided]
+        effects = [replace(e, status='proxy') if e.id in stand_ins else e for e in effects]
+    learned = _learned(selection, effects, report) if verdict == 'unnamed' else None
     if learned:
         fit = learned.fit
         known = Intervals(fit, complete=False)

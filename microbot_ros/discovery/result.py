@@ -189,8 +189,9 @@ class Particle:
     force: Estimate
 
 
-_FRAMES = {'laboratory': 'in the laboratory', 'heading': 'along the heading',
-           'radial': 'towards neighbours'}
+FRAMES = {'laboratory': 'in the laboratory', 'heading': 'along the heading',
+          'radial': 'towards neighbours'}
+"""Of learned terms, in words."""
 
 
 @dataclass(frozen=True)
@@ -214,7 +215,7 @@ class Learned:
         like = f' It looks like {self.looks_like}.' if self.looks_like else ''
         rest = f' Something is left against {", ".join(self.left[:3])}.' if self.left else ''
         return (f'A term of the {term.acts_on} was learned against {term.against} '
-                f'({_FRAMES[term.frame]}){form}.{like}{rest} A curve is not a cause.')
+                f'({FRAMES[term.frame]}){form}.{like}{rest} A curve is not a cause.')
 
     def as_json(self, gap: float) -> dict[str, Any]:
         """The entry of `learned`; `gap` [m] is what is left with all that was learned."""

@@ -17,6 +17,7 @@ from microbot_ros.discovery.driven.design import (
     Question,
     Range,
     Search,
+    _Trial,
     choose_plan,
     random_steps,
 )
@@ -232,6 +233,18 @@ def test_nobody_to_ask_is_said(late):
         _design((late[0], (unseen, lag)))
 
 
+def test_what_was_seen_for_long_is_worth_less_to_see_again():
+    shown = []
+    for experiments in (3, 8):
+        rig, played, _ = _asked(7, (), experiments=experiments)
+        session = prepare(join(played))
+        fit = fit_sessions(Model.baseline(session.conditions, session.commands), [session])
+        trial = _Trial.of(fit, [], Search({}, 1.0), session.times[-1] + 1.0, rig.limits)
+        shown.append(trial.score(random_steps(np.random.default_rng(1), 20.0, rig.limits)).shown)
+    assert (shown[1] >= 0).all()
+    assert shown[1].sum() < 0.8 * shown[0].sum()
+
+
 def test_what_is_the_same_can_not_be_told_apart(late):
     _, (delay, _) = late
     design = _design(late, questions_=[Question(delay, delay, 5.0)])
@@ -268,6 +281,22 @@ def test_twins_are_told_before_time_is_out():
     assert driven.decided == 'undecidable'
     assert set(driven.twins[0]) == {'coil_gain_mismatch', 'coil_gain_mismatch_twin'}
     assert driven.seconds < 180
+
+
+def test_what_is_in_no_list_is_told_with_what_it_depends_on_and_learned():
+    rig, _ = hidden_world(1, ('speed_by_heading',), 60.0)
+    driven = drive(rig, 1.0)
+    judgement = driven.insight.judgement
+    assert (driven.decided, judgement.unlisted) == ('settled', True)
+    assert judgement.left[0].against == 'heading, along the heading'
+    assert judgement.left[0].fires
+    found, _ = discovered(driven)
+    assert found.verdict == 'unnamed'
+    assert not any(effect.status == 'established' for effect in found.effects)
+    assert found.learned[0].term.against == 'heading'
+    assert found.model.learned
+    assert 'to confirm what was learned' in found.next_experiment.sentence
+    assert 'in no list. It depends on heading' in section(driven)
 
 
 class _Broken:

@@ -32,16 +32,12 @@ def discovered(driven: Driven, report: Callable[[str], None] = lambda _: None,
     selection.current = selection.fit(insight.known.fit.model)
     selection.open = [one.found for one in insight.known.more]
     left = insight.judgement.left
-    found = conclude(selection, (*_remarks(driven), *remarks), report, explained=not left)
+    verdict: Verdict = ('unnamed' if left else
+                        'named' if insight.judgement.named else 'consistent')
+    found = conclude(selection, (*_remarks(driven), *remarks), report, decided=verdict)
     effects = tuple(_judged(effect, insight) for effect in found.effects)
-    return replace(found, effects=effects, unexplained=left, verdict=_verdict(effects, bool(left)),
-                   next_experiment=None), session
-
-
-def _verdict(effects: tuple[NamedEffect, ...], left: bool) -> Verdict:
-    if left:
-        return 'unnamed'
-    return 'named' if any(e.status == 'established' for e in effects) else 'consistent'
+    return replace(found, effects=effects, unexplained=left,
+                   next_experiment=found.next_experiment if found.learned else None), session
 
 
 def _judged(effect: NamedEffect, insight: Insight) -> NamedEffect:

@@ -20,7 +20,13 @@ import numpy as np
 from microbot_ros.control.contract import Workspace
 from microbot_ros.discovery.driven.plan import Plan
 from microbot_ros.estimation.expected_displacement import ExpectedDisplacement
-from microbot_ros.estimation.likelihood import SessionFit, Whitening, eliminate, inner
+from microbot_ros.estimation.likelihood import (
+    SessionFit,
+    Whitening,
+    eliminate,
+    eliminate_shared,
+    inner,
+)
 from microbot_ros.estimation.model_fit import ModelFit, difference_steps
 from microbot_ros.estimation.prepared_session import PreparedSession
 from microbot_ros.model.effects import EFFECTS
@@ -51,6 +57,15 @@ FAINT = 10.0 / 2 / 60
 
 LITTLE = 0.02
 """Strength, in fit coordinates, at which it is asked what a plan shows of an effect."""
+
+COVARIATES = (10, 3, 1, 1, 1)
+"""Smooth velocities of place, heading, strength, age and the time since a switch."""
+
+AGE, RECOVERY = 60.0, 0.5
+"""Seconds in which something ages, and in which it recovers from a switch."""
+
+SHOWN = (0.1e-6) ** -2
+"""Information [s²/m²] about a velocity from which it counts as shown: 0.1 µm/s."""
 
 STARVED = 0.2
 """Part of what plans usually show of a covariate below which a plan pays for what it hides."""
@@ -150,8 +165,8 @@ def choose_plan(fit: ModelFit, questions: Sequence[Question], search: Search, be
 @dataclass(frozen=True)
 class _Outcome:
     """What is expected of a plan: `gains` (Q,) of the questions, the information (E,) about each
-    effect in `search` and (C,) about each covariate it has `shown`, and which part of their time
-    particles are `astray`."""
+    effect in `search`, what (C,) it adds of each covariate that it has `shown`, and which part of
+    their time particles are `astray`."""
 
     gains: np.ndarray
     search: np.ndarray
@@ -202,7 +217,8 @@ class _Trial:
     `tracks` of those particles in the session of `fit`, that `start` (N, 2) [m] where they were
     last; `past`: for each question the inner products (N, M, M) of its columns over what was seen;
     `little`: for each strength of the effects in `search` their place there and the model with a
-    little of it, `seen` (N, M, M) the inner products of what these do.
+    little of it, `seen` (N, M, M) the inner products of what these do, `known` (N, M, M) those of
+    what may be in no list.
     """
 
     fit: ModelFit
@@ -210,6 +226,7 @@ class _Trial:
     search: Search
     little: Sequence[tuple[int, Model]]
     seen: np.ndarray
+    known: np.ndarray
     tracks: np.ndarray
     start: np.ndarray
     begin: float
@@ -233,9 +250,10 @@ class _Trial:
         everywhere = slice(None)
         return cls(
             fit, questions, search, little,
-            _gram(fit.session_fits[0], _strengths(fit, little, present, everywhere)), tracks,
+            _gram(fit.session_fits[0], present, _strengths(fit, little, present, everywhere)),
+            _covered(fit, present, everywhere, limits.workspace), tracks,
             as_vectors(seen[last, np.arange(len(tracks))]), begin, limits,
-            [_gram(q.second.session_fits[0], _columns(q, _seen(q), everywhere))
+            [_gram(q.second.session_fits[0], _seen(q), _columns(q, _seen(q), everywhere))
              for q in questions],
             np.array([q.missing for q in questions]), np.array([q.weight for q in questions]))
 
@@ -258,15 +276,25 @@ class _Trial:
         gains = [self._gain(question, past, trial)
                  for question, past in zip(self.questions, self.past, strict=True)]
         astray = 1 - float(self.limits.workspace.holds(places, MARGIN).mean())
-        return _Outcome(np.array(gains), self._sought(trial), _shown(self.fit, trial), astray)
+        return _Outcome(np.array(gains), self._sought(trial), self._shown(trial), astray)
+
+    def _shown(self, trial: PreparedSession) -> np.ndarray:
+        """How much (C,) a trial would add to what is known of smooth velocities in no list.
+
+        Covariate by covariate; what was hardly shown before counts most.
+        """
+        total = self.known.copy()
+        total[self.tracks] += _covered(self.fit, trial, self.tracks, self.limits.workspace)
+        before, after = (np.maximum(_power(gram), SHOWN) for gram in (self.known, total))
+        ends = np.cumsum(COVARIATES)[:-1]
+        return np.array([part.sum() for part in np.split(np.log(after / before), ends)])
 
     def _sought(self, trial: PreparedSession) -> np.ndarray:
         """Information (E,) that a trial adds about the effects in search, what v and φ leave."""
         fit = self.fit.session_fits[0]
-        columns = _strengths(self.fit, self.little, trial, self.tracks)
-        white = Whitening(fit.whitening.noise_ratio).apply(trial, columns)[0]
         total = self.seen.copy()
-        total[self.tracks] += inner(white) / fit.diffusion
+        total[self.tracks] += _gram(
+            fit, trial, _strengths(self.fit, self.little, trial, self.tracks))
         added = np.diagonal(eliminate(total).sum(0) - eliminate(self.seen).sum(0))[1:]
         result = np.zeros(len(self.search.odds))
         np.add.at(result, [place for place, _ in self.little], np.maximum(added, 0.0))
@@ -274,10 +302,8 @@ class _Trial:
 
     def _gain(self, question: Question, past: np.ndarray, trial: PreparedSession) -> float:
         fit = question.second.session_fits[0]
-        columns = _columns(question, trial, self.tracks)
-        white = Whitening(fit.whitening.noise_ratio).apply(trial, columns)[0]
         total = past.copy()
-        total[self.tracks] += inner(white) / fit.diffusion
+        total[self.tracks] += _gram(fit, trial, _columns(question, trial, self.tracks))
         return max(_separation(total) - _separation(past), 0.0)
 
 
@@ -327,10 +353,11 @@ def _strengths(fit: ModelFit, little: Sequence[tuple[int, Model]], session: Prep
         complex)
 
 
-def _gram(fit: SessionFit, columns: np.ndarray) -> np.ndarray:
-    """Inner products (N, M, M) of `columns` (T, N, M) [m] in units of the noise of a `fit`."""
+def _gram(fit: SessionFit, session: PreparedSession, columns: np.ndarray) -> np.ndarray:
+    """Inner products (N, M, M) of `columns` (T, N, M) [m] of a `session`, in units of the noise of
+    a `fit`."""
     plain = Whitening(fit.whitening.noise_ratio)
-    return inner(plain.apply(fit.session, np.ascontiguousarray(columns))[0]) / fit.diffusion
+    return inner(plain.apply(session, np.ascontiguousarray(columns))[0]) / fit.diffusion
 
 
 def _separation(gram: np.ndarray) -> float:
@@ -343,37 +370,48 @@ def _separation(gram: np.ndarray) -> float:
     return max(float(left[0, 0] - left[0, 1:] @ weights), 0.0) / 2
 
 
-def _shown(fit: ModelFit, trial: PreparedSession) -> np.ndarray:
-    """How much (C,) a trial would show of what is in no list, covariate by covariate.
+def _covered(fit: ModelFit, session: PreparedSession, tracks: np.ndarray | slice,
+             view: Workspace) -> np.ndarray:
+    """Inner products (N, M, M) of nothing, v and φ, a drift, and what may be in no list.
 
-    Of smooth velocities that depend on place, heading, strength, age or the time since a switch,
-    the power that v and φ leave.
+    Those are smooth velocities that depend on place in the `view`, heading, strength, age or the
+    time since a switch, COVARIATES of them; what they do in a `session` that has the `tracks` of
+    the one that was fitted.
     """
-    step = np.diff(trial.z, axis=0, prepend=trial.z[:1])
-    along = np.abs(step) > 0
-    heading = np.where(along, step / np.where(along, np.abs(step), 1.0), 0)
-    t = trial.times[:, None] - trial.times[0]
-    commands = trial.commands
-    since = t - (commands.t - trial.times[0])[commands.index_at(trial.times)][:, None]
-    level = np.hypot(*commands.field_at(trial.times).T)[:, None]
-    place = trial.z - trial.z.mean(axis=0)
-    extent = max(float(np.abs(place).max()), 1e-6)
-    x, y = place.real / extent, place.imag / extent
-    groups: Iterable[Sequence[np.ndarray]] = (
-        (x + 0j, y + 0j, 1j * x, 1j * y, x * y + 0j),
-        (heading**2, heading.conj() ** 2, heading**3, 1 + 0 * heading),
-        (heading * level / max(float(level.max()), 1e-30),),
-        (heading * t / t[-1],),
-        (heading * np.exp(-since / 0.5),))
-    expected = ExpectedDisplacement.of(fit.model, trial.timeline)
-    own = [np.zeros_like(trial.z), expected.along, expected.across]
-    columns = own + [np.cumsum(one, axis=0) * STEP for group in groups for one in group]
-    noise = fit.session_fits[0].whitening.noise_ratio
-    white = Whitening(noise).apply(trial, np.ascontiguousarray(np.stack(
-        [np.broadcast_to(one, trial.z.shape) for one in columns], axis=-1)))[0]
-    power = np.diagonal(eliminate(inner(white)).sum(axis=0))[1:]
-    ends = np.cumsum([len(group) for group in groups])
-    return np.array([part.sum() for part in np.split(power, ends[:-1])])
+    expected = ExpectedDisplacement.of(fit.model, session.timeline)
+    own = np.diff(expected.at(fit.session_fits[0].velocity_phasor[tracks]), axis=0)
+    moving = np.abs(own) > 0
+    heading = np.where(moving, own / np.where(moving, np.abs(own), 1.0), 0)
+    begin, times = fit.session_fits[0].session.times[0], session.times[:-1]
+    commands = session.commands
+    since = times - commands.t[np.maximum(commands.index_at(times), 0)]
+    level = np.hypot(*commands.field_at(times).T) / max(fit.model.reference_field, 1e-30)
+    x, y = _across(view, session.causal_positions[:-1])
+    one = np.ones_like(heading)
+    columns = [one, 1j * one, *(way * part for part in (x, y, x * y, x * x, y * y)
+                                for way in (1, 1j)),
+               heading**2, heading.conj() ** 2, heading**3, heading * level[:, None],
+               heading * ((times - begin) / AGE)[:, None],
+               heading * np.exp(-since / RECOVERY)[:, None]]
+    interval = np.diff(session.times)[:, None]
+    moved = [np.concatenate([np.zeros((1, part.shape[1])), np.cumsum(part * interval, axis=0)])
+             for part in columns]
+    every = [np.zeros(1), expected.along, expected.across, *moved]
+    return _gram(fit.session_fits[0], session, np.stack(
+        [np.broadcast_to(part, session.z.shape) for part in every], axis=-1).astype(complex))
+
+
+def _across(view: Workspace, places: np.ndarray) -> np.ndarray:
+    """Where in the `view` places (T, N, 2) [m] are, (2, T, N): −1 at one edge, 1 at the other."""
+    low, high = (np.where(np.isfinite(edge), edge, default) for edge, default in (
+        (view.low, np.nanmin(places, axis=(0, 1))), (view.high, np.nanmax(places, axis=(0, 1)))))
+    half = np.maximum(high - low, 1e-9) / 2
+    return np.moveaxis(np.nan_to_num((places - (low + high) / 2) / half), -1, 0)
+
+
+def _power(gram: np.ndarray) -> np.ndarray:
+    """What v, φ and a drift leave of each of the columns after them, of `_covered`."""
+    return np.maximum(np.diagonal(eliminate_shared(eliminate(gram).sum(axis=0), 2))[1:], 0.0)
 
 
 # Drawing plans ----------------------------------------------------------------------------------

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol
 
 import numpy as np
@@ -17,6 +17,7 @@ from microbot_ros.discovery.driven.verdict import (
     hopeless,
     judge,
     questions,
+    scrutinised,
     search,
     twins,
 )
@@ -96,33 +97,31 @@ class Insight:
 class Look:
     """A look after an experiment, `seconds` since the first began.
 
-    Its `plan` in words; why it was broken off, `stopped`, '' where it was not; the `insight`,
-    None where there was not enough to look at; how much longer random steps would have taken for
-    what was expected of it, `saved` [s].
+    Its `plan` in words; why it was broken off, `stopped`, '' where it was not; the `judgement`,
+    None where there was not enough to look at; the probability of each effect, and of none (''),
+    `odds`, empty where nothing is known; how much longer random steps would have taken for what
+    was expected of it, `saved` [s]. It holds no fits: those of many looks are gigabytes.
     """
 
     plan: str
     stopped: str
     seconds: float
-    insight: Insight | None
+    judgement: Judgement | None
+    odds: dict[str, float]
     saved: float = 0.0
-
-    @property
-    def odds(self) -> dict[str, float]:
-        """The probability of each effect, and of none (''); empty where nothing is known."""
-        return {} if self.insight is None else self.insight.known.odds()
 
 
 @dataclass
 class Driven:
     """All that was driven and seen: `experiments`, with a look after each, and how it ended.
 
-    `decided` and, where it was stopped, the `reason`; `twins`: pairs of effects that no command
-    tells apart.
+    `insight`: the last there was, None where there was none; `decided` and, where it was stopped,
+    the `reason`; `twins`: pairs of effects that no command tells apart.
     """
 
     experiments: list[Session] = field(default_factory=list)
     looks: list[Look] = field(default_factory=list)
+    insight: Insight | None = None
     decided: Decided = 'out_of_time'
     reason: str = ''
     twins: tuple[tuple[str, str], ...] = ()
@@ -138,16 +137,11 @@ class Driven:
         """
         since = None
         for look in reversed(self.looks):
-            if not (look.insight and self.insight and look.insight.judgement.settled
-                    and look.insight.judgement.named == self.insight.judgement.named):
+            if not (look.judgement and self.insight and look.judgement.settled
+                    and look.judgement.named == self.insight.judgement.named):
                 break
             since = look.seconds
         return since
-
-    @property
-    def insight(self) -> Insight | None:
-        """The last there was."""
-        return next((look.insight for look in reversed(self.looks) if look.insight), None)
 
 
 Designer = Callable[..., Design]
@@ -169,17 +163,23 @@ def drive(rig: Rig, minutes: float, report: Callable[[str], None] = lambda _: No
         if len(played.session.tracks.t):
             result.experiments.append(played.session)
         insight = _look(result)
-        result.looks.append(
-            Look(plan.sentence(), played.stopped, rig.seconds, insight, saved))
-        plan = None
         left = 60 * minutes - rig.seconds
+        final = left < SHORTEST or bool(
+            insight and insight.judgement.settled and rig.seconds >= SCRUTINY)
+        if insight and final and not played.stopped:
+            report('asking whether something is there that no name explains')
+            insight = replace(insight, judgement=scrutinised(insight.known, insight.judgement))
+        result.insight = insight or result.insight
+        result.looks.append(Look(
+            plan.sentence(), played.stopped, rig.seconds, insight.judgement if insight else None,
+            insight.known.odds() if insight else {}, saved))
+        plan = None
         if played.stopped:
             result.decided, result.reason = 'stopped', played.stopped
-        elif _unexplained(result) or (insight and insight.judgement.settled and (
-                rig.seconds >= SCRUTINY or left < SHORTEST)):
+        elif _unexplained(result) or (insight and final and insight.judgement.answered):
             result.decided = 'settled'
-        elif left >= SHORTEST:
-            plan, saved = _next(result, left, rig.limits, rng, designer)
+        elif not final:
+            plan, saved = _next(result, insight, left, rig.limits, rng, designer)
             question = insight.question if insight else 'nothing to be said yet:'
     return result
 
@@ -197,15 +197,15 @@ def _look(result: Driven) -> Insight | None:
 
 def _unexplained(result: Driven) -> bool:
     """Whether something has been left for so long that it is in no list."""
-    recent = [look.insight for look in result.looks[-UNEXPLAINED:]]
-    return len(recent) == UNEXPLAINED and all(one and one.judgement.left for one in recent)
+    recent = [look.judgement for look in result.looks[-UNEXPLAINED:]]
+    return len(recent) == UNEXPLAINED and all(one and one.left for one in recent)
 
 
-def _next(result: Driven, left: float, limits: Range, rng: np.random.Generator,
-          designer: Designer) -> tuple[Plan | None, float]:
+def _next(result: Driven, insight: Insight | None, left: float, limits: Range,
+          rng: np.random.Generator, designer: Designer) -> tuple[Plan | None, float]:
     """The next plan for the seconds that are `left`, None where there is no use in one; and the
     seconds that it saves."""
-    insight, duration = result.looks[-1].insight, min(EXPERIMENT, left)
+    duration = min(EXPERIMENT, left)
     if insight is None:
         return random_steps(rng, duration, limits), 0.0
     known, asked = insight.known, questions(insight.known)

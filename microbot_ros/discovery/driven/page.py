@@ -29,10 +29,19 @@ def section(driven: Driven) -> str:
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters['likeliest'] = likeliest
     figure = draw_odds(driven)
-    ending = _ENDINGS[driven.decided] + (f': {driven.reason}.' if driven.reason else '')
     return environment.from_string(_TEMPLATE.read_text(encoding='utf-8')).render(
-        driven=driven, ending=ending, figure=figure and embedded(figure),
+        driven=driven, ending=_ending(driven), figure=figure and embedded(figure),
         saved=sum(look.saved for look in driven.looks) / 60)
+
+
+def _ending(driven: Driven) -> str:
+    if driven.reason:
+        return f'{_ENDINGS[driven.decided]}: {driven.reason}.'
+    left = driven.insight.judgement.left if driven.insight else ()
+    if driven.decided == 'settled' and left:
+        return ('The question was settled: what is there is in no list. It depends on '
+                f'{left[0].against}.')
+    return _ENDINGS[driven.decided]
 
 
 def likeliest(look: Look) -> list[tuple[str, float]]:

@@ -12,14 +12,16 @@ against each rival, with the rival's own parameters averaged over what may be kn
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from microbot_ros.discovery.driven.design import Design, Question, Search
 from microbot_ros.discovery.driven.hypotheses import Hypotheses, Slot
-from microbot_ros.discovery.result import ResidualMap
+from microbot_ros.discovery.learned.learn import Finding, learn_term
+from microbot_ros.discovery.result import FRAMES, ResidualMap
 from microbot_ros.discovery.score_tests import residual_maps
+from microbot_ros.discovery.stand_ins import series_for_a_field
 from microbot_ros.model.effects import EFFECTS
 
 FALSE = 0.01
@@ -55,19 +57,25 @@ class Judgement:
 
     `named` effects, and of these the rivals that are still open, `open`; `pending`: effects that
     are in the model or may join it, but are not named yet; `left`: what no effect explains, the
-    worst first.
+    worst first; `unlisted`: whether a term was learned that shows it.
     """
 
     named: tuple[str, ...]
     open: dict[str, tuple[str, ...]]
     pending: tuple[str, ...]
     left: tuple[ResidualMap, ...]
+    unlisted: bool = False
 
     @property
     def settled(self) -> bool:
         """Whether all names are alone, complete and nothing is left."""
         alone = bool(self.named) and not any(self.open.values())
         return alone and not self.pending and not self.left
+
+    @property
+    def answered(self) -> bool:
+        """Whether it is settled, or known to be in no list."""
+        return self.settled or self.unlisted
 
 
 def judge(known: Hypotheses) -> Judgement:
@@ -93,6 +101,27 @@ def _left(known: Hypotheses) -> tuple[ResidualMap, ...]:
             maps += [m for m in residual_maps(slot.rest)
                      if m.fires and not m.cut_out and m.log_p < most]
     return tuple(sorted(maps, key=lambda m: m.p_value))
+
+
+def scrutinised(known: Hypotheses, judgement: Judgement) -> Judgement:
+    """The `judgement` on what is `known` once a term was looked for that no name explains.
+
+    Beside the model, and in place of its fields of place together. The evidence of a term is a
+    Bayes factor like that of a name, and pays for all that were looked at; maps see less of what
+    is spread over time and place.
+    """
+    series = series_for_a_field(known.fit)
+    found = learn_term(known.fit if series is None else series.rest)
+    return judgement if found is None else replace(
+        judgement, left=(_as_map(found), *judgement.left), unlisted=True)
+
+
+def _as_map(found: Finding) -> ResidualMap:
+    """What was `found` as something that is left: the inverse of its odds bounds a p-value."""
+    term = found.term
+    frame = '' if term.frame == 'laboratory' else f', {FRAMES[term.frame]}'
+    return ResidualMap(f'{term.against}{frame}', term.against, 2 * found.gain, 0,
+                       float(np.exp(-found.log_evidence)), np.empty(0), {})
 
 
 def questions(known: Hypotheses) -> list[Question]:

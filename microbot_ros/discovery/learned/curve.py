@@ -26,6 +26,9 @@ STRENGTHS = 10.0 ** np.arange(0.0, 5.1, 0.5)
 LENGTHS = (0.08, 0.16, 0.32, 0.64)
 """Length scales, in parts of the covariate's range."""
 
+WAYS = np.arange(8) * np.pi / 8
+"""Directions [rad] of flows that go along one line only."""
+
 TURNS = (0.35, 0.7, 1.4)
 """Length scales of angles, as in exp(−2 sin²(Δ/2)/ℓ²)."""
 
@@ -71,8 +74,9 @@ def _kernels(term: LearnedTerm) -> Iterator[Kernel]:
         apart = x[:, None] - x[None, :]
     for part in LENGTHS:
         length = part * (high - low)
-        yield Kernel('smooth', _spread(np.exp(-0.5 * (apart / length) ** 2), free, components),
-                     1.0)
+        smooth = np.exp(-0.5 * (apart / length) ** 2)
+        yield Kernel('smooth', _spread(smooth, free, components), 1.0)
+        yield from _along_a_line(term, smooth, free)
         yield Kernel('rough', _spread(np.exp(-np.abs(apart) / (3 * length)), free, components),
                      0.5)
     if term.against == 'time':
@@ -80,6 +84,32 @@ def _kernels(term: LearnedTerm) -> Iterator[Kernel]:
         for f in frequencies:
             yield Kernel('swing', _spread(
                 np.cos(2 * np.pi * f * apart), free, components), 6.0 / len(frequencies))
+
+
+def _along_a_line(term: LearnedTerm, covariance: np.ndarray,
+                  free: np.ndarray) -> Iterator[Kernel]:
+    """Velocities in the laboratory that keep to one direction, whatever they depend on."""
+    if term.frame == 'laboratory' and term.acts_on == 'velocity':
+        one = _spread(covariance, free, 1)
+        for way in WAYS:
+            yield Kernel('along a line', _directed(way, one), 1.0 / len(WAYS))
+
+
+def _parallel(length: float, x: np.ndarray, y: np.ndarray, free: np.ndarray) -> Iterator[Kernel]:
+    """Flows along one direction that vary across it only, as in channels, beside walls, in jets.
+
+    Over knots at `x`, `y` (K,) [m], of which some are `free`, within a `length` [m].
+    """
+    for way in WAYS:
+        across = y * np.cos(way) - x * np.sin(way)
+        bell = np.exp(-0.5 * ((across[:, None] - across[None, :]) / length) ** 2)
+        yield Kernel('along a line', _directed(way, _spread(bell, free, 1)), 1.0 / len(WAYS))
+
+
+def _directed(way: float, one: np.ndarray) -> np.ndarray:
+    """Columns (K, R) of one component as those of two, (2 K, R), along the direction `way` [rad].
+    """
+    return np.concatenate([np.cos(way) * one, np.sin(way) * one])
 
 
 def _free(term: LearnedTerm) -> np.ndarray:
@@ -118,6 +148,7 @@ def _of_place(term: LearnedTerm, free: np.ndarray, components: int) -> Iterator[
         if components == 1:
             continue
         xx, yy, xy = 1 - (dx / length) ** 2, 1 - (dy / length) ** 2, -dx * dy / length**2
+        yield from _parallel(length, x, y, free)
         both = np.concatenate([free, free])
         for kind, block in (
                 ('without circulation', [[xx, xy], [xy, yy]]),

@@ -187,13 +187,13 @@ def _best(known: ModelFit, tables: Sequence[LearnedTerm],
     for moments, curve in found:
         if curve.log_evidence - paid < CONVINCING:
             return None
-        if _foretells(moments) > HELD_OUT:
+        if foretells(moments) > HELD_OUT:
             return Finding(_filled(moments, curve.mean), moments, curve, None,
                            curve.log_evidence - paid, odds)
     return None
 
 
-def _foretells(moments: Moments) -> float:
+def foretells(moments: Moments) -> float:
     """Gain in log likelihood of every fold of rows by the curve of the others."""
     tried = kernels(moments.term)
     return sum(moments.held_out(fold, Curve.of(tried, *moments.without_fold(fold)).mean)

@@ -28,6 +28,7 @@ _ALONG = {
 }
 
 _KIND = {
+    'along a line': 'a flow along one line, faster here than there',
     'without sources': 'a flow that neither rises nor sinks',
     'without circulation': 'a potential that attracts and repels',
 }
