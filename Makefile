@@ -41,6 +41,7 @@ test: $(VENV)/.development
 # Whoever needs compiled code that is not there yet makes it: once, not in every process at once.
 compiled: $(VENV)/.development
 	@$(BIN)/python -c 'from microbot_ros.tracking.warm import warm_up; warm_up()'
+	@$(BIN)/python -c 'from microbot_ros.magnetics import *; Allocator(CoilSet())'
 
 lint: $(VENV)/.development
 	@$(BIN)/ruff check .

@@ -10,9 +10,15 @@ ros_from_pypi = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
 # For those who train controllers, and for keeping and playing what they trained.
 training, policies = ['gymnasium'], ['onnx', 'onnxruntime']
 
+# Cameras beyond V4L2 and files; the emulator of one comes with it, of the other by itself.
+cameras = ['pymmcore>=11.9', 'pypylon>=4.2']
+
+# What every test needs; by the name of this extra `colcon test` knows that they are pytest's.
+tests = ['hypothesis', 'psutil', 'pytest', 'pytest-timeout']
+
 development = [
-    *training, *policies, 'catkin_pkg', 'colcon-common-extensions', 'coverage', 'hypothesis',
-    'import-linter', 'magpylib', 'mypy', 'psutil', 'pysindy', 'pytest', 'pytest-timeout',
+    *training, *policies, *cameras, *tests, 'mm-test-adapters', 'catkin_pkg',
+    'colcon-common-extensions', 'coverage', 'import-linter', 'magpylib', 'mypy', 'pysindy',
     'pytest-xdist', 'ruff', 'StochasticForceInference', 'trackpy', 'types-PyYAML',
     'types-pyserial',
 ]
@@ -39,7 +45,8 @@ setup(
         'scipy', 'setuptools', 'zstandard',
     ],
     extras_require={
-        'ros': ros_from_pypi, 'gym': training, 'onnx': policies, 'dev': development},
+        'ros': ros_from_pypi, 'gym': training, 'onnx': policies, 'cameras': cameras,
+        'test': tests, 'dev': development},
     zip_safe=False,
     maintainer='microbot_ros maintainers',
     maintainer_email='maintainers@microbot-ros.example',
@@ -70,6 +77,13 @@ setup(
             'roboclaw = microbot_ros.drive.roboclaw.driver:RoboclawAmplifier',
             'modbus = microbot_ros.drive.modbus.driver:ModbusAmplifier',
             'roboteq = microbot_ros.drive.roboteq.driver:RoboteqAmplifier',
+        ],
+        'microbot_ros.cameras': [
+            'aravis = microbot_ros.cameras.aravis:AravisCamera',
+            'file = microbot_ros.cameras.file:FileCamera',
+            'micromanager = microbot_ros.cameras.micromanager:MicroManagerCamera',
+            'pylon = microbot_ros.cameras.pylon:PylonCamera',
+            'v4l2 = microbot_ros.cameras.v4l2:V4l2Camera',
         ],
     },
 )

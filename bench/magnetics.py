@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
 import magpylib
 import numpy as np
 from scipy.optimize import linprog
 
 from bench.figure import Figure, seconds
+from microbot_ros.files import read_yaml
 from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings
 
+_CONFIG = Path(__file__).parents[1] / 'config'
 _POINTS = 10_000
+_STEP = 5e-5  # of the differences of magpylib's field [m]
 _BATCH = 50  # allocations per timed call: long for the clock, short for the scheduler
 _DIRECTIONS = np.linspace(0, 2 * np.pi, 3600, endpoint=False)
 
@@ -21,7 +26,8 @@ def figures() -> list[Figure]:
     """Every figure of the coils, measured on a rig with uneven gains, poses and limits."""
     settings = _uneven_rig()
     coils, peer = CoilSet(settings), _magpylib(settings)
-    return [*_field(coils, peer), *_directions(coils, peer), *_times(coils)]
+    return [*_field(coils, peer), *_directions(coils, peer), *_times(coils),
+            *_many(6), *_many(16), *_times_in_space()]
 
 
 def _uneven_rig() -> CoilSettings:
@@ -47,6 +53,77 @@ def _magpylib(settings: CoilSettings) -> list[magpylib.current.Circle]:
         circles.append(circle.rotate_from_rotvec(turn, degrees=False).move(
             1e-3 * np.array(winding.position_mm)))
     return circles
+
+
+def _around(count: int) -> CoilSettings:
+    """Coils on a sphere about the workspace, evenly spread, each facing it."""
+    steps = np.arange(count) + 0.5
+    z, angle = 1 - 2 * steps / count, np.pi * (1 + math.sqrt(5)) * steps
+    radius = np.sqrt(1 - z * z)
+    axes = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
+    winding = CoilSettings().windings[0].model_dump(exclude_none=True)
+    return CoilSettings.model_validate({'axes': 'xyz', 'windings': [
+        {**winding, 'name': f'coil_{k}', 'position_mm': 45 * axis, 'axis': axis}
+        for k, axis in enumerate(axes)]})
+
+
+def _many(count: int) -> list[Figure]:
+    """Field and gradient in space; magpylib has no gradient but differences of its field."""
+    settings = _around(count)
+    coils, peer = CoilSet(settings), _magpylib(settings)
+    points = np.random.default_rng(1).uniform(-12e-3, 12e-3, (_POINTS, 3))
+    shifts = _STEP * np.multiply.outer((-2, -1, 1, 2), np.eye(3))
+
+    def ours() -> tuple[np.ndarray, np.ndarray]:
+        return coils.field_per_ampere(points), coils.gradient_per_ampere(points)
+
+    def theirs() -> tuple[np.ndarray, np.ndarray]:
+        near = magpylib.getB(peer, (points + shifts[:, :, None]).reshape(-1, 3))
+        near = near.reshape(count, 4, 3, len(points), 3)
+        weights = np.array([1, -8, 8, -1]) / (12 * _STEP)
+        return magpylib.getB(peer, points), np.einsum('s,csjmi->cmij', weights, near)
+
+    error = max(
+        float((np.linalg.norm((own - other).reshape(count, _POINTS, -1), axis=-1)
+               / np.linalg.norm(other.reshape(count, _POINTS, -1), axis=-1)).max())
+        for own, other in zip(ours(), theirs(), strict=True))
+    field = seconds(lambda: coils.field_per_ampere(points),
+                    lambda: magpylib.getB(peer, points), rounds=5)
+    both = seconds(ours, theirs, rounds=3)
+    what = f'of {count} coils in space at 10,000 points'
+    return [
+        Figure(19, f'field {what}: speed', field[1] / field[0], '×', '≥ 5', 'magpylib getB',
+               field[1] / field[0] >= 5),
+        Figure(19, f'field and gradient {what}: speed', both[1] / both[0], '×', '≥ 5',
+               'magpylib getB and its differences', both[1] / both[0] >= 5),
+        Figure(19, f'field and gradient {what}: largest relative difference', error, '1',
+               '≤ 1e-9', 'magpylib getB and its differences', error <= 1e-9),
+    ]
+
+
+def _times_in_space() -> list[Figure]:
+    rng = np.random.default_rng(2)
+    fields, pulls = rng.normal(size=(2, _BATCH, 3))
+    fields *= 1e-3 / np.linalg.norm(fields, axis=1, keepdims=True)
+    pulls *= 1e-3 / np.linalg.norm(pulls, axis=1, keepdims=True)
+    six, eight = (Allocator(CoilSet(read_yaml(_CONFIG / f'coils_{number}.yaml', CoilSettings)))
+                  for number in ('six', 'eight'))
+
+    def each(call: Callable[..., object], *of: np.ndarray) -> Callable[[], None]:
+        def run() -> None:
+            for one in zip(*of, strict=True):
+                call(*one)
+        return run
+
+    times = seconds(each(six.allocate, fields), each(eight.allocate, fields),
+                    each(eight.actuate, fields, pulls), each(six.allocate, 100 * fields),
+                    each(eight.allocate, 100 * fields), rounds=99)
+    names = ('field, 6 coils', 'field, 8 coils', 'field and pull, 8 coils',
+             'field beyond the limits, 6 coils', 'field beyond the limits, 8 coils')
+    targets = (30, 30, 30, 300, 300)
+    return [Figure(19, f'currents for a wanted {name}', 1e6 * time / _BATCH, 'µs', f'≤ {target}',
+                   '', 1e6 * time / _BATCH <= target)
+            for name, time, target in zip(names, times, targets, strict=True)]
 
 
 def _field(coils: CoilSet, peer: list[magpylib.current.Circle]) -> list[Figure]:

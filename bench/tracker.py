@@ -15,7 +15,8 @@ from bench._tracker_endurance import memory
 from bench._tracker_scenes import crowd, identity_switches, light, scene
 from bench._tracker_worlds import LEARNING, World, world
 from bench.figure import Figure, seconds
-from microbot_ros.tracking import Tracker, TrackerSettings, learn, open_source
+from microbot_ros.cameras.source import open_source
+from microbot_ros.tracking import Tracker, TrackerSettings, learn
 from microbot_ros.tracking.detect import RoundDetector
 from microbot_ros.tracking.outline import OutlineDetector
 from microbot_ros.tracking.tracker import make_detector

@@ -7,7 +7,7 @@ refused unless `into_live_rig:=true`.
 import os
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
+from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode
 from launch_ros.parameter_descriptions import ParameterValue
@@ -35,5 +35,5 @@ def generate_launch_description() -> LaunchDescription:
         LifecycleNode(package='microbot_ros', executable='player_node', name='player',
                       namespace='', parameters=[{'session': session, 'rate': rate,
                                    'into_live_rig': into_live_rig}],
-                      output='screen'),
+                      output='screen', on_exit=Shutdown(reason='the recording has ended')),
     ])

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import reprlib
 from pathlib import Path
+
+_SHOWN = 80
+_short = reprlib.Repr()
+_short.maxlevel = 2
+_short.maxstring = _short.maxother = _SHOWN
 
 
 class InputError(ValueError):
@@ -13,11 +19,11 @@ class InputError(ValueError):
     """
 
     def __init__(self, source: str | Path, expected: str, line: int | None = None) -> None:
-        self.source = str(source)
-        self.expected = expected
+        self.source = one_line(str(source))
+        self.expected = one_line(expected)
         self.line = line
         place = self.source if line is None else f'{self.source}:{line}'
-        super().__init__(f'{place}: {expected}' if place else expected)
+        super().__init__(f'{place}: {self.expected}' if place else self.expected)
 
 
 class PackageError(InputError):
@@ -30,3 +36,18 @@ class RigError(RuntimeError):
     The message is one line that names the node. Commands print it on standard error and exit
     with 1.
     """
+
+
+def one_line(text: str) -> str:
+    """The `text` as a terminal shows it in one line: what is no printable character is escaped."""
+    return ''.join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+
+
+def shown(value: object) -> str:
+    """What was received, as Python writes a `value`, in at most 80 characters."""
+    return clipped(_short.repr(value))
+
+
+def clipped(text: str) -> str:
+    """The `text`, or where it is long its first 80 characters, the last of them an ellipsis."""
+    return text if len(text) <= _SHOWN else f'{text[:_SHOWN - 1]}…'

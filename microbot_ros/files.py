@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
@@ -13,13 +13,23 @@ from typing import Any, TypeVar
 import pydantic
 import yaml
 
-from microbot_ros.errors import InputError, PackageError
+from microbot_ros import strict_yaml
+from microbot_ros.errors import InputError, PackageError, clipped, shown
+from microbot_ros.plausible import check_plausible
 
 
 class Settings(pydantic.BaseModel):
-    """Base of everything read from YAML: unknown keys, NaN and infinity are errors."""
+    """Base of everything read from YAML: unknown keys, NaN, infinity and numbers that no rig has
+    are errors.
+    """
 
     model_config = pydantic.ConfigDict(extra='forbid', frozen=True, allow_inf_nan=False)
+
+    @pydantic.field_validator('*')
+    @classmethod
+    def _plausible(cls, value: Any, field: pydantic.ValidationInfo) -> Any:
+        check_plausible(field.field_name or '', value)
+        return value
 
 
 SettingsT = TypeVar('SettingsT', bound=pydantic.BaseModel)
@@ -32,17 +42,8 @@ def read_yaml(path: str | Path, settings: type[SettingsT]) -> SettingsT:
     is not YAML, or does not fit.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding='utf-8')
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(path, f'expected a readable YAML file ({error})') from None
-    try:
-        tree = yaml.compose(text, Loader=yaml.SafeLoader)
-        content = yaml.safe_load(text) or {}
-    except yaml.YAMLError as error:
-        mark = getattr(error, 'problem_mark', None)
-        problem = getattr(error, 'problem', None) or 'not YAML'
-        raise InputError(path, f'expected YAML; {problem}', mark and mark.line + 1) from None
+    tree, content = load_yaml(path)
+    content = content or {}
     if not isinstance(content, dict):
         raise InputError(path, 'expected keys and values at the top level', 1)
     try:
@@ -55,14 +56,32 @@ def read_yaml(path: str | Path, settings: type[SettingsT]) -> SettingsT:
         raise InputError(path, _explain(first, settings), _line_of(tree, first['loc'])) from None
 
 
+def load_yaml(path: str | Path, loader: type[strict_yaml.StrictLoader] = strict_yaml.StrictLoader,
+              ) -> tuple[yaml.Node | None, Any]:
+    """The tree of a YAML file and its content, as a `loader` makes it, not validated.
+
+    InputError with file and line for a file that is missing or no plain YAML.
+    """
+    path = Path(path)
+    try:
+        if path.stat().st_size > strict_yaml.LARGEST_BYTES:
+            raise strict_yaml.YamlError(f'at most {strict_yaml.LARGEST_BYTES // 2**20} MB')
+        return strict_yaml.load(path.read_text(encoding='utf-8'), loader)
+    except UnicodeDecodeError:
+        raise InputError(path, 'expected YAML, found bytes that are no text') from None
+    except OSError as error:
+        raise InputError(path, f'expected a readable YAML file ({error.strerror})') from None
+    except strict_yaml.YamlError as error:
+        raise InputError(path, f'expected YAML; {error.problem}', error.line) from None
+
+
 def line_of(path: str | Path, *keys: int | str) -> int | None:
     """The line of a YAML file on which a key path stands, as far as the file has it."""
-    tree = yaml.compose(Path(path).read_text(encoding='utf-8'), Loader=yaml.SafeLoader)
-    return _line_of(tree, keys)
+    return _line_of(load_yaml(path)[0], keys)
 
 
 def _explain(error: Any, settings: type[pydantic.BaseModel]) -> str:
-    key = '.'.join(str(part) for part in error['loc']) or 'the file'
+    key = clipped('.'.join(str(part) for part in error['loc'])) or 'the file'
     if error['type'] == 'extra_forbidden':
         known = sorted(settings.model_fields) if len(error['loc']) == 1 else []
         hint = f'; expected one of: {", ".join(known)}' if known else ''
@@ -70,7 +89,7 @@ def _explain(error: Any, settings: type[pydantic.BaseModel]) -> str:
     if error['type'] == 'missing':
         return f"expected a key '{key}'"
     message = error['msg'].removeprefix('Value error, ')
-    return f"'{key}': {message[0].lower()}{message[1:]}, got {error['input']!r}"
+    return f"'{key}': {message[0].lower()}{message[1:]}, got {shown(error['input'])}"
 
 
 def _line_of(tree: yaml.Node | None, location: tuple[int | str, ...]) -> int | None:
@@ -105,6 +124,14 @@ def write_text(path: str | Path, text: str) -> None:
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise
+
+
+def refuse_to_overwrite(folder: Path, names: Iterable[str], force: bool) -> None:
+    """InputError where one of the files of these `names` is in a `folder`, unless by `force`."""
+    there = [name for name in names if (folder / name).exists()]
+    if there and not force:
+        raise InputError(folder, f'expected a folder without {", ".join(there)}; --force replaces '
+                                 'what is there')
 
 
 @contextmanager

@@ -109,7 +109,8 @@ class Session:
     """One recording: what was seen, what was commanded, under which conditions; its `name`.
 
     `breaks` (K,) [s], ascending, are where what was seen was joined: nothing is known of the way
-    from the last frame before one to the first at or after it.
+    from the last frame before one to the first at or after it. `remarks` are sentences on what is
+    not as it should be: data that were cut off.
     """
 
     tracks: Tracks
@@ -117,3 +118,4 @@ class Session:
     conditions: Conditions = field(default_factory=Conditions)
     name: str = ''
     breaks: np.ndarray = field(default_factory=lambda: np.empty(0))
+    remarks: tuple[str, ...] = ()

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from microbot_ros import units
+from microbot_ros.errors import clipped, shown
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,7 @@ def convert(settings: type, name: str, value: Any) -> Any:
         value = _convert_list(name, value)
     elif type(value) is not type(default):
         kind = {'str': 'a text', 'float': 'a number', 'int': 'a whole number', 'bool': 'a boolean'}
-        raise ValueError(f'{name} must be {kind[type(default).__name__]}; received {value!r}')
+        raise ValueError(f'{name} must be {kind[type(default).__name__]}; received {shown(value)}')
     _check_limits(about(settings, name), name, value)
     return value
 
@@ -95,7 +96,7 @@ def convert(settings: type, name: str, value: Any) -> Any:
 def _convert_list(name: str, value: Any) -> list[Any]:
     items = list(value) if not isinstance(value, str) and hasattr(value, '__iter__') else None
     if items is None:
-        raise ValueError(f'{name} must be a list; received {value!r}')
+        raise ValueError(f'{name} must be a list; received {shown(value)}')
     return [float(v) if isinstance(v, int) and not isinstance(v, bool) else v for v in items]
 
 
@@ -105,7 +106,7 @@ def _check_limits(allowed: About, name: str, value: Any) -> None:
             raise ValueError(f'{name} must be finite; received {item}')
         if allowed.choices and item not in allowed.choices:
             known = ', '.join(allowed.choices)
-            raise ValueError(f'{name} must be one of {known}; received {item}')
+            raise ValueError(f'{name} must be one of {known}; received {clipped(str(item))}')
         if isinstance(item, int | float) and not isinstance(item, bool):
             low = -math.inf if allowed.lower is None else allowed.lower
             high = math.inf if allowed.upper is None else allowed.upper

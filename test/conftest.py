@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,11 @@ os.environ.setdefault('OMP_NUM_THREADS', '1')
 # Examples are drawn, but the same every time: what is green here is green elsewhere.
 hypothesis.settings.register_profile('seeded', derandomize=True)
 hypothesis.settings.load_profile('seeded')
+
+# What tests an extra is left out where that extra is not installed.
+_OF_EXTRAS = {'gym/test_steering.py': 'gymnasium', 'gym/test_training_docs.py': 'gymnasium',
+              'control/test_policy.py': 'onnx'}
+collect_ignore = [file for file, module in _OF_EXTRAS.items() if find_spec(module) is None]
 
 _TRIES = 4
 

@@ -15,8 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 import microbot_ros
+from microbot_ros.errors import InputError
 from microbot_ros.nodes.configuration import node_class
 
 ROOT = Path(__file__).parents[1]
@@ -66,6 +68,19 @@ def test_colcon_installs_what_ros_looks_for(workspace: Path) -> None:
     assert {f'{node}_node' for node in nodes} | {'microbot'} <= scripts
 
 
+def test_colcon_runs_the_tests(workspace: Path) -> None:
+    """With nobody told that they are pytest's it looked for unittest's, found none and was happy.
+    """
+    tests = workspace / 'src' / 'microbot_ros' / 'test'
+    tests.mkdir()
+    (tests / 'test_two.py').write_text('def test_one():\n    pass\n\ndef test_two():\n    pass\n')
+    for words in (['test', '--base-paths', 'src'], ['test-result', '--verbose', '--all']):
+        done = subprocess.run([BIN / 'colcon', *words], cwd=workspace, env=_environment(),
+                              capture_output=True, text=True, timeout=100)
+        assert done.returncode == 0, done.stdout + done.stderr
+    assert 'Summary: 2 tests, 0 errors, 0 failures' in done.stdout
+
+
 def test_scripts_run_from_the_install_space(workspace: Path) -> None:
     installed = workspace / 'install' / 'microbot_ros'
     site = next((installed / 'lib').glob('python3*/site-packages'))
@@ -89,23 +104,81 @@ def test_versions_agree() -> None:
     assert package == setup.group(1) == microbot_ros.__version__
 
 
+class Launched:
+    """A launch file as it is run. launch is not on PyPI: its classes are stood in for by ones that
+    keep their arguments.
+    """
+
+    def __init__(self, name: str, monkeypatch: pytest.MonkeyPatch, **given: str) -> None:
+        self.nodes: list[dict[str, Any]] = []
+        self.commands: list[list[Any]] = []
+        self.delayed: list[Any] = []
+        self._given = given
+        stand_in: Any = types.ModuleType('stand_in')
+        for kind in ('LaunchDescription', 'DeclareLaunchArgument', 'ParameterValue',
+                     'SetEnvironmentVariable', 'LaunchContext'):
+            setattr(stand_in, kind, lambda *arguments, **_: arguments)
+        stand_in.LaunchConfiguration = lambda name: types.SimpleNamespace(
+            perform=lambda context: context[name])
+        stand_in.OpaqueFunction = lambda function: self.delayed.append(function)
+        stand_in.ExecutableInPackage = lambda **arguments: arguments
+        stand_in.Shutdown = lambda **_: 'shutdown'
+        stand_in.ExecuteProcess = lambda cmd, **_: self.commands.append(cmd)
+        stand_in.LifecycleNode = lambda **arguments: self.nodes.append(arguments)
+        stand_in.get_package_share_directory = lambda _: str(ROOT)
+        for module in ('launch', 'launch.actions', 'launch.substitutions', 'launch_ros',
+                       'launch_ros.actions', 'launch_ros.parameter_descriptions',
+                       'launch_ros.substitutions', 'ament_index_python',
+                       'ament_index_python.packages'):
+            monkeypatch.setitem(sys.modules, module, stand_in)
+        [self.description] = runpy.run_path(
+            str(ROOT / f'launch/{name}_launch.py'))['generate_launch_description']()
+
+    def start(self) -> Launched:
+        """What is only decided when it is run."""
+        for function in self.delayed:
+            function(self._given)
+        return self
+
+
+EXAMPLE = {'config': str(ROOT / 'config' / 'rig.yaml'), 'namespace': '/'}
+
+
+def test_the_demo_makes_nothing_until_it_runs(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`--show-args` only asks for the description."""
+    monkeypatch.setattr('tempfile.tempdir', str(tmp_path))
+    demo = Launched('demo', monkeypatch)
+    assert not list(tmp_path.iterdir())
+    [command] = demo.start().commands
+    assert command[:3] == [
+        {'executable': 'microbot', 'package': 'microbot_ros'}, 'emulate', 'serial_transfer']
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_rig_is_the_nodes_that_its_file_names(
+        tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = tmp_path / 'rig.yaml'
+    config.write_text('/**/camera: {ros__parameters: {source: here}}\n/rig_2/tracker: {}\n')
+    for namespace, nodes in (('/rig_2', ['camera', 'tracker']), ('rig_3', ['camera'])):
+        rig = Launched('rig', monkeypatch, config=str(config), namespace=namespace).start()
+        assert [node['name'] for node in rig.nodes] == nodes
+        assert {node['namespace'] for node in rig.nodes} == {f'/{namespace.strip("/")}'}
+    with pytest.raises(InputError, match='expected a readable YAML file'):
+        Launched('rig', monkeypatch, config='nowhere.yaml', namespace='/').start()
+
+
+def test_a_replay_ends_with_its_player(monkeypatch: pytest.MonkeyPatch) -> None:
+    [player] = [node for node in Launched('replay', monkeypatch).nodes if node['name'] == 'player']
+    assert player['on_exit'] == 'shutdown'
+
+
 @pytest.mark.parametrize('name', ['rig', 'demo', 'replay'])
 def test_launch_files_start_nodes_with_parameters_that_exist(
-        name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """launch is not on PyPI: its classes are stood in for by one that keeps its arguments."""
-    started: list[dict[str, Any]] = []
-    stand_in = types.ModuleType('stand_in')
-    for kind in ('LaunchDescription', 'DeclareLaunchArgument', 'LaunchConfiguration',
-                 'ExecuteProcess', 'ParameterValue', 'SetEnvironmentVariable'):
-        setattr(stand_in, kind, lambda *arguments, **_: arguments)
-    stand_in.LifecycleNode = lambda **arguments: started.append(arguments)  # type: ignore[attr-defined]
-    stand_in.get_package_share_directory = lambda _: str(ROOT)  # type: ignore[attr-defined]
-    for module in ('launch', 'launch.actions', 'launch.substitutions', 'launch_ros',
-                   'launch_ros.actions', 'launch_ros.parameter_descriptions',
-                   'ament_index_python', 'ament_index_python.packages'):
-        monkeypatch.setitem(sys.modules, module, stand_in)
-    [description] = runpy.run_path(
-        str(ROOT / f'launch/{name}_launch.py'))['generate_launch_description']()
+        name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr('tempfile.tempdir', str(tmp_path))
+    launched = Launched(name, monkeypatch, **EXAMPLE).start()
+    started, description = launched.nodes, launched.description
     assert description[0] == ('MICROBOT_PARENT', str(os.getpid()))  # nodes end with the launcher
     scripts = {entry.name for entry in entry_points(group='console_scripts')}
     assert started
@@ -125,3 +198,16 @@ def test_the_tables_in_the_docs_are_those_of_the_code(page) -> None:
         cwd=ROOT / 'docs', capture_output=True, text=True, timeout=60, check=True)
     written = (ROOT / 'docs' / f'{page}.md').read_text()
     assert made.stdout == written, 'run `python docs/build.py`'
+
+
+def test_what_rviz_shows_is_what_the_nodes_send() -> None:
+    """RViz is not on PyPI: its frame and its topics are held against the nodes'."""
+    from microbot_ros.nodes.messages import WORKSPACE
+    from microbot_ros.nodes.topics import TOPICS
+
+    shown = yaml.safe_load((ROOT / 'config' / 'rig.rviz').read_text())['Visualization Manager']
+    assert shown['Global Options']['Fixed Frame'] == WORKSPACE
+    topics = [item['Topic']['Value'] for item in shown['Displays'] + shown['Tools']
+              if 'Topic' in item]
+    assert len(topics) == 3
+    assert {topic.removeprefix('/') for topic in topics} <= TOPICS.keys()

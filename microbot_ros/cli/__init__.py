@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
 import keyword
+import os
+import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
 
 import click
 
 from microbot_ros import __version__
-from microbot_ros.errors import InputError, RigError
+from microbot_ros.errors import InputError, RigError, one_line
+
+# What the system says of a place that somebody named, and of a disk that nobody can help.
+_WRONG_PLACE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOENT, errno.ENOTDIR, errno.EISDIR,
+                errno.EEXIST, errno.ENAMETOOLONG, errno.ELOOP)
+_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 # Command → one line for `microbot --help`; the module of the same name defines `command`.
 _COMMANDS = {
@@ -61,17 +72,50 @@ def microbot() -> None:
 def main() -> None:
     """Run the command line: exit 0 done, 1 failed, 2 bad input with one line on standard error."""
     try:
-        status = microbot.main(standalone_mode=False)
+        with _cleaned_up_on(signal.SIGTERM, signal.SIGHUP):
+            status = microbot.main(standalone_mode=False)
     except InputError as error:
-        print(f'microbot: {error}', file=sys.stderr)
-        status = 2
+        status = _failed('microbot', str(error), 2)
     except RigError as error:
-        print(f'microbot: {error}', file=sys.stderr)
-        status = 1
+        status = _failed('microbot', str(error), 1)
     except click.UsageError as error:
         where = f'microbot {error.ctx.info_name}' if error.ctx and error.ctx.parent else 'microbot'
-        print(f'{where}: {error.format_message()} (see --help)', file=sys.stderr)
-        status = 2
+        status = _failed(where, f'{error.format_message()} (see --help)', 2)
+    except OSError as error:
+        if error.errno not in (*_DISK, *_WRONG_PLACE):
+            raise
+        place = f'{error.filename}: ' if error.filename else ''
+        status = _failed('microbot', f'{place}{error.strerror}', 1 if error.errno in _DISK else 2)
     except (click.Abort, KeyboardInterrupt):
         status = 130
     sys.exit(status)
+
+
+def _failed(who: str, sentence: str, status: int) -> int:
+    print(one_line(f'{who}: {sentence}'), file=sys.stderr)
+    return status
+
+
+@contextmanager
+def _cleaned_up_on(*signals: int) -> Iterator[None]:
+    """Leave by way of what cleans up when the first of the `signals` comes, so that no folder
+    stays half filled. Workers that were forked end at once, as ever.
+    """
+    ours = os.getpid()
+
+    def end(number: int, _: FrameType | None) -> None:
+        here = os.getpid() == ours
+        for one in signals:
+            signal.signal(one, signal.SIG_IGN if here else signal.SIG_DFL)
+        if here:
+            raise SystemExit(128 + number)
+        os.kill(os.getpid(), number)
+
+    # `nohup` has one of them ignored.
+    before = {one: signal.signal(one, end) for one in signals
+              if signal.getsignal(one) == signal.SIG_DFL}
+    try:
+        yield
+    finally:
+        for one, handler in before.items():
+            signal.signal(one, handler)

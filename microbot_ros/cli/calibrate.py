@@ -95,7 +95,7 @@ def coils(source: Path, out: Path, config: Path | None, json_path: Path | None) 
 
 def _known_coils(config: Path | None) -> tuple[CoilSettings, str]:
     """The coils that are to be corrected, and in words whose they are."""
-    from microbot_ros.errors import InputError
+    from microbot_ros.errors import InputError, clipped
     from microbot_ros.files import read_yaml
     from microbot_ros.nodes.configuration import read_rig
 
@@ -108,7 +108,8 @@ def _known_coils(config: Path | None) -> tuple[CoilSettings, str]:
         return read_yaml(config, CoilSettings), f'the coils of {config}'
     if 'coil_driver' not in keys:
         raise InputError(config, 'expected coils, with a key coils or windings, or the file of a '
-                         f'rig, with a section coil_driver; found {", ".join(keys) or "nothing"}')
+                         f'rig, with a section coil_driver; found '
+                         f'{clipped(", ".join(keys)) or "nothing"}')
     named = read_rig(config)['coil_driver'].get('coils_file', '')
     if not named:
         return CoilSettings(), f'the coils of the default rig: {config} names no coils_file'

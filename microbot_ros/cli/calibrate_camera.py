@@ -12,6 +12,7 @@ import click
 import numpy as np
 
 from microbot_ros.errors import InputError
+from microbot_ros.plausible import plausible_range
 from microbot_ros.units import from_si, to_si
 
 if TYPE_CHECKING:
@@ -63,7 +64,8 @@ def _rounded(value: float | None) -> float | None:
               help='Folder for camera.yaml, calibration.json and calibration.png.')
 @click.option('--graticule', type=click.Path(path_type=Path), metavar='PICTURE',
               help='Picture of a stage micrometer or grating: evenly spaced lines.')
-@click.option('--spacing-um', type=float, help='From line to line of the graticule.')
+@click.option('--spacing-um', type=float,
+              help='From line to line of the graticule.')
 @click.option('--along-coils', is_flag=True,
               help='The graticule lies along the coils: its angle is the rotation.')
 @click.option('--particles', metavar='SOURCE',
@@ -145,7 +147,7 @@ def _length(name: str, value_um: float | None, of: str, given: object) -> float:
     """A length [m] that must be there exactly when what it belongs to is; else 0."""
     if (value_um is None) != (given is None):
         raise InputError(name, f'expected together with {of}')
-    if value_um is not None and not 0 < value_um < math.inf:
+    if value_um is not None and not 0 < value_um <= plausible_range('_um')[1]:
         raise InputError(name, f'expected a positive length, got {value_um}')
     return to_si('_um', value_um or 0.0)
 
@@ -196,8 +198,8 @@ def _by_motion(
 def _by_graticule(
     part: CameraPart, path: Path, spacing: float, along_coils: bool, result: dict[str, Any],
 ) -> tuple[CameraPart, np.ndarray, Graticule]:
+    from microbot_ros.cameras.source import read_picture
     from microbot_ros.tracking.graticule import measure_graticule
-    from microbot_ros.tracking.source import read_picture
 
     image = read_picture(path)
     found = measure_graticule(image, str(path))
@@ -224,8 +226,9 @@ def _by_graticule(
 def _by_size(
     part: CameraPart, source: str, diameter: float, result: dict[str, Any],
 ) -> CameraPart:
+    from microbot_ros.cameras.source import open_source
     from microbot_ros.cli.track import first_appearance
-    from microbot_ros.tracking import TrackerSettings, open_source
+    from microbot_ros.tracking import TrackerSettings
 
     appearance = first_appearance(open_source(source, lambda _: None), TrackerSettings())
     if appearance is None:

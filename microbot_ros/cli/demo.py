@@ -15,6 +15,7 @@ import click
 import numpy as np
 import yaml
 
+from microbot_ros.cli.compiling import note_on_compiling
 from microbot_ros.cli.demo_robots import KINDS, Robots
 from microbot_ros.drive.real_time import LOOP, realtime_priority
 from microbot_ros.ending import Ending, Stopped
@@ -123,6 +124,8 @@ def _run(graph: Graph, ending: Ending, folder: Path, seconds: float, seed: int,
     rig = folder / 'rig.yaml'
     write_text(rig, _rig_file(folder, port, log, seed, robots))
     _say(began, f'starting the emulated amplifier and {len(NODES)} nodes')
+    if note := note_on_compiling():
+        _say(began, note)
     graph.start('amplifier', [
         sys.executable, '-m', 'microbot_ros.cli', 'emulate', 'serial_transfer',
         '--link', str(port), '--log', str(log), '--full-scale-A', '2', *robots.emulator],

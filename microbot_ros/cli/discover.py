@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from microbot_ros.cli.options import FiniteFloatRange
+from microbot_ros.cli.compiling import note_on_compiling
+from microbot_ros.cli.options import FiniteFloatRange, namespace_option
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -43,9 +44,10 @@ if TYPE_CHECKING:
               help='With --drive: give the model found to the model node and the controllers.')
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
               help='Also write the content of result.json here.')
+@namespace_option
 def command(sessions: tuple[Path, ...], out: Path, jobs: int, live: bool, seconds: float,
             rounds: int, drive: bool, minutes: float, apply_: bool,
-            json_path: Path | None) -> None:
+            json_path: Path | None, namespace: str) -> None:
     """Find where SESSION and the first-order model part, and name the effect that is missing.
 
     Several sessions of one rig are explained together. Writes result.json (verdict, effects with
@@ -72,12 +74,12 @@ def command(sessions: tuple[Path, ...], out: Path, jobs: int, live: bool, second
         raise click.UsageError('--apply is for --drive')
     progress = Console(stderr=True, highlight=False)
     if live:
-        _watch(out, seconds, rounds, jobs, json_path, progress)
+        _watch(out, seconds, rounds, jobs, json_path, progress, namespace)
         return
     if drive:
         from microbot_ros.cli.discover_drive import drive_rig
 
-        drive_rig(out, minutes, apply_, json_path, progress)
+        drive_rig(out, minutes, apply_, json_path, progress, namespace)
         return
     with progress.status('reading'):
         recordings = [read_session(path) for path in sessions]
@@ -96,6 +98,8 @@ def _discover(recordings: Sequence[Session], sources: Sequence[Path], out: Path,
     from microbot_ros.files import output_folder, write_text
     from microbot_ros.model.model_file import write_model
 
+    for line in filter(None, ('looking', note_on_compiling())):
+        progress.print(line, soft_wrap=True)
     with progress.status('looking') as status:
         found = discover(recordings, status.update, jobs=jobs)
     text = json.dumps(found.as_json(), indent=1, ensure_ascii=False, allow_nan=False) + '\n'
@@ -113,7 +117,7 @@ def _discover(recordings: Sequence[Session], sources: Sequence[Path], out: Path,
 
 
 def _watch(out: Path, seconds: float, rounds: int, jobs: int, json_path: Path | None,
-           progress: Console) -> None:
+           progress: Console, namespace: str) -> None:
     """Look at the recent past of the graph again and again, each time into a folder of its own.
 
     A node that uses the model of one look goes on with it while the next is written. Looks follow
@@ -129,7 +133,7 @@ def _watch(out: Path, seconds: float, rounds: int, jobs: int, json_path: Path | 
     from microbot_ros.nodes.verdict_publisher import VerdictPublisher
     from microbot_ros.session import write_session
 
-    with GraphClient('discover') as client:
+    with GraphClient('discover', namespace) as client:
         recent, verdict = LiveSessionBuffer(client, seconds), VerdictPublisher(client)
         for look in count(1):
             session = _listen(client, recent, seconds, progress)
@@ -141,7 +145,8 @@ def _watch(out: Path, seconds: float, rounds: int, jobs: int, json_path: Path | 
                 found = _discover([session], [place / 'session'], place, jobs, json_path, progress)
                 verdict.publish(found.as_json())
                 if found.model.effects:
-                    _propose(place / 'model.yaml', found.model.time_invariant, progress)
+                    _propose(
+                        place / 'model.yaml', found.model.time_invariant, namespace, progress)
             except InputError as error:
                 if look == rounds:
                     raise
@@ -154,10 +159,12 @@ def _watch(out: Path, seconds: float, rounds: int, jobs: int, json_path: Path | 
             recent.forget()
 
 
-def _propose(file: Path, time_invariant: bool, progress: Console) -> None:
+def _propose(file: Path, time_invariant: bool, namespace: str, progress: Console) -> None:
     """How a running graph takes the model."""
+    where = '' if namespace == '/' else f' --namespace {namespace}'
     for node in ('model', 'controller'):
-        progress.print(f'to use it: microbot set {node} model_file {file}', soft_wrap=True)
+        progress.print(f'to use it: microbot set {node} model_file {file}{where}',
+                       soft_wrap=True)
     if not time_invariant:
         progress.print('! It has an effect that counts time: here from the first frame heard, '
                        'in a node from its start.')

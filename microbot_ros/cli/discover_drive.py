@@ -19,8 +19,8 @@ CONTROLLER, APPROACH, JUDGED = 'waypoint', 6.0, 10.0
 
 
 def drive_rig(out: Path, minutes: float, use: bool, json_path: Path | None,
-              progress: Console) -> None:
-    """Drive the rig of the graph for so many `minutes` at most, and write into `out` what came.
+              progress: Console, namespace: str) -> None:
+    """Drive the rig of a `namespace` for at most so many `minutes`; write into `out` what came.
 
     The experiments lie in it as sessions, each as soon as it is over. With `use` the model found
     is given to the rig. RigError where the rig can't be driven, and where nothing was learned.
@@ -32,7 +32,7 @@ def drive_rig(out: Path, minutes: float, use: bool, json_path: Path | None,
 
     out = out.resolve()
     kept = _Kept(out)
-    with GraphClient('discover') as client:
+    with GraphClient('discover', namespace) as client:
         with DrivenRig(client, kept) as rig, Ending(rig.tell_to_end):
             driven = drive(rig, minutes, lambda line: progress.print(line, soft_wrap=True))
         found = _write(driven, kept.folders, out, json_path, progress)

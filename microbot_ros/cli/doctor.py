@@ -7,16 +7,21 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
 from microbot_ros.errors import InputError
 
+if TYPE_CHECKING:
+    from microbot_ros.cameras.stream import FrameStream
+
 _WATCH_SECONDS, _TICK_SECONDS, _LATE_MS = 2.0, 0.005, 10.0
+_CAMERA_SECONDS = 1.0
 _ANY_BAUD = 115_200
 _UDEV_HINT = 'see "Low latency" in docs/safety.md for the udev rule that sets it'
 _BUSY = [sys.executable, '-c', 'while True: pass']
@@ -49,6 +54,8 @@ def command(config: Path | None, json_path: Path | None) -> None:
 
     from microbot_ros.files import write_text
 
+    if config:
+        _readable(config)
     marks = {'ok': '[green]ok  [/]', 'warn': '[yellow]warn[/]', 'fail': '[red]FAIL[/]'}
     console = Console(highlight=False, soft_wrap=True)
     findings = []
@@ -62,11 +69,19 @@ def command(config: Path | None, json_path: Path | None) -> None:
         sys.exit(1)
 
 
+def _readable(config: Path) -> None:
+    """InputError for a file that is not that of a rig: nothing can be said of that rig."""
+    from microbot_ros.nodes.configuration import read_rig
+
+    read_rig(config)
+
+
 def _look(config: Path | None) -> Iterator[Finding]:
     checks: list[Callable[[], Finding]] = [
         _python, _ros, _real_time, _dead_man, _shared_memory, _disk, _ports]
     if config:
-        checks += [lambda: _rig(config), lambda: _watchdog(config), lambda: _latency(config)]
+        checks += [lambda: _rig(config), lambda: _camera(config), lambda: _watchdog(config),
+                   lambda: _latency(config)]
     for check in checks:
         try:
             yield check()
@@ -174,6 +189,50 @@ def _rig(config: Path) -> Finding:
     if problems:
         return Finding('rig', 'fail', '; '.join(problems))
     return Finding('rig', 'ok', f'{config}: {", ".join(rig)}{coils}')
+
+
+def _camera(config: Path) -> Finding:
+    """Opens it as its node does, watches it for a moment, and closes it."""
+    from microbot_ros.cameras.camera import CameraSettings, camera_class, kind_of
+    from microbot_ros.cameras.stream import FrameStream
+    from microbot_ros.nodes.configuration import read_rig
+    from microbot_ros.settings import defaults
+
+    given = read_rig(config).get('camera')
+    if given is None:
+        return Finding('camera', 'ok', f'none in {config}')
+    wanted = CameraSettings(**{
+        name: value for name, value in given.items() if name in defaults(CameraSettings)})
+    odd: list[str] = []
+    try:
+        kind = kind_of(given.get('camera', ''), wanted.source)
+        stream = FrameStream(camera_class(kind)(wanted, odd.append))
+        try:
+            seen = _watch_camera(stream)
+        finally:
+            stream.close()
+    except InputError as error:
+        return Finding('camera', 'fail', str(error))
+    form = stream.format
+    return Finding(
+        'camera', 'warn' if odd or stream.lost else 'ok',
+        '; '.join([f'{kind} {wanted.source}: {form.width}×{form.height} {form.pixel_format}, '
+                   f'{seen}, {stream.lost} lost', f'clock: {form.clock}', *odd]))
+
+
+def _watch_camera(stream: FrameStream) -> str:
+    """The rate at which frames come from an opened `stream`; EndOfFrames is no fault of it."""
+    from microbot_ros.cameras.camera import EndOfFrames
+
+    moments: list[float] = []
+    end = time.monotonic() + _CAMERA_SECONDS
+    with suppress(EndOfFrames):
+        while time.monotonic() < end:
+            if found := stream.read(0.1):
+                moments.append(found[1])
+    if len(moments) < 2:
+        return f'{len(moments)} frames in {_CAMERA_SECONDS:g} s'
+    return f'{(len(moments) - 1) / (moments[-1] - moments[0]):.1f} frames/s'
 
 
 def _coils(file: str) -> str:

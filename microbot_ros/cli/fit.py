@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from microbot_ros.cli.options import FiniteFloatRange
+from microbot_ros.cli.options import FiniteFloatRange, force_option
 
 
 @click.command()
@@ -17,7 +17,9 @@ from microbot_ros.cli.options import FiniteFloatRange
               help='Exposure time of a frame, for the blur of diffusion during it.')
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
               help='Also write the content of fit.json here.')
-def command(session: Path, out: Path, exposure_ms: float, json_path: Path | None) -> None:
+@force_option
+def command(session: Path, out: Path, exposure_ms: float, json_path: Path | None,
+            force: bool) -> None:
     """Fit speed v, direction φ and force F of every particle of SESSION by maximum likelihood.
 
     Diffusion, localisation error and the delay between command and motion are fitted with them.
@@ -35,9 +37,10 @@ def command(session: Path, out: Path, exposure_ms: float, json_path: Path | None
 
     from microbot_ros.estimation import report
     from microbot_ros.estimation.batch import fit
-    from microbot_ros.files import output_folder, write_text
+    from microbot_ros.files import output_folder, refuse_to_overwrite, write_text
     from microbot_ros.session import read_session
 
+    refuse_to_overwrite(out, ('fit.json', 'fit.png'), force)
     progress = Console(stderr=True, highlight=False)
     with progress.status(f'reading {session}'):
         recording = read_session(session)

@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+import numpy as np
 
 from microbot_ros import units
 from microbot_ros.cli.options import FiniteFloatRange, namespace_option
-from microbot_ros.errors import InputError
+from microbot_ros.errors import InputError, shown
+from microbot_ros.plausible import implausible
 
 if TYPE_CHECKING:
     from microbot_ros.nodes.graph_client import GraphClient
@@ -94,8 +96,8 @@ def _position(text: str) -> tuple[float, float]:
         x_um, y_um = (float(part) for part in text.split(','))
     except ValueError:
         x_um = y_um = math.nan
-    if not (math.isfinite(x_um) and math.isfinite(y_um)):
-        raise InputError('goal', f'expected X_UM,Y_UM such as 20,-5; received {text!r}')
+    if implausible('x_um', np.array([x_um, y_um])).any():
+        raise InputError('goal', f'expected X_UM,Y_UM such as 20,-5; received {shown(text)}')
     return units.to_si('x_um', x_um), units.to_si('y_um', y_um)
 
 
@@ -123,11 +125,11 @@ class _Coils:
 
     def listen(self) -> None:
         """Wait until the coil driver has spoken, if there is one."""
-        if self._client.alone('coil_driver'):
+        if self._client.runs('coil_driver'):
             self._client.until(lambda: self._heard, _HEALTH_SECONDS)
 
     def _on_health(self, node: str, level: bytes, sentence: str, _: dict[str, str]) -> None:
-        if node != 'coil_driver' or sentence == self._heard or not self._client.alone(node):
+        if node != 'coil_driver' or sentence == self._heard:
             return
         self._heard = sentence
         if level != b'\0':

@@ -8,16 +8,10 @@ from pathlib import Path
 
 import click
 
+from microbot_ros.cli.options import FiniteFloatRange, plausible_number
 from microbot_ros.errors import InputError
 
 _ROLES = 'time, frame, particle, x, y, theta, direction, frequency, bx, by'
-
-
-def _positive(_: click.Context, option: click.Parameter, value: float | None) -> float | None:
-    if value is not None and not 0 < value < math.inf:
-        raise InputError(f'--{(option.name or "").replace("_", "-")}',
-                         f'expected a number above 0, got {value:g}')
-    return value
 
 
 @click.command(name='import')
@@ -27,15 +21,15 @@ def _positive(_: click.Context, option: click.Parameter, value: float | None) ->
 @click.option('--column', 'columns', multiple=True, metavar='ROLE=NAME',
               help=f'Name the column for a role: {_ROLES}.')
 @click.option('--position-unit', type=click.Choice(['um', 'mm', 'm', 'px']))
-@click.option('--pixel-size-um', type=float, callback=_positive)
+@click.option('--pixel-size-um', type=plausible_number('pixel_size_um'))
 @click.option('--y', 'y_axis', type=click.Choice(['up', 'down']),
               help='Where y points; down is assumed of pixels.')
 @click.option('--time-unit', type=click.Choice(['s', 'ms']))
 @click.option('--times', type=click.Choice(['moments', 'intervals']))
-@click.option('--frame-rate-hz', type=float, callback=_positive)
+@click.option('--frame-rate-hz', type=plausible_number('frame_rate_hz'))
 @click.option('--angle-unit', type=click.Choice(['deg', 'rad']))
 @click.option('--angle-sense', type=click.Choice(['counterclockwise', 'clockwise']))
-@click.option('--angle-offset-deg', type=float,
+@click.option('--angle-offset-deg', type=FiniteFloatRange(-3600, 3600),
               help='How much too large the angles of the commands are.')
 @click.option('--field-unit', type=click.Choice(['mT', 'T', 'G']))
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
@@ -65,8 +59,6 @@ def command(
     from microbot_ros.session.spreadsheets.sheets import Answers
     from microbot_ros.units import to_si
 
-    if angle_offset_deg is not None and not math.isfinite(angle_offset_deg):
-        raise InputError('--angle-offset-deg', f'expected a number, got {angle_offset_deg:g}')
     answers = Answers(
         columns=_named_columns(columns), position_unit=position_unit and f'_{position_unit}',
         pixel_size=None if pixel_size_um is None else to_si('pixel_size_um', pixel_size_um),

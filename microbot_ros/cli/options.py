@@ -7,9 +7,15 @@ from typing import Any
 
 import click
 
+from microbot_ros.plausible import plausible_range
+
 namespace_option = click.option(
     '--namespace', default='/', show_default=True, metavar='NAME',
     help='Which rig, where its nodes run in a ROS namespace of their own.')
+
+
+force_option = click.option(
+    '--force', is_flag=True, help='Replace what an earlier run left there.')
 
 
 class FiniteFloatRange(click.FloatRange):
@@ -23,3 +29,8 @@ class FiniteFloatRange(click.FloatRange):
         """
         number: float = super().convert(value, param, ctx)
         return number if math.isfinite(number) else self.fail(f'{value} is no number', param, ctx)
+
+
+def plausible_number(name: str) -> FiniteFloatRange:
+    """The type of an option for a number of that `name`, within what a rig can have."""
+    return FiniteFloatRange(*plausible_range(name))

@@ -8,6 +8,8 @@ from typing import Any
 
 import click
 
+from microbot_ros.cli.options import force_option
+
 
 @click.command()
 @click.argument('scenario_yaml', metavar='SCENARIO.yaml', type=click.Path(path_type=Path))
@@ -15,7 +17,8 @@ import click
               help='Folder for the session; its truth.yaml says what was put in.')
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
               help='Also write the truth and the number of rows as JSON.')
-def command(scenario_yaml: Path, out: Path, json_path: Path | None) -> None:
+@force_option
+def command(scenario_yaml: Path, out: Path, json_path: Path | None, force: bool) -> None:
     """Simulate SCENARIO.yaml: particles, fluid, camera, commands and any hidden effects.
 
     The physics is langevin (Brownian particles with torques and flows at millisecond steps),
@@ -31,13 +34,14 @@ def command(scenario_yaml: Path, out: Path, json_path: Path | None) -> None:
     from rich.console import Console
 
     from microbot_ros import __version__
-    from microbot_ros.files import output_folder, write_text
+    from microbot_ros.files import output_folder, refuse_to_overwrite, write_text
     from microbot_ros.session import write_session
     from microbot_ros.units import exact_display
     from microbot_ros.virtual_rig.scenario import read_scenario
     from microbot_ros.virtual_rig.simulation import run, strays
 
     scenario, particles = read_scenario(scenario_yaml)
+    refuse_to_overwrite(out, ('tracks.csv', 'commands.csv', 'session.yaml', 'truth.yaml'), force)
     console = Console(stderr=True, highlight=False)
     with console.status(f'{scenario.physics}: {scenario.duration_s:g} s of '
                         f'{len(particles.ids)} particles'):

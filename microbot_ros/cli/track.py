@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
+from microbot_ros.cli.options import plausible_number
 from microbot_ros.units import from_si, to_si
 
 if TYPE_CHECKING:
-    from microbot_ros.tracking import Appearance, Poses, Source, Tracker, TrackerSettings
+    from microbot_ros.cameras.source import Source
+    from microbot_ros.tracking import Appearance, Poses, Tracker, TrackerSettings
 
 _WHOLE = 0.95
 """Share of the frames in which a particle is seen that lives from start to end."""
@@ -25,10 +27,10 @@ _WHOLE = 0.95
 @click.argument('source')
 @click.option('--out', type=click.Path(path_type=Path), required=True, metavar='DIR',
               help='Folder for tracks.csv, overlay.mp4 and settings.png.')
-@click.option('--pixel-size-um', type=float,
+@click.option('--pixel-size-um', type=plausible_number('pixel_size_um'),
               help='Width of a pixel in the sample; adds t_s, x_um, y_um (y up, origin at the '
               'centre of the image).')
-@click.option('--frame-rate-hz', type=float,
+@click.option('--frame-rate-hz', type=plausible_number('frame_rate_hz'),
               help='Frames per second: for images, or instead of what a video says.')
 @click.option('--settings', 'settings_path', type=click.Path(path_type=Path), metavar='YAML',
               help='Settings of detection and linking; what is left out is chosen.')
@@ -57,12 +59,10 @@ def command(
     """
     from rich.console import Console
 
-    from microbot_ros.errors import InputError
+    from microbot_ros.cameras.source import open_source
     from microbot_ros.files import output_folder, read_yaml, write_text
-    from microbot_ros.tracking import TrackerSettings, open_source
+    from microbot_ros.tracking import TrackerSettings
 
-    if pixel_size_um is not None and not 0 < pixel_size_um < float('inf'):
-        raise InputError('--pixel-size-um', f'expected a positive number, got {pixel_size_um}')
     settings = read_yaml(settings_path, TrackerSettings) if settings_path else TrackerSettings()
     commanded = _Commanded(commands_path) if commands_path else None
     console = Console(stderr=True, highlight=False, soft_wrap=True)

@@ -64,8 +64,9 @@ def check_sessions(sessions: Sequence[Session],
     walled = [at_a_wall(e) for e in whole]
     prepared = [prepare(_without(session, set(e.ids[held].tolist())))
                 for session, e, held in zip(sessions, whole, walled, strict=True)]
-    remarks = [remark for e, held, split in zip(whole, walled, prepared, strict=True)
-               for remark in (*_left_out(e, held), *_remarks_on(e, int(split.jumps.sum())))]
+    remarks = [remark for session in sessions for remark in session.remarks]
+    remarks += [remark for e, held, split in zip(whole, walled, prepared, strict=True)
+                for remark in (*_left_out(e, held), *_remarks_on(e, int(split.jumps.sum())))]
     remarks += _references(sessions)
     return prepared, tuple(dict.fromkeys(remarks))
 

@@ -14,13 +14,13 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
-from importlib.metadata import entry_points
 from typing import Any, ClassVar
 
 import numpy as np
 
 from microbot_ros.drive.errors import AmplifierError, NoAnswerError
 from microbot_ros.errors import InputError
+from microbot_ros.plugins import installed
 
 COILS = ('coil_plus_y', 'coil_plus_x', 'coil_minus_y', 'coil_minus_x')
 """Names of four coils in the plane, in the order of every array of currents."""
@@ -256,12 +256,5 @@ def amplifier_class(protocol: str) -> type[Amplifier]:
     Raises InputError for a name that is not registered or whose driver does not load: there is
     no falling back to another.
     """
-    registered = {entry.name: entry for entry in entry_points(group='microbot_ros.amplifiers')}
-    if protocol not in registered:
-        known = ', '.join(sorted(registered))
-        raise InputError('amplifier', f"expected one of {known}; received '{protocol}'")
-    try:
-        driver: type[Amplifier] = registered[protocol].load()
-    except (ImportError, AttributeError) as error:
-        raise InputError('amplifier', f"the driver '{protocol}' does not load ({error})") from None
+    driver: type[Amplifier] = installed('microbot_ros.amplifiers', 'amplifier', protocol)
     return driver

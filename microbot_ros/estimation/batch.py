@@ -90,7 +90,7 @@ def fit(session: Session, exposure: float = 0.0) -> FitResult:
     if best is not plain:
         noise = best.noise(exposure)
     speeds = best.polar().widened(delay.felt(slope)).of(best.session.main)
-    warnings = [*_steps(best), *excited.sentences]
+    warnings = [*session.remarks, *_steps(best), *excited.sentences]
     if ('φ', 'delay') in excited.pairs:
         warnings.append(
             f'φ is stated for no delay; every 0.1 s of delay would add '
@@ -203,8 +203,11 @@ def _against_stokes_einstein(session: Session, noise: Noise) -> list[str]:
         return [f'{found}: most likely the particles move near a floor. A centre '
                 f'{height * 1e6:.3g} µm above it would explain D; drag, and with it every force, '
                 f'is then {factor:.2g} times as large. State height_um where it is known']
-    what = 'height, ' if fluid.height else ''
-    return [f'{found}: {what}radius or viscosity are off, or something moves the particles']
+    what = f'{"height, " if fluid.height else ""}radius or viscosity are off'
+    if factor > 1:
+        return [f'{found}: {what}']
+    return [f'{found}: something moves the particles that this model lacks; `microbot discover` '
+            f'looks for it. Otherwise {what}']
 
 
 def _of_particles(tracks: np.ndarray, ids: np.ndarray) -> np.ndarray:

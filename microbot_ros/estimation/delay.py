@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from scipy.integrate import trapezoid
 
 from microbot_ros.estimation.excitation import Excitation, judge
 from microbot_ros.estimation.expected_displacement import ExpectedDisplacement
@@ -75,9 +76,9 @@ def _moments(at: np.ndarray, value: np.ndarray) -> tuple[float, float, float]:
         np.linspace(low, high, 12) for low, high in pairwise(at)
     ]))
     density = np.exp(np.interp(fine, at, value) - value.max())
-    mass = np.trapezoid(density, fine)
-    mean = np.trapezoid(density * fine, fine) / mass
-    variance = np.trapezoid(density * (fine - mean) ** 2, fine) / mass
+    mass = trapezoid(density, fine)
+    mean = trapezoid(density * fine, fine) / mass
+    variance = trapezoid(density * (fine - mean) ** 2, fine) / mass
     return float(mean), float(np.sqrt(variance)), mode
 
 

@@ -13,6 +13,7 @@ from microbot_ros.errors import InputError
 from microbot_ros.estimation.commands import CommandLog
 from microbot_ros.estimation.estimates import FASTEST, Estimates, Settings, State, answer
 from microbot_ros.estimation.heading_bank import HeadingBank
+from microbot_ros.estimation.jumps import JumpNotes
 from microbot_ros.estimation.monitor import Monitor
 from microbot_ros.estimation.noise import Noise, stokes_einstein
 from microbot_ros.estimation.population import AGAIN, Population, Readings
@@ -76,6 +77,7 @@ class Estimator:
         self.settings = settings or Settings()
         self._log = CommandLog()
         self._notes: dict[str, float] = {}
+        self._jumps = JumpNotes(NOTED)
         self._start(model or Model.baseline(self.conditions, self._log.since(0.0)))
 
     def _start(self, model: Model) -> None:
@@ -167,11 +169,12 @@ class Estimator:
     def _begun_anew(self, readings: Readings) -> tuple[str, ...]:
         """What is to be said of particles whose predictions failed."""
         ids = self._population.ids
-        jumps = tuple(
-            f'particle {ids[row]} jumped by {abs(readings.jump[row]) * 1e6:.1f} µm: is it still '
-            'the same one?' for row in readings.jumped if self._population.restarts[row] < AGAIN)
-        for text in jumps:
-            self._note(text)
+        rows = [row for row in readings.jumped if self._population.restarts[row] < AGAIN]
+        for row in rows:
+            self._jumps.add(self._t, int(ids[row]), abs(readings.jump[row]))
+        jumped = {f'particle {ids[row]} ' for row in rows}
+        jumps = tuple(text for text in self._jumps.sentences(self._t)
+                      if text.startswith(tuple(jumped)))
         before, self._restless = self._restless, set(ids[readings.restless].tolist())
         new = self._restless - before
         return (*jumps, _of_restless(new)) if new else jumps
@@ -270,7 +273,8 @@ class Estimator:
             for text, at in self._notes.items() if math.isinf(at) or self._t - at < NOTED
         }
         told = (
-            *self._notes, *self._faults, *shared.sentences, *self._monitor.sentences
+            *self._notes, *self._jumps.sentences(self._t), *self._faults, *shared.sentences,
+            *self._monitor.sentences
         )
         if self._restless:
             told = _of_restless(self._restless), *told

@@ -113,7 +113,8 @@ def figure(fit: FitResult, path: Path) -> None:
     _compare(left, fit, label, speeds.speed * 1e6, speeds.speed_std * 1e6,
              [leg.speed * 1e6 for leg in legs], [leg.speed_std * 1e6 for leg in legs])
     _compare(middle, fit, 'φ [°]', np.degrees(speeds.phi), np.degrees(speeds.phi_std),
-             [np.degrees(leg.phi) for leg in legs], [np.degrees(leg.phi_std) for leg in legs])
+             np.degrees(beside(np.array([leg.phi for leg in legs]), speeds.phi)).tolist(),
+             [np.degrees(leg.phi_std) for leg in legs])
     left.legend(frameon=False, fontsize='small', title='95 % intervals')
     for n, name in enumerate(fit.ids):
         measured, predicted = fit.measured[:, n] * 1e6, fit.predicted[:, n] * 1e6
@@ -125,6 +126,11 @@ def figure(fit: FitResult, path: Path) -> None:
     if len(fit.ids) <= 12:
         right.legend(title='particle', frameon=False, fontsize='small')
     canvas.figure.savefig(path, dpi=130)
+
+
+def beside(angle: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """The `angle` (N,) [rad], by whole turns as near to the `other` (N,) as it gets."""
+    return other + np.angle(np.exp(1j * (angle - other)))
 
 
 def _compare(axes: Any, fit: FitResult, label: str, value: np.ndarray, std: np.ndarray,

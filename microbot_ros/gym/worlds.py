@@ -187,7 +187,7 @@ class SteeredWorlds:
             if gate.fault:
                 self.reasons[m] = f'{gate.fault.reason.value}: {gate.fault.detail}'
         self._field[which, self.frame[rows], 0] = (
-            affirmed @ self._allocator.matrix.T + self._coils.background)
+            self._coils.effective(affirmed) @ self._allocator.matrix.T + self._coils.background)
         self.frame[rows] += 1
         if self._camera.exposure < 1:
             self._advance(which, (1 - self._camera.exposure) / self._camera.frame_rate, rng)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from importlib.metadata import entry_points
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from microbot_ros.errors import InputError
 from microbot_ros.magnetics.sources import Source, as_points
+from microbot_ros.plugins import installed
 
 GROUP = 'microbot_ros.coils'
 """Entry points of coils: each a `Source`, or a source or collection of magpylib's under 1 A."""
@@ -57,13 +57,5 @@ def installed_source(name: str) -> Source:
 
     InputError where there is none, or where it does not load.
     """
-    points = {point.name: point for point in entry_points(group=GROUP)}
-    if name not in points:
-        raise InputError('source', f"no coil '{name}' is installed; there are: "
-                         f'{", ".join(sorted(points)) or "none"}')
-    try:
-        found = points[name].load()
-    except Exception as error:
-        reason = ' '.join(f'{type(error).__name__}: {error}'.split())
-        raise InputError('source', f"the coil '{name}' does not load; {reason}") from error
+    found = installed(GROUP, 'source', name)
     return found if hasattr(found, 'field_per_ampere') else MagpylibSource(found)

@@ -9,8 +9,7 @@ met exactly, not by scaling or clipping:
   a ray leaves it: the smallest of some quotients, which is the solution of the linear programme.
 * The least-power currents of a field inside are those without limits, I₀, and a mixture Z y of
   spare currents. With Z orthonormal in the heat, the least heat is the shortest y with
-  |I₀ + Z y| ≤ L: a least-distance problem, which Lawson and Hanson (Solving Least Squares
-  Problems, 1974, chapter 23) solve exactly through non-negative least squares.
+  |I₀ + Z y| ≤ L, a small quadratic programme (`within.py`).
 
 `Allocator.actuate` makes a field and a pull together, the force on a unit moment that lies along
 the field: rows for the pull join those of A, and what is spare after them goes to the least heat.
@@ -36,8 +35,6 @@ _GRADIENT_WEIGHT = 1e4
 # A direction in which the coils make less than this part of what they make in their best one is a
 # direction that they can't make.
 _SINGULAR = 1e-6
-# On the edge of what can be reached the limits give way by this part, so that rounding leaves room
-# for a solution; what it uses of that is cut off again.
 _ROUNDING = 1e-12
 _ALL_ROUND = 2000  # directions on the sphere: 2.5° apart
 
@@ -81,7 +78,7 @@ class Allocator:
     def __init__(
         self, coils: CoilSet, point: ArrayLike = (0.0, 0.0, 0.0), cancel_gradient: bool = False,
     ) -> None:
-        import scipy.optimize  # noqa: F401, now, for it takes longer than commands may be late
+        from microbot_ros.magnetics.within import within_limits
         axes = coils.axes
         self.matrix = coils.actuation_matrix(point)[:axes]
         """Field at the point per (effective) ampere (axes, N) [T/A]."""
@@ -97,9 +94,10 @@ class Allocator:
         count = len(coils.names)
         cheapest = np.eye(count) - spare @ np.linalg.pinv(self._cost @ spare) @ self._cost
         self._unlimited = cheapest @ np.linalg.pinv(self.matrix)
-        # In units that make the largest mixture about 1: the least distances are best resolved so.
-        full = np.linalg.norm(self._cost, 2) * np.linalg.norm(self._limits)
-        self._spare = full * spare @ np.linalg.inv(np.linalg.qr(self._cost @ spare, mode='r'))
+        triangle = np.linalg.qr(self._cost @ spare, mode='r')
+        self._spare = np.ascontiguousarray(spare @ np.linalg.inv(triangle))
+        self._within = within_limits
+        self._within(0 * self._limits, self._spare, self._limits)  # compiled now, not when driven
         normals = _normals(self.matrix)
         self._normals = np.vstack([normals, -normals])
         reach = np.abs(self._normals @ self.matrix) @ self._limits
@@ -136,13 +134,14 @@ class Allocator:
         saturated = magnitude > largest
         target = wanted * (largest / magnitude) if saturated else wanted
         start = self._unlimited @ (target - self._background)
-        return self._coils.driven(self._limited(start, self._spare)), saturated
+        return self._coils.driven(self._within(start, self._spare, self._limits)), saturated
 
     def currents(self, wanted: np.ndarray) -> np.ndarray:
         """The currents (K, N) [A] that `allocate` gives for each field `wanted` (K, axes) [T].
 
         ValueError as there.
         """
+        wanted = self._components(wanted)
         found = (wanted - self._background) @ self._unlimited.T
         within = (np.abs(found) <= self._limits).all(axis=1)
         found[within] = self._coils.driven(found[within])
@@ -176,7 +175,8 @@ class Allocator:
         part = 1.0
         if not (np.abs(currents) <= self._limits).all():
             part = self._largest_part(np.concatenate([field, pull]), rows)
-            currents = self._limited(self._together(part * field, part * pull)[0], spare)
+            currents = self._within(
+                self._together(part * field, part * pull)[0], spare, self._limits)
         driven = self._coils.driven(currents)
         return Actuation(driven, self.matrix @ currents + self._background, rows @ currents,
                          self._coils.power(driven), part < 1)
@@ -201,30 +201,13 @@ class Allocator:
         return float(np.abs(self.currents(magnitude * around)).max())
 
     def _components(self, vector: np.ndarray) -> np.ndarray:
-        """The vector as it is, or with a third component of zero where the field has three."""
+        """Vectors (..., 2) or (..., axes) as they are, or with a zero where they have no third."""
         axes = self._coils.axes
-        if vector.shape == (axes,):
+        if vector.shape[-1:] == (axes,):
             return vector
-        if vector.shape == (2,):
-            return np.array([*vector, 0.0])
+        if vector.shape[-1:] == (2,):
+            return np.concatenate([vector, np.zeros((*vector.shape[:-1], 1))], axis=-1)
         raise ValueError(f'expected {axes} components; received {vector}')
-
-    def _limited(self, currents: np.ndarray, spare: np.ndarray) -> np.ndarray:
-        """The cheapest currents (N,) [A] within the limits, from those without and the spare.
-
-        `currents` are without `spare` (N, S), whose columns are orthonormal in the heat; between
-        them, some mixture lies within the limits.
-        """
-        from scipy.optimize import nnls
-        room = (1 + _ROUNDING) * self._limits
-        walls = np.empty((spare.shape[1] + 1, 2 * len(currents)))
-        walls[:-1, :len(currents)], walls[:-1, len(currents):] = spare.T, -spare.T
-        walls[-1, :len(currents)], walls[-1, len(currents):] = -room - currents, currents - room
-        target = np.zeros(len(walls))
-        target[-1] = 1.0
-        residual = walls @ nnls(walls, target)[0] - target
-        currents = currents - spare @ (residual[:-1] / residual[-1])
-        return np.clip(currents, -self._limits, self._limits)
 
     def _largest_part(self, wanted: np.ndarray, rows: np.ndarray) -> float:
         """The largest part, up to 1, of field and pull (2 axes,) that is within the limits.

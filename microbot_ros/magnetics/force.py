@@ -64,8 +64,8 @@ def force_speed(
 ) -> np.ndarray:
     """Speed (M,) [m/s] at which the force drags the particle in the plane, at its worst.
 
-    The coils make a field of `magnitude` [T] at the centre, in the direction that is worst for
-    each of the points (M, 3) or (M, 2) [m]; the moment has turned into the field where it is.
+    The coils make a field of `magnitude` [T] at the centre, in the direction in the plane that is
+    worst for each of the points (M, 3) or (M, 2) [m]; the moment has turned into the field there.
     InputError for a magnitude that is not positive or that the coils can't make all round.
     """
     if not 0 < magnitude < math.inf:
@@ -78,7 +78,7 @@ def force_speed(
         raise InputError('magnitude', f"expected a field in the coils' reach, got {magnitude} T")
     currents = np.array([allocation.currents for allocation in allocations])
     field = np.tensordot(currents, coils.field_per_ampere(points), 1)
-    field[..., :2] += coils.background
+    field[..., :coils.axes] += coils.background
     gradient = np.tensordot(currents, coils.gradient_per_ampere(points), 1)
     aligned = particle.moment * field / np.linalg.norm(field, axis=-1, keepdims=True)
     drag_speed = np.linalg.norm(force(aligned, gradient)[..., :2], axis=-1) / particle.drag

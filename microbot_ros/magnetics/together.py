@@ -37,4 +37,5 @@ def together(
     step = np.zeros(len(mixtures))
     step[:rank] = gap[:rank] / size[:rank]
     freed = spare @ mixtures
-    return currents + freed @ step, rows, freed[:, rank:], directions[rank:], np.abs(gap[rank:])
+    return (currents + freed @ step, rows, np.ascontiguousarray(freed[:, rank:]),
+            directions[rank:], np.abs(gap[rank:]))

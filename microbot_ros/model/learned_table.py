@@ -18,6 +18,7 @@ from microbot_ros.model.learned_term import (
     Frame,
     LearnedTerm,
 )
+from microbot_ros.plausible import check_plausible
 from microbot_ros.units import exact_display, exact_si
 
 _Row = Annotated[tuple[float, ...], pydantic.Field(min_length=2)]
@@ -47,6 +48,7 @@ class LearnedEntry(Settings):
         _named(self.at, AXES[self.against], 'at')
         count = 1
         for name, knots in self.at.items():
+            check_plausible(name, knots)
             count *= len(knots)
             if not (np.diff(knots) > 0).all() or not np.isfinite(knots).all():
                 raise ValueError(f"expected 'at.{name}' to ascend")
@@ -58,6 +60,7 @@ class LearnedEntry(Settings):
             table = getattr(self, what)
             _named(table, VALUES[self.frame, self.acts_on], what)
             for name, row in table.items():
+                check_plausible(name, row)
                 if len(row) != count or not np.isfinite(row).all():
                     raise ValueError(f"expected {count} finite numbers in '{what}.{name}'")
         if len(self.seen) != count:

@@ -10,10 +10,11 @@ import numpy as np
 import pydantic
 import yaml
 
-from microbot_ros.files import Settings, read_yaml, write_text
+from microbot_ros.files import Settings, load_yaml, read_yaml, write_text
 from microbot_ros.model.effect_table import EffectTable, build_effects
 from microbot_ros.model.learned_table import LearnedEntry, read_term, write_term
 from microbot_ros.model.model import Model, ParticleParameters, Propulsion
+from microbot_ros.strict_yaml import StrictLoader
 from microbot_ros.units import exact_display, exact_si
 
 # What a particle's `speed` is called in files.
@@ -21,7 +22,7 @@ _SPEED = {'catalytic': 'v_um_s', 'rolling': 'gain_um_s_hz'}
 
 
 class _ParticleEntry(Settings):
-    id: int
+    id: Annotated[int, pydantic.Field(ge=0, lt=2**53)]
     v_um_s: float = 0.0
     gain_um_s_hz: float = 0.0
     phi_rad: float
@@ -53,7 +54,7 @@ def read_model(path: str | Path) -> tuple[Model, ParticleParameters]:
     with those that are known.
     """
     settings = read_yaml(path, _ModelFile)
-    exact: dict[str, Any] = yaml.load(Path(path).read_text(encoding='utf-8'), Loader=_ExactLoader)
+    exact: dict[str, Any] = load_yaml(path, _ExactLoader)[1]
     reference = exact_si('reference_field_mT', exact['reference_field_mT'])
     model = Model(reference, settings.propulsion, build_effects(exact.get('effects') or {}),
                   tuple(map(read_term, exact.get('learned') or ())))
@@ -91,7 +92,7 @@ def write_model(path: str | Path, model: Model, particles: ParticleParameters) -
     write_text(path, text)
 
 
-class _ExactLoader(yaml.SafeLoader):
+class _ExactLoader(StrictLoader):
     """Reads numbers as decimals: a float would already have lost what lies beyond its digits."""
 
 

@@ -2,117 +2,157 @@
 
 from __future__ import annotations
 
-import contextlib
 import threading
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import CameraInfo, Image
 
+from microbot_ros.cameras.camera import (
+    CameraFrame,
+    CameraSettings,
+    EndOfFrames,
+    camera_class,
+    kind_of,
+)
+from microbot_ros.cameras.stream import FrameStream
 from microbot_ros.errors import InputError
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import ERROR, IMAGES_OUT, OK, WARN, RigNode
 from microbot_ros.settings import setting
-from microbot_ros.tracking.source import DeviceSource, Frame, Source, open_source
 
 _RETRY_SECONDS = 1.0
+_FRESH_SECONDS = 1.0
+"""What a camera has gathered for longer before it is wanted is let go."""
+_TURN_SECONDS = 0.1
+"""So often the thread looks up from a camera that gives nothing."""
 
 
 @dataclass(frozen=True)
-class CameraParameters:
+class CameraParameters(CameraSettings):
     """Parameters of the node `camera`."""
 
-    source: str = setting(
-        '', 'What to read: a device number (0) or path (/dev/video0), a video file, a folder of '
-        'images or a glob. Nothing else is tried when it cannot be opened.', read_only=True)
-    frame_rate_hz: float = setting(
-        0.0, 'Pace of a file; 0 takes the rate that the file says. A device sets its own pace.',
-        lower=0.0, upper=1000.0, read_only=True)
+    camera: str = setting(
+        '', 'Kind of camera: file, v4l2, pylon, micromanager, aravis, or one of a package of '
+        'your own. Empty: v4l2 where the source is a device number or path, else file.',
+        read_only=True)
     loop: bool = setting(False, 'Start a file again at its end.')
 
 
 class CameraNode(RigNode):
-    """Publishes `camera/image_raw` from a thread of its own, because devices block."""
+    """Publishes `camera/image_raw` from a thread of its own, because devices block, and
+    `camera/camera_info` with each."""
 
     Parameters: ClassVar[type] = CameraParameters
 
     def setup(self) -> None:
-        self._frames = 0
-        self._finished = ''
+        self._published = self._lost = self._repeated = 0
+        self._told_lost = 0
+        self._longest = 0.0
+        self._finished = self._trouble = ''
         self._stopping = threading.Event()
+        self._stream: FrameStream | None = None
         self._open()
         self._images = self.publisher(Image, 'camera/image_raw', IMAGES_OUT)
+        self._info = self.publisher(CameraInfo, 'camera/camera_info', IMAGES_OUT)
 
     def start(self) -> None:
         self._stopping.clear()
+        self._finished = self._trouble = ''
+        if time.monotonic() - self._opened > _FRESH_SECONDS:
+            self._close()
         self._thread = threading.Thread(target=self._run, name='camera', daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
-        self._stopping.set()
         if hasattr(self, '_thread'):
+            self._stopping.set()
             self._thread.join(timeout=2.0)
 
+    def teardown(self) -> None:
+        self._close()
+
     def health(self) -> tuple[bytes, str, dict[str, object]]:
-        values: dict[str, object] = {'frames_published': self._frames}
+        stream = self._stream
+        lost = self._lost + (stream.lost if stream else 0)
+        values: dict[str, object] = {
+            'frames_published': self._published, 'frames_lost': lost,
+            'frames_repeated': self._repeated + (stream.repeated if stream else 0),
+            'longest_delay_ms': self._longest * 1e3}
+        if stream:
+            values |= {'size_px': f'{stream.format.width}×{stream.format.height}',
+                       'clock': str(stream.format.clock)}
+        since, self._told_lost = lost - self._told_lost, lost
+        self._longest = 0.0
+        if self._trouble:
+            return ERROR, self._trouble, values
         if self._finished:
-            return (WARN if self._is_file else ERROR), self._finished, values
-        return OK, f'publishing {self._source.name}', values
+            return WARN, self._finished, values
+        if since:
+            return WARN, f'{since} frames were lost on their way since the last report', values
+        return OK, f'publishing {self.settings.source}', values
 
     def _open(self) -> None:
-        source = self.settings.source
-        if not source:
-            raise InputError(self.get_name(), 'expected a parameter source: a device, a video or '
-                                              'a folder of images')
-        self._is_file = not (source.isdigit() or source.startswith('/dev/'))
-        if self._is_file:
-            rate = self.settings.frame_rate_hz or None
-            self._source: Source = open_source(source, self.get_logger().warning, rate)
-        else:
-            self._source = DeviceSource(int(source) if source.isdigit() else source)
+        values = self.settings
+        kind = camera_class(kind_of(values.camera, values.source))
+        self._stream = FrameStream(kind(values, self.complain))
+        self._set = values.exposure_ms, values.gain
+        self._opened = time.monotonic()
+
+    def _close(self) -> None:
+        stream, self._stream = getattr(self, '_stream', None), None
+        if stream:
+            stream.close()
+            self._lost += stream.lost
+            self._repeated += stream.repeated
 
     def _run(self) -> None:
-        play: Callable[[], None] = self._play_file if self._is_file else self._play_device
         try:
-            play()
+            while not (self._stopping.is_set() or self._finished):
+                self._play()
         except Exception as error:
             self._failed('camera', error)
-            self._finished = f'stopped: {error}'
+            self._trouble = f'stopped: {error}'
+        finally:
+            self._close()
 
-    def _play_file(self) -> None:
-        while not self._stopping.is_set():
-            begin = time.monotonic()
-            for frame in self._source.frames():
-                # Pacing against the start, not the last frame: lateness does not add up.
-                if self._stopping.wait(max(0.0, begin + frame.t - time.monotonic())):
-                    return
-                self._publish(frame)
-            if not self.settings.loop:
-                self._finished = f'{self._source.name} ended after {self._frames} frames'
-                self.get_logger().info(self._finished)
-                return
-
-    def _play_device(self) -> None:
-        while not self._stopping.is_set():
-            try:
-                for frame in self._source.frames():
-                    self._finished = ''
-                    self._publish(frame)
-                    if self._stopping.is_set():
-                        return
-            except InputError as error:
-                self._finished = f'{error}; trying the same device again'
-                self.complain(self._finished)
-            while self._finished and not self._stopping.wait(_RETRY_SECONDS):
-                with contextlib.suppress(InputError):
+    def _play(self) -> None:
+        """Publish until the end, or until the device is lost; then it is tried again."""
+        try:
+            if self._stream is None:
+                self._open()
+            while not self._stopping.is_set():
+                if (self.settings.exposure_ms, self.settings.gain) != self._set:
+                    self._close()
                     self._open()
-                    break
+                self._take()
+        except EndOfFrames as end:
+            self._close()
+            if not self.settings.loop:
+                self._finished = str(end)
+                self.get_logger().info(self._finished)
+        except InputError as error:
+            self._trouble = f'{error}; trying the same device again'
+            self.complain(self._trouble)
+            self._close()
+            self._stopping.wait(_RETRY_SECONDS)
 
-    def _publish(self, frame: Frame) -> None:
-        stamp = self.seconds()
-        if not self._is_file:
-            stamp -= time.monotonic() - frame.t
-        self._images.publish(messages.image(frame.image, messages.to_stamp(stamp)))
-        self._frames += 1
+    def _take(self) -> None:
+        assert self._stream is not None
+        found = self._stream.read(_TURN_SECONDS)
+        if found is None:
+            return
+        self._trouble = ''
+        self._publish(*found)
+
+    def _publish(self, frame: CameraFrame, exposed: float) -> None:
+        assert self._stream is not None
+        delay = time.monotonic() - exposed
+        self._longest = max(self._longest, delay)
+        stamp = messages.to_stamp(self.seconds() - delay)
+        form = self._stream.format
+        self._images.publish(messages.image(frame.image, stamp, encoding=form.encoding))
+        if self._info.get_subscription_count():
+            self._info.publish(messages.camera_info(form, stamp))
+        self._published += 1

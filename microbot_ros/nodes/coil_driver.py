@@ -152,7 +152,8 @@ class CoilDriverNode(RigNode):
         exposed = messages.to_seconds(stamp)
         age, newest = self.seconds() - exposed, self.settings.max_command_age_ms * 1e-3
         if not -0.05 <= age <= newest:
-            self._refuse(f'field/command is {age:.3f} s old; not driven')
+            self._refuse(f'field/command is {age:.3f} s old, more than max_command_age_ms; '
+                         'not driven')
         elif self._rotation.any() and not abs(exposed - self._rotation_s) <= newest:
             self._refuse(f'field/rotation is {exposed - self._rotation_s:.3f} s older than '
                          'field/command; not driven')

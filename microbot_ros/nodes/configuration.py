@@ -9,8 +9,8 @@ from typing import Any
 import pydantic
 
 from microbot_ros import settings
-from microbot_ros.errors import InputError
-from microbot_ros.files import Settings, line_of, read_yaml
+from microbot_ros.errors import InputError, clipped
+from microbot_ros.files import Settings, line_of, load_yaml, read_yaml
 from microbot_ros.nodes.lifecycle import RigNode
 from microbot_ros.nodes.process import NODES
 
@@ -25,24 +25,65 @@ class _File(pydantic.RootModel[dict[str, _Section]]):
     pass
 
 
-def read_rig(path: str | Path) -> dict[str, dict[str, Any]]:
+def read_rig(path: str | Path, namespace: str = '') -> dict[str, dict[str, Any]]:
     """Node → its parameters by full names, from the ROS parameter file `path`.
 
-    Former names become those of today. Raises InputError naming file and line for an unknown node,
-    an unknown parameter, a value of the wrong type or out of range.
+    With a `namespace` ('/' for none) only sections that ROS gives to nodes in it; without, those
+    of a file about one rig. Former names become those of today. Raises InputError naming file and
+    line for an unknown node, an unknown parameter, a value of the wrong type or out of range; and
+    where no section is for nodes of the `namespace`, which ROS would leave at their defaults.
     """
     sections = read_yaml(path, _File).root
     rig: dict[str, dict[str, Any]] = {}
-    for node, section in sections.items():
+    elsewhere = ''
+    for key, section in sections.items():
+        place, _, node = key.rpartition('/')
         if node not in NODES:
-            raise InputError(path, f"unknown node '{node}'; known are: {', '.join(NODES)}",
-                             line_of(path, node))
-        rig[node] = {}
+            raise InputError(path, f"unknown node '{clipped(key)}'; known are: "
+                                   f"{', '.join(NODES)}", line_of(path, key))
+        found: dict[str, Any] = {}
         for keys, value in _flatten(section.ros__parameters):
-            line = line_of(path, node, 'ros__parameters', *keys)
-            rig[node] |= _checked(path, node, '.'.join(keys), value, line)
+            line = line_of(path, key, 'ros__parameters', *keys)
+            found |= _checked(path, node, '.'.join(keys), value, line)
+        if not namespace or _is_in(place, namespace):
+            rig[node] = rig.get(node, {}) | found
+        else:
+            elsewhere = elsewhere or key
+    if elsewhere and not rig:
+        raise InputError(path, f"'{clipped(elsewhere)}' is no node of the namespace {namespace}; "
+                               f"'/**/{elsewhere.rpartition('/')[2]}' would be",
+                         line_of(path, elsewhere))
     _refuse_contradictions(path, rig)
     return rig
+
+
+def refuse_elsewhere(path: str | Path, node: str, namespace: str) -> None:
+    """InputError where a ROS parameter file has sections for a `node`, but none for it in this
+    `namespace`: ROS would leave it at its defaults, its limits too, without a word.
+    """
+    content = load_yaml(path)[1]
+    keys = [str(key) for key in content] if isinstance(content, dict) else []
+    named = [key for key in keys if key.rpartition('/')[2] == node]
+    if named and not any(_is_in(key.rpartition('/')[0], namespace) for key in named):
+        raise InputError(path, f"'{named[0]}' is no node of the namespace {namespace}; "
+                               f"'/**/{node}' would be", line_of(path, named[0]))
+
+
+def _is_in(place: str, namespace: str) -> bool:
+    """Whether the `place` of a section, what stands before the name of its node, means nodes in
+    that `namespace`: '*' stands for one name, '**' for any number of them.
+    """
+    wanted = [part for part in place.split('/') if part]
+    return _matches(wanted, [part for part in namespace.split('/') if part])
+
+
+def _matches(wanted: list[str], names: list[str]) -> bool:
+    if not wanted:
+        return not names
+    first, *rest = wanted
+    if first == '**':
+        return any(_matches(rest, names[k:]) for k in range(len(names) + 1))
+    return bool(names) and first in ('*', names[0]) and _matches(rest, names[1:])
 
 
 def node_class(name: str) -> type[RigNode]:
@@ -62,7 +103,14 @@ def _refuse_contradictions(path: str | Path, rig: dict[str, dict[str, Any]]) -> 
     if not asked <= allowed:
         raise InputError(path, f'controller: max_field_mT is {asked:g}, expected at most '
                          f'{allowed:g}, the full_field_mT of the coil_driver',
-                         line_of(path, 'controller', 'ros__parameters', 'max_field_mT'))
+                         _line_of_limit(path))
+
+
+def _line_of_limit(path: str | Path) -> int | None:
+    """Where a file says what the controller may ask for."""
+    keys = read_yaml(path, _File).root
+    key = next(key for key in keys if key.rpartition('/')[2] == 'controller')
+    return line_of(path, key, 'ros__parameters', 'max_field_mT')
 
 
 def _flatten(tree: dict[str, Any]) -> list[tuple[tuple[str, ...], Any]]:

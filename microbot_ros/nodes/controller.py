@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import time
 from collections.abc import Collection, Mapping
@@ -11,10 +12,13 @@ import numpy as np
 import yaml
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.srv import AddDiagnostics
 from geometry_msgs.msg import Point, PoseArray, PoseStamped, Vector3Stamped
 from nav_msgs.msg import Path
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import Joy, PointCloud2
 from std_msgs.msg import Header, String
+from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
@@ -103,6 +107,8 @@ class ControllerNode(RigNode):
         self.subscribe(JointTrajectory, 'field/plan', self._on_plan)
         self.subscribe(Joy, 'joy', self._on_joy, NEWEST)
         self.every(0.05, self._watch)
+        self.service(AddDiagnostics, '~/switch_controller', self._on_switch)
+        self.service(Trigger, '~/list_controllers', self._on_list)
         self._progress = self.publisher(DiagnosticStatus, '~/progress')
         self.every(0.2, self._tell)
 
@@ -189,6 +195,24 @@ class ControllerNode(RigNode):
         except ValueError as error:
             raise messages.MessageError(f'joy: {error}') from None
 
+    def _on_switch(self, request: AddDiagnostics.Request,
+                   answer: AddDiagnostics.Response) -> AddDiagnostics.Response:
+        """Set the parameter `controller`, so that both ways are one."""
+        result = self.set_parameters_atomically([
+            Parameter('controller', value=request.load_namespace)])
+        answer.success = result.successful
+        answer.message = result.reason or f'{self.stage.manager.active} drives'
+        return answer
+
+    def _on_list(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
+        active = self.stage.manager.active
+        answer.success = True
+        answer.message = json.dumps([
+            {'name': name, 'state': 'active' if name == active else 'inactive',
+             'summary': kind.summary} for name, kind in self.stage.classes.items()],
+            ensure_ascii=False)
+        return answer
+
     def _watch(self) -> None:
         """Poses that stop coming: let go once, then stay silent, and say for how long."""
         if self.stage.expire(self.seconds()):
@@ -196,7 +220,7 @@ class ControllerNode(RigNode):
             self._publish_zero()
 
     def _tell(self) -> None:
-        self._progress.publish(status(self.get_name(), *self.health()))
+        self._progress.publish(status(self, *self.health()))
 
     def _publish_zero(self) -> None:
         self._publish(no_field(''), self.get_clock().now().to_msg())

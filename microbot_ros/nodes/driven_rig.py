@@ -177,7 +177,7 @@ class DrivenRig:
         self._heard, self._said = time.monotonic(), values
 
     def _on_health(self, node: str, level: bytes, sentence: str, values: dict[str, str]) -> None:
-        if node == 'coil_driver' and 'armed' in values and self._client.alone(node):
+        if node == 'coil_driver' and 'armed' in values:
             self._armed = values['armed'] == 'True'
             self._complaint = '' if level == b'\0' else sentence
 

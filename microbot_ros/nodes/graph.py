@@ -68,11 +68,13 @@ class Graph:
         """How many children were started and not yet stopped."""
         return len(self._children)
 
-    def start_nodes(self, names: Sequence[str], parameters: Path) -> None:
-        """Start one process with nodes of these `names` and a file of their `parameters`."""
+    def start_nodes(self, names: Sequence[str], parameters: Path, namespace: str = '/') -> None:
+        """Start one process with nodes of these `names` in a `namespace`, and a file of their
+        `parameters`.
+        """
         self._start('+'.join(names), [sys.executable, '-m', 'microbot_ros.nodes', *names,
-                                      '--ros-args', '--params-file', str(parameters)],
-                    READY, tuple(names))
+                                      '--ros-args', '--params-file', str(parameters),
+                                      '-r', f'__ns:={namespace}'], READY, tuple(names))
 
     def start(self, name: str, command: Sequence[str], says_when_ready: str = READY) -> None:
         """Start a child that is no node by its `command`, as an emulated amplifier, under a

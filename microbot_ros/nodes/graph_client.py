@@ -25,7 +25,7 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
-from microbot_ros.errors import InputError, RigError
+from microbot_ros.errors import InputError, RigError, clipped
 from microbot_ros.loop.points import GOAL
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.transport import stay_local
@@ -60,6 +60,17 @@ class Taken:
     controller: str
 
 
+def checked_namespace(name: str) -> str:
+    """A namespace by its `name`, with the slash before it; InputError for what cannot be one."""
+    namespace = f'/{name.strip("/")}'
+    try:
+        validate_namespace(namespace)
+    except InvalidNamespaceException:
+        raise InputError('--namespace', 'expected a name such as rig_2; received '
+                                        f'{clipped(namespace)}') from None
+    return namespace
+
+
 class GraphClient:
     """A client of the graph with a node, `name`, of its own, beside those of one `namespace`.
 
@@ -68,12 +79,7 @@ class GraphClient:
     """
 
     def __init__(self, name: str = 'microbot', namespace: str = '/') -> None:
-        namespace = f'/{namespace.strip("/")}'
-        try:
-            validate_namespace(namespace)
-        except InvalidNamespaceException:
-            raise InputError('--namespace', f'expected a name such as rig_2; received {namespace}'
-                             ) from None
+        namespace = checked_namespace(namespace)
         stay_local()
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self.node = rclpy.create_node(name, namespace=namespace)
@@ -114,16 +120,22 @@ class GraphClient:
         return [namespace for name, namespace in self.node.get_node_names_and_namespaces()
                 if name == node]
 
-    def alone(self, node: str) -> bool:
-        """Whether our namespace has that node and no other has: `/diagnostics` are of all."""
-        return self.namespaces_of(node) == [self.node.get_namespace()]
+    def runs(self, node: str) -> bool:
+        """Whether a node of that name runs in our namespace, as far as the graph is known."""
+        return self.node.get_namespace() in self.namespaces_of(node)
 
     def watch_health(self, tell: Callable[[str, bytes, str, dict[str, str]], None]) -> None:
-        """Call `tell(node, level, sentence, values)` for every diagnostic status."""
+        """Call `tell(node, level, sentence, values)` for every diagnostic status of a node in our
+        namespace.
+        """
+        here = self.node.get_namespace()
+
         def heard(message: DiagnosticArray) -> None:
             for status in message.status:
-                values = {pair.key: pair.value for pair in status.values}
-                tell(status.name.split(':')[0], status.level, status.message, values)
+                place, _, name = f'/{status.name.split(":")[0]}'.rpartition('/')
+                if (place or '/') == here:
+                    values = {pair.key: pair.value for pair in status.values}
+                    tell(name, status.level, status.message, values)
         self.node.create_subscription(DiagnosticArray, '/diagnostics', heard, QoSProfile(depth=50))
 
     def watch_estimates(self, tell: Callable[[np.ndarray], None]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any, ClassVar, cast
 
@@ -14,6 +14,7 @@ from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
@@ -33,6 +34,9 @@ LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 # A best-effort subscriber matches every publisher of images, a reliable one only some.
 IMAGES_IN = QoSProfile(depth=5, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 IMAGES_OUT = QoSProfile(depth=5)
+
+_LINE = 200
+"""Characters of a status message: one line of a terminal."""
 
 SILENCE_SECONDS = 1.0
 """A node that hears nothing for longer says so."""
@@ -298,7 +302,7 @@ class RigNode(LifecycleNode):
             level, sentence = ERROR, self.fault
         elif time.monotonic() < self._complaint_until and level == OK:
             level, sentence = WARN, self._complaint
-        message = DiagnosticArray(status=[status(self.get_name(), level, sentence, values)])
+        message = DiagnosticArray(status=[status(self, level, in_one_line([sentence]), values)])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(message)
 
@@ -312,10 +316,23 @@ class RigNode(LifecycleNode):
             return ERROR, f'health failed: {error}', {}
 
 
-def status(node: str, level: bytes, sentence: str, values: dict[str, object]) -> DiagnosticStatus:
-    """The health of a node: `level`, a `sentence` and `values`, as `health` gives them."""
+def in_one_line(sentences: Sequence[str]) -> str:
+    """As many of the `sentences` as fit one line of a terminal, and how many more there are."""
+    told, left = '', list(sentences)
+    while left and len(f'{told}; {left[0]}') <= _LINE - len('; and 999 more'):
+        told = '; '.join(filter(None, (told, left.pop(0))))
+    if not told and left:
+        told = f'{left.pop(0)[:_LINE - 20]}…'
+    return f'{told}; and {len(left)} more' if left else told
+
+
+def status(node: Node, level: bytes, sentence: str, values: dict[str, object]) -> DiagnosticStatus:
+    """The health of a `node`, by its name with its namespace: `level`, a `sentence` and `values`,
+    as `health` gives them.
+    """
+    full = node.get_fully_qualified_name().removeprefix('/')
     return DiagnosticStatus(
-        level=level, name=f'{node}: {node}', message=sentence,
+        level=level, name=f'{full}: {node.get_name()}', message=sentence,
         values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()])
 
 

@@ -10,15 +10,28 @@ import cv2
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
 from geometry_msgs.msg import Pose, PoseArray, Vector3, Vector3Stamped
-from sensor_msgs.msg import Image, JointState, MagneticField, PointCloud2, PointField
+from sensor_msgs.msg import (
+    CameraInfo,
+    Image,
+    JointState,
+    MagneticField,
+    PointCloud2,
+    PointField,
+    RegionOfInterest,
+)
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from microbot_ros.cameras.camera import CameraFormat
+from microbot_ros.errors import clipped
 from microbot_ros.loop.points import ESTIMATE
 from microbot_ros.records import Commands
 
 WORKSPACE = 'workspace'
 """Frame of every position and every field: x right, y up."""
+
+CAMERA = 'camera'
+"""Frame of the picture: x right, y down, z the way the camera looks; from its centre."""
 
 TRUTH = np.dtype([
     ('id', '<u4'), ('x', '<f4'), ('y', '<f4'), ('theta', '<f4'), ('speed', '<f4'),
@@ -69,7 +82,9 @@ def cloud(points: np.ndarray, stamp: Time) -> PointCloud2:
 def in_workspace(header: Header) -> None:
     """MessageError for a `header` with a frame other than the workspace's; '' stands for it."""
     if header.frame_id not in ('', WORKSPACE):
-        raise MessageError(f"expected the frame '{WORKSPACE}'; received '{header.frame_id}'")
+        raise MessageError(
+            f"expected the frame '{WORKSPACE}'; received '{clipped(header.frame_id)}': transform "
+            f"it before it is sent, or set the Fixed Frame of RViz to '{WORKSPACE}'")
 
 
 def estimates(message: PointCloud2) -> np.ndarray:
@@ -107,14 +122,32 @@ def points(message: PointCloud2, kind: np.dtype, optional: Collection[str] = ())
     return result
 
 
-def image(pixels: np.ndarray, stamp: Time, frame_id: str = 'camera') -> Image:
-    """Uint8 `pixels` (H, W) as mono8, or (H, W, 3) as bgr8, with `stamp` and `frame_id`."""
+def image(pixels: np.ndarray, stamp: Time, frame_id: str = CAMERA, encoding: str = '') -> Image:
+    """The `pixels` (H, W) or (H, W, values) in an `encoding`, with `stamp` and `frame_id`.
+
+    Without an encoding they are uint8, mono8 or (H, W, 3) bgr8.
+    """
+    rows = np.ascontiguousarray(pixels)
     data = array.array('B')
-    data.frombytes(np.ascontiguousarray(pixels).data)  # 300 times faster than assigning an array
+    data.frombytes(rows.data.cast('B'))  # 300 times faster than assigning an array
     return Image(
-        header=Header(stamp=stamp, frame_id=frame_id), height=pixels.shape[0],
-        width=pixels.shape[1], encoding='mono8' if pixels.ndim == 2 else 'bgr8',
-        step=pixels.shape[1] * (1 if pixels.ndim == 2 else 3), data=data)
+        header=Header(stamp=stamp, frame_id=frame_id), height=rows.shape[0], width=rows.shape[1],
+        encoding=encoding or ('mono8' if rows.ndim == 2 else 'bgr8'), step=rows.strides[0],
+        data=data)
+
+
+def camera_info(form: CameraFormat, stamp: Time) -> CameraInfo:
+    """What a camera of a format gives, `form`, with a `stamp`: size and region.
+
+    Its matrices are zero, which means uncalibrated: a microscope has no focal length in pixels.
+    """
+    height, width = form.sensor or (form.height, form.width)
+    result = CameraInfo(header=Header(stamp=stamp, frame_id=CAMERA), height=height, width=width)
+    if (height, width) != (form.height, form.width):
+        x, y = form.offset
+        result.roi = RegionOfInterest(
+            x_offset=x, y_offset=y, height=form.height, width=form.width)
+    return result
 
 
 _TO_GRAY = {

@@ -15,7 +15,7 @@ from microbot_ros.loop.model import ModelParameters, ModelStage
 from microbot_ros.loop.points import PARTICLE
 from microbot_ros.model.model_file import read_model
 from microbot_ros.nodes import messages
-from microbot_ros.nodes.lifecycle import OK, SILENCE_SECONDS, WARN, RigNode
+from microbot_ros.nodes.lifecycle import OK, SILENCE_SECONDS, WARN, RigNode, in_one_line
 from microbot_ros.records import height_problem
 from microbot_ros.settings import setting
 
@@ -73,7 +73,7 @@ class ModelNode(RigNode):
         if silence > SILENCE_SECONDS:
             return WARN, f'no particles for {silence:.0f} s', values
         if found.diagnosis:
-            return WARN, '; '.join(found.diagnosis), values
+            return WARN, in_one_line(found.diagnosis), values
         return OK, f'{int(found.known.sum())} of {len(found.id)} particles known', values
 
     def _on_applied(self, message: MagneticField) -> None:
@@ -93,6 +93,7 @@ class ModelNode(RigNode):
         estimates = self.stage.step(
             messages.points(message, PARTICLE), messages.to_seconds(stamp))
         self._came = time.monotonic()
-        for text in self.stage.estimates.begun_anew if self.stage.estimates else ():
-            self.get_logger().warning(text)
+        if self.stage.estimates and self.stage.estimates.begun_anew:
+            self.get_logger().warning(
+                in_one_line(self.stage.estimates.begun_anew), throttle_duration_sec=5.0)
         self._state.publish(messages.cloud(estimates, stamp))

@@ -6,6 +6,7 @@ import gc
 import importlib
 import sys
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import rclpy
@@ -79,6 +80,7 @@ def run(names: list[str], arguments: list[str] | None = None) -> int:
             for name in names:
                 nodes.append(make(name, rig))
                 executor.add_node(nodes[-1])
+            _refuse_elsewhere(nodes, arguments or [])
             for node in nodes:
                 _activate(node)
             _settle(names, rig)
@@ -100,6 +102,16 @@ def run(names: list[str], arguments: list[str] | None = None) -> int:
                 node.destroy_node()
             executor.shutdown()
             rclpy.try_shutdown()
+
+
+def _refuse_elsewhere(nodes: list[RigNode], arguments: list[str]) -> None:
+    """InputError where a parameter file means a node of another namespace by the same name."""
+    from microbot_ros.nodes.configuration import refuse_elsewhere
+
+    for word, file in pairwise(arguments):
+        if word == '--params-file':
+            for node in nodes:
+                refuse_elsewhere(file, node.get_name(), node.get_namespace())
 
 
 def _settle(names: list[str], rig: Rig | None) -> None:

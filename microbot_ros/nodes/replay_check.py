@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from microbot_ros import strict_yaml
 from microbot_ros.errors import InputError
 from microbot_ros.nodes.graph import Graph
 from microbot_ros.nodes.offline import alone, end_offline, make_offline
@@ -111,8 +110,7 @@ def recorded_parameters(recording: Recording, nodes: Collection[str], folder: Pa
     kept = recording.attachments()
     found: dict[str, dict[str, Any]] = {}
     for node in nodes:
-        text = kept.get(f'parameters/{node}.yaml', b'{}')
-        values = (yaml.safe_load(text) or {}).get(node, {}).get('ros__parameters', {})
+        values = _kept_parameters(recording, kept.get(f'parameters/{node}.yaml', b''), node)
         for name, value in values.items():
             if name.endswith('_file') and value in kept:
                 values[name] = str(folder / f'{node}.{name}{Path(value).suffix}')
@@ -120,6 +118,18 @@ def recorded_parameters(recording: Recording, nodes: Collection[str], folder: Pa
         # ROS has no way to write an empty list into a parameter file.
         found[node] = {name: value for name, value in values.items() if value != []}
     return found
+
+
+def _kept_parameters(recording: Recording, text: bytes, node: str) -> dict[str, Any]:
+    """The parameters of a `node` in the `text` of a file kept inside a recording."""
+    try:
+        content = strict_yaml.load(text.decode())[1] or {}
+        values: dict[str, Any] = dict(content.get(node, {}).get('ros__parameters', {}))
+    except (strict_yaml.YamlError, ValueError, TypeError, AttributeError):
+        raise InputError(recording.path, f'expected the parameters of {node} in it') from None
+    if not all(isinstance(name, str) and Path(name).name == name for name in values):
+        raise InputError(recording.path, f'expected names of parameters of {node} in it')
+    return values
 
 
 class ReplayCheck:

@@ -11,8 +11,10 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseArray, Vector3Stamped
 from sensor_msgs.msg import Image, MagneticField, PointCloud2
 
+from microbot_ros import units
 from microbot_ros.loop.tracker import TrackerParameters, TrackerStage
 from microbot_ros.nodes import messages
+from microbot_ros.nodes.frames import publish_camera_transform
 from microbot_ros.nodes.lifecycle import (
     IMAGES_IN,
     IMAGES_OUT,
@@ -41,7 +43,8 @@ class TrackerNodeParameters(TrackerParameters):
 
 
 class TrackerNode(RigNode):
-    """`camera/image_raw` and the field → `particles`, `particles/poses`, `overlay/image_raw`."""
+    """`camera/image_raw` and the field → `particles`, `particles/poses`, `overlay/image_raw`; and
+    where the picture lies, on `/tf_static`."""
 
     Parameters: ClassVar[type] = TrackerNodeParameters
     accounts_for = 'camera/image_raw'
@@ -54,6 +57,8 @@ class TrackerNode(RigNode):
         self._poses = self.publisher(PoseArray, 'particles/poses')
         self._overlay = self.publisher(Image, 'overlay/image_raw', IMAGES_OUT)
         self._listen(self.settings.field_source)
+        publish_camera_transform(
+            self, units.to_si('rotation_deg', self.settings.rotation_deg), self.settings.mirrored)
         self.subscribe(Image, 'camera/image_raw', self._on_image, IMAGES_IN)
 
     def _listen(self, source: str) -> None:

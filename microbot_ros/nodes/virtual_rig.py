@@ -200,6 +200,7 @@ class VirtualRigNode(RigNode):
         while len(changes) > 1 and changes[1][0] < self._world.t - _LONGEST_DELAY:
             changes.popleft()
         times, currents = map(np.array, zip(*changes, strict=True))
+        currents = self._coils.effective(currents)
         until = now - self._begin
         if self._rolling is None:
             per_ampere = self._coils.field_per_ampere(self._world.position)[..., :2]

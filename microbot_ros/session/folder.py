@@ -11,7 +11,9 @@ import yaml
 
 from microbot_ros.errors import InputError
 from microbot_ros.files import Settings, output_folder, read_yaml
+from microbot_ros.plausible import LONGEST_S
 from microbot_ros.records import Commands, Conditions, Session, Tracks, height_problem
+from microbot_ros.session.plausibility import LARGEST_ID
 from microbot_ros.session.tables import Layout, Table, read_table, write_table
 from microbot_ros.units import exact_display, exact_si
 
@@ -126,8 +128,10 @@ def _read_tracks(path: Path) -> Tracks:
     table = read_table(path, TRACKS)
     columns = table.columns
     t, particle = columns['t_s'], columns['particle']
-    whole = (particle == np.floor(particle)) & (np.abs(particle) < 2**53)
-    table.refuse(~whole, "expected a whole number in 'particle'")
+    whole = (particle == np.floor(particle)) & (particle >= 0) & (particle <= LARGEST_ID)
+    table.refuse(~whole, f"expected a whole number from 0 to {LARGEST_ID} in 'particle'")
+    table.refuse(np.abs(t - t.min()) > LONGEST_S,
+                 f'expected times within {LONGEST_S:g} s of the first')
     # Files may list frame by frame or particle by particle: each particle's own times ascend.
     by_particle = np.argsort(particle, kind='stable')
     step, same = np.diff(t[by_particle]), np.diff(particle[by_particle]) == 0
@@ -150,6 +154,8 @@ def _check_times(table: Table, tracks: Tracks) -> None:
     step = np.diff(t, prepend=-np.inf)
     table.refuse(step < 0, 'expected times to ascend, found an earlier one')
     table.refuse(step == 0, 'expected one row per time, found a second')
+    table.refuse(np.abs(t - tracks.t[0]) > LONGEST_S,
+                 f'expected times within {LONGEST_S:g} s of the first of the tracks')
     late = np.zeros(len(t), bool)
     late[0] = t[0] > tracks.t[-1]
     table.refuse(late, f'expected commands before the tracks end at {tracks.t[-1]:g} s')

@@ -13,8 +13,11 @@ from microbot_ros.errors import InputError
 from microbot_ros.records import Commands, Conditions, Session, Tracks
 from microbot_ros.session.cloud import cloud_points
 from microbot_ros.session.folder import SessionFile
+from microbot_ros.session.plausibility import check_session
 from microbot_ros.session.recording import Recording
 
+CUT_OFF = ('The recording was cut off: what it held after the last whole chunk is lost; '
+           '`microbot info --repair` writes its index.')
 _FARTHEST_STAMP = 60_000_000_000
 """Exposure and receipt lie within this [ns] of each other, or they are not on one clock."""
 
@@ -47,7 +50,10 @@ def session_of(recording: Recording) -> Session:
             by_topic[message.topic].add(message.t_ns, content)
     commands = commands_of({one.name: one.arrays(recording) for one in series})
     conditions = _conditions(recording, commands.frequency is not None)
-    return Session(sightings.tracks(), commands, conditions, recording.path.resolve().stem)
+    session = Session(sightings.tracks(), commands, conditions, recording.path.resolve().stem,
+                      remarks=() if recording.complete else (CUT_OFF,))
+    check_session(recording.path, session)
+    return session
 
 
 class _Sightings:

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import fcntl
-import struct
 from bisect import bisect_left
 from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from operator import attrgetter
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 import numpy as np
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Attachment, ChunkIndex, Metadata
 from mcap.records import Message as McapMessage
 from mcap.summary import Summary
 
-from microbot_ros.errors import InputError
+from microbot_ros.errors import InputError, clipped
 from microbot_ros.session.mcap_records import chunk_data, chunk_messages, file_records, stream_at
 from microbot_ros.session.mcap_recovery import BROKEN, complete_index, recover_summary
 from microbot_ros.session.mcap_writer import MAGIC, closing_bytes
@@ -52,7 +51,7 @@ class McapFile:
             raise InputError(path, problem) from None
         try:
             head = self._file.read(len(MAGIC))
-            if head != MAGIC:
+            if head != MAGIC or self._file.read(1) not in (b'', bytes([Opcode.HEADER])):
                 found = 'something else' if head else 'an empty file'
                 raise InputError(path, f'expected an MCAP recording, found {found}')
             self.complete = _has_footer(self._file)
@@ -106,13 +105,15 @@ class McapFile:
 
     def attachments(self) -> Iterator[Attachment]:
         """The files kept inside the file."""
-        for index in self.summary.attachment_indexes:
-            yield Attachment.read(stream_at(self._file, index.offset))
+        with self._sound():
+            for index in self.summary.attachment_indexes:
+                yield Attachment.read(stream_at(self._file, index.offset))
 
     def metadata(self) -> Iterator[Metadata]:
         """The named keys and values kept inside the file."""
-        for index in self.summary.metadata_indexes:
-            yield Metadata.read(stream_at(self._file, index.offset))
+        with self._sound():
+            for index in self.summary.metadata_indexes:
+                yield Metadata.read(stream_at(self._file, index.offset))
 
     def repair(self) -> None:
         """Replace an unfinished last record by the index that was never written.
@@ -142,41 +143,55 @@ class McapFile:
             self._file.seek(0)
             try:
                 summary = make_reader(self._file).get_summary()
-            except (McapError, ValueError, KeyError, struct.error):
+            except BROKEN:
                 summary = None
             if summary is not None and summary.statistics is not None and summary.channels:
                 return summary, 0
             self.complete = summary is not None
-        return recover_summary(self._file)
+        with self._sound():
+            recovered, end = recover_summary(self._file)
+        return recovered, end
+
+    @contextmanager
+    def _sound(self) -> Iterator[None]:
+        """InputError for what is raised where bytes are damaged."""
+        try:
+            yield
+        except InputError:
+            raise
+        except BROKEN as error:
+            raise InputError(self.path, 'expected a sound recording, found damaged data '
+                                        f'({clipped(str(error) or type(error).__name__)})'
+                             ) from None
 
     def _inside(
         self, index: ChunkIndex, wanted: dict[int, tuple[str, str]], start_ns: int, end_ns: int,
     ) -> list[Message]:
-        try:
+        with self._sound():
             data = chunk_data(self._file, index)
             return [
                 Message(*wanted[channel], t_ns, data[begin:end])
                 for channel, t_ns, _, begin, end in chunk_messages(data)
                 if channel in wanted and start_ns <= t_ns < end_ns
             ]
-        except BROKEN as error:
-            raise InputError(self.path, f'expected sound chunks ({error})') from None
 
     def _bare_messages(
         self, wanted: dict[int, tuple[str, str]], start_ns: int, end_ns: int,
     ) -> Iterator[Message]:
         """The messages of a file written without chunks, in the order of the file."""
-        for place in file_records(self._file):
-            if place.opcode == Opcode.MESSAGE:
-                length = place.end - place.content
-                record = McapMessage.read(stream_at(self._file, place.start), length)
-                if record.channel_id in wanted and start_ns <= record.log_time < end_ns:
-                    yield Message(*wanted[record.channel_id], record.log_time, record.data)
+        with self._sound():
+            for place in file_records(self._file):
+                if place.opcode == Opcode.MESSAGE:
+                    length = place.end - place.content
+                    record = McapMessage.read(stream_at(self._file, place.start), length)
+                    if record.channel_id in wanted and start_ns <= record.log_time < end_ns:
+                        yield Message(*wanted[record.channel_id], record.log_time, record.data)
 
     def _indexed_times(self, offset: int) -> np.ndarray:
-        content = stream_at(self._file, offset)
-        content.read2()
-        return np.frombuffer(content.read(content.read4()), '<i8')[::2]
+        with self._sound():
+            content = stream_at(self._file, offset)
+            content.read2()
+            return np.frombuffer(content.read(content.read4()), '<i8')[::2]
 
 
 def _has_footer(file: BinaryIO) -> bool:

@@ -8,12 +8,14 @@ from io import BytesIO
 from typing import BinaryIO, NamedTuple
 
 from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Chunk, ChunkIndex
 from mcap.stream_reader import get_chunk_data_stream
 
 from microbot_ros.session.mcap_writer import MAGIC
 
+_LARGEST_CHUNK = 2**30
 _HEAD = struct.Struct('<BQ')
 _MESSAGE = struct.Struct('<HIQQ')
 
@@ -70,7 +72,9 @@ def stream_at(file: BinaryIO, start: int) -> ReadDataStream:
 
 
 def chunk_data(file: BinaryIO, index: ChunkIndex) -> bytes:
-    """The decompressed content of a chunk."""
+    """The decompressed content of a chunk; McapError for one that no memory should hold."""
     chunk = Chunk.read(stream_at(file, index.chunk_start_offset))
+    if chunk.uncompressed_size > _LARGEST_CHUNK:
+        raise McapError(f'a chunk of {chunk.uncompressed_size} bytes')
     stream, size = get_chunk_data_stream(chunk, validate_crc=True)
     return stream.read(size)

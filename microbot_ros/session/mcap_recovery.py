@@ -40,7 +40,8 @@ from microbot_ros.session.mcap_writer import (
     empty_summary,
 )
 
-BROKEN = (McapError, zstandard.ZstdError, struct.error, CRCValidationError)
+BROKEN = (McapError, zstandard.ZstdError, struct.error, CRCValidationError, ValueError,
+          LookupError, OverflowError, MemoryError)
 """What reading a damaged chunk raises."""
 
 

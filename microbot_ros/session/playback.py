@@ -39,6 +39,8 @@ def open_source(path: str | Path) -> Iterator[Source]:
         yield SessionMessages(read_folder(path))
     else:
         with open_recording(path) as recording:
+            if not recording.end_ns:
+                raise InputError(path, 'expected messages, found no whole one')
             yield recording
 
 

@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from microbot_ros.errors import InputError
-from microbot_ros.files import write_text
+from microbot_ros.files import load_yaml, write_text
 from microbot_ros.session.bag import METADATA_FILE, metadata_text, typestore
 from microbot_ros.session.mcap_file import McapFile, Message
 
@@ -186,11 +185,11 @@ def _files(path: Path) -> list[Path]:
 
 def _listed_files(metadata: Path) -> list[Path]:
     try:
-        content = yaml.safe_load(metadata.read_text(encoding='utf-8'))
+        content = load_yaml(metadata)[1]
         information = content['rosbag2_bagfile_information']
         storage = information['storage_identifier']
         files = [metadata.parent / name for name in information['relative_file_paths']]
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError):
+    except (KeyError, TypeError):
         raise InputError(metadata, 'expected the metadata of a rosbag2 recording') from None
     if storage != 'mcap':
         raise InputError(metadata, f'expected an MCAP recording, found {storage}')

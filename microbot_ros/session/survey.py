@@ -11,7 +11,7 @@ from microbot_ros.errors import InputError
 from microbot_ros.records import Commands, Session
 from microbot_ros.session.as_messages import SessionMessages
 from microbot_ros.session.folder import read_folder
-from microbot_ros.session.from_recording import session_of, stamp_ns
+from microbot_ros.session.from_recording import CUT_OFF, session_of, stamp_ns
 from microbot_ros.session.recording import Recording
 
 _SAME_LEVEL = 0.02
@@ -89,10 +89,15 @@ def survey_folder(path: Path) -> tuple[Survey, Session]:
 
 
 def survey_recording(recording: Recording) -> tuple[Survey, Session | None]:
-    """A look at a recording; None for a session that cannot be read out of it."""
+    """A look at a recording; None for a session that cannot be read out of it.
+
+    InputError for one that was cut off before its first message.
+    """
+    if not (recording.complete or recording.end_ns):
+        raise InputError(recording.path, 'expected messages, found no whole one')
     remarks = []
     if not recording.complete:
-        remarks.append('The recording was cut off; --repair writes its index.')
+        remarks.append(CUT_OFF)
     session = None
     try:
         session = session_of(recording)

@@ -13,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from microbot_ros.errors import InputError
-from microbot_ros.units import exact_display, exact_si
+from microbot_ros.errors import InputError, clipped
+from microbot_ros.plausible import expected_range, implausible
+from microbot_ros.units import exact_display, exact_si, from_si
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ def read_table(path: Path, *layouts: Layout) -> Table:
     """A CSV file that follows one of the layouts, its columns in any order.
 
     Raises InputError with file, line and expectation for a file that is missing, empty, not
-    text, or holds anything but finite numbers under the names of a layout.
+    text, or holds anything but plausible numbers under the names of a layout.
     """
     try:
         text = path.read_text(encoding='utf-8-sig')
@@ -112,9 +113,8 @@ def _header(
             return names, layout
     optional = sorted({name for layout in layouts for name in layout.optional})
     hint = f' and optionally {", ".join(optional)}' if optional else ''
-    raise InputError(
-        path, f'expected the header {_headers(layouts)}{hint}, found {text.strip()[:80]}', line,
-    )
+    found = clipped(text.strip())
+    raise InputError(path, f'expected the header {_headers(layouts)}{hint}, found {found}', line)
 
 
 def _column(
@@ -124,10 +124,16 @@ def _column(
     for line, cell in zip(lines, texts, strict=True):
         value = _number(cell.strip(), name)
         if not math.isfinite(value) and not (optional and not cell.strip()):
-            found = f"'{cell.strip()}'" if cell.strip() else 'an empty cell'
+            found = f"'{clipped(cell.strip())}'" if cell.strip() else 'an empty cell'
             raise InputError(path, f"expected a number in '{name}', found {found}", int(line))
         values.append(value)
-    return np.array(values, dtype=float)
+    column = np.array(values, dtype=float)
+    wrong = implausible(name, from_si(name, column)) & np.isfinite(column)
+    if wrong.any():
+        first = int(np.argmax(wrong))
+        raise InputError(path, f"{expected_range(name)} in '{name}', found "
+                               f"'{clipped(texts[first].strip())}'", int(lines[first]))
+    return column
 
 
 def _number(cell: str, name: str) -> float:

@@ -5,11 +5,10 @@ from microbot_ros.tracking.camera import ImageToWorkspace
 from microbot_ros.tracking.drive import Drive
 from microbot_ros.tracking.learn import learn
 from microbot_ros.tracking.settings import TrackerSettings
-from microbot_ros.tracking.source import DeviceSource, Frame, Source, grey, open_source
 from microbot_ros.tracking.tracker import FrameError, Poses, Tracker
 from microbot_ros.tracking.warm import warm_up
 
 __all__ = [
-    'Appearance', 'DeviceSource', 'Drive', 'Frame', 'FrameError', 'ImageToWorkspace', 'Poses',
-    'Source', 'Tracker', 'TrackerSettings', 'grey', 'learn', 'open_source', 'warm_up',
+    'Appearance', 'Drive', 'FrameError', 'ImageToWorkspace', 'Poses', 'Tracker', 'TrackerSettings',
+    'learn', 'warm_up',
 ]

@@ -11,6 +11,8 @@ from microbot_ros.model.vectors import unit
 from microbot_ros.records import Commands
 
 Levels = float | Sequence[float] | np.ndarray
+ROTATING_HZ = 20.0
+"""How often a turning field is commanded."""
 
 def steps(
     rng: np.random.Generator, duration: float, field: Levels, dwell: tuple[float, float],
@@ -37,7 +39,7 @@ def rotating(duration: float, field: float, period: float) -> Commands:
 
     For `duration` [s].
     """
-    begin = np.arange(0.0, duration, 0.05)
+    begin = np.arange(0.0, duration, 1 / ROTATING_HZ)
     return Commands(begin, field * unit(2 * math.pi * begin / period))
 
 

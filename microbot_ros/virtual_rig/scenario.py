@@ -17,15 +17,17 @@ from microbot_ros.model.learned_term import LearnedTerm
 from microbot_ros.model.model import Model, ParticleParameters, Propulsion
 from microbot_ros.model.model_file import read_model
 from microbot_ros.model.particle import Fluid
+from microbot_ros.plausible import check_plausible
 from microbot_ros.records import Commands, Conditions, height_problem
 from microbot_ros.units import exact_si
-from microbot_ros.virtual_rig.commands import Herding, rotating, steps
+from microbot_ros.virtual_rig.commands import ROTATING_HZ, Herding, rotating, steps
 from microbot_ros.virtual_rig.foreign_effects import check_effect
 from microbot_ros.virtual_rig.record_session import Camera, Feedback
 
 Positive = Annotated[float, pydantic.Field(gt=0)]
 Fraction = Annotated[float, pydantic.Field(ge=0, lt=1)]
 LevelSettings = Positive | Annotated[tuple[Positive, ...], pydantic.Field(min_length=1)]
+_MOST_ROWS = 1e7
 EffectSettings = dict[str, dict[str, float | tuple[float, ...]]]
 
 
@@ -147,6 +149,11 @@ class CommandSettings(Settings):
         return self._listed()
 
     @property
+    def rate_hz(self) -> float:
+        """How many commands a second there can be."""
+        return 1 / self.steps.dwell_s[0] if self.steps else ROTATING_HZ if self.rotating else 0.0
+
+    @property
     def rolls(self) -> bool:
         """Whether the field rotates to roll particles."""
         ways = self.rows or (self.steps,)
@@ -241,6 +248,11 @@ class Scenario(Settings):
             raise ValueError("expected 'frequency_hz' in the commands of rolling particles only")
         if self.duration_s * self.camera.frame_rate_hz < 2:
             raise ValueError("expected 'duration_s' to hold at least two frames")
+        rows = self.duration_s * max(
+            self.camera.frame_rate_hz, self.commands.rate_hz if self.commands else 0.0)
+        if rows > _MOST_ROWS:
+            raise ValueError(f"expected 'duration_s' to hold at most {_MOST_ROWS:g} frames, and "
+                             f'as many commands; it would hold {rows:.3g}')
         return self
 
     @property
@@ -300,6 +312,8 @@ def read_scenario(path: Path) -> tuple[Scenario, ParticleParameters]:
         scenario = _with_model(path, scenario, model)
     for effect, parameters in scenario.effects.items():
         try:
+            for name, value in parameters.items():
+                check_plausible(name, value)
             check_effect(effect, parameters)
         except ValueError as error:
             raise InputError(path, str(error), line_of(path, 'effects', effect)) from None

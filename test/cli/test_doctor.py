@@ -1,14 +1,17 @@
 """`microbot doctor`: what it finds of a machine, without a graph."""
 
 import os
+import re
 import threading
 
+import cv2
+import numpy as np
 import psutil
 import pytest
 import yaml
 
 from microbot_ros.cli import doctor
-from microbot_ros.cli.doctor import _dead_man, _real_time, _rig, _watchdog
+from microbot_ros.cli.doctor import _camera, _dead_man, _real_time, _rig, _watchdog
 from microbot_ros.drive.real_time import lateness
 from microbot_ros.magnetics import CoilSettings
 
@@ -75,3 +78,41 @@ def test_whose_coils_a_rig_is_driven_by_is_said_and_that_they_can_be(tmp_path):
     assert _rig(rig).detail.startswith(f'{coils}: background_mT: expected a field that the coils')
     rig.write_text('coil_driver: {}\n')
     assert _rig(rig).detail.endswith('coils of the default rig, for there is no coils_file')
+
+
+def test_the_camera_is_opened_and_what_it_gives_is_said(tmp_path):
+    film, rig = tmp_path / 'film', tmp_path / 'rig.yaml'
+    film.mkdir()
+    for k in range(20):
+        cv2.imwrite(str(film / f'{k}.png'), np.zeros((48, 64), np.uint8))
+    rig.write_text(yaml.safe_dump({'camera': {'ros__parameters': {
+        'source': str(film), 'frame_rate_hz': 100}}}))
+    found = _camera(rig)
+    assert found.level == 'ok'
+    said = re.fullmatch(r'file (\S+): 64×48 decoded to grey, ([\d.]+) frames/s, 0 lost; '
+                        r'clock: none: a frame is stamped as it arrives', found.detail)
+    assert said, found.detail
+    assert 50 < float(said[2]) < 150
+    (film / '7.png').write_bytes(b'')
+    found = _camera(rig)
+    assert (found.level, '1 lost' in found.detail) == ('warn', True)
+    assert 'frame 7 can not be decoded' in found.detail
+
+
+@pytest.mark.parametrize(('parameters', 'said'), [
+    ('source: /dev/video99', 'expected a camera that gives frames'),
+    ('camera: polaroid', 'expected one of aravis, file'),
+    ('source: nowhere.mp4', 'not found'),
+])
+def test_a_camera_that_is_not_there_fails(tmp_path, parameters, said):
+    rig = tmp_path / 'rig.yaml'
+    rig.write_text(f'camera: {{ros__parameters: {{{parameters}}}}}\n')
+    found = _camera(rig)
+    assert (found.what, found.level) == ('camera', 'fail')
+    assert said in found.detail
+
+
+def test_a_rig_without_a_camera_is_none_the_worse(tmp_path):
+    rig = tmp_path / 'rig.yaml'
+    rig.write_text('model: {}\n')
+    assert _camera(rig).level == 'ok'

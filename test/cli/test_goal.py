@@ -42,7 +42,7 @@ class Graph:
             tell('coil_driver', level, sentence, {})
         tell('tracker', b'\1', 'no frames', {})
 
-    def alone(self, node):
+    def runs(self, node):
         return True
 
     def until(self, true, seconds):

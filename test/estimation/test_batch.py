@@ -89,10 +89,13 @@ def test_where_the_floor_is_stated_force_and_diffusion_are_those_above_it(height
 
 @pytest.mark.parametrize(('conditions', 'said'), [
     # ten times the drag: nearer than surfaces come
-    (Conditions(radius=4.6e-7, viscosity=1.245e-3), 'radius or viscosity are off'),
-    (Conditions(radius=9.2e-6, viscosity=1.245e-3), 'radius or viscosity are off'),
+    (Conditions(radius=4.6e-7, viscosity=1.245e-3),
+     'far from walls: radius or viscosity are off'),
+    (Conditions(radius=9.2e-6, viscosity=1.245e-3), 'Otherwise radius or viscosity are off'),
     (Conditions(radius=4.6e-6, viscosity=1.245e-3, height=4.7e-6),
-     '4.7 µm above a floor: height, radius or viscosity are off'),
+     'Otherwise height, radius or viscosity are off'),
+    (Conditions(radius=4.6e-6, viscosity=1.245e-3, height=4.7e-6),
+     '4.7 µm above a floor: something moves the particles that this model lacks'),
 ])
 def test_a_floor_is_not_blamed_for_what_it_does_not_do(conditions, said):
     session, _ = experiment(0)

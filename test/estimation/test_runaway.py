@@ -11,11 +11,11 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
+from microbot_ros.cameras.source import open_source
 from microbot_ros.estimation.online import Estimates, Estimator
 from microbot_ros.estimation.population import GATE
 from microbot_ros.loop.tracker import TrackerParameters, TrackerStage
 from microbot_ros.records import Conditions
-from microbot_ros.tracking import open_source
 
 FIELD = 5e-3
 READ = 0.1e-6

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import magpylib
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,6 +10,8 @@ from scipy.optimize import linprog
 
 from microbot_ros.errors import InputError
 from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings
+
+magpylib = pytest.importorskip('magpylib')
 
 
 def rig(seed: int, background: float = 0.1) -> CoilSet:
@@ -183,6 +184,27 @@ def test_background_beyond_the_coils_and_coils_in_line_are_refused():
     for cancel in (False, True):
         with pytest.raises(InputError, match='every field direction'):
             Allocator(CoilSet(), (30e-3, 20e-3, 0), cancel_gradient=cancel)  # on a wire
+
+
+# Of the enumeration of faces, which knew four coils and two axes only: (seed, wanted), currents.
+ENUMERATED = [
+    (0, (1e-3, 2e-3), (0.5692442770779833, -0.34267661046694825, 0.41349798421294676,
+                       0.0752015277349352)),
+    (0, (3e-3, -8e-3), (-1.0330552710570582, -2.7148085531751387, -2.3412488293872604,
+                        -1.7003023321929485)),
+    (0, (1, -0.2), (-1.03305527105681, -2.7148085531751387, 0.17982238549893736,
+                    1.7778428479582076)),
+    (7, (-6e-3, 1e-3), (0.12230095827010834, -1.5097391753082492, 0.3569805733214319,
+                        -1.490222363737191)),
+    (7, (1, -0.2), (-1.4504143799804297, 1.5097391753082492, 0.8326132590063935,
+                    1.4950298440546617)),
+]
+
+
+@pytest.mark.parametrize(('seed', 'wanted', 'currents'), ENUMERATED)
+def test_four_coils_get_the_currents_of_before(seed, wanted, currents):
+    found = Allocator(rig(seed)).allocate(wanted).currents
+    np.testing.assert_allclose(found, currents, atol=2e-11)
 
 
 def test_many_fields_at_once_get_the_currents_of_each() -> None:

@@ -125,6 +125,20 @@ def test_no_better_point_is_found_by_sequential_quadratic_programming(seed):
     assert found.power == pytest.approx(other.fun, rel=1e-6)
 
 
+@pytest.mark.parametrize('seed', range(40))
+@pytest.mark.parametrize('axes', ['xy', 'xyz'])
+def test_at_the_very_edge_of_what_can_be_reached_no_digit_is_lost(seed, axes):
+    coils = scattered(seed, 3 + seed % 14, axes)
+    for cancel in (False, True):
+        allocator = Allocator(coils, cancel_gradient=cancel)
+        for direction in (*np.eye(len(axes)), unit(seed, len(axes))):
+            largest = allocator.largest(direction)
+            for wanted in (largest, 50 * largest):
+                found = allocator.allocate(wanted * direction)
+                np.testing.assert_allclose(found.field, largest * direction, atol=1e-9 * largest)
+                assert (np.abs(found.currents) <= coils.max_current).all()
+
+
 def test_helmholtz_pairs_make_what_the_textbook_says():
     coils, allocator = CoilSet(SIX), Allocator(CoilSet(SIX))
     assert coils.axes == 3
@@ -166,6 +180,9 @@ def test_two_components_lie_in_the_plane_and_two_axes_know_no_third():
     flat, solid = Allocator(CoilSet()), Allocator(CoilSet(SIX))
     np.testing.assert_array_equal(solid.allocate((1e-3, 2e-3)).currents,
                                   solid.allocate((1e-3, 2e-3, 0)).currents)
+    around = np.random.default_rng(0).normal(0, 4e-3, (20, 2))
+    np.testing.assert_allclose(solid.currents(around), atol=1e-15,
+                               desired=[solid.allocate(field).currents for field in around])
     assert flat.matrix.shape == (2, 4)
     assert solid.matrix.shape == (3, 6)
     for allocator, wrong in ((flat, (0, 0, 1e-3)), (solid, (1e-3,)), (flat, (1e-3,))):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from click.testing import CliRunner
+from coil_rigs import CONFIG, SIX
 
 from microbot_ros.cli.calibrate import command
 from microbot_ros.errors import InputError
@@ -222,3 +223,41 @@ def test_what_is_wrong_in_a_file_of_coils_is_said_where_it_stands(tmp_path):
     path.write_text('coils: {background_mT: [0, 0]}\nbackground_mT: [0, 0]\n')
     with pytest.raises(InputError, match=r"coils\.yaml:2: unknown key 'background_mT'"):
         read_yaml(path, CoilSettings)
+
+
+SIX_GAIN = np.array([0.81, 1.12, -1.0, 0.93, 1.05, -0.9])
+SIX_BACKGROUND = np.array([0.02, -0.03, 0.045])  # mT
+
+
+def readings_of_six(tmp_path, along='xyz', order=range(6)):
+    """The six coils driven one by one at the centre and beside it, with a probe of these axes."""
+    coils, rng, values = CoilSet(SIX), np.random.default_rng(0), []
+    for place in PLACES:
+        field = 1e3 * SIX_GAIN[:, None] * coils.field_per_ampere(1e-3 * np.array([place]))[:, 0]
+        for currents in np.vstack([np.eye(6), -np.eye(6), np.zeros((1, 6))]):
+            measured = currents @ field + SIX_BACKGROUND + rng.normal(0, NOISE, 3)
+            values.append([*currents, *place, *measured[:len(along)]])
+    names = [f'{coils.names[k]}_A' for k in order]
+    return write(tmp_path / 'readings.csv', values,
+                 [*names, 'x_mm', 'y_mm', 'z_mm', *(f'b{axis}_mT' for axis in along)])
+
+
+def test_six_coils_are_calibrated_along_three_axes(tmp_path):
+    path, out = readings_of_six(tmp_path), tmp_path / 'out'
+    result = run(path, '--config', CONFIG / 'coils_six.yaml', '--out', out)
+    assert result.exit_code == 0
+    found = read_yaml(out / 'coils.yaml', CoilSettings)
+    assert (found.axes, found.workspace_mm) == ('xyz', 10)
+    signed = [winding.gain * winding.sign for winding in found.windings]
+    np.testing.assert_allclose(signed, SIX_GAIN, atol=0.01)
+    np.testing.assert_allclose(found.background_mT, SIX_BACKGROUND, atol=4e-3)
+    assert (out / 'calibration.png').is_file()
+
+
+def test_six_coils_swapped_or_measured_along_two_axes_are_refused(tmp_path):
+    path = readings_of_six(tmp_path, order=(0, 4, 2, 3, 1, 5))
+    with pytest.raises(InputError, match='coil_plus_x_A holds the current of coil_plus_z'):
+        calibrate(read_readings(path, SIX), SIX, path)
+    path = readings_of_six(tmp_path, 'xy')
+    with pytest.raises(InputError, match='expected the columns bx_mT,by_mT,bz_mT,coil_plus_y_A'):
+        read_readings(path, SIX)

@@ -6,10 +6,12 @@ import numpy as np
 import pydantic
 import pytest
 import yaml
+from coil_rigs import CONFIG
 
 from microbot_ros.errors import InputError
 from microbot_ros.files import Settings, read_yaml
-from microbot_ros.magnetics import CoilSet, CoilSettings
+from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings
+from microbot_ros.nodes.configuration import read_rig
 
 
 class Rig(Settings):
@@ -112,3 +114,15 @@ def test_settings_round_trip_through_yaml(tmp_path):
     coils = CoilSettings.model_validate({'windings': windings(gain=1.07, sign=-1)})
     path.write_text(yaml.safe_dump({'coils': coils.model_dump(mode='json', exclude_none=True)}))
     assert read_yaml(path, Rig).coils == coils
+
+
+def test_the_rig_of_six_coils_that_is_shipped_is_driven_by_its_coils_and_can_make_its_full_field():
+    driver = read_rig(CONFIG / 'rig_six_coils.yaml')['coil_driver']
+    file = CONFIG.parent / driver['coils_file']
+    allocator = Allocator(CoilSet(read_yaml(file, CoilSettings)))
+    needed = allocator.largest_current(1e-3 * driver['full_field_mT'])
+    assert needed < driver['current_limit_A']
+    for name in ('rig.yaml', 'rig_six_coils.yaml'):  # they differ in nothing but their coils
+        rig = read_rig(CONFIG / name)
+        rig['coil_driver']['coils_file'] = ''
+        assert rig == read_rig(CONFIG / 'rig.yaml')

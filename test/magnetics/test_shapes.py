@@ -298,7 +298,7 @@ def test_a_core_that_saturates_is_driven_harder_up_to_its_limit_in_amperes():
     ({'field_map': 'a.csv', 'turns': 3}, 'and none of a field_map'),
     ({'field_map': 'a.csv', 'axis': [1, 0, 0]}, 'vertices_mm, field_map and source alone'),
     ({'field_map': 'a.csv'}, r'a\.csv: expected a readable CSV file'),
-    ({'source': 'none_such'}, "no coil 'none_such' is installed"),
+    ({'source': 'none_such'}, "received 'none_such'"),
     ({'vertices_mm': [[0, 9, 0], [0, 0, 9], [0, 0, 0]], 'closed': False, 'turns': 1},
      'expected a path that ends where it began: no current is open'),
     ({'radius_mm': 9, 'axis': [1, 0, 0], 'turns': 9, 'closed': False}, 'path that ends where'),
@@ -357,7 +357,7 @@ def test_coils_of_packages_are_found_by_name(tmp_path, monkeypatch):
     for name in ('plus_x', 'ready'):
         found = coils_of(source=name).field_per_ampere(POINTS)
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-15)
-    with pytest.raises(ValueError, match="the coil 'broken' does not load; AttributeError"):
+    with pytest.raises(ValueError, match="'broken' does not load; AttributeError"):
         coils_of(source='broken')
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import subprocess
 import sys
 
-import magpylib
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -16,6 +15,8 @@ from scipy.special import ellipe, ellipkm1
 from microbot_ros.errors import InputError
 from microbot_ros.magnetics import Loop, Polyline
 from microbot_ros.units import MU_0
+
+magpylib = pytest.importorskip('magpylib')
 
 RADIUS = 0.02
 FLAT = Loop(RADIUS, (0, 0, 0), (0, 0, 1))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from coil_rigs import SIX
 
 from microbot_ros.errors import InputError
 from microbot_ros.magnetics import CoilSet, CoilSettings
@@ -45,3 +46,21 @@ def test_coils_that_are_no_pairs_are_refused():
     content['windings'][1].update(position_mm=(0.0, 40.0, 0.0), axis=(0.0, 1.0, 0.0))
     with pytest.raises(InputError, match='two coils along x and two along y'):
         with_coil_map(CoilSettings.model_validate(content), 1.0, 0.0, np.eye(2), np.zeros(2))
+
+
+def test_coils_along_z_stay_and_measured_fields_are_not_turned(tmp_path):
+    known = SIX.model_copy(update={'background_mT': (0.0, 0.0, 0.3)})
+    corrected = with_coil_map(known, GAIN, SKEW, MATRIX, np.zeros(2))
+    before, after = (CoilSet(settings).actuation_matrix() for settings in (known, corrected))
+    np.testing.assert_allclose(after[:2], MATRIX @ before[:2], rtol=1e-9, atol=1e-12)
+    np.testing.assert_array_equal(after[:, 4:], before[:, 4:])
+    assert corrected.background_mT == (0, 0, 0.3)
+    line = np.array([-2.0, 2.0])
+    field = np.broadcast_to((0.0, 2.0, 0.0), (2, 2, 2, 3))
+    np.savez(tmp_path / 'map.npz', x_mm=line, y_mm=line, z_mm=line, field_mT_per_A=field)
+    content = CoilSettings().model_dump(exclude_none=True)
+    for key in ('axis', 'radius_mm', 'turns'):
+        del content['windings'][0][key]
+    content['windings'][0].update(field_map=tmp_path / 'map.npz', position_mm=(0, 0, 0))
+    with pytest.raises(InputError, match='coil_plus_y: expected a wire'):
+        with_coil_map(CoilSettings.model_validate(content), GAIN, SKEW, MATRIX, np.zeros(2))

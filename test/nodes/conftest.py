@@ -184,6 +184,21 @@ def emulator(tmp_path: Path, emulator_options: tuple[str, ...]) -> Iterator[Emul
 
 
 @pytest.fixture
+def emulator_in() -> Iterator[Callable[[Path], Emulator]]:
+    """Makes emulated amplifiers, each in a folder, that are switched off at the end."""
+    made: list[Emulator] = []
+
+    def start(folder: Path) -> Emulator:
+        folder.mkdir()
+        made.append(Emulator(folder))
+        return made[-1]
+
+    yield start
+    for emulator in made:
+        emulator.end()
+
+
+@pytest.fixture
 def ros(tmp_path: Path) -> Iterator[Callable[[dict[str, dict[str, Any]]], Ros]]:
     """Makes a graph in this process from parameters; ends it afterwards."""
     made: list[Ros] = []

@@ -8,7 +8,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import magpylib
 import numpy as np
 import pytest
 import yaml
@@ -17,6 +16,8 @@ from geometry_msgs.msg import Vector3Stamped
 from microbot_ros.magnetics import CoilSettings
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.graph_client import GraphClient
+
+magpylib = pytest.importorskip('magpylib')
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(120)]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 import time
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.srv import AddDiagnostics
 from geometry_msgs.msg import PoseArray, PoseStamped, Vector3Stamped
 from nav_msgs.msg import Path
 from numpy.lib.recfunctions import repack_fields
@@ -18,6 +20,7 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Joy, PointCloud2
 from std_msgs.msg import String
+from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
 from microbot_ros.control.contract import no_field
@@ -519,3 +522,24 @@ def test_frames_that_overtake_each_other_give_the_field_no_time(ros: Any) -> Non
     newest = np.maximum.accumulate(stamps)
     assert (np.diff(strengths) <= 0.02 * np.diff(newest) + 1e-9).all()
     assert strengths[-1] > strengths[0]
+
+
+def test_services_switch_and_list_and_the_parameter_is_the_same_thing(ros: Any) -> None:
+    loop = Loop(ros)
+
+    def switch(name: str) -> Any:
+        return loop.graph.call(AddDiagnostics, 'controller/switch_controller',
+                               AddDiagnostics.Request(load_namespace=name))
+
+    refused = switch('steam')
+    assert not refused.success
+    assert "no controller 'steam'; there are: " in refused.message
+    done = switch('open_loop')
+    assert done.success
+    assert 'open_loop' in done.message
+    assert loop.node.settings.controller == 'open_loop'
+    loop.graph.until(lambda: loop.see() or (loop.fields and loop.strength() > 4.9e-3))
+    listed = loop.graph.call(Trigger, 'controller/list_controllers', Trigger.Request())
+    states = {one['name']: one['state'] for one in json.loads(listed.message)}
+    assert {name for name, state in states.items() if state == 'active'} == {'open_loop'}
+    assert {'hold', 'waypoint', 'path_following'} <= states.keys()

@@ -31,19 +31,24 @@ def watchdogs(out: Path) -> int:
     return [entry['cause'] for entry in entries].count('watchdog')
 
 
-@pytest.fixture(scope='module')
-def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What a demo of 30 s leaves behind: the first that had this machine to itself."""
-    for _ in range(4):
-        out = tmp_path_factory.mktemp('demo') / 'demo'
+def _demo(folder: Path, *options: str) -> Path:
+    """What a demo leaves behind: the first that had this machine to itself."""
+    for number in range(4):
+        out = folder / f'demo_{number}'
         with Processors() as processors:
             done = subprocess.run(
-                [sys.executable, '-m', 'microbot_ros.cli', 'demo', '--out', str(out)],
+                [sys.executable, '-m', 'microbot_ros.cli', 'demo', '--out', str(out), *options],
                 capture_output=True, text=True, timeout=250)
         if processors.ours or (done.returncode == 0 and watchdogs(out) == 1):
             break
     assert done.returncode == 0, f'{processors}\n{done.stderr}'
     return out
+
+
+@pytest.fixture(scope='module')
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of 30 s."""
+    return _demo(tmp_path_factory.mktemp('demo'))
 
 
 @pytest.fixture(scope='module')
@@ -64,6 +69,20 @@ def test_every_estimate_is_near_the_truth(summary: dict[str, Any]) -> None:
         assert found['speed_um_s'] == pytest.approx(found['true_speed_um_s'], rel=0.05)
         apart = np.angle(np.exp(1j * (found['phi_rad'] - found['true_phi_rad'])))
         assert abs(apart) <= 0.1
+
+
+def test_rollers_learn_their_gain_and_rest_at_the_last_place(tmp_path: Path) -> None:
+    out = _demo(tmp_path, '--robots', 'rolling', '--seconds', '22')
+    summary = json.loads((out / 'summary.json').read_text())
+    assert summary['goals_reached'] == summary['goals'] == 3
+    assert summary['goal_error_um'] <= 2
+    assert summary['controllers'] == ['hold', 'open_loop', 'roller', 'hold']
+    for found in summary['estimate'].values():
+        assert found['speed_um_s'] == pytest.approx(found['true_speed_um_s'], rel=0.05)
+        assert abs(found['phi_rad'] - found['true_phi_rad']) <= 0.1
+    entries = [json.loads(line) for line in (out / 'amplifier.jsonl').read_text().splitlines()]
+    assert len(entries[0]['currents_A']) == 6
+    assert not any(entries[-1]['currents_A'])
 
 
 def test_the_line_was_clean_and_the_controller_swapped(summary: dict[str, Any]) -> None:

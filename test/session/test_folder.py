@@ -187,8 +187,9 @@ def test_a_session_survives_the_round_trip(tmp_path_factory, seed, with_heading)
         rng.normal(0, 1e-5, (len(t), 2))[seen], theta[seen], np.full(seen.sum(), np.nan),
     )
     commands = Commands(np.sort(rng.uniform(-1, 0, 4)), rng.normal(0, 1e-3, (4, 2)))
-    conditions = Conditions('catalytic', *rng.uniform(1e-6, 300, 6).tolist(),
-                            height=float(rng.uniform(300, 900)))
+    conditions = Conditions('catalytic', *rng.uniform(
+        (1e-8, 1e-6, 1, 1e-3, 1e-9, 1e-6), (1e-2, 300, 300, 300, 1e-2, 9)).tolist(),
+        height=float(rng.uniform(1e-2, 1e-1)))
     session = Session(tracks, commands, conditions)
     path = tmp_path_factory.mktemp('session') / 'copy'
     write_session(path, session)

@@ -260,7 +260,7 @@ def test_broken_chunks_are_refused_where_they_are_read(tmp_path):
         start = make_reader(stream).get_summary().chunk_indexes[0].chunk_start_offset
     whole[start + 60:start + 200] = bytes(140)
     file.write_bytes(whole)
-    with open_recording(file) as recording, pytest.raises(InputError, match='sound chunks'):
+    with open_recording(file) as recording, pytest.raises(InputError, match='damaged data'):
         list(recording.messages())
 
 

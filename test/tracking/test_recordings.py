@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from microbot_ros.tracking import Tracker, TrackerSettings, learn, open_source
+from microbot_ros.cameras.source import open_source
+from microbot_ros.tracking import Tracker, TrackerSettings, learn
 
 
 def _fail(line: str) -> None:

@@ -12,6 +12,7 @@ from microbot_ros.errors import InputError
 from microbot_ros.records import Commands, Conditions, Session, Tracks
 from microbot_ros.session.folder import NOMINAL_FIELD
 from microbot_ros.session.from_recording import changes
+from microbot_ros.session.plausibility import check_session
 from microbot_ros.session.spreadsheets.angles import angles, settle_angles
 from microbot_ros.session.spreadsheets.columns import Column, find_columns
 from microbot_ros.session.spreadsheets.row_times import (
@@ -67,7 +68,9 @@ def import_session(path: Path, answers: Answers) -> tuple[Session, list[str]]:
     for sheet in sheets:
         if id(sheet) not in used:
             said.add(f'{sheet.name}: holds neither positions nor commands; left out')
-    return Session(tracks, commands, conditions, path.stem), said
+    session = Session(tracks, commands, conditions, path.stem)
+    check_session(path, session)
+    return session, said
 
 
 def _pieces(

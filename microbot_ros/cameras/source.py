@@ -1,11 +1,10 @@
-"""Where frames come from: a video, a folder of images, a glob, a camera on this machine."""
+"""Frames of a file: a video, a folder of images, a glob."""
 
 from __future__ import annotations
 
 import glob
 import os
 import re
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -194,49 +193,6 @@ class ImageSource:
                 )
             else:
                 yield Frame(index, index / (self.frame_rate or 1.0), image)
-
-
-class DeviceSource:
-    """A camera of this machine, named by index or device path; nothing else is ever opened."""
-
-    length: int | None = None
-
-    def __init__(self, device: int | str) -> None:
-        import cv2
-
-        self.name = f'camera {device}'
-        self._capture = cv2.VideoCapture(device, cv2.CAP_V4L2)
-        got, picture = self._capture.read() if self._capture.isOpened() else (False, None)
-        first = grey(picture) if got else None
-        if first is None:
-            self._capture.release()
-            raise InputError(self.name, 'expected a camera that gives frames; it gives none')
-        rate = self._capture.get(cv2.CAP_PROP_FPS)
-        self.frame_rate = rate if 0 < rate < 1e6 else None
-        self.size = first.shape
-
-    def frames(self) -> Iterator[Frame]:
-        """Frames as they come, stamped with the monotonic clock as they arrive.
-
-        Raises InputError when the camera stops or changes its picture.
-        """
-        index = 0
-        try:
-            while True:
-                got, picture = self._capture.read()
-                t = time.monotonic()
-                image = grey(picture) if got else None
-                if image is None:
-                    raise InputError(self.name, f'stopped giving frames after {index}')
-                if image.shape != self.size:
-                    found = _size(image.shape)
-                    raise InputError(
-                        self.name, f'frame {index} is {found}, expected {_size(self.size)}'
-                    )
-                yield Frame(index, t, image)
-                index += 1
-        finally:
-            self._capture.release()
 
 
 def read_picture(path: Path) -> np.ndarray:

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
+from microbot_ros.cameras.source import grey, open_source
 from microbot_ros.errors import InputError
-from microbot_ros.tracking import DeviceSource, grey, open_source
 
 
 def _picture(level: int, size: tuple[int, int] = (48, 64)) -> np.ndarray:
@@ -103,12 +103,6 @@ def test_nothing_there_is_bad_input(tmp_path: Path) -> None:
 def test_a_frame_rate_is_positive(tmp_path: Path, rate: float) -> None:
     with pytest.raises(InputError, match='positive number of hertz'):
         open_source(tmp_path, _fail, rate)
-
-
-def test_only_the_camera_that_was_asked_for_is_opened(tmp_path: Path) -> None:
-    for device in (str(tmp_path / 'video9'), str(_video(tmp_path / 'a.avi', 3))):
-        with pytest.raises(InputError, match='expected a camera that gives frames'):
-            DeviceSource(device)
 
 
 def test_depth_is_kept_and_colour_is_not() -> None:

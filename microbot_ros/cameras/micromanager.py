@@ -1,0 +1,176 @@
+"""Kind `micromanager`: whatever camera Micro-Manager has an adapter for."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from contextlib import suppress
+from typing import Any
+
+from microbot_ros.cameras.camera import (
+    CameraDriver,
+    CameraFormat,
+    CameraFrame,
+    Clock,
+    optional,
+)
+from microbot_ros.cameras.pixels import encoding_of, picture
+from microbot_ros.errors import InputError
+
+_ENCODINGS = {'GRAY8': 'mono8', 'GRAY16': 'mono16', 'RGB32': 'bgra8'}
+_BUFFER_MB = 64
+_POLL_S = 0.0005
+"""MMCore has nothing to wait on."""
+
+
+class MicroManagerCamera(CameraDriver):
+    """The camera of a Micro-Manager configuration (a .cfg file), or `demo`."""
+
+    def open(self) -> CameraFormat:
+        self._core: Any = None
+        self._mmcore = optional('pymmcore', 'micromanager')
+        self.refuse('frame_rate_hz', 'trigger', why='say it in the configuration file')
+        core = self._core = self._mmcore.CMMCore()
+        try:
+            core.setDeviceAdapterSearchPaths(_adapters())
+            self._load()
+            self._set_up()
+            core.setCircularBufferMemoryFootprint(_BUFFER_MB)
+            core.startContinuousSequenceAcquisition(0)
+            return self._first_format()
+        except (RuntimeError, OSError) as error:
+            self.close()
+            raise InputError(self.wanted.source, f'Micro-Manager says: {_line(error)}') from None
+        except InputError:
+            self.close()
+            raise
+
+    def read(self, timeout: float) -> CameraFrame | None:
+        core, deadline = self._core, time.monotonic() + timeout
+        try:
+            while not core.getRemainingImageCount():
+                if not core.isSequenceRunning():
+                    raise InputError(self.wanted.source, 'stopped giving frames')
+                if time.monotonic() >= deadline:
+                    return None
+                time.sleep(_POLL_S)
+            return self._next()
+        except (RuntimeError, OSError) as error:
+            raise InputError(self.wanted.source, f'Micro-Manager says: {_line(error)}') from None
+
+    def close(self) -> None:
+        if self._core is None:
+            return
+        for step in (self._core.stopSequenceAcquisition, self._core.unloadAllDevices):
+            with suppress(RuntimeError, OSError):
+                step()
+        self._core = None
+
+    def _load(self) -> None:
+        core, source = self._core, self.wanted.source
+        if source == 'demo':
+            core.loadDevice('Camera', 'DemoCamera', 'DCam')
+            core.initializeDevice('Camera')
+            core.setCameraDevice('Camera')
+        elif source.endswith('.cfg'):
+            core.loadSystemConfiguration(source)
+        else:
+            raise InputError(source or 'camera', 'expected a configuration file of Micro-Manager '
+                             '(.cfg) as source, or demo')
+        if not core.getCameraDevice():
+            raise InputError(source, 'the configuration file names no camera (Core, Camera)')
+
+    def _set_up(self) -> None:
+        core, wanted = self._core, self.wanted
+        self._sensor = core.getImageHeight(), core.getImageWidth()
+        if wanted.pixel_format:
+            self._property('pixel_format', 'PixelType', wanted.pixel_format)
+        if wanted.gain:
+            self._property('gain', 'Gain', f'{wanted.gain:g}')
+        if wanted.exposure_ms:
+            self._expose(wanted.exposure_ms)
+        if {'width_px', 'height_px', 'offset_x_px', 'offset_y_px'} & set(wanted.asked):
+            height, width = self._sensor
+            self.within('width_px', 0, width - self.within('offset_x_px', 0, width - 1))
+            self.within('height_px', 0, height - self.within('offset_y_px', 0, height - 1))
+            core.setROI(wanted.offset_x_px, wanted.offset_y_px,
+                        wanted.width_px or width - wanted.offset_x_px,
+                        wanted.height_px or height - wanted.offset_y_px)
+
+    def _expose(self, exposure_ms: float) -> None:
+        """MMCore takes any, and some adapters keep what they can do to themselves."""
+        core, camera = self._core, self._core.getCameraDevice()
+        if core.hasProperty(camera, 'Exposure') and core.hasPropertyLimits(camera, 'Exposure'):
+            self.within('exposure_ms', core.getPropertyLowerLimit(camera, 'Exposure'),
+                        core.getPropertyUpperLimit(camera, 'Exposure'))
+        core.setExposure(exposure_ms)
+        if abs(core.getExposure() - exposure_ms) > 0.05 * exposure_ms:
+            raise InputError(self.wanted.source, f'exposure_ms became {core.getExposure():g} ms; '
+                             f'received {exposure_ms:g}')
+
+    def _property(self, name: str, its: str, value: str) -> None:
+        """Set the camera's property of `its` name by the setting of ours."""
+        core, camera = self._core, self._core.getCameraDevice()
+        if not core.hasProperty(camera, its):
+            self.refuse(name)
+        if allowed := list(core.getAllowedPropertyValues(camera, its)):
+            self.one_of(name, allowed)
+        elif core.hasPropertyLimits(camera, its):
+            self.within(name, core.getPropertyLowerLimit(camera, its),
+                        core.getPropertyUpperLimit(camera, its))
+        core.setProperty(camera, its, value)
+
+    def _first_format(self) -> CameraFormat:
+        """Pixels are told with frames only: it takes the first of them, and lets it go."""
+        exposure = self._core.getExposure() * 1e-3
+        deadline = time.monotonic() + 3.0 + 2 * exposure
+        while not self._core.getRemainingImageCount():
+            if time.monotonic() > deadline:
+                raise InputError(self.wanted.source, 'expected a camera that gives frames; it '
+                                 'gives none')
+            time.sleep(_POLL_S)
+        told = self._mmcore.Metadata()
+        self._core.getLastImageMD(told)
+        pixel_type = _tag(told, 'PixelType')
+        self._encoding = encoding_of(pixel_type, _ENCODINGS, self.wanted.source)
+        self._height, self._width = self._core.getImageHeight(), self._core.getImageWidth()
+        x, y, _, _ = self._core.getROI()
+        return CameraFormat(
+            self._height, self._width, self._encoding, pixel_type, Clock.DEVICE,
+            least_delay=exposure, offset=(x, y), sensor=self._sensor,
+            patience=3.0 + 2 * exposure)
+
+    def _next(self) -> CameraFrame:
+        told = self._mmcore.Metadata()
+        pixels = self._core.popNextImageMD(told)
+        arrived = time.monotonic()
+        height, width = pixels.shape
+        image = picture(pixels, self._encoding, height, width) if (
+            self._encoding == 'bgra8') else pixels
+        elapsed = _tag(told, 'ElapsedTime-ms')
+        return CameraFrame(int(_tag(told, 'ImageNumber')), image, arrived,
+                           float(elapsed) * 1e-3 if elapsed else math.nan)
+
+
+def _adapters() -> list[str]:
+    """Folders of device adapters: Micro-Manager's (MICROMANAGER_PATH), those that pymmcore-plus
+    installed, and the demo camera's, where they are there."""
+    folders = [path] if (path := os.environ.get('MICROMANAGER_PATH')) else []
+    with suppress(ImportError):
+        from pymmcore_plus import find_micromanager
+
+        folders += map(str, find_micromanager(return_first=False))
+    with suppress(ImportError):
+        import mm_test_adapters
+
+        folders.append(str(mm_test_adapters.device_adapter_path()))
+    return folders
+
+
+def _tag(told: Any, name: str) -> str:
+    return str(told.GetSingleTag(name).GetValue()) if told.HasTag(name) else ''
+
+
+def _line(error: Exception) -> str:
+    return str(error).splitlines()[0]

@@ -1,0 +1,41 @@
+"""Bytes of a device as pictures, without a copy; the names of pixel formats."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from microbot_ros.cameras.camera import ENCODINGS
+from microbot_ros.errors import InputError
+
+GENICAM = {
+    'Mono8': 'mono8', 'Mono10': 'mono16', 'Mono12': 'mono16', 'Mono14': 'mono16',
+    'Mono16': 'mono16',
+    'BayerRG8': 'bayer_rggb8', 'BayerBG8': 'bayer_bggr8', 'BayerGB8': 'bayer_gbrg8',
+    'BayerGR8': 'bayer_grbg8',
+    'BGR8': 'bgr8', 'BGR8Packed': 'bgr8', 'RGB8': 'rgb8', 'RGB8Packed': 'rgb8',
+    'BGRa8': 'bgra8', 'BGRA8Packed': 'bgra8', 'RGBa8': 'rgba8', 'RGBA8Packed': 'rgba8',
+}
+"""GenICam's names of pixel formats (PFNC 2.4, and those before) → encodings."""
+
+
+def encoding_of(pixel_format: str, known: dict[str, str], source: str) -> str:
+    """The encoding of a `pixel_format` among the `known`; InputError, of `source`, for another."""
+    if pixel_format not in known:
+        raise InputError(source, f'gives pixels as {pixel_format}; expected a pixel_format of '
+                         f'{", ".join(known)}')
+    return known[pixel_format]
+
+
+def picture(data: Any, encoding: str, height: int, width: int, stride: int = 0) -> np.ndarray:
+    """The `data`, a buffer, as (height, width) or (height, width, values) of an `encoding`.
+
+    `stride` is the length of a row in bytes, 0 where nothing follows the pixels. Nothing is
+    copied. ValueError for fewer bytes than that.
+    """
+    kind, values = ENCODINGS[encoding]
+    row = width * values * np.dtype(kind).itemsize
+    rows = np.frombuffer(data, np.uint8, height * (stride or row)).reshape(height, stride or row)
+    pixels = rows[:, :row].view(kind)
+    return pixels.reshape(height, width, values) if values > 1 else pixels

@@ -1,0 +1,100 @@
+"""What any camera must stand: run yours through it in a test of your own package.
+
+    from microbot_ros.cameras.testkit import exercise
+
+    def test_my_camera_keeps_the_contract():
+        exercise(MyCamera, 'name-of-one-that-is-there')
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from typing import Any
+
+from microbot_ros.cameras.camera import (
+    ENCODINGS,
+    CameraDriver,
+    CameraFormat,
+    CameraFrame,
+    CameraSettings,
+    Clock,
+)
+from microbot_ros.cameras.stream import FrameStream
+from microbot_ros.errors import InputError
+
+_IMPOSSIBLE: dict[str, Any] = {
+    'source': 'no such camera', 'pixel_format': 'no such format', 'trigger': 'no such line',
+    'width_px': 99_999, 'height_px': 99_999, 'offset_x_px': 99_999, 'offset_y_px': 99_999,
+    'gain': 999_999.0}
+_FRAMES = 10
+_PATIENCE_S = 20.0
+_SLACK_S = 0.5
+
+
+def exercise(kind: type[CameraDriver], source: str) -> None:
+    """Try a `kind` of camera on one that is there, by its `source`; AssertionError says what is
+    not as `CameraDriver` has it.
+
+    It is opened twice; what it gives is as its format says, in time, its numbers rise and its
+    moments are none of the future; what can't be is refused in one line, and leaves it free.
+    """
+    wanted = CameraSettings(source)
+    for _ in range(2):
+        _frames(kind, wanted)
+    for name, value in _IMPOSSIBLE.items():
+        _refuses(kind, dataclasses.replace(wanted, **{name: value}), name)
+    _frames(kind, wanted)
+
+
+def _frames(kind: type[CameraDriver], wanted: CameraSettings) -> None:
+    driver = kind(wanted, lambda _: None)
+    stream = FrameStream(driver)
+    _check_format(stream.format)
+    numbers: list[int] = []
+    moments: list[float] = []
+    deadline = time.monotonic() + _PATIENCE_S
+    while len(numbers) < _FRAMES:
+        now = time.monotonic()
+        assert now < deadline, f'gave {len(numbers)} frames in {_PATIENCE_S:g} s'
+        found = stream.read(0.05)
+        took = time.monotonic() - now
+        assert took < 0.05 + _SLACK_S, f'read took {took:.2f} s, asked for 0.05 s at most'
+        if found:
+            _check_frame(found[0], stream.format)
+            numbers.append(found[0].number)
+            moments.append(found[1])
+    driver.close()
+    driver.close()
+    assert driver.wraps_after or numbers == sorted(set(numbers)), (
+        f'numbers of frames must rise; gave {numbers}')
+    assert moments == sorted(moments), 'moments of exposure must rise'
+
+
+def _check_format(form: CameraFormat) -> None:
+    assert form.encoding in ENCODINGS, f'encoding {form.encoding} is none of {list(ENCODINGS)}'
+    assert form.height > 0 < form.width, f'a size of {form.width}×{form.height}'
+    assert 0 <= form.least_delay < math.inf, f'a least_delay of {form.least_delay} s'
+    assert form.frame_rate is None or form.frame_rate > 0, f'{form.frame_rate} frames/s'
+    assert form.patience > 0, f'a patience of {form.patience} s'
+
+
+def _check_frame(frame: CameraFrame, form: CameraFormat) -> None:
+    now = time.monotonic()
+    assert now - _PATIENCE_S < frame.arrived <= now, 'arrived is on the monotonic clock'
+    if form.clock is Clock.HOST:
+        assert frame.exposed <= frame.arrived, 'exposed after it arrived'
+
+
+def _refuses(kind: type[CameraDriver], wanted: CameraSettings, name: str) -> None:
+    driver = kind(wanted, lambda _: None)
+    said = ''
+    try:
+        driver.open()
+    except InputError as error:
+        said = str(error)
+    finally:
+        driver.close()
+    assert said, f'{name} {getattr(wanted, name)!r} must be refused with an InputError'
+    assert '\n' not in said, f'must be said in one line; received {said}'

@@ -1,0 +1,135 @@
+"""Two rigs at once, each in a namespace with parameters, services and diagnostics of its own."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from microbot_ros.errors import InputError, RigError
+from microbot_ros.nodes.configuration import read_rig, refuse_elsewhere
+from microbot_ros.nodes.graph_client import GraphClient
+from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
+
+CONFIG = Path(__file__).parents[2] / 'config' / 'rig.yaml'
+
+
+def write(folder: Path, content: dict[str, dict[str, Any]]) -> Path:
+    file = folder / 'rig.yaml'
+    file.write_text(yaml.safe_dump(
+        {key: {'ros__parameters': values} for key, values in content.items()}))
+    return file
+
+
+@pytest.mark.parametrize('namespace', ['/', '/rig_2', '/lab/rig_2', ''])
+def test_the_rig_of_the_example_is_one_in_any_namespace(namespace: str) -> None:
+    rig = read_rig(CONFIG, namespace)
+    assert rig['coil_driver']['current_limit_A'] == 2.0
+    assert rig['controller']['max_field_mT'] == 5.0
+
+
+def test_sections_are_those_that_ros_gives_to_a_node(tmp_path: Path) -> None:
+    file = write(tmp_path, {
+        'controller': {'max_field_mT': 1.0}, '/rig_2/controller': {'max_field_mT': 2.0},
+        '/*/controller': {'delay_ms': 3.0}, '/lab/**/controller': {'max_field_mT': 4.0}})
+    assert read_rig(file, '/') == {'controller': {'max_field_mT': 1.0}}
+    assert read_rig(file, '/rig_2') == {'controller': {'max_field_mT': 2.0, 'delay_ms': 3.0}}
+    assert read_rig(file, '/rig_3') == {'controller': {'delay_ms': 3.0}}
+    assert read_rig(file, '/lab/a/b') == {'controller': {'max_field_mT': 4.0}}
+
+
+def test_a_file_that_a_namespace_would_ignore_is_refused(tmp_path: Path) -> None:
+    """The limit of a field would stay at its default, without a word."""
+    file = write(tmp_path, {'coil_driver': {'current_limit_A': 0.1}})
+    for refusing in (lambda: read_rig(file, '/rig_2'),
+                     lambda: refuse_elsewhere(file, 'coil_driver', '/rig_2')):
+        with pytest.raises(InputError, match=r"rig.yaml:1: 'coil_driver' is no node of the "
+                                             r"namespace /rig_2; '/\*\*/coil_driver' would be"):
+            refusing()
+    refuse_elsewhere(file, 'coil_driver', '/')
+    refuse_elsewhere(file, 'camera', '/rig_2')
+    refuse_elsewhere(CONFIG, 'coil_driver', '/rig_2')
+
+
+@pytest.mark.graph
+def test_a_node_that_would_ignore_its_file_does_not_start(tmp_path: Path) -> None:
+    file = write(tmp_path, {'coil_driver': {'current_limit_A': 0.1}})
+    done = subprocess.run(
+        [sys.executable, '-m', 'microbot_ros.nodes', 'coil_driver', '--ros-args',
+         '--params-file', str(file), '-r', '__ns:=/rig_2'],
+        capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2
+    assert '/**/coil_driver' in done.stderr
+
+
+@pytest.mark.graph
+@pytest.mark.timeout(240)
+def test_two_rigs_are_driven_at_once(tmp_path: Path, emulator_in: Any) -> None:
+    """From one file: the field of one is twice that of the other, and one is disarmed alone."""
+    film = tmp_path / 'film'
+    film.mkdir()
+    scope = Microscope(MicroscopeSettings(), seed=3)
+    place = np.array([[-60.0, 20.0], [10.0, -40.0], [70.0, 30.0]]) * 1e-6
+    for frame in range(30):
+        cv2.imwrite(str(film / f'{frame:03d}.png'),
+                    scope.render(place, np.array([0.3, 1.0, 2.0]), frame / 30))
+    rigs = ('rig_1', 'rig_2')
+    with ExitStack() as leave:
+        emulators = {rig: emulator_in(tmp_path / rig) for rig in rigs}
+        file = write(tmp_path, {
+            '/**/camera': {'source': str(film), 'frame_rate_hz': 20.0, 'loop': True},
+            '/**/tracker': {'pixel_size_um': 0.45}, '/**/model': {},
+            '/**/controller': {'controller': 'open_loop', 'open_loop.durations_s': [3600.0],
+                               'open_loop.directions_deg': [45.0]},
+            '/**/coil_driver': {'full_scale_A': 2.0, 'command_timeout_ms': 500.0,
+                                'max_command_age_ms': 500.0},
+            **{f'/{rig}/controller': {'open_loop.field_mT': field}
+               for rig, field in zip(rigs, (2.0, 4.0), strict=True)},
+            **{f'/{rig}/coil_driver': {'port': str(emulators[rig].port)} for rig in rigs}})
+        for rig in rigs:
+            process = subprocess.Popen(
+                [sys.executable, '-m', 'microbot_ros.cli', 'run', '--config', str(file),
+                 '--one-process', '--namespace', rig], stderr=subprocess.DEVNULL)
+            leave.callback(process.wait)
+            leave.callback(process.terminate)
+        for rig in rigs:
+            _until(lambda rig=rig: _armed(rig) and not emulators[rig].zero, 120)
+        _until(lambda: _ratio(emulators) == pytest.approx(2, rel=0.05), 60)
+        heard: dict[str, str] = {}
+        with GraphClient(namespace='rig_2') as client:
+            client.watch_health(lambda node, _, sentence, __: heard.setdefault(node, sentence))
+            assert client.until(lambda: 'coil_driver' in heard, 10)
+            assert client.get('controller', 'open_loop.field_mT') == {'open_loop.field_mT': 4.0}
+        with GraphClient(namespace='rig_1') as client:
+            client.arm(False)
+        _until(lambda: emulators['rig_1'].zero, 10)
+        assert not emulators['rig_2'].zero
+
+
+def _armed(rig: str) -> bool:
+    try:
+        with GraphClient(namespace=rig) as client:
+            client.arm()
+    except RigError:
+        return False
+    return True
+
+
+def _ratio(emulators: dict[str, Any]) -> float:
+    first, second = (np.abs(emulators[rig].currents).max() for rig in ('rig_1', 'rig_2'))
+    return float(second / first) if first else 0.0
+
+
+def _until(true: Any, seconds: float) -> None:
+    deadline = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
