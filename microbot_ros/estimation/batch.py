@@ -200,9 +200,9 @@ def _against_stokes_einstein(session: Session, noise: Noise) -> list[str]:
     factor = expected / noise.diffusion
     height = None if fluid.height else height_of_drag(factor, radius)
     if height is not None:
-        return [f'{found}: most likely the particles swim near a floor. A centre '
-                f'{height * 1e6:.3g} µm above it would explain D, and every force is then '
-                f'{factor:.2g} times what is stated here; state height_um where it is known']
+        return [f'{found}: most likely the particles move near a floor. A centre '
+                f'{height * 1e6:.3g} µm above it would explain D; drag, and with it every force, '
+                f'is then {factor:.2g} times as large. State height_um where it is known']
     what = f'{"height, " if fluid.height else ""}radius or viscosity are off'
     if factor > 1:
         return [f'{found}: {what}']

@@ -46,7 +46,7 @@ def test_it_takes_over_a_stale_link_and_leaves_files_alone(tmp_path):
 
 
 @pytest.mark.parametrize('options', [
-    ['--fault', 'flop'], ['--fault', 'flip=2'], ['--fault', 'flip=nan'], ['--fault', 'open=5'],
+    ['--fault', 'flop'], ['--fault', 'flip=2'], ['--fault', 'flip=nan'], ['--fault', 'open=17'],
     ['--fault', 'open=1.5'], ['--fault', 'flip@'], ['--fault', 'unplug@1.2.3'],
     ['--watchdog-ms', '0'], ['--watchdog-ms', 'nan'], ['--watchdog-ms', 'inf'],
     ['--watchdog-ms', '50', '--no-watchdog'],

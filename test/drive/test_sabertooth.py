@@ -167,6 +167,16 @@ def test_only_the_newest_waits_for_a_slow_line(line, blind):
     assert line.now == pytest.approx(began + 1.0, abs=1e-3)
 
 
+def test_the_next_goes_out_in_the_moment_in_which_the_line_is_free(line, blind):
+    blind.write([0.1, 0.0, 0.0, 0.0])
+    line.now = math.nextafter(blind._free_s, 0)
+    blind.write([0.2, 0.0, 0.0, 0.0])
+    assert len(line.sent) == 1
+    line.now = blind._free_s
+    blind.write([0.3, 0.0, 0.0, 0.0])
+    assert len(line.sent) == 2
+
+
 def test_zero_waits_for_nothing_and_nothing_comes_after_it(line, blind):
     blind.write([1.0, 0.0, 0.0, 0.0])
     blind.write([2.0, 0.0, 0.0, 0.0])
@@ -182,6 +192,8 @@ def test_a_poll_is_woken(line, blind):
     blind.wake()
     assert blind.poll(1.0) == []
     assert line.now == began
+    assert blind.poll(1.0) == []  # and the next one waits again
+    assert line.now == pytest.approx(began + 1.0, abs=1e-3)
 
 
 @pytest.mark.parametrize(('channels', 'timeout_s'), [(1, 0.1), (4, 0.1), (6, 0.1), (16, 0.2)])

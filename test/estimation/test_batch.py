@@ -70,7 +70,7 @@ def test_a_floor_is_named_where_nobody_stated_it(height):
     session, speed = near_a_floor(5, height, None)
     found = fit(session)
     said, = (text for text in found.warnings if 'Stokes' in text)
-    assert 'far from walls: most likely the particles swim near a floor' in said
+    assert 'far from walls: most likely the particles move near a floor' in said
     guessed = float(re.search(r'A centre ([0-9.]+) µm above it', said)[1]) * 1e-6
     # A spread of D that is known moves the height, by as much as it moves the drag.
     spread = 4 * found.noise.diffusion_std / found.noise.diffusion * exact
@@ -89,10 +89,13 @@ def test_where_the_floor_is_stated_force_and_diffusion_are_those_above_it(height
 
 @pytest.mark.parametrize(('conditions', 'said'), [
     # ten times the drag: nearer than surfaces come
-    (Conditions(radius=4.6e-7, viscosity=1.245e-3), 'radius or viscosity are off'),
-    (Conditions(radius=9.2e-6, viscosity=1.245e-3), 'radius or viscosity are off'),
+    (Conditions(radius=4.6e-7, viscosity=1.245e-3),
+     'far from walls: radius or viscosity are off'),
+    (Conditions(radius=9.2e-6, viscosity=1.245e-3), 'Otherwise radius or viscosity are off'),
     (Conditions(radius=4.6e-6, viscosity=1.245e-3, height=4.7e-6),
-     '4.7 µm above a floor: height, radius or viscosity are off'),
+     'Otherwise height, radius or viscosity are off'),
+    (Conditions(radius=4.6e-6, viscosity=1.245e-3, height=4.7e-6),
+     '4.7 µm above a floor: something moves the particles that this model lacks'),
 ])
 def test_a_floor_is_not_blamed_for_what_it_does_not_do(conditions, said):
     session, _ = experiment(0)

@@ -48,9 +48,9 @@ class SabertoothAmplifier(Amplifier):
         self.timeout_s = float(steps * codec.TIMEOUT_STEP_S)
         """After which the controllers are told to stop without a packet."""
         self._port: Port | None = None
-        self._order: Command | None = None  # the newest, until it goes out
-        self._free_s = 0.0  # when the line has taken all
-        self._flowing = False
+        self._order: Command | None  # the newest, until it goes out
+        self._flowing: bool
+        self._free_s: float  # when the line has taken all
         self._woken = threading.Event()
 
     def wake(self) -> None:
@@ -61,7 +61,7 @@ class SabertoothAmplifier(Amplifier):
         return [] if descriptor is None else [(descriptor, self._zeros())]
 
     def _open(self) -> None:
-        self._order, self._flowing, self._free_s = None, False, 0.0
+        self._order, self._flowing = None, False
         self._port = Port(self.url, _BAUD)
         self._say(codec.BAUDING + self._zeros() + b''.join(
             codec.set_timeout(address, self.timeout_s) for address in self._addresses))
