@@ -60,9 +60,9 @@ class _Noted(SerialTransferAmplifier):
         super().__init__(*given, **options)
         self.written: list[tuple[float, np.ndarray]] = []
 
-    def write(self, currents_A: Any, tag: Any = None) -> Command:
+    def write(self, currents_A: Any, *more: Any) -> Command:
         self.written.append((time.monotonic(), np.array(currents_A)))
-        return super().write(currents_A, tag)
+        return super().write(currents_A, *more)
 
 
 class _Rig:

@@ -275,10 +275,10 @@ def test_the_newest_command_takes_the_place_of_one_that_waits(driver, board, mon
     busy, sent = threading.Event(), []
     write = driver.amplifier.write
 
-    def slow(currents, tag=None):
+    def slow(currents, *more):
         sent.append(list(currents))
         busy.wait(0.3)
-        return write(currents, tag)
+        return write(currents, *more)
 
     monkeypatch.setattr(driver.amplifier, 'write', slow)
     for share in range(1, 21):
@@ -293,9 +293,9 @@ def test_the_thread_alone_writes(driver, board, monkeypatch):
     writers = set()
     write = driver.amplifier.write
 
-    def watched(currents, tag=None):
+    def watched(currents, *more):
         writers.add(threading.current_thread().name)
-        return write(currents, tag)
+        return write(currents, *more)
 
     monkeypatch.setattr(driver.amplifier, 'write', watched)
     drive(driver, board)
