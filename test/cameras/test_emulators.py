@@ -162,23 +162,6 @@ def test_frames_without_room_for_them_are_counted(kind, source, opened):
     assert stream.lost == stream._camera._stream.get_statistics()[2] > 50
 
 
-@micromanager.marks[0]
-def test_an_overrun_of_the_buffer_is_counted(opened, tmp_path):
-    """By the demo camera's clock: how many exposures fit into the time that is missing."""
-    config = tmp_path / 'demo.cfg'
-    config.write_text('\n'.join([
-        'Device,Camera,DemoCamera,DCam', 'Property,Core,Initialize,1',
-        'Property,Camera,OnCameraCCDXSize,2048', 'Property,Camera,OnCameraCCDYSize,2048',
-        'Property,Camera,FastImage,1', 'Property,Core,Camera,Camera']) + '\n')
-    stream = opened('micromanager', str(config), exposure_ms=10.0)
-    before = read(stream, 20)
-    time.sleep(1.5)
-    after = read(stream, 30)
-    rows = np.vstack([before, after])
-    assert stream.lost == np.diff(rows[:, 0]).sum() - (len(rows) - 1)
-    assert stream.lost > 50
-
-
 @aravis.marks[0]
 def test_stamps_are_by_the_devices_clock(opened):
     """They are regular where arrivals, read late on purpose, are not."""
