@@ -20,7 +20,7 @@ from bench.figure import Figure
 from microbot_ros.cli.demo_robots import three_pairs
 from microbot_ros.drive.amplifier import Command
 from microbot_ros.drive.coil_driver import CoilDriver
-from microbot_ros.drive.rotation import Turning
+from microbot_ros.drive.rotation import Rotation, Turning
 from microbot_ros.drive.serial_transfer.driver import SerialTransferAmplifier
 from microbot_ros.magnetics import Allocator, CoilSet
 
@@ -54,14 +54,16 @@ def figures() -> list[Figure]:
 
 
 class _Noted(SerialTransferAmplifier):
-    """Notes what it is given when, for a line may bring it in heaps."""
+    """Notes what it is given, and of which moment: a line may bring it in heaps."""
+
+    rotation: Rotation
 
     def __init__(self, *given: Any, **options: Any) -> None:
         super().__init__(*given, **options)
         self.written: list[tuple[float, np.ndarray]] = []
 
     def write(self, currents_A: Any, *more: Any) -> Command:
-        self.written.append((time.monotonic(), np.array(currents_A)))
+        self.written.append((self.rotation._t, np.array(currents_A)))
         return super().write(currents_A, *more)
 
 
@@ -70,9 +72,10 @@ class _Rig:
         self.make = Allocator(coils).linear
         self.matrix = coils.actuation_matrix()
         self.board = Served('serial_transfer', folder, 0.1, 6)
-        self.amplifier = _Noted(self.board.url, FULL_SCALE_A, 6, baud=1_000_000)
+        self.amplifier = _Noted(self.board.url, FULL_SCALE_A, 6, baud=2_000_000)
         self.driver = CoilDriver(
             self.amplifier, _LIMITS, lambda _: None, self_check=False, accept_no_watchdog=True)
+        self.amplifier.rotation = self.driver._rotation
         self.driver.start()
         until(lambda: self.driver.arm() is None)
         self.rng = np.random.default_rng(0)
@@ -91,6 +94,7 @@ class _Rig:
         while time.monotonic() < begun + seconds:
             self.driver.turn(turning)
             time.sleep(_ORDER_S)
+        assert self.driver.gate.fault is None, self.driver.gate.fault
 
     def axis(self) -> np.ndarray:
         """Anywhere."""
@@ -126,7 +130,6 @@ class _Rig:
             self.order(self.axis(), frequency, field, 0.05)
             t, currents = map(np.array, zip(*self.amplifier.written[since:], strict=True))
             turning = math.tau * frequency * field * np.linalg.norm(self.make, axis=1).max()
-            # From when the driver looked at its clock to when it writes passes some time.
-            allowed = (_LIMITS.slew_A_per_s + turning) * (np.diff(t) + 2e-4)
+            allowed = (_LIMITS.slew_A_per_s + turning) * np.diff(t) + 1e-6
             worst = max(worst, float((np.abs(np.diff(currents, axis=0)).max(1) / allowed).max()))
         return worst
