@@ -103,8 +103,8 @@ class _Rig:
 
     def flowed(self, since: int) -> tuple[np.ndarray, np.ndarray]:
         """Times [s] and fields (K, 3) [T] since so many entries of the log."""
-        currents = np.array(self.board.flowed[since:])
-        return np.array(self.board.times[since:]), currents @ self.matrix.T
+        t = np.array(self.board.times[since:])  # noted last of each entry
+        return t, np.array(self.board.flowed[since:since + len(t)]) @ self.matrix.T
 
     def steady(self, frequency: float) -> tuple[float, float, float]:
         """Error of the axis [°], of the frequency (relative), samples a second."""
