@@ -112,7 +112,7 @@ class Amplifier(ABC):
     reads_back: ClassVar[bool] = True
     """Whether it measures currents; else `poll` has no readings, and nothing confirms a zero."""
     most_channels: ClassVar[int] = 16
-    sample_s = 0.0007
+    sample_s = 0.0008
     """How often it is given currents that turn: a little more than a thousand a second, fewer
     where its line would keep a queue."""
     can_swing: ClassVar[bool] = False
