@@ -86,7 +86,10 @@ def main() -> None:
             raise
         place = f'{error.filename}: ' if error.filename else ''
         status = _failed('microbot', f'{place}{error.strerror}', 1 if error.errno in _DISK else 2)
-    except (click.Abort, KeyboardInterrupt):
+    except (click.Abort, KeyboardInterrupt) as end:
+        # Click takes a file that ends too soon for a Ctrl-D. Nothing is asked for here.
+        if isinstance(end.__cause__, EOFError):
+            raise end.__cause__ from None
         status = 130
     sys.exit(status)
 

@@ -9,12 +9,14 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from unittest import mock
 
 import cv2
 import numpy as np
 import pytest
 from command_line import microbot
 
+from microbot_ros.cli import main
 from microbot_ros.session.mcap_writer import MAGIC
 
 HEADER = 't_s,particle,x_um,y_um\n'
@@ -303,6 +305,8 @@ _LIMITED = ('import resource, sys; from microbot_ros.cli import main; '
 @pytest.mark.parametrize('command', ['simulate', 'track', 'discover'])
 def test_a_full_disk_is_one_sentence(tmp_path, out, command):
     """The system lets no file be larger than 500 bytes, which it says as it says of a full disk.
+
+    Without bytecode: Python itself would keep what it could write of it, for all who come later.
     """
     if command == 'track':
         source = pictures(tmp_path, 8)
@@ -310,13 +314,24 @@ def test_a_full_disk_is_one_sentence(tmp_path, out, command):
         source = tmp_path / 'plain'
         simulated(source, 5 if command == 'simulate' else 20)
     given = source.with_suffix('.yaml') if command == 'simulate' else source
-    done = subprocess.run([sys.executable, '-c', _LIMITED, command, given, '--out', out],
+    done = subprocess.run([sys.executable, '-B', '-c', _LIMITED, command, given, '--out', out],
                           capture_output=True, text=True, timeout=100)
     # Before that it may say that code is compiled first.
     *before, line = done.stderr.splitlines()
     assert not any('microbot: ' in one for one in before), before
     assert 'File too large' in line
     assert done.returncode == 1
+
+
+def test_a_file_that_ends_too_soon_is_no_ctrl_c(tmp_path, monkeypatch):
+    """Python's own compiled files are such, where the disk was full when they were written."""
+    path = tmp_path / 'rig.yaml'
+    path.write_text('{}')
+    cut_off = mock.Mock(side_effect=EOFError('cut off'))
+    monkeypatch.setattr('microbot_ros.strict_yaml.load', cut_off)
+    with pytest.raises(EOFError, match='cut off'), \
+            mock.patch.object(sys, 'argv', ['microbot', 'simulate', str(path), '--out', 'none']):
+        main()
 
 
 @pytest.mark.parametrize('command', ['track', 'paper'])

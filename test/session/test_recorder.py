@@ -163,7 +163,7 @@ print(i)
 
 
 def test_a_full_disk_costs_frames_and_keeps_commands_until_it_has_room(tmp_path):
-    program = [sys.executable, '-c', FULL_DISK, tmp_path / 'run', Path(__file__).parent]
+    program = [sys.executable, '-B', '-c', FULL_DISK, tmp_path / 'run', Path(__file__).parent]
     result = subprocess.run(program, capture_output=True, text=True, timeout=100)
     assert result.returncode == 0, result.stderr
     with open_recording(tmp_path / 'run') as recording:
