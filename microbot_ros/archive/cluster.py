@@ -1,0 +1,148 @@
+"""Dask's cluster for a run: one on this machine, or one that is there, of our version."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import logging
+import os
+import signal
+import threading
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Any
+
+from microbot_ros.archive.work import Job, VersionError, do
+from microbot_ros.errors import InputError, RigError
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+_CHECKED = ('python', 'microbot_ros', 'distributed', 'dask', 'cloudpickle', 'msgpack', 'numpy',
+            'scipy', 'numba')
+"""What has to be alike: messages are understood, and numbers the same to the last bit."""
+
+_FOUND_WITHIN = '10s'
+DASHBOARD = '127.0.0.1:8787'
+
+
+class ClusterLost(RigError):
+    """The scheduler went away in the middle of the work."""
+
+
+@contextmanager
+def cluster(workers: int | None = None, scheduler: str | None = None) -> Iterator[Client]:
+    """A client of the `scheduler` at an address, or of as many `workers` on this machine.
+
+    As many as it has cores where nothing is said. Nothing of the local cluster can be reached from
+    another machine. InputError where the scheduler is not there, where it or a worker has other
+    versions, or where Dask is not installed.
+    """
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError:
+        raise InputError('dask', "expected Dask distributed; install it with "
+                                 "pip install 'microbot_ros[dask]'") from None
+    logging.getLogger('distributed').setLevel(logging.CRITICAL)
+    if scheduler is None:
+        # The port is another one where somebody else has it, and Dask says so.
+        with _interrupts_ignored(), warnings.catch_warnings():
+            warnings.simplefilter('ignore')
+            local = LocalCluster(
+                n_workers=workers or os.cpu_count(), threads_per_worker=1, processes=True,
+                host='127.0.0.1', dashboard_address=DASHBOARD, silence_logs=logging.CRITICAL)
+        with local, Client(local) as client:
+            yield client
+        return
+    try:
+        client = Client(scheduler, timeout=_FOUND_WITHIN, set_as_default=False)
+    except (OSError, ValueError, asyncio.TimeoutError, TypeError) as error:
+        raise InputError(scheduler, 'expected the address of a running Dask scheduler, such as '
+                                    f'tcp://host:8786 ({_first_line(error)})') from None
+    try:
+        check_versions(client)
+        yield client
+    finally:
+        with suppress(Exception):  # the scheduler may be gone
+            client.close(timeout=2)
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error) or type(error).__name__).strip().splitlines()[0]
+
+
+@contextmanager
+def _interrupts_ignored() -> Iterator[None]:
+    """What is started meanwhile ignores Ctrl-C, which a terminal sends to all: one is enough."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def check_versions(client: Client) -> None:
+    """InputError, naming both, where scheduler or workers of a `client` differ from it."""
+    found = client.get_versions(packages=['microbot_ros', 'scipy', 'numba'])
+    ours = _versions(found['client'])
+    others = {'the scheduler': found['scheduler']} | {
+        f'worker {name}': one for name, one in found['workers'].items()}
+    for who, one in others.items():
+        theirs = _versions(one)
+        for name in _CHECKED:
+            # A scheduler only hands on what it is given.
+            if who == 'the scheduler' and name in ('microbot_ros', 'scipy', 'numba', 'numpy'):
+                continue
+            if theirs.get(name) != ours.get(name):
+                raise InputError(who, f'expected {name} {ours.get(name)} as here, found '
+                                      f'{theirs.get(name) or "none"}')
+
+
+def _versions(told: dict[str, Any]) -> dict[str, str]:
+    python = '.'.join(told['host']['python'].split('.')[:2])
+    return {**told['packages'], 'python': python}
+
+
+def dashboard(client: Client) -> str:
+    """The address of Dask's dashboard of a `client`; '' where there is none."""
+    with suppress(ImportError, KeyError, TypeError):
+        import bokeh  # noqa: F401
+
+        return str(client.dashboard_link or '')
+    return ''
+
+
+def run_jobs(client: Client, jobs: Sequence[Job], report: Callable[[Job, str], None]) -> None:
+    """Do `jobs`, of different keys, each as soon as a worker of a `client` is free.
+
+    `report` is told of each that is done, with '' or a sentence on why a worker failed. Raises
+    OSError for a full disk, InputError where a worker has another version, ClusterLost where the
+    scheduler goes away; what is done by then stays done.
+    """
+    from distributed import as_completed
+
+    # Another archive may want the same from the same scheduler.
+    of = {f'{job.key}-{hashlib.sha256(str(job.archive).encode()).hexdigest()[:8]}': job
+          for job in jobs}
+    waiting = as_completed(client.map(do, list(of.values()), key=list(of)))
+    for done, future in enumerate(waiting):
+        if future.status in ('cancelled', 'lost'):
+            raise ClusterLost(
+                f'the scheduler is gone after {done} of {len(of)}; what is done stays done, and '
+                'the same command goes on from there')
+        error = future.exception()
+        if isinstance(error, VersionError):
+            raise InputError('a worker', f'expected the same version, found {error}')
+        if isinstance(error, OSError):
+            raise error
+        report(of[future.key], '' if error is None else _sentence(error))
+
+
+def _sentence(error: BaseException) -> str:
+    if type(error).__name__ == 'KilledWorker':
+        return 'its worker died again and again, most likely for want of memory'
+    return f'{type(error).__name__}: {_first_line(error)}'
