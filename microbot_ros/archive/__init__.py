@@ -19,9 +19,10 @@ if TYPE_CHECKING:
     from microbot_ros.archive.table import read_table
 
 _FROM = {
-    'Archive': 'store', 'Conclusions': 'conclusions', 'Progress': 'batch', 'Recurring': 'recurring',
-    'Spread': 'random_effects', 'Summary': 'batch', 'conclude': 'conclusions',
-    'read_table': 'table', 'run_batch': 'batch', 'spread': 'random_effects'}
+    'Archive': 'store', 'Conclusions': 'conclusions', 'Progress': 'batch',
+    'Recurring': 'recurring', 'Spread': 'random_effects', 'Summary': 'batch',
+    'conclude': 'conclusions', 'read_table': 'table', 'run_batch': 'batch',
+    'spread': 'random_effects'}
 
 __all__ = [
     'Archive', 'Conclusions', 'Progress', 'Recurring', 'Spread', 'Summary', 'conclude',

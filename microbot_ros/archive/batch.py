@@ -10,14 +10,10 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from microbot_ros.archive.cluster import ClusterLost, cluster, dashboard, run_jobs
-from microbot_ros.archive.conclusions import conclude
+from microbot_ros.archive.cluster import ClusterError, cluster, dashboard, run_jobs
 from microbot_ros.archive.labels import labels_of
 from microbot_ros.archive.recordings import Found, Refused, find, in_parallel
-from microbot_ros.archive.recurring import candidates_for_all, common_reference
-from microbot_ros.archive.report import write_report
 from microbot_ros.archive.store import Archive
-from microbot_ros.archive.table import write_table
 from microbot_ros.archive.work import READS, Job, Task
 from microbot_ros.errors import InputError
 from microbot_ros.files import read_yaml
@@ -69,14 +65,17 @@ class Summary:
 
 def run_batch(task: Task, folders: Sequence[Path], out: Path, settings: dict[str, Any],
               workers: int | None = None, scheduler: str | None = None,
-              report: Callable[[Progress], None] = lambda _: None) -> Summary:
+              report: Callable[[Progress], None] = lambda _: None,
+              ) -> tuple[Summary, dict[str, Any]]:
     """Do a `task` on every recording in `folders`, and keep the results in the archive `out`.
 
     `settings` of the task, the same for all: `exposure_s` for fit; `answers`, those of
     `microbot import`, for fit, discover and import; `pixel_size_um`, `frame_rate_hz` and `tracker`
     for track. On so many `workers` here, or on a `scheduler`'s. `report` is told the progress.
-    What was done before, by content, settings and version, is not done again. InputError for a
-    folder, a scheduler or an archive that is not as it must be, OSError for a full disk.
+    What was done before, by content, settings and version, is not done again. Returns what was
+    done and what the archive says as a whole, as JSON has it; `conclude` gives that with all
+    numbers. InputError for a folder, a scheduler or an archive that is not as it must be, OSError
+    for a full disk, ClusterError.
     """
     archive, summary = Archive(out), Summary(task)
     with archive.locked(), ExitStack() as stack:
@@ -91,6 +90,9 @@ def run_batch(task: Task, folders: Sequence[Path], out: Path, settings: dict[str
 
         jobs = _look(archive, task, folders, settings, summary, report)
         archive.save()
+        if (known := archive.findings()) is not None:
+            _count(archive, jobs, summary)
+            return summary, known
         stopped: BaseException | None = None
         try:
             _do(archive, jobs, client, summary, report)
@@ -98,20 +100,32 @@ def run_batch(task: Task, folders: Sequence[Path], out: Path, settings: dict[str
                 compared = Summary('measure')
                 _do(archive, _measurements(archive, settings), client, compared, report)
                 summary.failed |= compared.failed
-        except (KeyboardInterrupt, ClusterLost) as error:
+        except (KeyboardInterrupt, ClusterError) as error:
             stopped = error
         report(Progress('concluding'))
-        archive.save()
-        found = conclude(archive)
-        write_table(archive, found.rows)
-        write_report(archive, found)
+        found = _conclude(archive)
+        archive.save(found, complete=not (stopped or summary.failed))
         if stopped:
             raise stopped
-    return summary
+    return summary, found
+
+
+def _conclude(archive: Archive) -> dict[str, Any]:
+    """Write table and report; what they say."""
+    from microbot_ros.archive.conclusions import conclude
+    from microbot_ros.archive.report import write_report
+    from microbot_ros.archive.table import write_table
+
+    found = conclude(archive)
+    write_table(archive, found.rows)
+    write_report(archive, found)
+    return found.as_json()
 
 
 def _measurements(archive: Archive, settings: dict[str, Any]) -> list[Job]:
     """The second look: every session of the archive is asked for every effect that recurs."""
+    from microbot_ros.archive.recurring import candidates_for_all, common_reference
+
     discovered = archive.results('discover')
     effects = candidates_for_all(discovered)
     jobs = []
@@ -185,10 +199,7 @@ def _settings(task: Task, recording: Found, settings: dict[str, Any]) -> dict[st
 def _do(archive: Archive, jobs: Sequence[Job], client: Callable[[], Client], summary: Summary,
         report: Callable[[Progress], None]) -> None:
     """Do of `jobs` what is not done; the rest is kept."""
-    different = {job.key: job for job in jobs}
-    summary.copies = len(jobs) - len(different)
-    missing = [job for job in different.values() if not job.result.exists()]
-    summary.kept = len(different) - len(missing)
+    missing = [job for job in {job.key: job for job in jobs}.values() if not job.result.exists()]
     doing, began = {'measure': 'comparing'}.get(summary.task, summary.task), time.monotonic()
 
     def told(job: Job, problem: str) -> None:
@@ -204,10 +215,17 @@ def _do(archive: Archive, jobs: Sequence[Job], client: Callable[[], Client], sum
         began = time.monotonic()
         report(Progress(doing, 0, len(missing)))
         run_jobs(working, missing, told)
+    _count(archive, jobs, summary)
+
+
+def _count(archive: Archive, jobs: Sequence[Job], summary: Summary) -> None:
+    """Into the `summary` what became of the `jobs` by now; the sessions made get what is known."""
+    different = {job.key: job for job in jobs}
+    summary.copies = len(jobs) - len(different)
+    summary.kept = len(different) - summary.done - len(summary.failed)
     for job in different.values():
         result = archive.result(job.key) or {}
-        entry = archive.entries[str(job.path)]
         if 'refused' in result:
-            summary.refused[entry.name] = result['refused']
+            summary.refused[archive.entries[str(job.path)].name] = result['refused']
         elif 'session' in result:
             archive.publish(job.path, result['session'])

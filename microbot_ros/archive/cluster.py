@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import hashlib
 import logging
 import os
@@ -27,7 +26,7 @@ _FOUND_WITHIN = '10s'
 DASHBOARD = '127.0.0.1:8787'
 
 
-class ClusterLost(RigError):
+class ClusterError(RigError):
     """The scheduler went away in the middle of the work."""
 
 
@@ -57,7 +56,7 @@ def cluster(workers: int | None = None, scheduler: str | None = None) -> Iterato
         return
     try:
         client = Client(scheduler, timeout=_FOUND_WITHIN, set_as_default=False)
-    except (OSError, ValueError, asyncio.TimeoutError, TypeError) as error:
+    except (OSError, ValueError, TypeError) as error:
         raise InputError(scheduler, 'expected the address of a running Dask scheduler, such as '
                                     f'tcp://host:8786 ({_first_line(error)})') from None
     try:
@@ -87,7 +86,7 @@ def _interrupts_ignored() -> Iterator[None]:
 
 def check_versions(client: Client) -> None:
     """InputError, naming both, where scheduler or workers of a `client` differ from it."""
-    found = client.get_versions(packages=['microbot_ros', 'scipy', 'numba'])
+    found: Any = client.get_versions(packages=['microbot_ros', 'scipy', 'numba'])
     ours = _versions(found['client'])
     others = {'the scheduler': found['scheduler']} | {
         f'worker {name}': one for name, one in found['workers'].items()}
@@ -120,7 +119,7 @@ def run_jobs(client: Client, jobs: Sequence[Job], report: Callable[[Job, str], N
     """Do `jobs`, of different keys, each as soon as a worker of a `client` is free.
 
     `report` is told of each that is done, with '' or a sentence on why a worker failed. Raises
-    OSError for a full disk, InputError where a worker has another version, ClusterLost where the
+    OSError for a full disk, InputError where a worker has another version, ClusterError where the
     scheduler goes away; what is done by then stays done.
     """
     from distributed import as_completed
@@ -131,7 +130,7 @@ def run_jobs(client: Client, jobs: Sequence[Job], report: Callable[[Job, str], N
     waiting = as_completed(client.map(do, list(of.values()), key=list(of)))
     for done, future in enumerate(waiting):
         if future.status in ('cancelled', 'lost'):
-            raise ClusterLost(
+            raise ClusterError(
                 f'the scheduler is gone after {done} of {len(of)}; what is done stays done, and '
                 'the same command goes on from there')
         error = future.exception()

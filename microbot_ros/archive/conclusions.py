@@ -58,6 +58,7 @@ class Conclusions:
     def as_json(self) -> dict[str, Any]:
         """The findings for programs, in the units of the names."""
         return {
+            'sentences': self.sentences(),
             'sessions': len(self.sessions), 'particles': len(self.rows),
             'verdicts': self.verdicts,
             'quantities': {one.name: _quantity(one) for one in self.quantities},
@@ -126,8 +127,8 @@ def _quantity(one: Quantity) -> dict[str, Any]:
 
 def _spread(found: Spread | None) -> dict[str, Any] | None:
     """Null for what is not finite: JSON knows no infinity."""
-    return found and {key: value if np.isfinite(value) else None
-                      for key, value in asdict(found).items()}
+    return None if found is None else {
+        key: value if np.isfinite(value) else None for key, value in asdict(found).items()}
 
 
 def _effect(effect: Recurring) -> dict[str, Any]:

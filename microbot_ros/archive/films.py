@@ -95,7 +95,7 @@ class Rows:
         file.write('frame,particle,x_px,y_px' + (',t_s,x_um,y_um\n' if self._camera else '\n'))
 
     def add(self, frame: int, poses: Poses, names: np.ndarray, before: np.ndarray) -> None:
-        """What was seen in a `frame`: `poses`, and the particles `names` (n,) that were named in it.
+        """What was seen in a `frame`: `poses`, and the `names` (n,) of whom it gave names.
 
         They were at `before` (n, K, 2) [px] in the K frames that came before it.
         """

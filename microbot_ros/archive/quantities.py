@@ -86,10 +86,8 @@ def _quantity(name: str, sessions: Sequence[Sequence[Mapping[str, Any]]]) -> Qua
             estimates.append(np.array(pairs, dtype=float))
     if not kept:
         return None
-    if name == 'phi_rad' and (unwrapped := _about_their_mean(estimates)) is None:
+    if name == 'phi_rad' and not (estimates := _about_their_mean(estimates)):
         return None
-    elif name == 'phi_rad':
-        estimates = unwrapped
     between = _between_particles(estimates)
     weights = [1 / (pairs[:, 1] ** 2 + between) for pairs in estimates]
     value = np.array([(w * pairs[:, 0]).sum() / w.sum()
@@ -119,11 +117,11 @@ def _group(value: str | datetime.date) -> str:
     return value.isoformat() if isinstance(value, datetime.date) else value
 
 
-def _about_their_mean(estimates: Sequence[np.ndarray]) -> list[np.ndarray] | None:
-    """Angles without a jump at ±π; None where they point everywhere."""
+def _about_their_mean(estimates: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Angles without a jump at ±π; none where they point everywhere."""
     mean = np.exp(1j * np.concatenate([pairs[:, 0] for pairs in estimates])).mean()
     if abs(mean) < _TOGETHER:
-        return None
+        return []
     middle = float(np.angle(mean))
     return [np.column_stack([
         middle + np.angle(np.exp(1j * (pairs[:, 0] - middle))), pairs[:, 1]])
@@ -145,7 +143,8 @@ def _between_particles(estimates: Iterable[np.ndarray]) -> float:
 
 @dataclass(frozen=True)
 class Unlike:
-    """A `session` that is unlike the others in a quantity of that `title`, with the chance of it.
+    """A `session` whose `value` of a quantity, the `title` of which has its unit, is unlike those
+    of the others, whose `mean` is given; `p_value` is the chance of it, for this one alone.
     """
 
     session: str

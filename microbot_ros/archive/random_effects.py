@@ -3,7 +3,7 @@
 Session i gives y_i = μ + a_i + e_i with a known variance s_i² of e_i; a_i, its own deviation, has
 the variance τ² between sessions. τ² is where Cochran's Q with weights 1/(s_i² + τ²) has its
 expectation k − 1 (Paule and Mandel 1982), its interval where Q has the tails of χ² (Q-profile,
-Viechtbauer 2007): exact for normal estimates. The mean has the interval of Hartung and Knapp (2001).
+Viechtbauer 2007): exact for normal estimates. The mean has Hartung and Knapp's interval (2001).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.stats import chi2, t
+from scipy.special import chdtrc, chdtri, stdtr, stdtrit
 
 _TAIL = 0.025
 
@@ -56,13 +56,13 @@ def spread(values: np.ndarray, stds: np.ndarray) -> Spread | None:
         return Spread(1, float(y[0]), float(s[0]), float(y[0]) - half, float(y[0]) + half,
                       np.nan, 0.0, np.inf, within, np.nan)
     variance = between_variance(y, s)
-    low, high = (_variance_where(y, s, float(chi2.isf(tail, k - 1)))
+    low, high = (_variance_where(y, s, float(chdtri(k - 1, tail)))
                  for tail in (_TAIL, 1 - _TAIL))
     mean, std = mean_of(y, s, variance)
-    half = std * float(t.isf(_TAIL, k - 1))
+    half = std * float(-stdtrit(k - 1, _TAIL))
     return Spread(k, mean, std, mean - half, mean + half, float(np.sqrt(variance)),
                   float(np.sqrt(low)), float(np.sqrt(high)), within,
-                  float(chi2.sf(_q(y, s, 0.0), k - 1)))
+                  float(chdtrc(k - 1, _q(y, s, 0.0))))
 
 
 def between_variance(values: np.ndarray, stds: np.ndarray) -> float:
@@ -127,7 +127,7 @@ def trend(times: np.ndarray, values: np.ndarray, stds: np.ndarray) -> Trend | No
     free = len(x) - 2
     ratio = max(float((weight * (y - columns @ line) ** 2).sum()) / free, 1.0)
     std = float(np.sqrt(ratio * np.linalg.inv(information)[1, 1]))
-    return Trend(float(line[1]), std, float(2 * t.sf(abs(line[1]) / std, free)))
+    return Trend(float(line[1]), std, float(2 * stdtr(free, -abs(line[1]) / std)))
 
 
 def _residual_variance(columns: np.ndarray, y: np.ndarray, s: np.ndarray) -> float:
@@ -155,5 +155,5 @@ def unlike(values: np.ndarray, stds: np.ndarray) -> np.ndarray:
         variance = between_variance(y, s)
         mean, std = mean_of(y, s, variance)
         off = abs(values[one] - mean) / np.sqrt(stds[one] ** 2 + variance + std**2)
-        chances[one] = 2 * t.sf(off, len(rest) - 1)
+        chances[one] = 2 * stdtr(len(rest) - 1, -off)
     return chances

@@ -73,8 +73,8 @@ class FileCards:
         self.known = known
 
     def what(self, file: Path) -> str:
-        """One of 'mcap', 'sqlite', 'image', 'film', 'positions', 'commands', 'spreadsheet', 'empty',
-        'other', or a sentence on why a table can't be read.
+        """'mcap', 'sqlite', 'image', 'film', 'positions', 'commands', 'spreadsheet', 'empty' or
+        'other', or a sentence on why a `file` is no table.
         """
         return str(self._card(file)[2])
 

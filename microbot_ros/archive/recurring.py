@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import binom, chi2
+from scipy.special import bdtrc, chdtrc, chdtri
 
 from microbot_ros.archive.random_effects import Spread, spread
 from microbot_ros.model.effects import EFFECTS
@@ -116,11 +116,11 @@ def candidates_for_all(results: Results) -> list[str]:
             gains[name] += max(ratio, 0.0)
             free[name] += dof
     often = {name for name, count in named.items()
-             if len(known) < 3 or binom.sf(count - 1, len(known), BY_CHANCE) < BY_CHANCE}
+             if len(known) < 3 or bdtrc(count - 1, len(known), BY_CHANCE) < BY_CHANCE}
     # Of a place or a frequency the best of many is looked at, which alone is evidence of nothing.
     pooled = {name for name in gains
               if not any(p.shape for p in EFFECTS[name].parameters())
-              and chi2.sf(gains[name], free[name]) * len(EFFECTS) < BY_CHANCE}
+              and chdtrc(free[name], gains[name]) * len(EFFECTS) < BY_CHANCE}
     return sorted(often | pooled)
 
 
@@ -188,7 +188,7 @@ def _two_groups(x: np.ndarray, std: np.ndarray, ratio: np.ndarray, angle: np.nda
     # An angle is known within its error, of a turn.
     blind = np.minimum(np.log(std[:, angle] / np.sqrt(2 * np.pi)), 0.0).sum(axis=1)
     y, s = x[:, ~angle], std[:, ~angle]
-    probability = np.where(ratio > chi2.isf(1e-3, max(x.shape[1], 1)), 1.0, 0.0)
+    probability = np.where(ratio > chdtri(max(x.shape[1], 1), 1e-3), 1.0, 0.0)
     if not probability.any():
         probability[:] = 1.0
     gain = -np.inf

@@ -10,21 +10,20 @@ from microbot_ros.archive.conclusions import Conclusions, listed, refused
 from microbot_ros.archive.quantities import LABELS, Quantity
 from microbot_ros.archive.random_effects import Spread
 from microbot_ros.archive.report_figures import draw_parameters, draw_quantities
-from microbot_ros.archive.store import Archive
+from microbot_ros.archive.store import REPORT, Archive
 from microbot_ros.discovery import report_words
 from microbot_ros.discovery.report_figures import embedded
 from microbot_ros.discovery.report_words import number
 from microbot_ros.files import write_text
 from microbot_ros.model.effects import EFFECTS
 
-FILE = 'archive.html'
 _TEMPLATE = Path(__file__).with_name('report.html')
 
 
 def write_report(archive: Archive, found: Conclusions) -> Path:
     """Write the report on what was `found` into an `archive`; its path."""
-    write_text(archive.folder / FILE, page(archive, found))
-    return archive.folder / FILE
+    write_text(archive.folder / REPORT, page(archive, found))
+    return archive.folder / REPORT
 
 
 def page(archive: Archive, found: Conclusions) -> str:

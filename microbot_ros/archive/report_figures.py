@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import date
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -62,7 +63,7 @@ def _draw(axis: Axes, one: Quantity) -> None:
     axis.spines[['top', 'right']].set_visible(False)
 
 
-def _styles(one: Quantity) -> list[tuple[str, list[int], dict[str, str]]]:
+def _styles(one: Quantity) -> list[tuple[str, list[int], dict[str, Any]]]:
     """(name, sessions, colour and marker) of each rig and batch, in the order of their names."""
     count = len(one.value)
     rigs, batches = (_group_of(one.groups[label], count) for label in ('rig', 'batch'))

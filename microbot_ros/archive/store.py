@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import hashlib
 import json
 import os
 import shutil
@@ -25,7 +26,8 @@ from microbot_ros.archive.work import SESSIONS, result_file
 from microbot_ros.errors import InputError
 from microbot_ros.files import write_text
 
-_INDEX, _LOCK = 'recordings.json', 'lock'
+TABLE, REPORT = OUTPUTS = ('archive.parquet', 'archive.html')
+_INDEX, _LOCK, _FINDINGS = 'recordings.json', 'lock', 'findings.json'
 _COMPANIONS = ('commands.csv', 'session.yaml')
 
 
@@ -76,13 +78,36 @@ class Archive:
             raise InputError(self._index, 'expected the index of an archive; without it the '
                                           'archive is made anew from its results') from None
 
-    def save(self) -> None:
-        """Write what is known, in one step."""
-        kept = {
-            'entries': {path: vars(one) for path, one in self.entries.items()},
-            'refused': {path: vars(one) for path, one in self.refused.items()},
-            'files': self.cards.known}
+    def save(self, findings: dict[str, Any] | None = None, complete: bool = False) -> None:
+        """Write what is known, and the `findings` where they are new, each in one step.
+
+        Only those of a run that was `complete` are good for the next one.
+        """
+        kept = {**self._known(), 'files': self.cards.known}
         write_text(self._index, json.dumps(kept, ensure_ascii=False) + '\n')
+        if findings is not None:
+            content = {'of': self._state() if complete else '', 'findings': findings}
+            write_text(self.folder / MARK / _FINDINGS,
+                       json.dumps(content, ensure_ascii=False) + '\n')
+
+    def findings(self) -> dict[str, Any] | None:
+        """Those of the last run, where it was complete and nothing has changed since."""
+        try:
+            kept = json.loads((self.folder / MARK / _FINDINGS).read_text(encoding='utf-8'))
+        except (OSError, ValueError):
+            return None
+        there = all((self.folder / name).is_file() for name in OUTPUTS)
+        found: dict[str, Any] = kept['findings']
+        return found if there and kept['of'] == self._state() else None
+
+    def _known(self) -> dict[str, Any]:
+        return {'entries': {path: vars(one) for path, one in self.entries.items()},
+                'refused': {path: vars(one) for path, one in self.refused.items()}}
+
+    def _state(self) -> str:
+        """A digest of all that the findings follow from."""
+        text = json.dumps(self._known(), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
 
     def result(self, key: str) -> dict[str, Any] | None:
         """The result of the job of that `key`; None where there is none."""
@@ -112,8 +137,9 @@ class Archive:
     def note(self, found: Found, content: str, top: Path, labels: Labels) -> Entry:
         """The entry of what was `found` below `top`, with this `content` and `labels`."""
         known = self.entries.get(str(found.path))
+        day = None if labels.day is None else labels.day.isoformat()
         entry = Entry(found.name, found.kind, str(top), content, [*map(str, found.files)],
-                      labels.rig, labels.batch, labels.day and labels.day.isoformat(),
+                      labels.rig, labels.batch, day,
                       known.jobs if known and known.content == content else {})
         self.entries[str(found.path)] = entry
         return entry
@@ -127,7 +153,7 @@ class Archive:
                             if os.path.exists(path)}
 
     def publish(self, recording: Path, session: str) -> None:
-        """Lay beside the tracks of a `session` what lies beside its `recording`, and its labels."""
+        """Lay into a `session` what lies beside the `recording` that it is of, and the labels."""
         target = self.folder / SESSIONS / session
         beside = recording if recording.is_dir() else recording.parent
         for name in _COMPANIONS:

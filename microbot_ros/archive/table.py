@@ -7,12 +7,11 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from microbot_ros.archive.store import Archive, Entry
+from microbot_ros.archive.store import TABLE, Archive, Entry
 
 if TYPE_CHECKING:
     import pyarrow
 
-FILE = 'archive.parquet'
 QUANTITIES = ('v_um_s', 'gain_um_s_hz', 'phi_rad', 'force_pN', 'diffusion_um2_s',
               'localisation_um')
 """Each a column, with its standard deviation and its 95 % interval in three more."""
@@ -93,8 +92,8 @@ def write_table(archive: Archive, all_rows: list[dict[str, Any]]) -> Path:
     from microbot_ros.files import output_folder
 
     with output_folder(archive.folder) as folder:
-        pq.write_table(pa.Table.from_pylist(all_rows, schema()), folder / FILE)
-    return archive.folder / FILE
+        pq.write_table(pa.Table.from_pylist(all_rows, schema()), folder / TABLE)
+    return archive.folder / TABLE
 
 
 def read_table(archive: str | Path) -> pyarrow.Table:
@@ -106,7 +105,7 @@ def read_table(archive: str | Path) -> pyarrow.Table:
 
     from microbot_ros.errors import InputError
 
-    file = Path(archive) / FILE
+    file = Path(archive) / TABLE
     if not file.is_file():
-        raise InputError(archive, f'expected an archive: a folder with {FILE}')
+        raise InputError(archive, f'expected an archive: a folder with {TABLE}')
     return pq.read_table(file)

@@ -44,10 +44,10 @@ class VersionError(RuntimeError):
 
 @dataclass(frozen=True)
 class Job:
-    """A `task` on a recording of that `kind` at `path`, made of `files`, with `content` its digest.
+    """A `task` on a recording of that `kind` at `path`, made of `files`.
 
-    `settings` are the task's, as JSON has them; the result goes into `archive`. `version` is that
-    of who asks.
+    `content` is its digest; `settings` are the task's, as JSON has them; the result goes into
+    `archive`. `version` is that of who asks.
     """
 
     task: Task
@@ -194,7 +194,8 @@ def _track(job: Job) -> dict[str, Any]:
     with output_folder(made_session(job)) as folder:
         told = track_film(job.files, folder / 'tracks.csv',
                           None if width is None else to_si('_um', width),
-                          job.settings['frame_rate_hz'], TrackerSettings(**job.settings['tracker']))
+                          job.settings['frame_rate_hz'],
+                          TrackerSettings(**job.settings['tracker']))
     return {'film': told, 'session': made_session(job).name}
 
 

@@ -64,8 +64,8 @@ def command() -> None:
               help='Frames per second: for images, or instead of what a film says.')
 @click.option('--settings', 'settings_path', type=click.Path(path_type=Path), metavar='YAML',
               help='Settings of detection and linking; what is left out is chosen.')
-def track(pixel_size_um: float | None, frame_rate_hz: float | None, settings_path: Path | None,
-          **common: Any) -> None:
+def _track(pixel_size_um: float | None, frame_rate_hz: float | None, settings_path: Path | None,
+           **common: Any) -> None:
     """Track every film: a video file, or a folder of images.
 
     Each becomes a session in ARCHIVE/sessions, with the commands.csv and session.yaml that lie
@@ -88,8 +88,8 @@ def track(pixel_size_um: float | None, frame_rate_hz: float | None, settings_pat
 @click.option('--exposure-ms', type=FiniteFloatRange(0, 10_000), default=0.0, show_default=True,
               help='Exposure time of a frame, for the blur of diffusion during it.')
 @answer_options
-def fit(exposure_ms: float, folders: tuple[Path, ...], out: Path, workers: int | None,
-        scheduler: str | None, json_path: Path | None, **given: Any) -> None:
+def _fit(exposure_ms: float, folders: tuple[Path, ...], out: Path, workers: int | None,
+         scheduler: str | None, json_path: Path | None, **given: Any) -> None:
     """Fit v, φ, F, D and σ in every session, and compare the sessions.
 
     \b
@@ -103,8 +103,8 @@ def fit(exposure_ms: float, folders: tuple[Path, ...], out: Path, workers: int |
 @command.command('discover')
 @_common_options
 @answer_options
-def discover(folders: tuple[Path, ...], out: Path, workers: int | None, scheduler: str | None,
-             json_path: Path | None, **given: Any) -> None:
+def _discover(folders: tuple[Path, ...], out: Path, workers: int | None, scheduler: str | None,
+              json_path: Path | None, **given: Any) -> None:
     """Look for the missing effect in every session, and tell what recurs.
 
     Effects that recur are then measured in every session: which have them, which not, and
@@ -120,7 +120,7 @@ def discover(folders: tuple[Path, ...], out: Path, workers: int | None, schedule
 @command.command('import')
 @_common_options
 @answer_options
-def import_(folders: tuple[Path, ...], out: Path, workers: int | None, scheduler: str | None,
+def _import(folders: tuple[Path, ...], out: Path, workers: int | None, scheduler: str | None,
             json_path: Path | None, **given: Any) -> None:
     """Turn every table, spreadsheet or text, into a session in ARCHIVE/sessions.
 
@@ -144,24 +144,23 @@ def _run(task: Task, settings: dict[str, Any], folders: tuple[Path, ...], out: P
     os.environ.setdefault('OMP_NUM_THREADS', '1')
     from rich.console import Console
 
-    from microbot_ros.archive import conclude, run_batch
+    from microbot_ros.archive import run_batch
     from microbot_ros.files import write_text
 
     if workers is not None and scheduler is not None:
         raise click.UsageError('expected either --workers or --scheduler')
     with _Shown(Console(stderr=True, highlight=False, soft_wrap=True)) as shown:
-        summary = run_batch(task, folders, out, settings, workers, scheduler, shown.report)
-        found = conclude(out)
+        summary, found = run_batch(task, folders, out, settings, workers, scheduler, shown.report)
     for line in _told(summary):
         shown.console.print(line, markup=False)
     if json_path:
-        content = dataclasses.asdict(summary) | found.as_json()
+        content = dataclasses.asdict(summary) | found
         write_text(json_path, json.dumps(content, indent=1, ensure_ascii=False,
                                          allow_nan=False) + '\n')
     console = Console(highlight=False, soft_wrap=True)
-    for sentence in found.sentences():
+    for sentence in found['sentences']:
         console.print(sentence, markup=False)
-    console.print(f'{out}: {len(found.sessions)} sessions, {len(found.rows)} particles in '
+    console.print(f'{out}: {found["sessions"]} sessions, {found["particles"]} particles in '
                   f'archive.parquet; archive.html', markup=False)
 
 
