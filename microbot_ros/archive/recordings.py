@@ -146,7 +146,8 @@ def _in_folder(here: Path, files: list[Path], root: Path, cards: FileCards,
             yield Refused(str(file.relative_to(root)), error.strerror or str(error))
     mcaps = kinds.pop('mcap', [])
     metadata = [file for file in files if file.name == METADATA_FILE]
-    together = len({re.sub(r'_\d+$', '', file.stem) for file in mcaps}) == 1
+    together = len(mcaps) > 1 and len({
+        (re.sub(r'_\d+$', '', file.stem), file.suffix == '.mcap') for file in mcaps}) == 1
     if mcaps and (metadata or together) and not (here / _SESSION[0]).exists():
         yield found(here, 'recording', [*mcaps, *metadata])
     else:
