@@ -102,6 +102,7 @@ def run_batch(task: Task, folders: Sequence[Path], out: Path, settings: dict[str
                 summary.failed |= compared.failed
         except (KeyboardInterrupt, ClusterError) as error:
             stopped = error
+            stack.close()  # nobody works on meanwhile
         report(Progress('concluding'))
         found = _conclude(archive)
         archive.save(found, complete=not (stopped or summary.failed))

@@ -51,7 +51,7 @@ def cluster(workers: int | None = None, scheduler: str | None = None) -> Iterato
             local = LocalCluster(
                 n_workers=workers or os.cpu_count(), threads_per_worker=1, processes=True,
                 host='127.0.0.1', dashboard_address=DASHBOARD, silence_logs=logging.CRITICAL)
-        with local, Client(local) as client:
+        with local, Client(local, set_as_default=False) as client:
             yield client
         return
     try:
@@ -127,7 +127,7 @@ def run_jobs(client: Client, jobs: Sequence[Job], report: Callable[[Job, str], N
     # Another archive may want the same from the same scheduler.
     of = {f'{job.key}-{hashlib.sha256(str(job.archive).encode()).hexdigest()[:8]}': job
           for job in jobs}
-    waiting = as_completed(client.map(do, list(of.values()), key=list(of)))
+    waiting = as_completed(client.map(do, list(of.values()), key=list(of)), loop=client.loop)
     for done, future in enumerate(waiting):
         if future.status in ('cancelled', 'lost'):
             raise ClusterError(

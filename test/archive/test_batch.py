@@ -31,7 +31,7 @@ class Serial:
         self.done = []
         self.stop_after = None
 
-    def run_jobs(self, client, jobs, report):
+    def run_jobs(self, _, jobs, report):
         for job in jobs:
             if self.stop_after is not None and len(self.done) == self.stop_after[0]:
                 raise self.stop_after[1]
@@ -40,11 +40,11 @@ class Serial:
             report(job, '')
 
 
-@pytest.fixture
+@pytest.fixture(autouse=True)
 def serial():
     serial = Serial()
-    with mock.patch.object(batch, 'cluster', lambda *_: nullcontext()), \
-            mock.patch.object(batch, 'dashboard', lambda _: ''), \
+    with mock.patch.object(batch, 'cluster', return_value=nullcontext()), \
+            mock.patch.object(batch, 'dashboard', return_value=''), \
             mock.patch.object(batch, 'run_jobs', serial.run_jobs):
         yield serial
 
@@ -83,7 +83,7 @@ def test_nothing_is_done_twice(laboratory, tmp_path, serial):
     assert {path: path.stat().st_mtime_ns for path in written} == written
 
 
-def test_what_changed_is_done_again_and_what_is_gone_is_gone(laboratory, tmp_path, serial):
+def test_what_changed_is_done_again_and_what_is_gone_is_gone(laboratory, tmp_path):
     out = tmp_path / 'out'
     run('fit', laboratory, out)
     changed = laboratory / 'day-0' / 's0' / 'session.yaml'
@@ -99,14 +99,14 @@ def test_what_changed_is_done_again_and_what_is_gone_is_gone(laboratory, tmp_pat
     assert 'laboratory/day-1/s1' not in set(after.session)
 
 
-def test_another_setting_is_another_result(laboratory, tmp_path, serial):
+def test_another_setting_is_another_result(laboratory, tmp_path):
     run('fit', laboratory, tmp_path / 'out')
     other = settings('fit') | {'exposure_s': 0.05}
     summary, _ = batch.run_batch('fit', [laboratory], tmp_path / 'out', other)
     assert summary.done == 6
 
 
-def test_copies_are_done_and_counted_once(laboratory, tmp_path, serial):
+def test_copies_are_done_and_counted_once(laboratory, tmp_path):
     shutil.copytree(laboratory / 'day-0' / 's0', laboratory / 'backup')
     summary, found = run('fit', laboratory, tmp_path / 'out')
     assert (summary.found, summary.done, summary.copies, found['sessions']) == (7, 6, 1, 6)
@@ -139,8 +139,8 @@ def test_what_was_done_before_a_stop_stays_and_the_next_run_goes_on(
     assert len({job.key for job in serial.done}) == len(serial.done) == 6
 
 
-def test_a_failure_is_told_and_tried_again(tables, tmp_path, serial):
-    def fails(client, jobs, report):
+def test_a_failure_is_told_and_tried_again(tables, tmp_path):
+    def fails(_, jobs, report):
         for job in jobs:
             report(job, 'ValueError: no')
 
@@ -151,7 +151,7 @@ def test_a_failure_is_told_and_tried_again(tables, tmp_path, serial):
     assert run('import', tables, tmp_path / 'out')[0].done == 5
 
 
-def test_tables_become_sessions_that_can_be_fitted(tables, tmp_path, serial):
+def test_tables_become_sessions_that_can_be_fitted(tables, tmp_path):
     (tables / 'archive.yaml').write_text('rig: left\nrecorded: 2026-03-14\n')
     out = tmp_path / 'out'
     run('import', tables, out)
@@ -165,7 +165,7 @@ def test_tables_become_sessions_that_can_be_fitted(tables, tmp_path, serial):
     assert found['sessions'] == 5
 
 
-def test_a_folder_of_robots_and_a_renamed_book_are_imported(tmp_path, serial):
+def test_a_folder_of_robots_and_a_renamed_book_are_imported(tmp_path):
     folder = tmp_path / 'mixed'
     (folder / 'robots').mkdir(parents=True)
     for k in range(2):
@@ -183,7 +183,7 @@ def test_a_folder_of_robots_and_a_renamed_book_are_imported(tmp_path, serial):
     assert len(book.tracks.t) == 2
 
 
-def test_films_become_sessions(tmp_path, serial):
+def test_films_become_sessions(tmp_path):
     place = tmp_path / 'films' / 'monday'
     place.mkdir(parents=True)
     film(place / 'film.avi')
@@ -214,7 +214,7 @@ def film(path, frames=30):
     writer.release()
 
 
-def test_a_film_is_tracked_as_microbot_track_does(tmp_path, serial):
+def test_a_film_is_tracked_as_microbot_track_does(tmp_path):
     (tmp_path / 'films').mkdir()
     film(tmp_path / 'films' / 'film.avi')
     run('track', tmp_path / 'films', tmp_path / 'out')
@@ -224,7 +224,7 @@ def test_a_film_is_tracked_as_microbot_track_does(tmp_path, serial):
     assert (made / 'tracks.csv').read_text() == (tmp_path / 'alone' / 'tracks.csv').read_text()
 
 
-def test_one_table_for_pandas_polars_and_duckdb(laboratory, tmp_path, serial):
+def test_one_table_for_pandas_polars_and_duckdb(laboratory, tmp_path):
     out = tmp_path / 'out'
     run('discover', laboratory, out)
     file = str(out / 'archive.parquet')
@@ -240,14 +240,14 @@ def test_one_table_for_pandas_polars_and_duckdb(laboratory, tmp_path, serial):
     assert conclude(out).quantities[0].spread.mean == pytest.approx(5.0, abs=0.3)
 
 
-def test_two_runs_into_one_archive(laboratory, tmp_path, serial):
+def test_two_runs_into_one_archive(laboratory, tmp_path):
     archive = Archive(tmp_path / 'out')
     with archive.locked(), pytest.raises(InputError, match=f'another run .*process {os.getpid()}'):
         run('fit', laboratory, tmp_path / 'out')
     assert run('fit', laboratory, tmp_path / 'out')[0].done == 6
 
 
-def test_a_full_disk_leaves_nothing_half(tables, tmp_path, serial):
+def test_a_full_disk_leaves_nothing_half(tables, tmp_path):
     full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     out = tmp_path / 'out'
     with mock.patch.object(work, 'write_text', side_effect=full), \
@@ -267,7 +267,7 @@ def test_a_job_of_another_version_is_refused(tables, tmp_path):
         work.do(job)
 
 
-def test_a_damaged_index_is_named(laboratory, tmp_path, serial):
+def test_a_damaged_index_is_named(laboratory, tmp_path):
     run('fit', laboratory, tmp_path / 'out')
     index = tmp_path / 'out' / '.microbot' / 'recordings.json'
     index.write_text('{"entries"')
@@ -277,7 +277,7 @@ def test_a_damaged_index_is_named(laboratory, tmp_path, serial):
     assert run('fit', laboratory, tmp_path / 'out')[0].kept == 6
 
 
-def test_the_command(laboratory, tmp_path, serial, capsys):
+def test_the_command(laboratory, tmp_path, capsys):
     (laboratory / 'bad.csv').write_text('a,b\n1,2\n')
     out, told = tmp_path / 'out', tmp_path / 'told.json'
     assert microbot('batch', 'fit', laboratory, '--out', out, '--json', told) == 0

@@ -92,7 +92,8 @@ def test_what_is_asked_of_all():
     assert [candidates_for_all(one) for one in numbered] == [[], ['alignment_lag'], []]
     weak = [discovered([], [['uniform_drift', 4.0, 2], ['hot_spot', 9.0, 4]]) for _ in range(100)]
     assert candidates_for_all(dict(enumerate(weak))) == ['uniform_drift']
-    assert candidates_for_all({0: {'refused': 'empty'}, 1: discovered(['hot_spot'])}) == ['hot_spot']
+    few = {0: {'refused': 'empty'}, 1: discovered(['hot_spot'])}
+    assert candidates_for_all(few) == ['hot_spot']
 
 
 def test_most_sessions_state_the_reference():

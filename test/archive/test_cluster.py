@@ -1,0 +1,189 @@
+"""On real workers: killed ones, a killed scheduler, other versions, nobody there."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from unittest import mock
+
+import psutil
+import pytest
+from laboratories import fill
+
+from microbot_ros.archive import batch, cluster, read_table
+from microbot_ros.archive.cluster import ClusterError
+from microbot_ros.errors import InputError
+from microbot_ros.session.spreadsheets.sheets import Answers
+
+SETTINGS = {'exposure_s': 0.0, 'answers': vars(Answers())}
+ENVIRONMENT = {**os.environ, 'OMP_NUM_THREADS': '1'}
+
+
+def until(true, seconds=90.0):
+    """Waits for it."""
+    end = time.monotonic() + seconds
+    while not (found := true()):
+        assert time.monotonic() < end, 'it never came'
+        time.sleep(0.05)
+    return found
+
+
+@contextlib.contextmanager
+def process(*words):
+    """A process of Dask's own command line, ended afterwards with all that it started."""
+    with subprocess.Popen([sys.executable, '-m', 'distributed.cli.' + words[0], *words[1:]],
+                          env=ENVIRONMENT, stdout=subprocess.DEVNULL,
+                          stderr=subprocess.DEVNULL) as started:
+        try:
+            yield started
+        finally:
+            with contextlib.suppress(psutil.NoSuchProcess):
+                for one in psutil.Process(started.pid).children(recursive=True):
+                    with contextlib.suppress(psutil.NoSuchProcess):
+                        one.kill()
+            started.kill()
+
+
+@contextlib.contextmanager
+def by_hand(folder, workers):
+    """The address of a scheduler and its workers' processes, all started by hand."""
+    file = folder / f'scheduler-{time.monotonic_ns()}.json'
+    with contextlib.ExitStack() as stack:
+        scheduler = stack.enter_context(process(
+            'dask_scheduler', '--host', '127.0.0.1', '--port', '0', '--no-dashboard',
+            '--scheduler-file', str(file)))
+        until(lambda: file.exists() and file.stat().st_size)
+        address = json.loads(file.read_text())['address']
+        started = [stack.enter_context(process(
+            'dask_worker', address, '--nthreads', '1', '--no-dashboard', '--local-directory',
+            str(folder))) for _ in range(workers)]
+        yield address, scheduler, started
+
+
+def results(out):
+    """{result: inode} of what is done: a file that was written again has another inode."""
+    return {path: path.stat().st_ino for path in Path(out).glob('.microbot/??/*.json')}
+
+
+@pytest.fixture(scope='module')
+def many(tmp_path_factory):
+    """Forty sessions, and their table by one worker in this process."""
+    folder = fill(tmp_path_factory.mktemp('many') / 'laboratory', 40)
+    return folder, tmp_path_factory.mktemp('cluster')
+
+
+def test_the_same_by_workers_here_by_workers_by_hand_and_whoever_is_killed(many):
+    folder, place = many
+    report, shown = [], []
+    with mock.patch.object(batch, 'dashboard', side_effect=lambda _: shown.append(
+            listening()) or ''):
+        summary, _ = batch.run_batch('fit', [folder], place / 'here', SETTINGS, workers=2,
+                                     report=report.append)
+    assert (summary.done, summary.failed) == (40, {})
+    assert {address for here in shown for address in here} == {'127.0.0.1'}
+    last = [one for one in report if one.total][-1]
+    assert (last.done, last.total) == (40, 40)
+    assert last.rate > 0
+    assert last.seconds_left == 0
+
+    known = {}
+
+    def kill(progress):
+        if progress.done in (5, 15, 25) and not known.get(progress.done):
+            known[progress.done] = results(place / 'there')
+            # The nanny starts another one in its place.
+            worker = psutil.Process(workers[progress.done // 10 % 2].pid)
+            for child in worker.children():
+                child.kill()
+
+    with by_hand(place, 2) as (address, _, workers):
+        summary, _ = batch.run_batch('fit', [folder], place / 'there', SETTINGS,
+                                     scheduler=address, report=kill)
+    assert (summary.done, summary.failed) == (40, {})
+    assert len(known) == 3
+    final = results(place / 'there')
+    assert len(final) == 40
+    for before in known.values():
+        assert before.items() <= final.items()
+    assert read_table(place / 'here').equals(read_table(place / 'there'))
+
+
+def listening():
+    """The addresses at which this process and its workers can be reached."""
+    me = psutil.Process()
+    return {one.laddr.ip for some in (me, *me.children(recursive=True))
+            for one in some.net_connections('tcp') if one.status == psutil.CONN_LISTEN}
+
+
+def test_a_scheduler_that_dies_loses_nothing(many):
+    folder, place = many
+    out = place / 'lost'
+    with by_hand(place, 1) as (address, scheduler, _):
+        def kill(progress):
+            if progress.done == 10:
+                scheduler.kill()
+
+        with pytest.raises(ClusterError, match='the same command goes on from there'):
+            batch.run_batch('fit', [folder], out, SETTINGS, scheduler=address, report=kill)
+    before = results(out)
+    assert 10 <= len(before) < 40
+    with by_hand(place, 1) as (address, _, _):
+        summary, found = batch.run_batch('fit', [folder], out, SETTINGS, scheduler=address)
+    assert summary.done == 40 - len(before)
+    assert found['sessions'] == 40
+    assert before.items() <= results(out).items()
+    assert len(results(out)) == 40
+
+
+def test_nobody_there_and_other_versions(many):
+    folder, place = many
+    with mock.patch.object(cluster, '_FOUND_WITHIN', '1s'), \
+            pytest.raises(InputError, match='expected the address of a running Dask scheduler'):
+        batch.run_batch('fit', [folder], place / 'no', SETTINGS, scheduler='tcp://127.0.0.1:9')
+    with pytest.raises(InputError, match='expected the address of a running Dask scheduler'):
+        batch.run_batch('fit', [folder], place / 'no', SETTINGS, scheduler='nonsense')
+    assert not results(place / 'no')
+
+
+@pytest.mark.parametrize(('package', 'theirs', 'problem'), [
+    ('microbot_ros', '0.0.9', r'worker tcp://w: expected microbot_ros 0\.1\.0 as here, found '
+                              r'0\.0\.9'),
+    ('microbot_ros', None, 'expected microbot_ros 0.1.0 as here, found none'),
+    ('numpy', '1.0', 'worker tcp://w: expected numpy'), (None, '', None)])
+def test_both_versions_are_named(package, theirs, problem):
+    def told(**other):
+        return {'host': {'python': '3.12.1.final.0'}, 'packages': {
+            'python': '3.12.1.final.0', 'microbot_ros': '0.1.0', 'numpy': '2.0', 'dask': '1',
+            'distributed': '1', 'msgpack': '1', 'cloudpickle': '1', 'scipy': '1', 'numba': '1'}
+            | other}
+
+    client = mock.Mock()
+    client.get_versions.return_value = {
+        'client': told(), 'scheduler': told(microbot_ros=None),
+        'workers': {'tcp://w': told(**({package: theirs} if package else {}))}}
+    if problem is None:
+        cluster.check_versions(client)
+        return
+    with pytest.raises(InputError, match=problem):
+        cluster.check_versions(client)
+
+
+def test_ctrl_c_leaves_what_was_done(many):
+    folder, place = many
+    out = place / 'stopped'
+    with subprocess.Popen(
+            [sys.executable, '-m', 'microbot_ros.cli', 'batch', 'fit', str(folder), '--out',
+             str(out), '--workers', '1'], env=ENVIRONMENT, stderr=subprocess.PIPE, text=True,
+            start_new_session=True) as running:
+        until(lambda: len(results(out)) > 5)
+        # As a terminal does: to all of them.
+        os.killpg(running.pid, signal.SIGINT)
+        said = running.stderr.read()
+        assert running.wait(60) == 130
+    assert 'Traceback' not in said
+    done = len(set(read_table(out).to_pandas().session))
+    assert 5 < done <= len(results(out)) < 40
