@@ -1,72 +1,22 @@
 """On real workers: killed ones, a killed scheduler, other versions, nobody there."""
 
-import contextlib
-import json
 import os
 import signal
 import subprocess
 import sys
-import time
-from pathlib import Path
 from unittest import mock
 
 import psutil
 import pytest
 from laboratories import fill
 
+from bench._dask_by_hand import by_hand, kill_children, results, until
 from microbot_ros.archive import batch, cluster, read_table
 from microbot_ros.archive.cluster import ClusterError
 from microbot_ros.errors import InputError
 from microbot_ros.session.spreadsheets.sheets import Answers
 
 SETTINGS = {'exposure_s': 0.0, 'answers': vars(Answers())}
-ENVIRONMENT = {**os.environ, 'OMP_NUM_THREADS': '1'}
-
-
-def until(true, seconds=90.0):
-    """Waits for it."""
-    end = time.monotonic() + seconds
-    while not (found := true()):
-        assert time.monotonic() < end, 'it never came'
-        time.sleep(0.05)
-    return found
-
-
-@contextlib.contextmanager
-def process(*words):
-    """A process of Dask's own command line, ended afterwards with all that it started."""
-    with subprocess.Popen([sys.executable, '-m', 'distributed.cli.' + words[0], *words[1:]],
-                          env=ENVIRONMENT, stdout=subprocess.DEVNULL,
-                          stderr=subprocess.DEVNULL) as started:
-        try:
-            yield started
-        finally:
-            with contextlib.suppress(psutil.NoSuchProcess):
-                for one in psutil.Process(started.pid).children(recursive=True):
-                    with contextlib.suppress(psutil.NoSuchProcess):
-                        one.kill()
-            started.kill()
-
-
-@contextlib.contextmanager
-def by_hand(folder, workers):
-    """The address of a scheduler and its workers' processes, all started by hand."""
-    file = folder / f'scheduler-{time.monotonic_ns()}.json'
-    with contextlib.ExitStack() as stack:
-        scheduler = stack.enter_context(process(
-            'dask_scheduler', '--host', '127.0.0.1', '--port', '0', '--no-dashboard',
-            '--scheduler-file', str(file)))
-        until(lambda: file.exists() and file.stat().st_size)
-        address = json.loads(file.read_text())['address']
-        started = [stack.enter_context(process(
-            'dask_worker', address, '--nthreads', '1', '--no-dashboard', '--local-directory',
-            str(folder))) for _ in range(workers)]
-        yield address, scheduler, started
-
-
-def results(out):
-    """{result: inode} of what is done: a file that was written again has another inode."""
-    return {path: path.stat().st_ino for path in Path(out).glob('.microbot/??/*.json')}
 
 
 @pytest.fixture(scope='module')
@@ -96,9 +46,7 @@ def test_the_same_by_workers_here_by_workers_by_hand_and_whoever_is_killed(many)
         if progress.done in (5, 15, 25) and not known.get(progress.done):
             known[progress.done] = results(place / 'there')
             # The nanny starts another one in its place.
-            worker = psutil.Process(workers[progress.done // 10 % 2].pid)
-            for child in worker.children():
-                child.kill()
+            kill_children(workers[progress.done // 10 % 2].pid)
 
     with by_hand(place, 2) as (address, _, workers):
         summary, _ = batch.run_batch('fit', [folder], place / 'there', SETTINGS,
@@ -177,7 +125,7 @@ def test_ctrl_c_leaves_what_was_done(many):
     out = place / 'stopped'
     with subprocess.Popen(
             [sys.executable, '-m', 'microbot_ros.cli', 'batch', 'fit', str(folder), '--out',
-             str(out), '--workers', '1'], env=ENVIRONMENT, stderr=subprocess.PIPE, text=True,
+             str(out), '--workers', '1'], stderr=subprocess.PIPE, text=True,
             start_new_session=True) as running:
         until(lambda: len(results(out)) > 5)
         # As a terminal does: to all of them.
