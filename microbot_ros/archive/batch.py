@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from microbot_ros.archive.cluster import ClusterError, cluster, dashboard, run_jobs
+from microbot_ros.archive.cluster import ClusterError, cluster, introduced, run_jobs
 from microbot_ros.archive.labels import labels_of
 from microbot_ros.archive.recordings import Found, Refused, find, in_parallel
 from microbot_ros.archive.store import Archive
@@ -25,12 +25,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a run is: `done` of `total` in `seconds`, at what (`doing`)."""
+    """How far a run is: `done` of `total` in `seconds`, at what (`doing`).
 
-    doing: str
+    `note`: a sentence that is to stay.
+    """
+
+    doing: str = ''
     done: int = 0
     total: int = 0
     seconds: float = 0.0
+    note: str = ''
 
     @property
     def rate(self) -> float:
@@ -83,9 +87,7 @@ def run_batch(task: Task, folders: Sequence[Path], out: Path, settings: dict[str
         def client() -> Client:
             report(Progress('starting workers' if scheduler is None else f'asking {scheduler}'))
             started = stack.enter_context(cluster(workers, scheduler))
-            where = dashboard(started)
-            report(Progress(f'dashboard: {where}' if where else
-                            'no dashboard: it needs bokeh (pip install bokeh)'))
+            report(Progress(note=introduced(started)))
             return started
 
         jobs = _look(archive, task, folders, settings, summary, report)
@@ -129,10 +131,11 @@ def _measurements(archive: Archive, settings: dict[str, Any]) -> list[Job]:
 
     discovered = archive.results('discover')
     effects = candidates_for_all(discovered)
+    for entry in archive.entries.values():
+        entry.jobs.pop('measure', None)
     jobs = []
     for path, result in discovered.items():
         entry = archive.entries[path]
-        entry.jobs.pop('measure', None)
         if not effects or 'result' not in result:
             continue
         asked = {'effects': effects, 'known': result['effects'],
@@ -149,7 +152,6 @@ def _look(archive: Archive, task: Task, folders: Sequence[Path], settings: dict[
           summary: Summary, report: Callable[[Progress], None]) -> list[Job]:
     """The jobs on all that is found; what is found is noted in the archive."""
     report(Progress('looking for recordings'))
-    tops = [folder.resolve() for folder in folders]
     everything = list(find(folders, archive.cards))
     found = [one for one in everything if isinstance(one, Found)]
     refused = {one.name: one for one in everything if isinstance(one, Refused)}
@@ -160,20 +162,19 @@ def _look(archive: Archive, task: Task, folders: Sequence[Path], settings: dict[
             refused[one.name] = one
             continue
         recording, content = one
-        top = next(top for top in tops if top in (recording.path, *recording.path.parents))
-        labels = labels_of(recording, tops)
+        labels = labels_of(recording)
         try:
             own = _settings(task, recording, settings)
         except InputError as error:
-            refused[recording.name] = Refused(recording.name, str(error))
+            refused[recording.name] = Refused.of(recording.path, recording.top, str(error))
             continue
-        entry = archive.note(recording, content, top, labels)
+        entry = archive.note(recording, content, labels)
         job = Job(task, recording.kind, recording.path, recording.files, content, archive.folder,
                   own)
         entry.jobs[task] = job.key
         jobs.append(job)
-    archive.forget(tops, there)
-    archive.refused = refused
+    archive.forget([folder.resolve() for folder in folders], there)
+    archive.refused |= refused
     summary.found, summary.aside = len(found), len(found) - len(wanted)
     summary.refused |= {name: one.reason for name, one in refused.items()}
     return jobs

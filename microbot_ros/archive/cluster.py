@@ -10,6 +10,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from microbot_ros.archive.work import Job, VersionError, do
@@ -46,8 +47,7 @@ def cluster(workers: int | None = None, scheduler: str | None = None) -> Iterato
     logging.getLogger('distributed').setLevel(logging.CRITICAL)
     if scheduler is None:
         # The port is another one where somebody else has it, and Dask says so.
-        with _interrupts_ignored(), warnings.catch_warnings():
-            warnings.simplefilter('ignore')
+        with _interrupts_ignored(), _quietly():
             local = LocalCluster(
                 n_workers=workers or os.cpu_count(), threads_per_worker=1, processes=True,
                 host='127.0.0.1', dashboard_address=DASHBOARD, silence_logs=logging.CRITICAL)
@@ -55,7 +55,8 @@ def cluster(workers: int | None = None, scheduler: str | None = None) -> Iterato
             yield client
         return
     try:
-        client = Client(scheduler, timeout=_FOUND_WITHIN, set_as_default=False)
+        with _quietly():  # of versions we speak ourselves
+            client = Client(scheduler, timeout=_FOUND_WITHIN, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         raise InputError(scheduler, 'expected the address of a running Dask scheduler, such as '
                                     f'tcp://host:8786 ({_first_line(error)})') from None
@@ -73,7 +74,9 @@ def _first_line(error: BaseException) -> str:
 
 @contextmanager
 def _interrupts_ignored() -> Iterator[None]:
-    """What is started meanwhile ignores Ctrl-C, which a terminal sends to all: one is enough."""
+    """Processes that are started meanwhile ignore Ctrl-C, which a terminal sends to all: one is
+    enough.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -82,6 +85,13 @@ def _interrupts_ignored() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def _quietly() -> Iterator[None]:
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore')
+        yield
 
 
 def check_versions(client: Client) -> None:
@@ -106,13 +116,14 @@ def _versions(told: dict[str, Any]) -> dict[str, str]:
     return {**told['packages'], 'python': python}
 
 
-def dashboard(client: Client) -> str:
-    """The address of Dask's dashboard of a `client`; '' where there is none."""
-    with suppress(ImportError, KeyError, TypeError):
-        import bokeh  # noqa: F401
-
-        return str(client.dashboard_link or '')
-    return ''
+def introduced(client: Client) -> str:
+    """A sentence on the workers of a `client`, and Dask's dashboard where there is one."""
+    count = len(client.scheduler_info(n_workers=-1)['workers'])
+    who = f'{count} worker{"" if count == 1 else "s"}' if count else (
+        'no workers yet: waiting for one')
+    if find_spec('bokeh') is None:
+        return f'{who}; Dask’s dashboard needs bokeh (pip install bokeh)'
+    return f'{who}; dashboard {client.dashboard_link}'
 
 
 def run_jobs(client: Client, jobs: Sequence[Job], report: Callable[[Job, str], None]) -> None:

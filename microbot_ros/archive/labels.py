@@ -46,14 +46,14 @@ class Labels:
     day: datetime.date | None = None
 
 
-def labels_of(found: Found, tops: list[Path]) -> Labels:
-    """What is known of a recording that was `found` in one of the folders `tops`.
+def labels_of(found: Found) -> Labels:
+    """What is known of a recording that was `found`.
 
     The day is that of `archive.yaml`, else that of the recording's own clock, else a date in the
     names of file and folders, such as 2026-03-14. InputError for an `archive.yaml` that is wrong.
     """
     said = LabelFile()
-    for folder in _upwards(found, tops):
+    for folder in _upwards(found):
         if (folder / LABELS).is_file():
             own = read_yaml(folder / LABELS, LabelFile)
             said = LabelFile(rig=said.rig or own.rig, batch=said.batch or own.batch,
@@ -61,12 +61,11 @@ def labels_of(found: Found, tops: list[Path]) -> Labels:
     return Labels(said.rig, said.batch, said.recorded or _clock(found) or _dated(found.name))
 
 
-def _upwards(found: Found, tops: list[Path]) -> list[Path]:
+def _upwards(found: Found) -> list[Path]:
     """The folders of a recording, from its own up to where it was looked for."""
     first = found.path if found.path.is_dir() else found.path.parent
     folders = [first, *first.parents]
-    last = max((folders.index(top) for top in tops if top in folders), default=0)
-    return folders[:last + 1]
+    return folders[:folders.index(found.top) + 1]
 
 
 def _clock(found: Found) -> datetime.date | None:

@@ -47,20 +47,32 @@ _MAGIC: tuple[tuple[int, bytes, str], ...] = (
 
 @dataclass(frozen=True)
 class Found:
-    """A recording of a `kind` at `path`, made of `files`; `name` tells it from all others."""
+    """A recording of a `kind` at `path`, made of `files`, found below the folder `top`."""
 
     path: Path
     kind: Kind
-    name: str
+    top: Path
     files: tuple[Path, ...]
+
+    @property
+    def name(self) -> str:
+        """For people: from the folder on that was asked for."""
+        return str(self.path.relative_to(self.top.parent))
 
 
 @dataclass(frozen=True)
 class Refused:
-    """What can't be read: its `name` and the `reason`."""
+    """What can't be read, found below the folder `top`: its `name` and the `reason`."""
 
     name: str
     reason: str
+    top: str
+
+    @classmethod
+    def of(cls, path: Path, top: Path, error: OSError | str) -> Refused:
+        """The file or folder at `path` below `top`, and the `error` or what is wrong with it."""
+        reason = error if isinstance(error, str) else error.strerror or str(error)
+        return cls(str(path.relative_to(top.parent)), reason, str(top))
 
 
 class FileCards:
@@ -126,13 +138,13 @@ def find(folders: Sequence[Path], cards: FileCards) -> Iterator[Found | Refused]
                 continue
             seen.add(here)
             visible = sorted(here / f for f in files if not f.startswith('.') and f != LABELS)
-            yield from _in_folder(here, [f for f in visible if f.is_file()], top.parent, cards)
+            yield from _in_folder(here, [f for f in visible if f.is_file()], top, cards)
 
 
-def _in_folder(here: Path, files: list[Path], root: Path, cards: FileCards,
+def _in_folder(here: Path, files: list[Path], top: Path, cards: FileCards,
                ) -> Iterator[Found | Refused]:
     def found(path: Path, kind: Kind, of: Sequence[Path]) -> Found:
-        return Found(path, kind, str(path.relative_to(root)), tuple(of))
+        return Found(path, kind, top, tuple(of))
 
     if here / _SESSION[0] in files:
         own = [file for file in files if file.name in _SESSION]
@@ -143,7 +155,7 @@ def _in_folder(here: Path, files: list[Path], root: Path, cards: FileCards,
         try:
             kinds.setdefault(cards.what(file), []).append(file)
         except OSError as error:
-            yield Refused(str(file.relative_to(root)), error.strerror or str(error))
+            yield Refused.of(file, top, error)
     mcaps = kinds.pop('mcap', [])
     metadata = [file for file in files if file.name == METADATA_FILE]
     together = len(mcaps) > 1 and len({
@@ -162,10 +174,10 @@ def _in_folder(here: Path, files: list[Path], root: Path, cards: FileCards,
     else:
         yield from (found(file, 'table', [file]) for file in tables)
     yield from (found(file, 'table', [file]) for file in kinds.pop('spreadsheet', []))
-    yield from _refused(kinds, root)
+    yield from _refused(kinds, top)
 
 
-def _refused(kinds: dict[str, list[Path]], root: Path) -> Iterator[Refused]:
+def _refused(kinds: dict[str, list[Path]], top: Path) -> Iterator[Refused]:
     """Files that claim to be recordings and are none, of those of other `kinds`."""
     reasons = {
         'sqlite': 'a bag of sqlite3: expected MCAP; convert it with ros2 bag convert',
@@ -175,7 +187,7 @@ def _refused(kinds: dict[str, list[Path]], root: Path) -> Iterator[Refused]:
     for what, files in kinds.items():
         for file in files:
             if file.suffix.lower() in _CLAIMS:
-                yield Refused(str(file.relative_to(root)), reasons.get(what, what))
+                yield Refused.of(file, top, reasons.get(what, what))
 
 
 def _what(file: Path, size: int) -> str:
@@ -229,7 +241,7 @@ def in_parallel(found: Sequence[Found], cards: FileCards,
             report(f'reading {one.name}')
             return one, content_of(one, cards)
         except OSError as error:
-            return Refused(one.name, error.strerror or str(error))
+            return Refused.of(one.path, one.top, error)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         yield from pool.map(read, found)

@@ -53,7 +53,8 @@ class Entry:
 class Archive:
     """An archive in a `folder`, which is made when something is written.
 
-    `entries` by the path of the recording; `refused` are files that are none; `cards` of files.
+    `entries` by the path of the recording; `refused`, by name, could not be read; `cards` of
+    files.
     """
 
     def __init__(self, folder: str | Path) -> None:
@@ -72,7 +73,7 @@ class Archive:
         try:
             kept = json.loads(self._index.read_text(encoding='utf-8'))
             self.entries = {path: Entry(**one) for path, one in kept['entries'].items()}
-            self.refused = {path: Refused(**one) for path, one in kept['refused'].items()}
+            self.refused = {name: Refused(**one) for name, one in kept['refused'].items()}
             self.cards = FileCards(kept['files'])
         except (OSError, ValueError, TypeError, KeyError):
             raise InputError(self._index, 'expected the index of an archive; without it the '
@@ -134,11 +135,11 @@ class Archive:
                 found[path] = result
         return found
 
-    def note(self, found: Found, content: str, top: Path, labels: Labels) -> Entry:
-        """The entry of what was `found` below `top`, with this `content` and `labels`."""
+    def note(self, found: Found, content: str, labels: Labels) -> Entry:
+        """The entry of what was `found`, with this `content` and `labels`."""
         known = self.entries.get(str(found.path))
         day = None if labels.day is None else labels.day.isoformat()
-        entry = Entry(found.name, found.kind, str(top), content, [*map(str, found.files)],
+        entry = Entry(found.name, found.kind, str(found.top), content, [*map(str, found.files)],
                       labels.rig, labels.batch, day,
                       known.jobs if known and known.content == content else {})
         self.entries[str(found.path)] = entry
@@ -149,6 +150,7 @@ class Archive:
         gone = {str(top) for top in tops}
         self.entries = {path: one for path, one in self.entries.items()
                         if one.top not in gone or path in there}
+        self.refused = {name: one for name, one in self.refused.items() if one.top not in gone}
         self.cards.known = {path: card for path, card in self.cards.known.items()
                             if os.path.exists(path)}
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,6 +27,7 @@ def rows(archive: Archive, present: Mapping[str, list[str]]) -> Iterator[dict[st
     recording: effects that the archive as a whole finds in it}.
     """
     fitted, discovered = archive.results('fit'), archive.results('discover')
+    names = Counter(entry.name for entry in archive.entries.values())
     for path in sorted({*fitted, *discovered}, key=lambda one: archive.entries[one].name):
         task = 'discover' if 'result' in discovered.get(path, {}) else 'fit'
         result = discovered[path] if task == 'discover' else fitted.get(path, {})
@@ -33,7 +35,10 @@ def rows(archive: Archive, present: Mapping[str, list[str]]) -> Iterator[dict[st
         if not told:
             continue
         baseline = told.get('baseline', told)
-        session = _of_session(archive.entries[path], path, task, result, told, present.get(path))
+        entry = archive.entries[path]
+        session = _of_session(entry, path, task, result, told, present.get(path))
+        # Folders of the same name may lie in two places.
+        session['session'] = entry.name if names[entry.name] == 1 else path
         noise = _numbers(baseline)
         for particle, numbers in baseline['particles'].items():
             yield session | {'particle': particle} | _numbers(numbers) | noise
@@ -43,7 +48,7 @@ def _of_session(entry: Entry, path: str, task: str, result: dict[str, Any], told
                 present: list[str] | None) -> dict[str, Any]:
     facts = result['facts']
     return {
-        'session': entry.name, 'path': path, 'kind': entry.kind,
+        'path': path, 'kind': entry.kind,
         'day': entry.day and datetime.date.fromisoformat(entry.day), 'rig': entry.rig,
         'batch': entry.batch, 'task': task, 'propulsion': facts['propulsion'],
         'duration_s': facts['duration_s'], 'frames': facts['frames'],

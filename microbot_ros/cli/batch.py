@@ -191,8 +191,8 @@ class _Shown:
 
     def report(self, progress: Progress) -> None:
         """Show the `progress`."""
-        if progress.doing.startswith(('dashboard', 'no dashboard')):
-            self.console.print(progress.doing, markup=False)
+        if progress.note:
+            self.console.print(progress.note, markup=False)
         elif not progress.total:
             self._status.update(progress.doing)
         else:

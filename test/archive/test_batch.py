@@ -44,7 +44,7 @@ class Serial:
 def serial():
     serial = Serial()
     with mock.patch.object(batch, 'cluster', return_value=nullcontext()), \
-            mock.patch.object(batch, 'dashboard', return_value=''), \
+            mock.patch.object(batch, 'introduced', return_value=''), \
             mock.patch.object(batch, 'run_jobs', serial.run_jobs):
         yield serial
 

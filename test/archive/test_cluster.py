@@ -28,13 +28,19 @@ def many(tmp_path_factory):
 
 def test_the_same_by_workers_here_by_workers_by_hand_and_whoever_is_killed(many):
     folder, place = many
-    report, shown = [], []
-    with mock.patch.object(batch, 'dashboard', side_effect=lambda _: shown.append(
-            listening()) or ''):
-        summary, _ = batch.run_batch('fit', [folder], place / 'here', SETTINGS, workers=2,
-                                     report=report.append)
+    report, shown = [], set()
+
+    def reported(progress):
+        report.append(progress)
+        if progress.done == 3:
+            shown.update(listening())
+
+    summary, _ = batch.run_batch('fit', [folder], place / 'here', SETTINGS, workers=2,
+                                 report=reported)
     assert (summary.done, summary.failed) == (40, {})
-    assert {address for here in shown for address in here} == {'127.0.0.1'}
+    assert shown == {'127.0.0.1'}
+    [note] = [one.note for one in report if one.note]
+    assert note.startswith('2 workers; dashboard http://127.0.0.1:')
     last = [one for one in report if one.total][-1]
     assert (last.done, last.total) == (40, 40)
     assert last.rate > 0

@@ -149,21 +149,21 @@ def test_labels_come_from_the_nearest_file_and_days_from_names(tmp_path):
     # Above what was asked for nobody looks.
     (tmp_path / 'archive.yaml').write_text('rig: B\n')
     found = look(tmp_path / 'lab')[0]['lab/2026-03-14 rig A/late/t.csv']
-    labels = labels_of(found, [tmp_path / 'lab'])
+    labels = labels_of(found)
     assert (labels.rig, labels.batch) == ('A', 'eight')
     assert labels.day == datetime.date(2026, 3, 14)
     (place / 'archive.yaml').write_text('recorded: 2025-01-02\n')
-    labels = labels_of(found, [tmp_path / 'lab'])
+    labels = labels_of(found)
     assert labels.batch == '7'
     assert labels.day == datetime.date(2025, 1, 2)
     (place / 'archive.yaml').write_text('bench: 3\n')
     with pytest.raises(InputError, match=r"archive.yaml:1: unknown key 'bench'"):
-        labels_of(found, [tmp_path / 'lab'])
+        labels_of(found)
 
 
 @pytest.mark.parametrize(('name', 'day'), [
     ('lab/20260230/x', None), ('lab/2026-02-28_x', (2026, 2, 28)), ('x120260228', None),
     ('2025_01_01/2026.01.02.csv', (2026, 1, 2))])
 def test_days_in_names(name, day):
-    found = Found(Path('/nowhere') / name, 'table', name, ())
-    assert labels_of(found, []).day == (day and datetime.date(*day))
+    found = Found(Path('/top') / name, 'table', Path('/top'), ())
+    assert labels_of(found).day == (day and datetime.date(*day))
