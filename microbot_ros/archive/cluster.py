@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import logging
-import os
 import signal
 import threading
 import warnings
@@ -39,33 +38,44 @@ def cluster(workers: int | None = None, scheduler: str | None = None) -> Iterato
     another machine. InputError where the scheduler is not there, where it or a worker has other
     versions, or where Dask is not installed.
     """
-    try:
-        from distributed import Client, LocalCluster
-    except ImportError:
+    if find_spec('distributed') is None:
         raise InputError('dask', "expected Dask distributed; install it with "
-                                 "pip install 'microbot_ros[dask]'") from None
-    logging.getLogger('distributed').setLevel(logging.CRITICAL)
-    if scheduler is None:
-        # The port is another one where somebody else has it, and Dask says so.
-        with _interrupts_ignored(), _quietly():
+                                 "pip install 'microbot_ros[dask]'")
+    with _local(workers) if scheduler is None else _remote(scheduler) as client:
+        yield client
+
+
+@contextmanager
+def _local(workers: int | None) -> Iterator[Client]:
+    from distributed import Client, LocalCluster
+
+    # The port is another one where somebody else has it, and Dask says so.
+    with _quietly():
+        with _interrupts_ignored():
             local = LocalCluster(
-                n_workers=workers or os.cpu_count(), threads_per_worker=1, processes=True,
-                host='127.0.0.1', dashboard_address=DASHBOARD, silence_logs=logging.CRITICAL)
+                n_workers=workers, threads_per_worker=1, processes=True, host='127.0.0.1',
+                dashboard_address=DASHBOARD, silence_logs=logging.CRITICAL)
         with local, Client(local, set_as_default=False) as client:
             yield client
-        return
-    try:
-        with _quietly():  # of versions we speak ourselves
+
+
+@contextmanager
+def _remote(scheduler: str) -> Iterator[Client]:
+    from distributed import Client
+
+    with _quietly():
+        try:
             client = Client(scheduler, timeout=_FOUND_WITHIN, set_as_default=False)
-    except (OSError, ValueError, TypeError) as error:
-        raise InputError(scheduler, 'expected the address of a running Dask scheduler, such as '
-                                    f'tcp://host:8786 ({_first_line(error)})') from None
-    try:
-        check_versions(client)
-        yield client
-    finally:
-        with suppress(Exception):  # the scheduler may be gone
-            client.close(timeout=2)
+        except (OSError, ValueError, TypeError) as error:
+            raise InputError(
+                scheduler, 'expected the address of a running Dask scheduler, such as '
+                           f'tcp://host:8786 ({_first_line(error)})') from None
+        try:
+            check_versions(client)
+            yield client
+        finally:
+            with suppress(Exception):  # the scheduler may be gone
+                client.close(timeout=2)
 
 
 def _first_line(error: BaseException) -> str:
@@ -89,9 +99,19 @@ def _interrupts_ignored() -> Iterator[None]:
 
 @contextmanager
 def _quietly() -> Iterator[None]:
-    with warnings.catch_warnings():
-        warnings.simplefilter('ignore')
-        yield
+    """Without what Dask says of ports, versions and lost connections: all of it is said by us."""
+    loggers = [logging.getLogger(name) for name in [*logging.root.manager.loggerDict]
+               if name.split('.')[0] in ('distributed', 'tornado')]
+    before = [one.level for one in loggers]
+    for one in loggers:
+        one.setLevel(logging.CRITICAL)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter('ignore')
+            yield
+    finally:
+        for one, level in zip(loggers, before, strict=True):
+            one.setLevel(level)
 
 
 def check_versions(client: Client) -> None:
