@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import jinja2
+import numpy as np
 
 from microbot_ros.archive.conclusions import Conclusions, listed, refused
 from microbot_ros.archive.quantities import LABELS, Quantity
@@ -34,7 +35,7 @@ def page(archive: Archive, found: Conclusions) -> str:
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters |= {'number': number, 'chance': report_words.chance,
-                            'words': report_words.words, 'listed': listed}
+                            'words': report_words.words, 'bare': report_words.bare, 'listed': listed}
     environment.globals |= {'mean': _mean, 'between': _between}
     template = environment.from_string(_TEMPLATE.read_text(encoding='utf-8'))
     figure = draw_quantities(found.quantities)
@@ -51,15 +52,17 @@ def page(archive: Archive, found: Conclusions) -> str:
 
 
 def _several(one: Quantity, label: str) -> bool:
-    """Whether a table of the groups tells more than one of the sessions does."""
-    return 1 < len(one.groups[label]) <= 40
+    """Whether a table of the groups tells more than the figure of the sessions does."""
+    return 1 < len(one.groups[label]) <= min(40, len(one.value) - 1)
 
 
 def _mean(found: Spread | None) -> str:
     """A mean with its 95 % interval."""
     if found is None:
         return '–'
-    return f'{number(found.mean)} ({number(found.mean_low)} to {number(found.mean_high)})'
+    half = (found.mean_high - found.mean_low) / 2
+    digits = min(max(0, 1 - int(np.floor(np.log10(half)))), 9)
+    return f'{found.mean:.{digits}f} ± {half:.{digits}f}'.replace('-', '−')
 
 
 def _between(found: Spread | None) -> str:
