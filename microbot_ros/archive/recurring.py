@@ -49,9 +49,9 @@ class Recurring:
     """The effect `id` over an archive: the `probability` that it is in each session.
 
     `unseen`: sessions that can't show it. `parameters`: how each spreads between the sessions
-    that have it, in the unit of its name, or of its reciprocal where `reciprocal` has it; shape
-    angles are left out. `estimates`: {parameter: {session: (value, standard deviation)}} in the
-    same units.
+    that have it, in the `unit` that it is given in: that of its name, or where the effect vanishes
+    at infinity the reciprocal's; angles of a shape are left out. `estimates`: {parameter:
+    {session: (value, standard deviation)}} in the same units.
     """
 
     id: str

@@ -34,8 +34,8 @@ def page(archive: Archive, found: Conclusions) -> str:
     """
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    environment.filters |= {'number': number, 'chance': report_words.chance,
-                            'words': report_words.words, 'bare': report_words.bare, 'listed': listed}
+    environment.filters |= {'listed': listed} | {
+        name: getattr(report_words, name) for name in ('bare', 'chance', 'number', 'words')}
     environment.globals |= {'mean': _mean, 'between': _between}
     template = environment.from_string(_TEMPLATE.read_text(encoding='utf-8'))
     figure = draw_quantities(found.quantities)
