@@ -6,10 +6,10 @@ rotors McNaughton et al., International Journal of Nanomedicine 4, 285 (2009); f
 apart by it Mahoney, Nelson, Peyer, Nelson and Abbott, Applied Physics Letters 104, 144101 (2014)).
 Beyond f_c it slips, and where in its slip it is when the field turns elsewhere is chance.
 
-So a leg here is one whole turn, after which the field stands. Who has kept up by then to within
-half a turn makes the turn, to the end; who has not falls back to where it was. A roller that goes
-g per turn so goes g or nothing, whatever its phase was: what is left to chance, and every error
-of f_c that does not take a roller across the threshold, is gone.
+A leg here is one whole turn, after which the field stands. Who has kept up by then to within
+half a turn makes the turn, to the end; who has not falls back to where it was. So a roller goes as
+far as in one turn or not at all, whatever went before. Turns that are faster and faster, or in
+weaker and weaker fields, tell one roller after the other apart.
 """
 
 from __future__ import annotations
@@ -20,13 +20,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from microbot_ros.control.contract import NoSolutionError
+
 THRESHOLD = 0.6757
 """f_c/f of a roller that lags by half a turn after one: (π + 2 arcsin r)/√(1 − r²) = 2π."""
-LOCKED = 0.8
-"""f/f_c at which a roller surely follows."""
-ALIKE = 1.05
-"""Ratio of two step-outs below which no threshold fits in between."""
-FAITH = 0.5
+STEP = 1.03
+"""Ratio of the step-outs from which on rollers follow neighbouring kinds of turns."""
+LEAST_TURN = 0.3e-6
+"""What a roller goes per turn at least [m]."""
+_ALL_FOLLOW = 6
+"""Kinds, the slowest, that every roller follows."""
+_SETTLES = 0.4
+"""Time that a leg needs to come to rest, times the step-out of who only just follows."""
+_CLEAR = 0.3
+"""Of a turn: kinds of which all rollers make one or none, to within that, are clear."""
+_UNCLEAR = 0.1
+"""How gladly other kinds are used."""
+_FAITH = 0.3
 """What part of the difference to what was seen is taken over at once."""
 _ROUNDS = 12
 _WORTH = 0.15
@@ -42,26 +52,57 @@ class Leg:
 
 
 class SingleTurns:
-    """The kinds of legs (M) for rollers (N): each a frequency and a share of the field.
+    """The kinds of legs (M): each a frequency and a share of the field.
 
-    Two thresholds lie between neighbouring step-outs, and one below all. `answer` (N, M) [m] is
-    what each makes of a turn along x: c = g e^{iφ} or nothing, until it has been seen.
+    Rollers follow those kinds up to their step-out: it rises from kind to kind. `answer` (N, M)
+    [m] is what each of N rollers makes of a turn along x: c = g e^{iφ} or nothing. A survey tells.
     """
 
-    def __init__(self, gain: np.ndarray, step_out: np.ndarray, fastest: float, tick: float,
-                 pause: int) -> None:
-        """For `gain` c (N,) [m per turn] and `step_out` (N,) [Hz] at the full field.
+    def __init__(self, slowest: float, fastest: float, tick: float, delay: int) -> None:
+        """From a turn that rollers with a step-out of `slowest` [Hz] just follow to one for
+        `fastest` [Hz], which no leg exceeds.
 
-        A leg takes whole ticks of `tick` [s], not fewer than `fastest` [Hz] allows, and `pause`
-        ticks after it. Where a threshold would ask for more than that, the field is made weaker.
+        A leg takes whole `ticks` of `tick` [s], and `rest` after that: so many as `delay`, and
+        until those who lag have fallen back or come up. Where a step-out asks for a little less
+        than whole ticks the field is made weaker.
         """
-        edge = _thresholds(np.sort(step_out))
+        edge = slowest * STEP ** np.arange(
+            1 + math.floor(math.log(fastest / slowest) / math.log(STEP)))
         least = max(math.ceil(1 / (fastest * tick) - 1e-9), 1)
         self.ticks = np.maximum(np.ceil(THRESHOLD / (edge * tick) - 1e-9).astype(int), least)
         self.frequency = 1 / (self.ticks * tick)
         self.share = self.frequency * THRESHOLD / edge
-        self.seconds = (self.ticks + pause) * tick
-        self.answer = np.where(step_out[:, None] > edge, gain[:, None], 0j)
+        self.rest = delay + np.ceil(_SETTLES / (edge * tick)).astype(int)
+        self.seconds = (self.ticks + self.rest) * tick
+        self.answer = np.zeros((0, len(edge)), complex)
+
+    def survey(self) -> list[Leg]:
+        """Each kind out or back along x, then along y: all end about where they began."""
+        return [Leg(kind, way * (-1) ** kind) for way in (1 + 0j, 1j)
+                for kind in range(len(self.ticks))]
+
+    def see(self, moved: np.ndarray) -> None:
+        """In the legs of the survey all have `moved` (L, N) [m].
+
+        NoSolutionError for rollers that do not roll, or that one field can't tell apart.
+        """
+        ways = np.array([leg.way for leg in self.survey()])
+        made = (moved / ways[:, None]).reshape(2, len(self.ticks), -1).mean(0).T
+        slow = made[:, :_ALL_FOLLOW].mean(1)
+        if not (np.abs(slow) > LEAST_TURN).all():
+            raise NoSolutionError(f'number {np.argmin(np.abs(slow))} of the particles does not '
+                                  'roll')
+        part = (made / slow[:, None]).real
+        follows = part > 0.5
+        clear = (np.abs(part - follows) < _CLEAR).all(0)
+        same = (follows[:, None] == follows).all(-1) & ~np.eye(len(follows), dtype=bool)
+        if same.any():
+            a, b = np.argwhere(same)[0]
+            raise NoSolutionError(f'numbers {a} and {b} of the particles step out at so much the '
+                                  'same frequency that no field tells them apart')
+        gain = (made * follows).sum(1) / follows.sum(1)
+        self.answer = np.where(clear, np.where(follows, gain[:, None], 0j), made)
+        self._gladly = np.where(clear, 1.0, _UNCLEAR)
 
     def turns(self, displacement: np.ndarray) -> np.ndarray:
         """How many turns of each kind, and which way (M,), displace each by `displacement` (N,)
@@ -69,14 +110,14 @@ class SingleTurns:
 
         By reweighted least squares (Chartrand and Yin, ICASSP 2008, 3869).
         """
-        weight = np.ones(len(self.seconds))
+        weight = self._gladly
         some = 1e-6 * float(np.abs(self.answer).max()) ** 2
-        turns = np.zeros(len(weight), complex)
+        turns = np.zeros(len(self.seconds), complex)
         for _ in range(_ROUNDS):
             back = weight[:, None] * self.answer.conj().T
             turns = back @ np.linalg.solve(
                 self.answer @ back + some * np.eye(len(displacement)), displacement)
-            weight = (np.abs(turns) + 1e-3) / self.seconds
+            weight = self._gladly * (np.abs(turns) + 1e-3) / self.seconds
         return turns
 
     def time(self, displacement: np.ndarray) -> float:
@@ -108,17 +149,7 @@ class SingleTurns:
     def learn(self, leg: Leg, moved: np.ndarray) -> None:
         """After a `leg` all have `moved` (N,) [m]."""
         off = moved / leg.way - self.answer[:, leg.kind]
-        self.answer[:, leg.kind] += FAITH * off
-
-
-def _thresholds(step_out: np.ndarray) -> np.ndarray:
-    """Step-outs (M,) [Hz] from which on rollers follow: below all, and two in each gap."""
-    low, high = step_out[:-1], step_out[1:]
-    apart = high > ALIKE * low
-    low, high = low[apart], high[apart]
-    lowest = step_out[:1] * THRESHOLD * LOCKED
-    return np.concatenate([lowest, low ** (2 / 3) * high ** (1 / 3),
-                           low ** (1 / 3) * high ** (2 / 3)])
+        self.answer[:, leg.kind] += _FAITH * off
 
 
 def _whole(kind: int, u: complex) -> Iterator[Leg]:

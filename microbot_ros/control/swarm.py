@@ -20,26 +20,23 @@ from microbot_ros.control.contract import (
     ControllerInput,
     FieldCommand,
     ModelError,
-    NoSolutionError,
     ParticleLostError,
     Progress,
     Workspace,
     no_field,
 )
 from microbot_ros.control.shared import as_complex
-from microbot_ros.control.steering import Excitation, field_along
-from microbot_ros.control.step_out import ALIKE, Leg, SingleTurns
+from microbot_ros.control.steering import field_along
+from microbot_ros.control.step_out import Leg, SingleTurns
 from microbot_ros.control.swarm_paths import Room, between, find_ways
 from microbot_ros.settings import setting
 
-LONGEST_S, SHORTEST_S = 8.0, 0.5
+LONGEST_S, SHORTEST_S = 6.0, 0.5
 """Of the ways that are done between two looks at where all have come to, in time of legs."""
-TIGHT = 0.4
+TIGHT = 0.6
 """How much of the margins is kept on the detours of legs."""
 AGAIN = 1.5
 """Times the distance of arrival from which on one that had arrived is brought back."""
-SETTLE_TICKS = 2
-"""After a leg, until those that lag have fallen back or come up."""
 STANDING_HZ = 1e-3
 """At which the field stands, for what goes round keeps its direction while it turns."""
 
@@ -50,10 +47,11 @@ class SwarmParameters:
 
     field_mT: float = setting(
         5.0, 'Strength of the field, at which the step-outs are meant.', lower=0.01, upper=100.0)
-    step_outs_hz: list[float] = setting(
-        [0.0], 'Frequency up to which particles 0, 1, 2, … follow the field.',
-        lower=0.0, upper=1000.0)
-    fastest_hz: float = setting(40.0, 'Highest frequency used.', lower=0.01, upper=1000.0)
+    slowest_hz: float = setting(
+        4.5, 'All particles follow the field up to this frequency.', lower=0.01, upper=1000.0)
+    fastest_hz: float = setting(
+        40.0, 'Highest frequency used, beyond which hardly any follows.', lower=0.01,
+        upper=1000.0)
     radius_um: float = setting(2.3, 'Radius of the particles.', lower=0.1, upper=100.0)
     walls_um: list[float] = setting(
         [0.0, 0.0, 0.0, 0.0], 'x, y of one end and x, y of the other of each straight wall, one '
@@ -62,23 +60,19 @@ class SwarmParameters:
         12.0, 'Room that plans leave between two particles, from surface to surface.',
         lower=0.0, upper=1000.0)
     off_walls_um: float = setting(
-        6.5, 'Room that plans leave between a particle and a wall or the edge of the view.',
+        7.0, 'Room that plans leave between a particle and a wall or the edge of the view.',
         lower=0.0, upper=1000.0)
     arrival_um: float = setting(
         3.0, 'A goal counts as reached from this close.', lower=0.05, upper=1000.0)
-    learn_phi_std_rad: float = setting(
-        0.1, 'It plans once φ of all is known this well.', lower=0.01, upper=1.5)
-    learn_leg_s: float = setting(
-        1.0, 'Until then: time on each side of a triangle.', lower=0.1, upper=60.0)
 
 
 class Swarm(Controller):
     """Each roller to its own goal, past the others and the walls, at rest in the end.
 
-    First it finds ways for all (`swarm_paths`), some of it at each tick. Then it does a part of
-    them at a time: single turns of the field, which some follow and some do not (`step_out`), add
-    up to what each is to be displaced by, and are ordered such that nobody goes far from its way.
-    What each made of a turn is learned. Those without a goal stay where they are.
+    First it surveys which single turns of the field each of them follows (`step_out`), which says
+    all it needs to know of them. Then it finds ways for all (`swarm_paths`), some of it at each
+    tick, and does a part of them at a time: turns that add up to what each is to be displaced by,
+    ordered such that nobody goes far from its way. Those without a goal stay where they are.
     """
 
     interface_version = 1
@@ -92,13 +86,13 @@ class Swarm(Controller):
     def reset(self) -> None:
         """Forget goals, ways, and what they were planned with."""
         self._assignment = Assignment()
-        self._excitation = Excitation()
         self._forget()
 
     def _forget(self) -> None:
         self._ids = NO_IDS
         self._search: Generator[None, None, np.ndarray] | None = None
         self._turns: SingleTurns | None = None
+        self._surveyed: list[np.ndarray] = []
         self._ways: _Ways | None = None
         self._legs: deque[Leg] = deque()
         self._leg: tuple[Leg, np.ndarray] | None = None
@@ -119,7 +113,6 @@ class Swarm(Controller):
         """ModelError for `inputs` without a model of particles that roll."""
         if inputs.model is None or inputs.model.propulsion != 'rolling':
             raise ModelError('drives rollers: set model_file to one that says propulsion: rolling')
-        self._excitation.stop()
         self._forget()
 
     def compute(self, inputs: ControllerInput) -> FieldCommand:
@@ -135,49 +128,75 @@ class Swarm(Controller):
             raise
 
     def _drive(self, inputs: ControllerInput) -> FieldCommand:
-        p = self.parameters
         if self._turns is None:
-            known = inputs.learned(p.learn_phi_std_rad) & (inputs.speed > 0)
-            if not known.all():
-                slowest = float(self._step_outs(inputs).min()) / 2
-                return self._excitation.command(
-                    inputs, p.learn_leg_s, units.to_si('field_mT', p.field_mT), particles=None,
-                    frequency=min(slowest, inputs.limits.frequency))
             self._begin(inputs)
-        if self._ways is None and not self._planned():
-            return no_field('looks for ways')
-        return self._follow(inputs)
+        here = self._look(inputs)
+        if not self._orders:
+            self._note_leg(here)
+        if self._ways is None:
+            self._prepare(inputs, here)
+        elif not self._orders:
+            self._next(inputs, here, self._ways)
+        # None is given over to be kept in view: that takes a frequency for the speed, and would
+        # turn the field for one that has stepped out. The ways and the legs stay in view.
+        field, frequency = self._orders.popleft() if self._orders else (np.zeros(2), 0.0)
+        return FieldCommand(field, frequency, self._progress(here), NO_IDS)
 
-    def _step_outs(self, inputs: ControllerInput) -> np.ndarray:
-        """Of all in `inputs` (N,) [Hz]; ModelError where one's is not known."""
-        told = np.array(self.parameters.step_outs_hz)
-        known = (inputs.ids >= 0) & (inputs.ids < len(told))
-        step_outs = np.where(known, told[np.where(known, inputs.ids, 0)], 0.0)
-        if not (step_outs > 0).all():
-            raise ModelError('step_outs_hz does not say at which frequency particle '
-                             f'{inputs.ids[np.argmin(step_outs > 0)]} steps out')
-        return step_outs
+    def _progress(self, here: np.ndarray) -> Progress:
+        if self._search is None:
+            return Progress(f'sees which turns {len(here)} rollers follow')
+        if self._ways is None:
+            return Progress('looks for ways')
+        far = float(np.abs(here - self._ways.end).max())
+        return Progress(f'{len(here)} rollers, {self._ways.left:.0f} s of legs before them, the '
+                        f'last {far * 1e6:.1f} µm from its goal', self._arrived, far)
 
     def _begin(self, inputs: ControllerInput) -> None:
-        """Start to look for ways, with what is known now: those who slip teach nothing."""
+        """Get ready for a survey of those who are seen."""
         p = self.parameters
-        step_outs = self._step_outs(inputs)
-        order = np.argsort(step_outs)
-        alike = np.flatnonzero(np.diff(np.log(step_outs[order])) <= math.log(ALIKE))
-        if alike.size:
-            a, b = inputs.ids[order[alike[0]:alike[0] + 2]]
-            raise NoSolutionError(f'particles {a} and {b} step out at so much the same frequency '
-                                  'that no field tells them apart')
         tick = inputs.dt if inputs.dt > 0 else 1 / 60
-        self._pause = math.ceil(inputs.delay / tick) + SETTLE_TICKS
-        turns = SingleTurns(inputs.speed * np.exp(1j * inputs.phi), step_outs,
-                            min(p.fastest_hz, inputs.limits.frequency), tick, self._pause)
-        start = as_complex(inputs.position)
-        goal = start.copy()
+        fastest = min(p.fastest_hz, inputs.limits.frequency)
+        self._turns = SingleTurns(min(p.slowest_hz, fastest), fastest, tick,
+                                  math.ceil(inputs.delay / tick))
+        self._ids = np.sort(inputs.ids)
+        self._legs.extend(self._turns.survey())
+
+    def _prepare(self, inputs: ControllerInput, here: np.ndarray) -> None:
+        """Go on with the survey, or after it with looking for ways from `here` (N,) [m]."""
+        assert self._turns is not None
+        if self._orders:
+            return
+        if self._legs:
+            self._order_next(inputs, here)
+        elif self._search is None:
+            self._turns.see(np.array(self._surveyed))
+            self._stop()
+            self._search = find_ways(here, self._goals(inputs, here),
+                                     self._room(inputs.workspace, 1.0))
+        else:
+            try:
+                next(self._search)
+            except StopIteration as found:
+                self._ways = _Ways(found.value, self._turns)
+
+    def _goals(self, inputs: ControllerInput, here: np.ndarray) -> np.ndarray:
+        """Where each is to go (N,) [m]; those without a goal stay `here` (N,)."""
+        goal = here.copy()
         rows, goals = self._assignment.pairs(inputs)
-        goal[rows] = as_complex(goals)
-        self._ids, self._turns = inputs.ids.copy(), turns
-        self._search = find_ways(start, goal, self._room(inputs.workspace, 1.0))
+        goal[np.searchsorted(self._ids, inputs.ids[rows])] = as_complex(goals)
+        return goal
+
+    def _note_leg(self, here: np.ndarray) -> None:
+        """What the leg that has ended `here` (N,) [m] did."""
+        if self._leg is None:
+            return
+        assert self._turns is not None
+        leg, began = self._leg
+        if self._ways is None:
+            self._surveyed.append(here - began)
+        else:
+            self._turns.learn(leg, here - began)
+        self._leg = None
 
     def _room(self, view: Workspace, share: float) -> Room:
         """What they keep from each other and from walls, with a `share` of the margins."""
@@ -189,60 +208,38 @@ class Swarm(Controller):
         return Room(view, walls[walls[:, 0] != walls[:, 1]], 2 * radius + share * apart,
                     radius + share * off)
 
-    def _planned(self) -> bool:
-        """Go on looking for ways; whether they are found."""
-        assert self._search is not None
-        assert self._turns is not None
-        try:
-            next(self._search)
-        except StopIteration as found:
-            self._ways = _Ways(found.value, self._turns)
-        return self._ways is not None
-
-    def _follow(self, inputs: ControllerInput) -> FieldCommand:
-        """The next tick of the present leg, or of one to come."""
-        here, ways = self._look(inputs), self._ways
-        assert ways is not None
-        far = float(np.abs(here - ways.end).max())
-        if not self._orders:
-            self._next(inputs, here, ways, far)
-        progress = Progress(f'{len(here)} rollers, {ways.left:.0f} s of legs before them, the '
-                            f'last {far * 1e6:.1f} µm from its goal', self._arrived, far)
-        # None is given over to be kept in view: that takes a frequency for the speed, and would
-        # turn the field for one that has stepped out. The ways and the legs stay in view.
-        field, frequency = self._orders.popleft() if self._orders else (np.zeros(2), 0.0)
-        return FieldCommand(field, frequency, progress, NO_IDS)
-
     def _stop(self) -> None:
         """No field flows."""
         self._legs.clear()
         self._orders.clear()
         self._leg, self._upright = None, False
 
-    def _next(self, inputs: ControllerInput, here: np.ndarray, ways: _Ways, far: float) -> None:
-        """Order the next leg, if any, from where all are at rest, the last `far` [m] from its
-        goal.
-        """
-        assert self._turns is not None
-        if self._leg:
-            self._turns.learn(self._leg[0], here - self._leg[1])
-            self._leg = None
+    def _next(self, inputs: ControllerInput, here: np.ndarray, ways: _Ways) -> None:
+        """Order the next leg on the `ways`, if any is left to do, from `here` (N,) [m]."""
         if not self._legs:
             arrival = units.to_si('arrival_um', self.parameters.arrival_um)
+            far = float(np.abs(here - ways.end).max())
             self._arrived = ways.through and far <= arrival * (AGAIN if self._arrived else 1.0)
             if self._arrived:
                 return self._stop()
             if self._upright:
                 self._plan_legs(inputs, here, ways)
-        if not self._upright:
-            # What goes round begins along the way, in the plane. Upright it lies across every
-            # axis, so that no change of way moves anybody: all begin and end there.
-            self._order(inputs, Leg(0, 1 + 0j), 0.25)
-            self._upright = True
-        elif self._legs:
+        if self._legs or not self._upright:
+            self._order_next(inputs, here)
+        return None
+
+    def _order_next(self, inputs: ControllerInput, here: np.ndarray) -> None:
+        """A leg from `here` (N,) [m], or before the first the field upright.
+
+        What goes round begins along the way, in the plane. Upright it lies across every axis, so
+        that no change of way moves anybody: all legs begin and end there.
+        """
+        if self._upright:
             self._leg = self._legs.popleft(), here
             self._order(inputs, self._leg[0], 1.0)
-        return None
+        else:
+            self._order(inputs, Leg(0, 1 + 0j), 0.25)
+            self._upright = True
 
     def _order(self, inputs: ControllerInput, leg: Leg, part: float) -> None:
         """Field [T] and frequency [Hz] of the ticks of `part` of a leg, and of the rest after."""
@@ -252,7 +249,7 @@ class Swarm(Controller):
             inputs, cmath.phase(leg.way), float(self._turns.share[leg.kind]) * strength)
         turning = float(self._turns.frequency[leg.kind])
         self._orders.extend([(field, part * turning)] * int(self._turns.ticks[leg.kind]))
-        self._orders.extend([(field, STANDING_HZ)] * self._pause)
+        self._orders.extend([(field, STANDING_HZ)] * int(self._turns.rest[leg.kind]))
 
     def _look(self, inputs: ControllerInput) -> np.ndarray:
         """Where all are (N,) [m]; ParticleLostError where one is not seen."""

@@ -24,6 +24,7 @@ from microbot_ros.control.contract import (
     Workspace,
 )
 from microbot_ros.control.controller_manager import ControllerManager, Outcome
+from microbot_ros.control.deadline_worker import UnhurriedWorker
 from microbot_ros.drive.rotation import Rotation, Turning
 from microbot_ros.model.model import Model
 from microbot_ros.model.particle import Fluid, rotational_drag
@@ -100,7 +101,8 @@ class RollingLoop:
         It is called with the time [s] and what came of each frame. `what` is told beside the
         particles: goals, a path.
         """
-        manager = ControllerManager({'it': controller}, 'it', deadline=10.0)
+        manager = ControllerManager(
+            {'it': controller}, 'it', deadline=10.0, worker=UnhurriedWorker)
         begun = self._t
         for k in range(round(seconds / self.period)):
             t = begun + k * self.period
