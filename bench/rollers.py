@@ -1,5 +1,5 @@
 """Many rollers to many goals, and a bead that one of them pushes, in physics that is finer than
-what the controllers know: moments that slip, the water that rollers stir, Brownian motion, contact.
+what controllers know of: moments that slip, water that rollers stir, Brownian motion, contact.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ import numpy as np
 
 from microbot_ros.control.contract import NoSolutionError
 
-THRESHOLD = 0.6757
+THRESHOLD = 0.67645
 """f_c/f of a roller that lags by half a turn after one: (π + 2 arcsin r)/√(1 − r²) = 2π."""
 STEP = 1.03
 """Ratio of the step-outs from which on rollers follow neighbouring kinds of turns."""

@@ -59,10 +59,9 @@ class Rolling:
         rows = self._rows
         assert rows.frequency is not None
         first = max(int(np.searchsorted(rows.t, since, side='right')) - 1, 0)
-        self._rows = FieldHistory(rows.t[first:], rows.field[first:], rows.frequency[first:])
-        if len(self._mobility) > 1:
-            return self._rows
-        return FieldHistory(self._rows.t, self._rows.field, self._rows.frequency[:, 0])
+        t, field, frequency = rows.t[first:], rows.field[first:], rows.frequency[first:]
+        self._rows = FieldHistory(t, field, frequency)
+        return FieldHistory(t, field, frequency if len(self._mobility) > 1 else frequency[:, 0])
 
 
 @numba.njit(cache=True)
