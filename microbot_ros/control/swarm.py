@@ -20,6 +20,7 @@ from microbot_ros.control.contract import (
     ControllerInput,
     FieldCommand,
     ModelError,
+    NoSolutionError,
     ParticleLostError,
     Progress,
     Workspace,
@@ -37,6 +38,8 @@ TIGHT = 0.6
 """How much of the margins is kept on the detours of legs."""
 AGAIN = 1.5
 """Times the distance of arrival from which on one that had arrived is brought back."""
+FRAMES = 9
+"""So many say how often frames come."""
 STANDING_HZ = 1e-3
 """At which the field stands, for what goes round keeps its direction while it turns."""
 
@@ -90,14 +93,20 @@ class Swarm(Controller):
 
     def _forget(self) -> None:
         self._ids = NO_IDS
-        self._search: Generator[None, None, np.ndarray] | None = None
+        self._frames: list[float] = []
         self._turns: SingleTurns | None = None
         self._surveyed: list[np.ndarray] = []
-        self._ways: _Ways | None = None
         self._legs: deque[Leg] = deque()
         self._leg: tuple[Leg, np.ndarray] | None = None
         self._orders: deque[tuple[np.ndarray, float]] = deque()
         self._upright = False
+        self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        """Forget the ways, and not what was surveyed."""
+        self._search: Generator[None, None, _Ways] | None = None
+        self._ways: _Ways | None = None
+        self._refused: ControllerError | None = None
         self._reach = SHORTEST_S
         self._arrived = False
 
@@ -118,25 +127,31 @@ class Swarm(Controller):
     def compute(self, inputs: ControllerInput) -> FieldCommand:
         """For `inputs` the present leg; while it plans no field."""
         if self._assignment.update(inputs):
-            self._forget()
+            if self._search is not None:
+                self._stop()
+            self._begin_anew()
         if not len(self._assignment.pairs(inputs)[0]):
+            self._stop()
             return no_field('waits for goals')
         try:
             return self._drive(inputs)
-        except ControllerError:
+        except ParticleLostError:
+            if self._search is None:
+                self._forget()
             self._stop()
             raise
 
     def _drive(self, inputs: ControllerInput) -> FieldCommand:
-        if self._turns is None:
-            self._begin(inputs)
+        if self._turns is None and not self._ready(inputs):
+            return no_field('sees how often frames come')
         here = self._look(inputs)
         if not self._orders:
             self._note_leg(here)
-        if self._ways is None:
-            self._prepare(inputs, here)
-        elif not self._orders:
-            self._next(inputs, here, self._ways)
+            if self._ways is None:
+                self._prepare(inputs, here)
+            else:
+                self._next(inputs, here, self._ways)
+            self._upright = bool(self._orders)
         # None is given over to be kept in view: that takes a frequency for the speed, and would
         # turn the field for one that has stepped out. The ways and the legs stay in view.
         field, frequency = self._orders.popleft() if self._orders else (np.zeros(2), 0.0)
@@ -151,39 +166,56 @@ class Swarm(Controller):
         return Progress(f'{len(here)} rollers, {self._ways.left:.0f} s of legs before them, the '
                         f'last {far * 1e6:.1f} µm from its goal', self._arrived, far)
 
-    def _begin(self, inputs: ControllerInput) -> None:
-        """Get ready for a survey of those who are seen."""
-        p = self.parameters
-        tick = inputs.dt if inputs.dt > 0 else 1 / 60
+    def _ready(self, inputs: ControllerInput) -> bool:
+        """Whether it is known how often frames come; then it is ready to survey who is seen."""
+        if inputs.dt > 0:
+            self._frames.append(inputs.dt)
+        if len(self._frames) < FRAMES:
+            return False
+        p, tick = self.parameters, float(np.median(self._frames))
         fastest = min(p.fastest_hz, inputs.limits.frequency)
         self._turns = SingleTurns(min(p.slowest_hz, fastest), fastest, tick,
                                   math.ceil(inputs.delay / tick))
         self._ids = np.sort(inputs.ids)
         self._legs.extend(self._turns.survey())
+        return True
 
     def _prepare(self, inputs: ControllerInput, here: np.ndarray) -> None:
         """Go on with the survey, or after it with looking for ways from `here` (N,) [m]."""
-        assert self._turns is not None
-        if self._orders:
-            return
         if self._legs:
-            self._order_next(inputs, here)
-        elif self._search is None:
-            self._turns.see(np.array(self._surveyed))
-            self._stop()
-            self._search = find_ways(here, self._goals(inputs, here),
-                                     self._room(inputs.workspace, 1.0))
-        else:
-            try:
-                next(self._search)
-            except StopIteration as found:
-                self._ways = _Ways(found.value, self._turns)
+            return self._order_next(inputs, here)
+        if self._refused is not None:
+            raise self._refused
+        try:
+            if self._search is None:
+                self._search = self._find_ways(inputs, here)
+            next(self._search)
+        except StopIteration as found:
+            self._ways = found.value
+        except NoSolutionError as error:
+            self._refused = error
+            raise
+        return None
+
+    def _find_ways(self, inputs: ControllerInput, here: np.ndarray,
+                   ) -> Generator[None, None, _Ways]:
+        """From `here` (N,) [m] to the goals, by what the survey told."""
+        assert self._turns is not None
+        self._turns.see(np.array(self._surveyed))
+        ways = yield from find_ways(here, self._goals(inputs, here),
+                                    self._room(inputs.workspace, 1.0))
+        took = []
+        for step in np.diff(ways, axis=0):
+            took.append(self._turns.time(step))
+            yield
+        return _Ways(ways, np.array(took))
 
     def _goals(self, inputs: ControllerInput, here: np.ndarray) -> np.ndarray:
         """Where each is to go (N,) [m]; those without a goal stay `here` (N,)."""
         goal = here.copy()
         rows, goals = self._assignment.pairs(inputs)
-        goal[np.searchsorted(self._ids, inputs.ids[rows])] = as_complex(goals)
+        _, mine, given = np.intersect1d(self._ids, inputs.ids[rows], return_indices=True)
+        goal[mine] = as_complex(goals[given])
         return goal
 
     def _note_leg(self, here: np.ndarray) -> None:
@@ -239,7 +271,6 @@ class Swarm(Controller):
             self._order(inputs, self._leg[0], 1.0)
         else:
             self._order(inputs, Leg(0, 1 + 0j), 0.25)
-            self._upright = True
 
     def _order(self, inputs: ControllerInput, leg: Leg, part: float) -> None:
         """Field [T] and frequency [Hz] of the ticks of `part` of a leg, and of the rest after."""
@@ -280,8 +311,7 @@ class Swarm(Controller):
 class _Ways:
     """How far all have come on their ways, in seconds of legs."""
 
-    def __init__(self, ways: np.ndarray, turns: SingleTurns) -> None:
-        took = [turns.time(step) for step in np.diff(ways, axis=0)]
+    def __init__(self, ways: np.ndarray, took: np.ndarray) -> None:
         self._ways, self._times = ways, np.concatenate([[0.0], np.cumsum(took)])
         self._at = 0.0
 

@@ -74,9 +74,9 @@ class RollingLoop:
     """A `world` of `rollers`, a camera, and a controller that has been `told` of them.
 
     They begin at `position` (N, 2) [m], between `walls` (W, 4) [m] as a `World` has them; `seed`
-    decides all chance. The controller sees every `period` [s] where they are, with 50 nm of noise; what it commands
-    acts `delay` [s] later. `told` are the gain [m per turn] and φ [rad] that it is given for
-    each, (N,) and (N,): the truth unless said.
+    decides all chance. The controller sees every `period` [s] where they are, with 50 nm of
+    noise; what it commands acts `delay` [s] later. `told` are the gain [m per turn] and φ [rad]
+    that it is given for each, (N,) and (N,): the truth unless said.
     """
 
     period = 1 / 60

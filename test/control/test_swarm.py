@@ -118,7 +118,8 @@ def test_it_asks_for_rollers_and_for_all_of_them():
             swarm().activate(controller_input(model=model))
     controller, goals = swarm(), Goals(np.array([[2e-5, 0.0]]))
     controller.activate(rolling())
-    controller.compute(rolling(goals=goals))
+    for k in range(10):
+        controller.compute(rolling(t=k / 60, goals=goals))
     whole = rolling(goals=goals)
     rows = {name: getattr(whole, name)[:2] for name in (
         'ids', 'position', 'sigma', 'theta', 'speed', 'phi', 'speed_std', 'phi_std')}
@@ -129,3 +130,32 @@ def test_it_asks_for_rollers_and_for_all_of_them():
 def test_walls_are_four_numbers_each():
     with pytest.raises(ValueError, match='received 3'):
         swarm(walls_um=[0.0, 1.0, 2.0])
+
+
+def test_whom_it_can_tell_nothing_of_it_refuses_and_stands_still():
+    """All three are displaced by the same, whatever the field: they can't be told apart."""
+    controller, goals = swarm(slowest_hz=20.0, fastest_hz=30.0), Goals(np.array([[2e-5, 0.0]]))
+    controller.activate(rolling())
+    seen, messages = rolling(), set()
+    for k in range(600):
+        shown = dataclasses.replace(seen, t=k / 60, goals=goals)
+        try:
+            command = controller.compute(shown)
+        except NoSolutionError as error:
+            messages.add(str(error))
+            continue
+        assert not messages
+        way = command.field / 5e-3 * (command.frequency > 1) * 3e-6 * command.frequency / 60
+        seen = dataclasses.replace(seen, position=seen.position + way)
+    assert [message.split(' ')[:4] for message in messages] == [['numbers', '0', 'and', '1']]
+
+
+def test_a_particle_that_was_lost_in_the_survey_is_surveyed_again():
+    controller, goals = swarm(slowest_hz=20.0, fastest_hz=30.0), Goals(np.array([[2e-5, 0.0]]))
+    controller.activate(rolling())
+    for k in range(40):
+        controller.compute(rolling(t=k / 60, goals=goals))
+    with pytest.raises(ParticleLostError):
+        controller.compute(rolling(count=2, t=1.0, goals=goals))
+    command = controller.compute(rolling(t=1.1, goals=goals))
+    assert command.progress.message == 'sees how often frames come'
