@@ -13,14 +13,17 @@ training, policies = ['gymnasium'], ['onnx', 'onnxruntime']
 # Cameras beyond V4L2 and files; the emulator of one comes with it, of the other by itself.
 cameras = ['pymmcore>=11.9', 'pypylon>=4.2']
 
+# An archive of recordings on many cores or machines; bokeh is for Dask's dashboard.
+archive = ['bokeh>=3.1', 'dask>=2024.8', 'distributed>=2024.8', 'pyarrow>=14']
+
 # What every test needs; by the name of this extra `colcon test` knows that they are pytest's.
 tests = ['hypothesis', 'psutil', 'pytest', 'pytest-timeout']
 
 development = [
-    *training, *policies, *cameras, *tests, 'mm-test-adapters', 'catkin_pkg',
-    'colcon-common-extensions', 'coverage', 'import-linter', 'magpylib', 'mypy', 'pyoperon>=0.6',
-    'pysindy', 'pytest-xdist', 'ruff', 'StochasticForceInference', 'trackpy', 'types-PyYAML',
-    'types-pyserial',
+    *training, *policies, *cameras, *archive, *tests, 'mm-test-adapters', 'catkin_pkg',
+    'colcon-common-extensions', 'coverage', 'duckdb', 'import-linter', 'magpylib', 'mypy',
+    'polars', 'pyoperon>=0.6', 'pysindy', 'pytest-xdist', 'ruff', 'StochasticForceInference',
+    'trackpy', 'types-PyYAML', 'types-pyserial',
 ]
 
 nodes = [
@@ -46,7 +49,7 @@ setup(
     ],
     extras_require={
         'ros': ros_from_pypi, 'gym': training, 'onnx': policies, 'cameras': cameras,
-        'test': tests, 'dev': development},
+        'dask': archive, 'test': tests, 'dev': development},
     zip_safe=False,
     maintainer='microbot_ros maintainers',
     maintainer_email='maintainers@microbot-ros.example',
@@ -62,6 +65,7 @@ setup(
             'experiment = microbot_ros.control.experiment:Experiment',
             'formation = microbot_ros.control.formation:Formation',
             'hold = microbot_ros.control.hold:Hold',
+            'manual = microbot_ros.control.manual:Manual',
             'open_loop = microbot_ros.control.open_loop:OpenLoop',
             'path_following = microbot_ros.control.path_following:PathFollowing',
             'policy = microbot_ros.control.policy:Policy',
