@@ -13,18 +13,21 @@ training, policies = ['gymnasium'], ['onnx', 'onnxruntime']
 # Cameras beyond V4L2 and files; the emulator of one comes with it, of the other by itself.
 cameras = ['pymmcore>=11.9', 'pypylon>=4.2']
 
+# The server of the operator's page.
+cockpit = ['starlette>=0.40', 'uvicorn>=0.35', 'websockets>=13']
+
 # What every test needs; by the name of this extra `colcon test` knows that they are pytest's.
 tests = ['hypothesis', 'psutil', 'pytest', 'pytest-timeout']
 
 development = [
-    *training, *policies, *cameras, *tests, 'mm-test-adapters', 'catkin_pkg',
+    *training, *policies, *cameras, *cockpit, *tests, 'mm-test-adapters', 'catkin_pkg',
     'colcon-common-extensions', 'coverage', 'import-linter', 'magpylib', 'mypy', 'pyoperon>=0.6',
     'pysindy', 'pytest-xdist', 'ruff', 'StochasticForceInference', 'trackpy', 'types-PyYAML',
     'types-pyserial',
 ]
 
 nodes = [
-    'camera', 'coil_driver', 'controller', 'model', 'player', 'recorder', 'tracker', 'virtual_rig',
+    'camera', 'cockpit', 'coil_driver', 'controller', 'model', 'player', 'recorder', 'tracker', 'virtual_rig',
 ]
 
 setup(
@@ -46,7 +49,7 @@ setup(
     ],
     extras_require={
         'ros': ros_from_pypi, 'gym': training, 'onnx': policies, 'cameras': cameras,
-        'test': tests, 'dev': development},
+        'cockpit': cockpit, 'test': tests, 'dev': development},
     zip_safe=False,
     maintainer='microbot_ros maintainers',
     maintainer_email='maintainers@microbot-ros.example',
