@@ -220,6 +220,7 @@ class Server:
             case _ if verb.needs_control and not controls:
                 page.tell(_answer(verb.id, False, _FOREIGN))
             case verbs.Order() if page.in_work < _MOST_IN_WORK or isinstance(verb, verbs.Stop):
+                page.in_work += 1
                 self._begin(self._perform(page, verb))
             case _:
                 page.tell(_answer(verb.id, False, f'{_MOST_IN_WORK} others are still in work'))
@@ -230,7 +231,6 @@ class Server:
         task.add_done_callback(self._tasks.discard)
 
     async def _perform(self, page: Page, verb: verbs.Order) -> None:
-        page.in_work += 1
         try:
             said = await verb.perform(self._rig, self._discovery)
         except RefusedError as refusal:

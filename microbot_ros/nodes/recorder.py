@@ -70,6 +70,7 @@ class RecorderNode(RigNode):
     def setup(self) -> None:
         typestore()  # takes 0.1 s; frames would wait for it, and some be lost
         self._writer: RecordingWriter | None = None
+        self._subject: dict[str, str] = {}
         self._attachments = {
             Path(name).name: _content(name) for name in self.settings.attachments}
         for topic in self.settings.topics or set(TOPICS) - {_OVERLAY}:
