@@ -28,6 +28,7 @@ class VirtualRig:
     def __init__(self, folder: Path, **more: dict[str, Any]) -> None:
         self.folder = folder
         self.log = folder / 'amplifier.jsonl'
+        self._parameters = folder / 'rig.yaml'
         self.address = ''
         self.graph = Graph(self._said)
         self._more = more
@@ -49,7 +50,7 @@ class VirtualRig:
         print(f'{who}: {line}', file=sys.stderr, flush=True)
 
     def _start(self) -> None:
-        port, parameters = self.folder / 'amplifier', self.folder / 'rig.yaml'
+        port, parameters = self.folder / 'amplifier', self._parameters
         nodes: dict[str, dict[str, Any]] = {
             'virtual_rig': {'amplifier_log': str(self.log)},
             'tracker': {'pixel_size_um': 0.45},
@@ -69,6 +70,14 @@ class VirtualRig:
         for name in NODES:
             self.graph.start_nodes([name], parameters)
         self.graph.wait_ready(120.0)
+        self.until(lambda: self.address)
+
+    def restart_cockpit(self) -> None:
+        """Start a cockpit in place of one that has ended, at another address."""
+        self.graph.stop(['cockpit'])
+        self.address = ''
+        self.graph.start_nodes(['cockpit'], self._parameters)
+        self.graph.wait_ready(60.0)
         self.until(lambda: self.address)
 
     def until(self, true: Callable[[], Any], seconds: float = 20.0) -> None:
