@@ -27,7 +27,8 @@ development = [
 ]
 
 nodes = [
-    'camera', 'cockpit', 'coil_driver', 'controller', 'model', 'player', 'recorder', 'tracker', 'virtual_rig',
+    'camera', 'cockpit', 'coil_driver', 'controller', 'model', 'player', 'recorder', 'tracker',
+    'virtual_rig',
 ]
 
 setup(

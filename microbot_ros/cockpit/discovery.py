@@ -41,10 +41,12 @@ class Discovery:
         """Whether it drives now."""
         return self._process is not None
 
-    def state(self) -> dict[str, Any] | None:
-        """What the page shows of it; None before the first run."""
+    def state(self, elsewhere: dict[str, Any]) -> dict[str, Any] | None:
+        """What the page shows of it; before the first run of the result of a discovery
+        `elsewhere`; None where there is nothing to show."""
         if not self._told:
-            return None
+            return {'running': False, 'sentence': 'found by another discovery beside the rig',
+                    **summary(elsewhere)} if elsewhere else None
         return {'running': self.running, 'sentence': self._told, **summary(self._result)}
 
     async def start(self, minutes: float) -> Answer:

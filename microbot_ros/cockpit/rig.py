@@ -37,7 +37,8 @@ class Rig(Protocol):
         """`width_px`, `height_px`, `pixel_size_um` of the full picture, once they are known."""
 
     def state(self) -> dict[str, Any]:
-        """The parts of the page's state that the rig knows; finite numbers, None for unknown."""
+        """The parts of the page's state that the rig knows; finite numbers, None for unknown. And
+        as `verdict`, where there is one, what a discovery of somebody else's found last."""
 
     async def keep_up(self) -> None:
         """Ask the rig for what it does not tell by itself, for as long as the server runs."""

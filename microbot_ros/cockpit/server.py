@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
 import socket
 import threading
 import time
-from collections.abc import AsyncIterator, Coroutine
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
 from contextlib import asynccontextmanager
 from importlib import resources
 from typing import Any
@@ -37,6 +38,8 @@ _BUFFER = 256 * 1024
 """What may wait in the system for a page that does not read: a frozen one is not to be shown the
 past when it wakes."""
 _FOREIGN = 'another page has control'
+
+_log = logging.getLogger(__name__)
 
 
 class Server:
@@ -105,8 +108,8 @@ class Server:
     async def _lifespan(self, _: Starlette) -> AsyncIterator[None]:
         self._loop = asyncio.get_running_loop()
         self._rig.watch(self._on_picture, self._on_particles)
-        background = [asyncio.create_task(work) for work in (
-            self._tell_state(), self._watch_attendance(), self._rig.keep_up())]
+        background = [asyncio.create_task(_for_ever(work)) for work in (
+            self._tell_state, self._watch_attendance, self._rig.keep_up)]
         yield
         for task in background:
             task.cancel()
@@ -140,8 +143,9 @@ class Server:
                 self._camera = camera
                 for page in self._pages.values():
                     page.tell(self._hello(page))
-            state = {**self._rig.state(), 'attended': self._control.attended,
-                     'discovery': self._discovery.state()}
+            state = self._rig.state()
+            state |= {'attended': self._control.attended,
+                      'discovery': self._discovery.state(state.pop('verdict', {}))}
             parts = {name: json.dumps(part, ensure_ascii=False, allow_nan=False)
                      for name, part in state.items()}
             for page in self._pages.values():
@@ -246,6 +250,16 @@ class Server:
             page.tell(_answer(verb.id, True, said))
         finally:
             page.in_work -= 1
+
+
+async def _for_ever(work: Callable[[], Awaitable[None]]) -> None:
+    """Do some `work`, and again where it has failed."""
+    while True:
+        try:
+            await work()
+        except Exception:
+            _log.exception('in the cockpit')
+            await asyncio.sleep(1.0)
 
 
 def _answer(to: int | None, ok: bool, reason: str = '') -> dict[str, Any]:

@@ -254,10 +254,6 @@ class RigView:
         heard_s, values = self._progress
         return values.get(what, '') if time.monotonic() - heard_s <= _SILENCE_S else ''
 
-    def verdict(self) -> dict[str, Any]:
-        """What discovery said last on its topic, the content of `result.json`."""
-        return self._verdict
-
     def goals(self) -> list[dict[str, Any]]:
         """The goals that the controller has, as far as they were heard."""
         return _by_stamp(self._goals, self.progress('goals_stamp_s'))
@@ -270,7 +266,7 @@ class RigView:
             'latency_ms': self._latency_ms(), 'picture_age_ms': self._picture_age_ms(),
             'recording': self._recording(), 'field': self._field(),
             'estimates': self._estimates(), 'currents_a': self._currents(),
-            'health': self._nodes()}
+            'health': self._nodes(), 'verdict': self._verdict}
 
     def controller(self) -> dict[str, Any] | None:
         """Who drives, and where to; None where nobody says so."""

@@ -42,7 +42,7 @@ async def ended(discovery: Discovery) -> dict[str, Any]:
     async with asyncio.timeout(20.0):
         while discovery.running:
             await asyncio.sleep(0.01)
-    state = discovery.state()
+    state = discovery.state({})
     assert state is not None
     return state
 
@@ -54,7 +54,10 @@ def test_its_end_is_what_result_json_says(stand_in: Any, tmp_path: Path) -> None
 
     async def run() -> dict[str, Any]:
         discovery = Discovery('/rig_2', tmp_path / 'found')
-        assert discovery.state() is None
+        assert discovery.state({}) is None
+        before = discovery.state(RESULT)
+        assert before is not None
+        assert (before['running'], before['effect']) == (False, 'alignment_lag')
         await discovery.start(6.0)
         with pytest.raises(RefusedError, match='already'):
             await discovery.start(6.0)
@@ -103,10 +106,10 @@ while True:
         with pytest.raises(RefusedError, match='not driving'):
             await discovery.stop()
         await discovery.start(1.0)
-        while not (told := str((discovery.state() or {})['sentence'])).isdigit():
+        while not (told := str((discovery.state({}) or {})['sentence'])).isdigit():
             await asyncio.sleep(0.01)
         await discovery.stop()
-        while (discovery.state() or {})['sentence'] != 'told to end':
+        while (discovery.state({}) or {})['sentence'] != 'told to end':
             await asyncio.sleep(0.01)
         await discovery.end()
         return int(told)
