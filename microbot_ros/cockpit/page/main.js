@@ -31,7 +31,7 @@ const link = new Link(`${scheme}://${location.host}/socket`);
 const view = new View(byId('frame'));
 const tracks = new Tracks();
 const overlay = new Overlay(view, tracks);
-const picture = new Picture(link, (stamp) => overlay.show(stamp));
+const picture = new Picture(link, tracks, (stamp) => overlay.show(stamp));
 
 new Drive(link);
 fieldPanel(link);

@@ -1,4 +1,4 @@
-// The newest picture on the canvas. Every picture is answered with `seen`: drawn or passed over.
+// The newest picture on the canvas, as soon as it is known what is in it. Every picture is answered with `seen`: drawn or passed over.
 
 import { byId, setText } from './dom.js';
 
@@ -7,9 +7,8 @@ const HIDDEN_MS = 250;
 
 export class Picture {
   // `drawn(stamp)` is called after each picture, from within an animation frame.
-  constructor(link, drawn) {
-    this.link = link;
-    this.drawn = drawn;
+  constructor(link, tracks, drawn) {
+    Object.assign(this, { link, tracks, drawn });
     this.canvas = byId('picture');
     this.context = this.canvas.getContext('2d', { alpha: false });
     this.stamp = null;
@@ -35,6 +34,7 @@ export class Picture {
       const bitmap = await createImageBitmap(new Blob([jpeg], { type: 'image/jpeg' }))
         .catch(() => null);
       if (bitmap) {
+        await this.tracks.found(stamp);
         await nextFrame();
         this.#draw(bitmap, stamp);
       }

@@ -95,7 +95,8 @@ export class Pointing {
     this.stroke = null;
     if (!stroke.moved) this.#click(...this.#place(event), stroke.stamp);
     else if (this.mode === 'path') {
-      this.points.push(this.view.toPixels(...this.#place(event)));
+      const [x, y] = this.#place(event);
+      if (x !== stroke.x || y !== stroke.y) this.points.push(this.view.toPixels(x, y));
       this.#sendPath();
     }
   }

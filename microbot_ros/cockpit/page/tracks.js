@@ -3,6 +3,9 @@
 const KEPT = 90;
 // Beyond this a position is not carried over to another picture [ns].
 const REACH = 250_000_000n;
+// The tracker may take so long over a picture before that is shown without it [ms].
+const PATIENCE_MS = 60;
+const SILENT_MS = 1000;
 const TRAIL_STEP = 200_000_000n;
 const TRAIL_POINTS = 30;
 
@@ -10,6 +13,18 @@ export class Tracks {
   constructor() {
     this.readings = [];
     this.trails = new Map();
+    this.heard = -Infinity;
+    this.waiting = null;
+  }
+
+  // Resolves once the particles of `stamp` are here, or are not worth waiting for.
+  async found(stamp) {
+    const silent = performance.now() - this.heard > SILENT_MS;
+    if (silent || this.readings.at(-1)?.stamp >= BigInt(stamp)) return;
+    await new Promise((resolve) => {
+      this.waiting = { stamp: BigInt(stamp), resolve };
+      setTimeout(resolve, PATIENCE_MS);
+    });
   }
 
   take({ stamp, particles }) {
@@ -22,6 +37,8 @@ export class Tracks {
     this.readings.push(reading);
     if (this.readings.length > KEPT) this.readings.shift();
     this.#extendTrails(reading);
+    this.heard = performance.now();
+    if (this.waiting?.stamp <= reading.stamp) this.waiting.resolve();
   }
 
   // The particles at `stamp`: as found there, or between the two readings around it.
