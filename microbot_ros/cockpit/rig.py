@@ -50,10 +50,10 @@ class Rig(Protocol):
         """Let currents flow."""
 
     def stick(self, x: float, y: float) -> None:
-        """Say once where the stick is, of 1 along the axes of the workspace."""
+        """Say once where the stick is: `x` and `y` of −1 to 1, along the axes of the workspace."""
 
     async def goal(self, x_um: float, y_um: float, particle: int | None) -> Answer:
-        """Send whatever is steered, or one `particle`, to a place."""
+        """Send whatever is steered, or one `particle`, to a place, `x_um` and `y_um`."""
 
     async def clear_goals(self) -> Answer:
         """No goal and no path any more."""
@@ -65,13 +65,13 @@ class Rig(Protocol):
         """Let the controller of that `name` drive."""
 
     async def set(self, name: str, value: Any) -> Answer:
-        """Change a parameter of the controllers to a `value`."""
+        """Change the parameter of that `name` of the controllers to a `value`."""
 
     async def teach(self, order: str) -> Answer:
         """Show the tracker an example, by an `order` as the service `tracker/teach` takes it."""
 
     async def record(self, on: bool, title: str) -> Answer:
-        """Begin a recording under a `title`, or end it."""
+        """Begin a recording under a `title` if it is to be `on`, or end it."""
 
     async def note(self, text: str) -> Answer:
-        """Add a line to the notes of the recording that runs."""
+        """Add a line of `text` to the notes of the recording that runs."""

@@ -215,7 +215,8 @@ NAMES = ('seen', 'heartbeat', 'stick', 'take_control', 'stop', 'arm', 'disarm', 
 
 
 class VerbError(ValueError):
-    """What a page sent is no verb, for a reason in one sentence; `id` is the verb's, if any."""
+    """What a page sent, a `text`, is no verb, for a `reason` in one sentence; `id` is its own, if
+    any."""
 
     def __init__(self, text: str, reason: str) -> None:
         super().__init__(one_line(reason))

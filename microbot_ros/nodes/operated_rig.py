@@ -141,11 +141,12 @@ class OperatedRig(RigView):
             raise
 
     def stick(self, x: float, y: float) -> None:
-        """Say once where the stick is."""
+        """Say once where the stick is, `x` and `y` of −1 to 1."""
         self._joy.publish(Joy(header=self._header(), axes=[x, y]))
 
     async def goal(self, x_um: float, y_um: float, particle: int | None) -> Answer:
-        """One goal, in place of those there are; or that of one `particle` beside the others'."""
+        """One goal at `x_um`, `y_um`, in place of those there are; or that of one `particle`
+        beside the others'."""
         if particle is None:
             place = np.array([[x_um, y_um]]) * 1e-6
             return await self._hand_over(
@@ -168,17 +169,17 @@ class OperatedRig(RigView):
             self._goals_out, messages.poses(none, np.empty(0), self._now()), 'goals')
 
     async def path(self, points_um: list[tuple[float, float]]) -> Answer:
-        """A path to follow."""
+        """A path to follow, through `points_um`."""
         return await self._hand_over(
             self._path_out, self._path(1e-6 * np.array(points_um)), 'path')
 
     async def switch_controller(self, name: str) -> Answer:
-        """Let another drive."""
+        """Let the controller of that `name` drive."""
         return _told(await self._ask(
             self._switch, AddDiagnostics.Request(load_namespace=name), _ANSWER_S))
 
     async def set(self, name: str, value: Any) -> Answer:
-        """Change one of the parameters that the page was told of."""
+        """Change the parameter of that `name`, one that the page was told of, to a `value`."""
         if self._described is None:
             raise RefusedError('the parameters of the controller are not known yet')
         try:
@@ -187,12 +188,12 @@ class OperatedRig(RigView):
             raise RefusedError(str(error)) from None
 
     async def teach(self, order: str) -> Answer:
-        """Show the tracker an example."""
+        """Show the tracker an example, by an `order` as its service takes it."""
         return _told(await self._ask(
             self._teach, AddDiagnostics.Request(load_namespace=order), _ANSWER_S))
 
     async def record(self, on: bool, title: str) -> Answer:
-        """Begin a recording, or end it."""
+        """Begin a recording under a `title` if it is to be `on`, or end it."""
         recording = self.state()['recording']
         if on and not (recording and recording['on']):
             await self._change(self._set_recorder, 'title', title)
@@ -200,7 +201,7 @@ class OperatedRig(RigView):
         return _told(await self._ask(self._record, SetBool.Request(data=on), _ARM_S))
 
     async def note(self, text: str) -> Answer:
-        """A line more, with the time of day."""
+        """A line of `text` more, with the time of day."""
         recording = self.state()['recording']
         if not (recording and recording['on']):
             raise RefusedError('nothing is being recorded')
