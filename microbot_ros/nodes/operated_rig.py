@@ -194,16 +194,18 @@ class OperatedRig(RigView):
 
     async def record(self, on: bool, title: str) -> Answer:
         """Begin a recording under a `title` if it is to be `on`, or end it."""
-        recording = self.state()['recording']
-        if on and not (recording and recording['on']):
+        if on and not self._is_recording():
             await self._change(self._set_recorder, 'title', title)
             await self._change(self._set_recorder, 'notes', '')
-        return _told(await self._ask(self._record, SetBool.Request(data=on), _ARM_S))
+        said = _told(await self._ask(self._record, SetBool.Request(data=on), _ARM_S))
+        deadline = time.monotonic() + _TAKE_S  # whoever notes now is to be believed
+        while self._is_recording() != on and time.monotonic() < deadline:
+            await asyncio.sleep(_LOOK_S)
+        return said
 
     async def note(self, text: str) -> Answer:
         """A line of `text` more, with the time of day."""
-        recording = self.state()['recording']
-        if not (recording and recording['on']):
+        if not self._is_recording():
             raise RefusedError('nothing is being recorded')
         async with self._noting:
             answer = await self._ask(
@@ -214,6 +216,10 @@ class OperatedRig(RigView):
                 self._set_recorder, 'notes', '\n'.join(filter(None, [before, line])))
 
     # How ----------------------------------------------------------------------------------
+
+    def _is_recording(self) -> bool:
+        recording = self.recording()
+        return bool(recording and recording['on'])
 
     def _now(self) -> Any:
         return self._node.get_clock().now().to_msg()
@@ -259,7 +265,8 @@ class OperatedRig(RigView):
 
         `at_once` it is asked though nobody may be there, as far as is known.
         """
-        node, _, service = client.srv_name.strip('/').rpartition('/')
+        name = self._node.resolve_service_name(client.srv_name)
+        node, _, service = name.removeprefix('/').rpartition('/')
         if not at_once and not client.service_is_ready():
             raise RefusedError(f'{node} has no service {service}: is it running?')
         loop = asyncio.get_running_loop()

@@ -130,6 +130,7 @@ class RecorderNode(RigNode):
         else:
             self.stop()
             response.message = f'recorded {self._folder}'
+        self._report()
         return response
 
     def _begin(self) -> None:

@@ -264,7 +264,7 @@ class RigView:
         return {
             'rig': rig, 'sentence': sentence, 'link': {'age_ms': _finite(1e3 * age)},
             'latency_ms': self._latency_ms(), 'picture_age_ms': self._picture_age_ms(),
-            'recording': self._recording(), 'field': self._field(),
+            'recording': self.recording(), 'field': self._field(),
             'estimates': self._estimates(), 'currents_a': self._currents(),
             'health': self._nodes(), 'verdict': self._verdict}
 
@@ -312,7 +312,9 @@ class RigView:
             return None
         return _finite(1e3 * (self._node.seconds() - 1e-9 * self._picture_stamp))
 
-    def _recording(self) -> dict[str, Any] | None:
+    def recording(self) -> dict[str, Any] | None:
+        """Whether it records, for how long [s], of what, and what was lost; None without a
+        recorder."""
         told_s, _, values = self._health.get('recorder', (-math.inf, None, {}))
         if not time.monotonic() - told_s <= _SILENCE_S:
             return None
