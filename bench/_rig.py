@@ -46,23 +46,24 @@ def answers(film: list[np.ndarray], rate_hz: float, frames: int, *, joined: bool
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         with (Emulator(folder, 'serial_transfer') as board,
-              running(folder, film, board, rate_hz, joined, recorder),
+              running(folder, film, board, rate_hz, joined, **(
+                  {'recorder': {'folder': str(folder / 'recording')}} if recorder else {})),
               GraphClient('bench') as client):
             return _heard(client, frames / rate_hz, viewer)
 
 
 @contextmanager
 def running(folder: Path, film: list[np.ndarray], board: Emulator, rate_hz: float, joined: bool,
-            recorder: bool) -> Iterator[None]:
-    """The nodes of a rig whose camera plays a `film`, and whose coils turn; the files are in
-    `folder`."""
+            **more: dict[str, Any]) -> Iterator[None]:
+    """The nodes of a rig whose camera plays a `film`, and whose coils turn, and `more`, with their
+    parameters; the files are in `folder`."""
     for number, picture in enumerate(film):
         cv2.imwrite(str(folder / f'{number:04d}.bmp'), picture)
     nodes: dict[str, dict[str, Any]] = {
         'camera': {'source': str(folder / '*.bmp'), 'frame_rate_hz': rate_hz, 'loop': True},
         'tracker': {'pixel_size_um': 0.45}, 'model': {}, 'controller': _TURNING,
         'coil_driver': {'port': str(board.url), 'full_scale_A': FULL_SCALE_A},
-        **({'recorder': {'folder': str(folder / 'recording')}} if recorder else {})}
+        **more}
     parameters = folder / 'parameters.yaml'
     parameters.write_text(yaml.safe_dump(
         {node: {'ros__parameters': values} for node, values in nodes.items()}))

@@ -6,7 +6,7 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -41,7 +41,8 @@ def figures() -> list[Figure]:
     with tempfile.TemporaryDirectory(prefix='bench-cockpit-') as name:
         folder = Path(name)
         with (Emulator(folder, 'serial_transfer') as board,
-              _rig.running(folder, _film(), board, _RATE_HZ, joined=True, recorder=True),
+              _rig.running(folder, _film(), board, _RATE_HZ, joined=True,
+                           recorder={'recording': False}),
               GraphClient('bench') as client, _browser.browser() as browser):
             bench = _Bench(folder, client, browser)
             return [*bench.loop(), bench.recorded(), *bench.shown(), bench.slowed(),
@@ -63,7 +64,6 @@ class _Bench:
     def __init__(self, folder: Path, client: GraphClient, browser: Any) -> None:
         self._folder, self._client, self._browser = folder, client, browser
         self._answers = _rig.listen(client)
-        self._end_recording()
 
     @contextmanager
     def _cockpit(self) -> Iterator[tuple[str, psutil.Process]]:
@@ -179,10 +179,9 @@ class _Bench:
 
     def _share(self, process: psutil.Process, pages: list[ClientConnection]) -> float:
         """Of a core, while each of the `pages` sees all that comes."""
-        end = time.monotonic() + _SETTLED_S
-        _look(pages, lambda: time.monotonic() > end)
+        _look(pages, _SETTLED_S)
         before, begin = sum(process.cpu_times()[:2]), time.monotonic()
-        _look(pages, lambda: time.monotonic() > begin + _PHASE_S)
+        _look(pages, _PHASE_S)
         return (sum(process.cpu_times()[:2]) - before) / (time.monotonic() - begin)
 
     def stopped(self, board: Emulator) -> Figure:
@@ -200,6 +199,7 @@ class _Bench:
                     stop()
                     took[way].append(board.zero_after(moment, _PATIENCE_S) - moment)
                     self._client.spin(0.1)
+                    _look([page], 0.1)  # one that reads nothing would be let go
         ours, theirs = float(np.median(took['page'])), float(np.median(took['service']))
         return _figure('STOP to zero over a direct call of the service', ours / theirs, 2.0,
                        f'the service: {1e3 * theirs:.1f} ms, median of {_STOPS}')
@@ -223,9 +223,10 @@ def _socket(address: str) -> Iterator[ClientConnection]:
         yield made
 
 
-def _look(pages: list[ClientConnection], over: Callable[[], bool]) -> None:
-    """Say `seen` to every picture."""
-    while not over():
+def _look(pages: list[ClientConnection], seconds: float) -> None:
+    """Say `seen` to every picture, for so long."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
         for page in pages:
             try:
                 data = page.recv(timeout=0.005)
