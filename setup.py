@@ -66,6 +66,7 @@ setup(
             'experiment = microbot_ros.control.experiment:Experiment',
             'formation = microbot_ros.control.formation:Formation',
             'hold = microbot_ros.control.hold:Hold',
+            'manual = microbot_ros.control.manual:Manual',
             'open_loop = microbot_ros.control.open_loop:OpenLoop',
             'path_following = microbot_ros.control.path_following:PathFollowing',
             'policy = microbot_ros.control.policy:Policy',
