@@ -9,7 +9,7 @@ import socket
 import threading
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from importlib import resources
 from typing import Any
 
@@ -31,6 +31,7 @@ from microbot_ros.cockpit.security import Gatekeeper
 from microbot_ros.errors import InputError
 
 _STATE_S = 0.1
+_LAST_STOP_S = 0.5
 _MOST_PAGES = 16
 _MOST_IN_WORK = 8
 _LONGEST_MESSAGE = 128 * 1024
@@ -78,6 +79,11 @@ class Server:
         """How many pages there are."""
         return self._control.pages
 
+    @property
+    def serving(self) -> bool:
+        """Whether its thread is there."""
+        return self._thread.is_alive()
+
     def start(self) -> None:
         """Serve, from now on."""
         self._thread.start()
@@ -114,6 +120,9 @@ class Server:
         for task in background:
             task.cancel()
         await asyncio.gather(*background, return_exceptions=True)
+        if self._control.attended:  # nobody will listen for heartbeats any more
+            with suppress(RefusedError, TimeoutError):
+                await asyncio.wait_for(self._rig.stop(), _LAST_STOP_S)
         await self._discovery.end()
 
     def _on_picture(self, stamp: int, jpeg: bytes) -> None:
@@ -146,8 +155,7 @@ class Server:
             state = self._rig.state()
             state |= {'attended': self._control.attended,
                       'discovery': self._discovery.state(state.pop('verdict', {}))}
-            parts = {name: json.dumps(part, ensure_ascii=False, allow_nan=False)
-                     for name, part in state.items()}
+            parts = {name: _json(part) for name, part in state.items()}
             for page in self._pages.values():
                 page.state({**parts, 'control': json.dumps(self._control_of(page))},
                            time.monotonic())
@@ -250,6 +258,14 @@ class Server:
             page.tell(_answer(verb.id, True, said))
         finally:
             page.in_work -= 1
+
+
+def _json(part: Any) -> str:
+    """A part of the state; null where a node has told a number that is none."""
+    try:
+        return json.dumps(part, ensure_ascii=False, allow_nan=False)
+    except ValueError:
+        return 'null'
 
 
 async def _for_ever(work: Callable[[], Awaitable[None]]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic_core import from_json
@@ -210,8 +210,9 @@ AnyVerb = Annotated[
     | SwitchController | Set | Teach | Record | Note | Discover, Field(discriminator='verb')]
 _ADAPTER: TypeAdapter[AnyVerb] = TypeAdapter(AnyVerb)
 
-NAMES = ('seen', 'heartbeat', 'stick', 'take_control', 'stop', 'arm', 'disarm', 'goal',
-         'clear_goals', 'path', 'switch_controller', 'set', 'teach', 'record', 'note', 'discover')
+NAMES = tuple(get_args(kind.model_fields['verb'].annotation)[0]
+              for kind in get_args(get_args(AnyVerb)[0]))
+"""What pages may say, in the words of the protocol."""
 
 
 class VerbError(ValueError):

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from microbot_ros.errors import InputError
-from microbot_ros.nodes.lifecycle import OK, RigNode
+from microbot_ros.nodes.lifecycle import ERROR, OK, RigNode
 from microbot_ros.settings import setting
 
 if TYPE_CHECKING:
@@ -70,4 +70,6 @@ class CockpitNode(RigNode):
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         assert self._server is not None
+        if not self._server.serving:
+            return ERROR, 'the server of the page has ended', {}
         return OK, f'{self._server.pages} pages', {'pages': self._server.pages}

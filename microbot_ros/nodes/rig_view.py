@@ -201,7 +201,8 @@ class RigView:
                            for name, summary in summaries.items()]
 
     def _on_verdict(self, message: String) -> None:
-        self._verdict = json.loads(message.data)
+        found = json.loads(message.data)
+        self._verdict = found if isinstance(found, dict) else {}
 
     def _on_goals(self, message: PoseArray) -> None:
         self._keep_goals(message, [(p.position.x, p.position.y, None) for p in message.poses])
@@ -319,7 +320,8 @@ class RigView:
         if not time.monotonic() - told_s <= _SILENCE_S:
             return None
         return {'on': 'messages' in values, 'seconds': _number(values.get('recording_s', 0.0)),
-                'lost': int(values.get('dropped', 0)), 'title': values.get('title', '')}
+                'lost': int(_number(values.get('dropped', 0)) or 0),
+                'title': values.get('title', '')}
 
     def _field(self) -> dict[str, Any] | None:
         wanted, applied, measured = (

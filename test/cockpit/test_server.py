@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
 import subprocess
@@ -364,9 +365,28 @@ with connect('ws://127.0.0.1:{served.port}/socket', origin='http://127.0.0.1:{se
             child.kill()
 
 
-def test_the_end_of_the_server_asks_the_rig_for_nothing(serve: Any) -> None:
+@pytest.mark.parametrize('attended', [False, True])
+def test_the_end_of_the_server_asks_the_rig_for_nothing_but_what_it_watches_over(
+        serve: Any, attended: bool) -> None:
     served = serve()
     with served.page() as page:
-        assert page.ask('arm', attended=False)['ok']
+        assert page.ask('arm', attended=attended)['ok']
         served.server.stop()
-    assert [name for _, name, _ in served.rig.calls] == ['arm']
+    assert [name for _, name, _ in served.rig.calls] == ['arm', 'stop'][:1 + attended]
+
+
+def test_a_number_that_is_none_leaves_the_rest_of_the_state(served: Any) -> None:
+    with served.page() as page:
+        served.rig.parts |= {'latency_ms': math.nan, 'field': {'wanted_mT': [math.inf, 0.0]}}
+        page.until(lambda message: 'latency_ms' in message)
+        assert (page.known['latency_ms'], page.known['field']) == (None, None)
+        assert page.known['rig'] == 'disarmed'
+
+
+def test_what_fails_in_the_rig_is_tried_again(served: Any) -> None:
+    with served.page() as page:
+        page.becomes('rig', 'disarmed')
+        good, served.rig.parts = served.rig.parts, 7  # no state at all
+        page.drain(0.3)
+        served.rig.parts = {**good, 'rig': 'armed'}
+        page.becomes('rig', 'armed')
