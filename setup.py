@@ -20,10 +20,10 @@ cockpit = ['starlette>=0.40', 'uvicorn>=0.35', 'websockets>=13']
 tests = ['hypothesis', 'psutil', 'pytest', 'pytest-timeout']
 
 development = [
-    *training, *policies, *cameras, *cockpit, *tests, 'mm-test-adapters', 'catkin_pkg',
-    'colcon-common-extensions', 'coverage', 'import-linter', 'magpylib', 'mypy', 'pyoperon>=0.6',
-    'pysindy', 'pytest-xdist', 'ruff', 'StochasticForceInference', 'trackpy', 'types-PyYAML',
-    'types-pyserial',
+    *training, *policies, *cameras, *cockpit, *tests, 'axe-playwright-python', 'mm-test-adapters',
+    'catkin_pkg', 'colcon-common-extensions', 'coverage', 'import-linter', 'magpylib', 'mypy',
+    'playwright>=1.48', 'pyoperon>=0.6', 'pysindy', 'pytest-xdist', 'ruff',
+    'StochasticForceInference', 'trackpy', 'types-PyYAML', 'types-pyserial',
 ]
 
 nodes = [
@@ -35,7 +35,8 @@ setup(
     name=package_name,
     version='0.1.0',
     packages=find_packages(include=[package_name, f'{package_name}.*']),
-    package_data={package_name: ['**/*.html', '**/*.css', '**/*.xml', 'py.typed']},
+    package_data={package_name: [
+        '**/*.html', '**/*.css', '**/*.js', '**/*.LICENSE', '**/*.xml', 'py.typed']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
         (f'share/{package_name}', ['package.xml']),

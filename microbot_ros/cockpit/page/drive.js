@@ -28,7 +28,9 @@ export class Drive {
     setText(byId('stick-hint'), name === 'teleop'
       ? 'Drag, or focus it and hold arrow keys or W A S D. A gamepad’s left stick steers too, its buttons stop. Let go, and the field goes to zero.'
       : 'Only the controller teleop is steered by hand: switch to it first.');
-    keyed(byId('parameters'), parameters ?? [], (one) => `${name} ${one.name} ${one.type}`,
+    const settable = (parameters ?? []).filter((one) => !one.read_only);
+    const fixed = (parameters ?? []).filter((one) => one.read_only);
+    keyed(byId('parameters'), [...settable, ...fixed], (one) => `${name} ${one.name} ${one.type}`,
       (one) => this.#row(one), update);
   }
 
@@ -41,10 +43,11 @@ export class Drive {
     input.setAttribute('aria-describedby', `${id}-about`);
     input.oninput = () => { row.dataset.draft = 'yes'; };
     const row = make('form', { class: 'parameter', novalidate: '' },
-      make('label', { for: id, title: name }, label(parameter)), input,
+      make('label', { for: id, title: name }, label(parameter)),
+      input.type === 'checkbox' ? make('label', { class: 'tick' }, input) : input,
       make('button', { type: 'submit' }, 'Set'),
       make('p', { class: 'hint', id: `${id}-about` }, described(description, parameter)));
-    row.lastChild.previousSibling.disabled = Boolean(read_only);
+    row.querySelector('button').hidden = Boolean(read_only);
     row.onsubmit = async (event) => {
       event.preventDefault();
       const value = valueOf(input, row.parameter);
@@ -60,7 +63,7 @@ export class Drive {
 function label({ name, unit }) {
   const words = name.slice(name.lastIndexOf('.') + 1);
   if (!unit) return words.replaceAll('_', ' ');
-  const spelt = unit.replace('µ', 'u').replace('°', 'deg').replace('²', '2').replace(/[/·\s]+/g, '_');
+  const spelt = unit.replace('µ', 'u').replace('°', 'deg').replace('²', '2').replace(/[/·\s]+/g, '_(per_)?');
   return `${words.replace(new RegExp(`_${spelt}$`, 'i'), '').replaceAll('_', ' ')} [${unit}]`;
 }
 

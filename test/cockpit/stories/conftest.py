@@ -31,14 +31,14 @@ def browser() -> Iterator[Any]:
         chromium.close()
 
 
-@pytest.fixture()
+@pytest.fixture
 def rig() -> Any:
     """What stands in for a rig."""
     from stand_in import StandIn
     return StandIn()
 
 
-@pytest.fixture()
+@pytest.fixture
 def server(rig: Any, tmp_path: Path) -> Iterator[Any]:
     """The cockpit's server before the stand-in."""
     from microbot_ros.cockpit.server import Server
@@ -49,7 +49,7 @@ def server(rig: Any, tmp_path: Path) -> Iterator[Any]:
     server.stop()
 
 
-@pytest.fixture()
+@pytest.fixture
 def open_page(browser: Any, server: Any) -> Iterator[Any]:
     """Opens a page of the cockpit in a window of its own; keywords are those of a browser's
     context. A page that complains on its console fails the test."""
@@ -73,7 +73,7 @@ def open_page(browser: Any, server: Any) -> Iterator[Any]:
     assert not complaints
 
 
-@pytest.fixture()
+@pytest.fixture
 def page(open_page: Any) -> Any:
     """The page, in control."""
     page = open_page()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 import threading
 import time
@@ -36,6 +37,9 @@ def state() -> dict[str, Any]:
                 {'name': 'waypoint.particle', 'type': 'integer', 'value': 1, 'minimum': -1,
                  'maximum': 2**31 - 1, 'unit': '', 'description': 'Which particle goes there.',
                  'read_only': False},
+                {'name': 'slew_mT_per_s', 'type': 'number', 'value': 1000.0, 'minimum': 1.0,
+                 'maximum': 1e6, 'unit': 'mT/s', 'description': 'Fastest change of the field.',
+                 'read_only': True},
                 {'name': 'waypoint.learn', 'type': 'boolean', 'value': True, 'minimum': None,
                  'maximum': None, 'unit': '', 'description': 'Whether drift is made up for.',
                  'read_only': False}]},
@@ -52,7 +56,8 @@ def state() -> dict[str, Any]:
 class StandIn:
     """The rig. `heard` is what it was asked, each with the monotonic time [s]; `refusals` are its
     reasons by verb; `told` is its state, to be changed by a test; `shown` the particles' pixels by
-    the stamp of each picture; `pictures` and `tracker` say what it has; `slow` [s] is how long its particles come after their pictures."""
+    the stamp of each picture; `pictures` and `tracker` say what it has; `slow` [s] is how long
+    its particles come after their pictures."""
 
     def __init__(self) -> None:
         self.heard: list[tuple[float, str, Any]] = []
@@ -114,7 +119,7 @@ class StandIn:
         return self.told
 
     async def keep_up(self) -> None:
-        pass
+        await asyncio.Event().wait()
 
     async def stop(self) -> Answer:
         self._note('stop')

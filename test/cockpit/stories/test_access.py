@@ -33,7 +33,7 @@ _AROUND_STOP = """() => {
 }"""
 
 
-@pytest.fixture()
+@pytest.fixture
 def axe() -> Any:
     """What finds barriers in a page."""
     return pytest.importorskip('axe_playwright_python.sync_playwright').Axe()

@@ -15,7 +15,7 @@ from microbot_ros.cockpit.server import Server
 _LINKED = 'body:not(.lost)'
 
 
-@pytest.fixture()
+@pytest.fixture
 def second_life(rig: Any, server: Any, tmp_path: Path) -> Any:
     """Ends the server as a killed one ends; `second_life()` then begins another where it was."""
     port = urlsplit(server.address).port
@@ -43,7 +43,8 @@ def test_a_lost_node_greys_the_page_and_nothing_is_sent_later(page, rig, server,
     gone = time.monotonic()
     page.wait_for_selector('body.lost')
     assert time.monotonic() - gone < 1
-    for selector in ['#arm', '#disarm', '#stick', '#record', '#note-add', '#discover', '#controller']:
+    for selector in ['#arm', '#disarm', '#stick', '#record', '#note-add', '#discover',
+                     '#controller']:
         assert page.is_disabled(selector), selector
     assert page.inner_text('#rig-chip') == '? unknown'
 
@@ -61,7 +62,7 @@ def test_a_lost_node_greys_the_page_and_nothing_is_sent_later(page, rig, server,
     assert [verb for _, verb, _ in rig.heard[heard:]] == []
 
 
-def test_a_node_that_stands_still_is_a_lost_one(page, rig, server) -> None:
+def test_a_node_that_stands_still_is_a_lost_one(page, server) -> None:
     server._loop.call_soon_threadsafe(time.sleep, 2.0)
     began = time.monotonic()
     page.wait_for_selector('body.lost')
@@ -114,6 +115,10 @@ def test_parameters_are_as_their_descriptors_say(page, rig) -> None:
     assert not rig.asked('set')
     field.press('Enter')
     assert rig.wait_for('set') == ('waypoint.field_mT', 7.5)
+    fixed = page.locator('.parameter:has-text("slew [mT/s]")')
+    assert fixed.locator('input').is_disabled()
+    assert not fixed.locator('button').is_visible()
+    assert 'Fixed at start-up' in page.locator('.parameter').last.inner_text()
     page.get_by_label('learn').uncheck()
     page.locator('.parameter:has-text("learn") button').click()
     assert rig.wait_for('set', 2) == ('waypoint.learn', False)
@@ -128,7 +133,7 @@ def test_a_refused_value_gives_way_to_the_one_in_force(page, rig) -> None:
     page.wait_for_function('(node) => node.value === "5"', arg=field.element_handle())
 
 
-def test_heartbeats_come_while_the_page_is_looked_at(open_page, server) -> None:
+def test_heartbeats_come_while_the_page_is_looked_at(open_page) -> None:
     page = open_page()
     sent = []
     page.on('websocket', lambda socket: socket.on('framesent', sent.append))
@@ -159,7 +164,7 @@ def test_no_request_leaves_the_origin(browser, server) -> None:
     context.close()
 
 
-def test_a_slow_browser_shows_new_pictures_not_old_ones(page, rig) -> None:
+def test_a_slow_browser_shows_new_pictures_not_old_ones(page) -> None:
     """Six times slower than this machine: what is shown is as old after five seconds as before."""
     page.context.new_cdp_session(page).send('Emulation.setCPUThrottlingRate', {'rate': 6})
     age = 'Date.now() - Number(document.querySelector("#picture").dataset.stamp.slice(0, -6))'

@@ -63,7 +63,7 @@ def test_rings_are_where_the_tracker_found_particles_in_the_picture_shown(page, 
     assert len(stamps) == 8
 
 
-def test_the_picture_under_the_rings_is_the_one_of_their_stamp(page, rig) -> None:
+def test_the_picture_under_the_rings_is_the_one_of_their_stamp(page) -> None:
     shown, dark = page.evaluate(
         f'(layer) => {{ const shown = ({_SHOWN})(layer);'
         f' return [shown, shown.places.map(([, x, y]) => ({_DARK})([x, y]))]; }}', 'rings')
@@ -112,7 +112,7 @@ def test_a_goal_for_the_chosen_particle_only(page, rig) -> None:
     rig.wait_for('clear_goals')
 
 
-def test_clicking_a_particle_chooses_it(page, rig) -> None:
+def test_clicking_a_particle_chooses_it(page) -> None:
     for _ in range(5):  # it moves on while the click is on its way
         shown = page.evaluate(_SHOWN, 'rings')
         x, y = next((x, y) for number, x, y in shown['places'] if number == 1)

@@ -30,7 +30,7 @@ _BLUR = """(blurred) => {
 }"""
 
 
-@pytest.fixture()
+@pytest.fixture
 def teleop(rig: Any, open_page: Any) -> Any:
     """A page before a rig that a hand may steer."""
     rig.told['controller']['name'] = 'teleop'
@@ -107,7 +107,7 @@ def test_why_arming_was_refused_is_shown_word_for_word(page, rig) -> None:
     rig.refusals['arm'] = 'coil 2 does not answer: its cable, or its fuse'
     page.hover('#arm')
     page.mouse.down()
-    page.wait_for_selector('#messages li:has-text("coil 2 does not answer: its cable, or its fuse")')
+    page.wait_for_selector(f'#messages li:has-text("{rig.refusals["arm"]}")')
     page.mouse.up()
     assert page.get_attribute('#rig-chip', 'data-state') == 'disarmed'
 
@@ -177,7 +177,7 @@ def test_a_stop_that_is_not_answered_says_so(page, rig) -> None:
     assert 'Switch the amplifier off by hand' in page.inner_text('#messages')
 
 
-def test_control_is_taken_at_once(open_page, rig) -> None:
+def test_control_is_taken_at_once(open_page) -> None:
     first, second = open_page(), open_page()
     second.click('#take-control')
     second.wait_for_selector('#arm:enabled')
