@@ -26,6 +26,7 @@ _DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 _COMMANDS = {
     'demo': 'Close the loop on the virtual rig.',
     'run': 'Run the nodes beside a real rig.',
+    'cockpit': "Open the operator's page of a running rig.",
     'replay': 'Play a recording through its topics.',
     'record': 'Begin and end a recording of a running rig.',
     'arm': 'Arm or disarm the gate of a running rig.',

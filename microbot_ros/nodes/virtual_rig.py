@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import ClassVar, TextIO
 
 import numpy as np
-from sensor_msgs.msg import Image, PointCloud2
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from microbot_ros import units
 from microbot_ros.errors import InputError
@@ -29,6 +29,7 @@ from microbot_ros.model.model_file import read_model
 from microbot_ros.model.particle import Fluid, rolling_drag, rotational_drag
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import IMAGES_OUT, OK, WARN, RigNode
+from microbot_ros.nodes.preview import Preview
 from microbot_ros.records import height_problem
 from microbot_ros.settings import setting
 from microbot_ros.virtual_rig.body import bodies
@@ -87,7 +88,7 @@ class VirtualRigParameters:
 
 
 class VirtualRigNode(RigNode):
-    """Publishes `camera/image_raw` and, for judging the others, `~/truth`."""
+    """Publishes what a camera does, and, for judging the others, `~/truth`."""
 
     Parameters: ClassVar[type] = VirtualRigParameters
 
@@ -106,6 +107,8 @@ class VirtualRigNode(RigNode):
         self._frames = 0
         self._busy = self._longest = 0.0
         self._images = self.publisher(Image, 'camera/image_raw', IMAGES_OUT)
+        self._info = self.publisher(CameraInfo, 'camera/camera_info', IMAGES_OUT)
+        self._preview = Preview(self)
         self._truth = self.publisher(PointCloud2, '~/truth')
         self.every(1 / values.frame_rate_hz, self._expose)
 
@@ -115,6 +118,8 @@ class VirtualRigNode(RigNode):
     def teardown(self) -> None:
         if hasattr(self, '_log'):
             self._log.close()
+        if hasattr(self, '_preview'):
+            self._preview.close()
 
     def veto(self, proposed: VirtualRigParameters) -> str:
         moved = proposed.gains_um_s_hz or proposed.speeds_um_s
@@ -191,8 +196,13 @@ class VirtualRigNode(RigNode):
         stamp = self.get_clock().now().to_msg()
         self._advance(began)
         world = self._world
-        image = self._microscope.render(world.position, world.heading, world.t)
-        self._images.publish(messages.image(image, stamp))
+        image = messages.image(
+            self._microscope.render(world.position, world.heading, world.t), stamp)
+        self._images.publish(image)
+        self._preview.offer(image)
+        if self._info.get_subscription_count():
+            self._info.publish(
+                CameraInfo(header=image.header, height=image.height, width=image.width))
         points = np.zeros(len(self._world.position), messages.TRUTH)
         points['id'] = np.arange(len(points))
         points['x'], points['y'] = self._world.position.T
