@@ -3,7 +3,7 @@
     python test/lowest.py FOLDER
 
 makes an environment in FOLDER, or takes the one that is there, and runs in it the tests of the
-rooms that need no ROS. It ends as pytest does.
+rooms below the nodes, without a ROS graph. It ends as pytest does.
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 ROOMS = ('model', 'magnetics', 'estimation', 'tracking', 'session', 'control', 'drive', 'loop',
          'virtual_rig', 'discovery', 'cameras', 'cli')
-TOOLS = ('pytest', 'pytest-timeout', 'hypothesis', 'psutil')
+# ROS is of one version; what only the tests need may be of any.
+TOOLS = ('ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces', 'pytest', 'pytest-timeout',
+         'hypothesis', 'psutil', 'magpylib')
 
 
 def lowest() -> list[str]:
