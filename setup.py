@@ -22,11 +22,15 @@ cockpit = ['starlette>=0.40', 'uvicorn>=0.35', 'websockets>=13']
 # What every test needs; by the name of this extra `colcon test` knows that they are pytest's.
 tests = ['hypothesis', 'psutil', 'pytest', 'pytest-timeout']
 
+# What `make docs` needs.
+documents = ['furo', 'myst-parser', 'sphinx']
+
 development = [
-    *training, *policies, *cameras, *archive, *cockpit, *tests, 'axe-playwright-python',
-    'mm-test-adapters', 'catkin_pkg', 'colcon-common-extensions', 'coverage', 'duckdb',
-    'import-linter', 'magpylib', 'mypy', 'playwright>=1.48', 'polars', 'pyoperon>=0.6', 'pysindy',
-    'pytest-xdist', 'ruff', 'StochasticForceInference', 'trackpy', 'types-PyYAML',
+    *documents, *training, *policies, *cameras, *archive, *cockpit, *tests,
+    'axe-playwright-python', 'mm-test-adapters', 'catkin_pkg', 'colcon-common-extensions',
+    'coverage', 'duckdb', 'import-linter', 'magpylib', 'mypy', 'playwright>=1.48', 'polars',
+    'pyoperon>=0.6', 'pysindy', 'pytest-xdist', 'ruff', 'StochasticForceInference', 'trackpy',
+    'types-PyYAML',
     'types-pyserial',
 ]
 
@@ -48,14 +52,17 @@ setup(
         (f'share/{package_name}/config', glob('config/*.*')),
     ],
     python_requires='>=3.11',
+    # The oldest that `make lowest` runs the tests of the core with.
     install_requires=[
-        'av', 'click', 'jinja2', 'matplotlib', 'mcap', 'numba', 'numpy', 'opencv-python-headless',
-        'openpyxl', 'osqp', 'pydantic>=2', 'pymodbus', 'pyserial', 'pyyaml', 'rich', 'rosbags',
-        'scipy', 'setuptools', 'zstandard',
+        'av>=12.0', 'click>=8.1', 'jinja2>=3.1', 'matplotlib>=3.8', 'mcap>=1.1', 'numba>=0.59',
+        'numpy>=1.26', 'opencv-python-headless>=4.8', 'openpyxl>=3.1', 'osqp>=1.0',
+        'pydantic>=2.5', 'pymodbus>=3.7', 'pyserial>=3.5', 'pyyaml>=6.0.1', 'rich>=13.0',
+        'rosbags>=0.10', 'scipy>=1.11', 'setuptools>=68', 'zstandard>=0.22',
     ],
     extras_require={
         'ros': ros_from_pypi, 'gym': training, 'onnx': policies, 'cameras': cameras,
-        'cockpit': cockpit, 'dask': archive, 'test': tests, 'dev': development},
+        'cockpit': cockpit, 'dask': archive, 'test': tests, 'docs': documents,
+        'dev': development},
     zip_safe=False,
     maintainer='microbot_ros maintainers',
     maintainer_email='maintainers@microbot-ros.example',
