@@ -35,6 +35,7 @@ _COMMANDS = {
     'track': 'Track the particles of a video or of images.',
     'simulate': 'Simulate particles, camera and hidden effects as a session.',
     'discover': 'Find, name and add the effect that the model is missing.',
+    'batch': 'Track, fit, discover or import all recordings of an archive.',
     'fit': 'Fit v, φ and F of every particle of a session.',
     'paper': "Repeat the paper's experiment beside its own numbers.",
     'import': 'Turn the tables of a laboratory into a session.',

@@ -71,6 +71,12 @@ class VirtualRigParameters:
     phis_rad: list[float] = setting(
         [-1.09, 3.82, 2.64], 'Heading of each particle relative to the field.',
         lower=-7.0, upper=7.0, read_only=True)
+    step_outs_hz: list[float] = setting(
+        [], 'Frequency up to which each rolling particle follows a field of 5 mT; empty: what '
+        'alignment_ms makes of all.', lower=0.0, upper=1000.0, read_only=True)
+    walls_um: list[float] = setting(
+        [], 'x, y of one end and x, y of the other of each straight wall, one after the other.',
+        lower=-10000.0, upper=10000.0, read_only=True)
     alignment_ms: float = setting(
         5.0, 'Time constant with which a field of 5 mT turns the particles.',
         lower=0.1, upper=10000.0, read_only=True)
@@ -119,6 +125,10 @@ class VirtualRigNode(RigNode):
         moved = proposed.gains_um_s_hz or proposed.speeds_um_s
         if len(moved) != len(proposed.phis_rad):
             return 'speeds_um_s, or gains_um_s_hz, and phis_rad must be equally many'
+        if proposed.step_outs_hz and len(proposed.step_outs_hz) != len(proposed.gains_um_s_hz):
+            return 'step_outs_hz must be as many as gains_um_s_hz, or none'
+        if len(proposed.walls_um) % 4:
+            return 'walls_um must be four numbers each'
         return height_problem(proposed.height_um, proposed.radius_um)
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
@@ -152,7 +162,8 @@ class VirtualRigNode(RigNode):
         for effect, parameters in effects.items():
             if effect in INJECTABLE:
                 inject_effect(made, effect, parameters, _REFERENCE_FIELD)
-        world = make_world(made, rng, effects, _REFERENCE_FIELD, model.learned, half)
+        world = make_world(made, rng, effects, _REFERENCE_FIELD, model.learned, half,
+                           1e-6 * np.array(values.walls_um))
         # The first step compiles; it must not happen while frames are due.
         world.advance(1e-3, FieldHistory(np.zeros(1), np.zeros((1, count, 2))))
         return world
@@ -169,7 +180,9 @@ class VirtualRigNode(RigNode):
         return float(drag / (values.alignment_ms * 1e-3 * _REFERENCE_FIELD))
 
     def _make_rolling(self) -> Rolling:
-        """Rollers of the same moment, which turn about an axis along the floor."""
+        """Rollers of the same moment, unless said, which turn about an axis along the floor."""
+        if step_outs := self.settings.step_outs_hz:
+            return Rolling(math.tau * np.array(step_outs) / _REFERENCE_FIELD)
         radius = units.to_si('radius_um', self.settings.radius_um)
         return Rolling(float(self._moment() / rolling_drag(self._fluid(), radius)))
 
