@@ -108,6 +108,8 @@ def _first_minutes(page: Any) -> None:
     page.click('#modes label:has(input[value=goal])')
     page.mouse.click(box['x'] + 0.65 * box['width'], box['y'] + 0.35 * box['height'])
     page.wait_for_timeout(6000)
+    if page.get_attribute('#rig-chip', 'data-state') != 'armed':
+        sys.exit(f'the rig did not stay armed: {page.inner_text("#rig-sentence")}')
 
 
 def _switch(page: Any, name: str) -> None:

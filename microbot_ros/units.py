@@ -42,7 +42,6 @@ _SUFFIXES: dict[str, tuple[float, str]] = {
     '_K': (1.0, 'K'),
     '_s': (1.0, 's'),
     '_ms': (1e-3, 'ms'),
-    '_mT_per_s': (1e-3, 'mT/s'),
     '_hz': (1.0, 'Hz'),
     '_rad': (1.0, 'rad'),
     '_deg': (math.pi / 180, '°'),

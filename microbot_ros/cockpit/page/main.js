@@ -56,8 +56,8 @@ link.on('hello', ({ camera, kinds }) => {
   byId('kinds').replaceChildren(...(kinds ?? []).map((value) => make('option', { value })));
 });
 link.on('particles', (message) => {
-  tracks.take(message);
-  overlay.show(picture.stamp);
+  tracks.take({ ...message, particles: view.place(message.particles) });
+  overlay.show(view.camera ? picture.stamp : message.stamp);
 });
 link.on('state', (state) => overlay.hear(state));
 link.on('lost', () => say('refused', 'The link to the cockpit’s node is lost.'));

@@ -7,6 +7,7 @@ export class View {
     this.width = 640;
     this.height = 480;
     this.matrix = null;
+    this.camera = null;
     this.#fit();
     new ResizeObserver(() => this.#fit()).observe(frame.parentElement);
   }
@@ -14,10 +15,25 @@ export class View {
   // Take over the camera of the node's `hello`; null where it has none yet.
   use(camera) {
     if (!camera) return;
+    this.camera = camera;
     this.width = camera.width_px;
     this.height = camera.height_px;
     this.matrix = camera.to_um ?? upright(camera);
     this.#fit();
+  }
+
+  // Without a camera: an empty ground, doubled until it holds all `particles`, and their places
+  // on it.
+  place(particles) {
+    if (this.camera) return particles;
+    const half = Math.max(this.matrix ? -this.matrix[0][2] : 50,
+      ...particles.map(({ x_um, y_um }) => Math.max(Math.abs(x_um), Math.abs(y_um) * 4 / 3)));
+    const pixel_size_um = 50 * 2 ** Math.ceil(Math.log2(half / 50) - 1e-9) / ((this.width - 1) / 2);
+    this.matrix = upright({ width_px: this.width, height_px: this.height, pixel_size_um });
+    return particles.map((particle) => {
+      const [x_px, y_px] = this.fromMicrometres(particle.x_um, particle.y_um);
+      return { ...particle, x_px, y_px };
+    });
   }
 
   // Camera pixels → points of the page, from the frame's top left corner.

@@ -64,7 +64,7 @@ def open_page(browser: Any, server: Any) -> Iterator[Any]:
                 if said.type == 'error' and 'WebSocket' not in said.text else None)
         page.goto(server.address)
         page.wait_for_selector('body:not(.lost)')
-        page.wait_for_selector('#picture[data-stamp]')
+        page.wait_for_selector('#overlay .rings g', state='attached')
         return page
 
     yield open_one

@@ -56,8 +56,8 @@ def state() -> dict[str, Any]:
 class StandIn:
     """The rig. `heard` is what it was asked, each with the monotonic time [s]; `refusals` are its
     reasons by verb; `told` is its state, to be changed by a test; `shown` the particles' pixels by
-    the stamp of each picture; `pictures` and `tracker` say what it has; `slow` [s] is how long
-    its particles come after their pictures."""
+    the stamp of each picture; `pictures`, `tracker` and `seen_by`, the camera, say what
+    it has; `slow` [s] is how long its particles come after their pictures."""
 
     def __init__(self) -> None:
         self.heard: list[tuple[float, str, Any]] = []
@@ -66,6 +66,8 @@ class StandIn:
         self.shown: dict[int, dict[int, tuple[float, float]]] = {}
         self.slow = 0.02
         self.kinds = ['janus', 'debris']
+        self.seen_by: dict[str, Any] | None = {
+            'width_px': WIDTH, 'height_px': HEIGHT, 'pixel_size_um': PIXEL_UM}
         self.pictures = self.tracker = True
         self._quit = threading.Event()
         self._heard_one = threading.Condition()
@@ -112,8 +114,8 @@ class StandIn:
     def look(self, wanted: bool) -> None:
         pass
 
-    def camera(self) -> dict[str, Any]:
-        return {'width_px': WIDTH, 'height_px': HEIGHT, 'pixel_size_um': PIXEL_UM}
+    def camera(self) -> dict[str, Any] | None:
+        return self.seen_by
 
     def state(self) -> dict[str, Any]:
         return self.told
@@ -177,11 +179,13 @@ class StandIn:
             stamp = time.time_ns()
             places = _places(stamp)
             self.shown[stamp] = places
-            picture(stamp, _jpeg(places))
+            if self.seen_by:
+                picture(stamp, _jpeg(places))
             if self._quit.wait(self.slow) or not self.tracker:
                 continue
             particles({'kind': 'particles', 'stamp': str(stamp), 'particles': [
-                {'id': n, 'kind': 'janus', 'x_px': x, 'y_px': y,
+                {'id': n, 'kind': 'janus', 'x_px': x if self.seen_by else None,
+                 'y_px': y if self.seen_by else None,
                  'x_um': (x - (WIDTH - 1) / 2) * PIXEL_UM,
                  'y_um': ((HEIGHT - 1) / 2 - y) * PIXEL_UM, 'heading_rad': 0.5 * n,
                  'sigma_px': 0.1} for n, (x, y) in places.items()]})

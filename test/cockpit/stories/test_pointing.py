@@ -80,6 +80,25 @@ def test_without_a_tracker_pictures_go_on(page, rig) -> None:
     page.wait_for_selector('#overlay .rings:not(:has(g))', state='attached')
 
 
+def test_without_a_camera_particles_are_shown_on_an_empty_ground(rig, open_page) -> None:
+    rig.seen_by = None
+    page = open_page()
+    page.wait_for_selector('#arm:enabled')
+    # Its half width is the first of 50, 100, 200, … µm that holds them all.
+    place = """() => {
+      const width = document.querySelector('#frame').getBoundingClientRect().width;
+      const { e, f } = document.querySelector('#overlay [data-id="1"]').getCTM();
+      return [document.querySelector('#overlay').dataset.stamp, e / width * 640 - 0.5,
+              f / width * 640 - 0.5];
+    }"""
+    stamp, x, y = page.evaluate(place)
+    x_um, y_um = _um(*rig.shown[int(stamp)][1])
+    scale = 400 / 319.5 if max(abs(_um(*one)[0]) for shown in rig.shown.values()
+                               for one in shown.values()) > 200 else 200 / 319.5
+    assert math.dist((x, y), (319.5 + x_um / scale, 239.5 - y_um / scale)) < 1
+    assert page.inner_text('#curtain') == 'No picture yet.'
+
+
 def test_an_old_picture_is_said_to_be_old(page, rig) -> None:
     assert not page.is_visible('#curtain')
     rig.pictures = False
