@@ -31,6 +31,7 @@ NODES = {
     'virtual_rig': 'VirtualRigNode',
     'recorder': 'RecorderNode',
     'player': 'PlayerNode',
+    'cockpit': 'CockpitNode',
 }
 """Node name → class in the module of the same name; imported only where it runs."""
 
