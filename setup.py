@@ -56,8 +56,8 @@ setup(
     install_requires=[
         'av>=12.0', 'click>=8.1', 'jinja2>=3.1', 'matplotlib>=3.8', 'mcap>=1.1', 'numba>=0.59',
         'numpy>=1.26', 'opencv-python-headless>=4.8', 'openpyxl>=3.1', 'osqp>=1.0',
-        'pydantic>=2.5', 'pymodbus>=3.7', 'pyserial>=3.5', 'pyyaml>=6.0.1', 'rich>=13.0',
-        'rosbags>=0.10', 'scipy>=1.11', 'setuptools>=68', 'zstandard>=0.22',
+        'pydantic>=2.5', 'pymodbus>=3.10', 'pyserial>=3.5', 'pyyaml>=6.0.1', 'rich>=13.0',
+        'rosbags>=0.10', 'scipy>=1.12', 'setuptools>=68', 'zstandard>=0.22',
     ],
     extras_require={
         'ros': ros_from_pypi, 'gym': training, 'onnx': policies, 'cameras': cameras,

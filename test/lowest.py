@@ -21,7 +21,7 @@ ROOMS = ('model', 'magnetics', 'estimation', 'tracking', 'session', 'control', '
          'virtual_rig', 'discovery', 'cameras', 'cli')
 # ROS is of one version; what only the tests need may be of any.
 TOOLS = ('ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces', 'pytest', 'pytest-timeout',
-         'hypothesis', 'psutil', 'magpylib')
+         'hypothesis', 'psutil', 'magpylib', 'pyparsing<3.3')
 
 
 def lowest() -> list[str]:
@@ -41,6 +41,8 @@ def main(folder: Path) -> int:
     if not python.exists():
         venv.create(folder, with_pip=True)
     subprocess.run([python, '-m', 'pip', 'install', '--quiet', *lowest(), *TOOLS], check=True)
+    # For its entry points; the code that runs is that of the sources.
+    subprocess.run([python, '-m', 'pip', 'install', '--quiet', '--no-deps', ROOT], check=True)
     environment = {name: value for name, value in os.environ.items()
                    if name not in ('LD_LIBRARY_PATH', '_ROS_WHEELS_BOOTSTRAP_COMPLETE')}
     return subprocess.run(

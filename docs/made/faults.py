@@ -140,10 +140,12 @@ def page() -> str:
         f'# When something trips\n\n{MADE} Every sentence that a fault can say, what causes it, '
         'and what to do. … stands for what is filled in.\n\nA fault of the gate leaves the coils '
         'at zero and is kept until the next `microbot arm`. Look at `/diagnostics`, or at the '
-        'terminal of `microbot run`: the sentence of the coil driver is `coils at zero, WHY: '
-        'DETAIL`. An error in a file or an option, with exit status 2, says itself where it is '
-        'and what was expected; such errors are not listed here.\n']
+        'terminal of `microbot run`: the sentence of the coil driver is `coils at zero, WHY '
+        '(PARAMETERS): DETAIL`, with the parameters of the limit. An error in a file or an '
+        'option, with exit status 2, says itself where it is and what was expected; such errors '
+        'are not listed here.\n']
     for part, told in sentences().items():
-        rows = [[sentence, *remedies[part][sentence]] for sentence in told]
+        rows = [[sentence, *remedies.get(part, {}).get(sentence, ('?', '?'))]
+                for sentence in told]
         parts.append(f'## {part}\n\n' + table(('it says', 'because', 'do'), rows))
     return '\n'.join(parts)

@@ -16,7 +16,7 @@ from std_srvs.srv import SetBool
 from microbot_ros.drive.amplifier import Command, Reading, amplifier_class
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.errors import AmplifierError
-from microbot_ros.drive.gate import Reason
+from microbot_ros.drive.gate import Fault, Reason
 from microbot_ros.errors import InputError
 from microbot_ros.loop.allocation import AllocationStage, GateParameters, limits
 from microbot_ros.nodes import messages
@@ -25,6 +25,19 @@ from microbot_ros.settings import setting
 
 _COMMANDER_SECONDS = 2.0
 """How long arming waits for whoever commands to be seen: both may just have been started."""
+
+
+LIMITS = {
+    Reason.LIMIT: 'current_limit_A', Reason.SLEW: 'step_limit_A, slew_limit_A_per_s',
+    Reason.STALE: 'command_timeout_ms', Reason.DEVIATION: 'deviation_A, settling_ms',
+    Reason.SILENCE: 'feedback_timeout_ms', Reason.HEAT: 'rated_current_A, thermal_s'}
+"""What the gate found → the parameters that say how much of it is allowed."""
+
+
+def _told(fault: Fault) -> str:
+    """A fault for people, with the parameters of the limit that was passed."""
+    limits = f' ({LIMITS[fault.reason]})' if fault.reason in LIMITS else ''
+    return f'{fault.reason.value}{limits}: {fault.detail}'
 
 
 @dataclass(frozen=True)
@@ -131,8 +144,7 @@ class CoilDriverNode(RigNode):
         if gate.fault and gate.fault.reason is Reason.IDLE:
             return WARN, f'coils at zero, disarmed: {gate.fault.detail}', values
         if gate.fault:
-            sentence = f'coils at zero, {gate.fault.reason.value}: {gate.fault.detail}'
-            return ERROR, sentence, values
+            return ERROR, f'coils at zero, {_told(gate.fault)}', values
         if not self._driver.connected:
             return ERROR, f'amplifier lost at {self.settings.port}; reconnecting', values
         if not gate.armed:

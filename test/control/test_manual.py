@@ -46,7 +46,7 @@ def test_at_rest_it_stands_along_the_axis():
 
 
 def test_what_rolls_heads_for_alpha_less_90_degrees():
-    """ω̂ × ẑ, as in `docs/rollers.md`; a field whose axis stands upright rolls nothing."""
+    """ω̂ × ẑ, as in `docs/how-to/rollers.md`; a field whose axis stands upright rolls nothing."""
     command = answer(field_mT=2, alpha_deg=70, frequency_hz=5)
     heading = np.cross(command.angular_velocity, [0, 0, 1])[:2]
     assert math.degrees(math.atan2(heading[1], heading[0])) == pytest.approx(-20)

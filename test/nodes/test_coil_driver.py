@@ -15,7 +15,9 @@ from sensor_msgs.msg import MagneticField, TimeReference
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool
 
+from microbot_ros.drive.gate import Fault
 from microbot_ros.nodes import messages
+from microbot_ros.nodes.coil_driver import LIMITS
 from microbot_ros.nodes.lifecycle import LATCHED
 
 
@@ -302,6 +304,15 @@ def test_the_watchdog_of_a_board_is_tried_on_arming(emulator: Any, ros: Any) -> 
     assert causes[-1] == 'watchdog'
     told = graph.nodes['coil_driver'].health()[2]['watchdog']
     assert told.startswith('in the firmware, zeroed after ')
+
+
+def test_a_fault_names_the_parameters_of_its_limit(emulator: Any, ros: Any) -> None:
+    driver = _start(emulator, ros).nodes['coil_driver']
+    known = set(type(driver).known_parameters())
+    for reason, limits in LIMITS.items():
+        assert set(limits.split(', ')) <= known
+        driver._driver.gate.fault = Fault(reason, 'why')
+        assert driver.health()[1] == f'coils at zero, {reason.value} ({limits}): why'
 
 
 @pytest.mark.parametrize(('parameters', 'expected'), [
