@@ -77,7 +77,7 @@ def visit(browser: Any, virtual: VirtualRig) -> Iterator[Any]:
 
 
 def _in_control(page: Any) -> Any:
-    page.wait_for_function('() => !document.querySelector("#fact-control").textContent.includes("–")')
+    page.wait_for_selector('#fact-control:not(:text-is("–"))')
     if page.is_visible('#take-control'):
         page.click('#take-control')
     page.wait_for_selector('#arm:enabled')
