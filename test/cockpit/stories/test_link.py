@@ -77,7 +77,7 @@ def test_a_reload_keeps_what_the_rig_keeps(page, rig) -> None:
     page.fill('#note', 'a bubble at the left')
     page.press('#note', 'Enter')
     assert rig.wait_for('note') == 'a bubble at the left'
-    page.wait_for_function('document.querySelector("#note").value === ""')
+    page.wait_for_function('() => document.querySelector("#note").value === ""')
     rig.told['recording'] = {'on': True, 'seconds': 75.2, 'lost': 3, 'title': 'two rollers'}
     page.reload()
     page.wait_for_selector('#recording-now:has-text("“two rollers” for 01:15, 3 messages lost")')

@@ -77,7 +77,7 @@ def visit(browser: Any, virtual: VirtualRig) -> Iterator[Any]:
 
 
 def _in_control(page: Any) -> Any:
-    page.wait_for_function('!document.querySelector("#fact-control").textContent.includes("–")')
+    page.wait_for_selector('#fact-control:not(:text-is("–"))')
     if page.is_visible('#take-control'):
         page.click('#take-control')
     page.wait_for_selector('#arm:enabled')
@@ -271,7 +271,7 @@ def test_notes_are_in_the_recording(page, virtual) -> None:
     page.wait_for_selector('#recording-now:has-text("“batch 7”")')
     page.fill('#note', 'a bubble at the left')
     page.press('#note', 'Enter')
-    page.wait_for_function('document.querySelector("#note").value === ""')
+    page.wait_for_function('() => document.querySelector("#note").value === ""')
     page.reload()
     page.wait_for_selector('#recording-now:has-text("“batch 7”")')
     _in_control(page).click('#record')
