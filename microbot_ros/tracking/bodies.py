@@ -73,7 +73,7 @@ def contrast(image: np.ndarray, shrink: int, widest_px: float, dark: bool) -> np
     import cv2
 
     small = block_mean(image, shrink)
-    coarse = max(1, int(widest_px * _LIGHT / shrink / 24))
+    coarse = max(1, int(widest_px * _LIGHT / shrink / 16))
     cells = block_mean(small, coarse)
     # OpenCV's large medians are for bytes; the light needs no finer steps than a byte's.
     low, high = float(cells.min()), max(float(cells.max()), float(cells.min()) + 1.0)

@@ -14,6 +14,10 @@ _SAME = 3.0
 _STILL = 1.0
 """Pixels: the most by which the place of what stands still is spread."""
 
+_WANDERS = 1.0
+"""Least mean square of the steps over the variance of the places (J. von Neumann, Annals of
+Mathematical Statistics 12, 367, 1941): 2 for errors about one place, 0.5 for a random walk."""
+
 _MOSTLY = 0.75
 """Share of the frames in which it is found."""
 
@@ -50,6 +54,9 @@ def _still(seen: list[Bodies], xy: np.ndarray) -> np.ndarray | None:
     away = [np.linalg.norm(bodies.xy - xy, axis=1) for bodies in seen]
     near = [bodies.xy[np.argmin(off)] for bodies, off in zip(seen, away, strict=True)
             if len(off) and off.min() < _SAME]
-    if len(near) < _MOSTLY * len(seen) or np.max(np.std(near, axis=0)) > _STILL:
+    if len(near) < max(_MOSTLY * len(seen), 3) or np.max(np.std(near, axis=0)) > _STILL:
+        return None
+    variance = np.sum(np.var(near, axis=0))
+    if np.mean(np.sum(np.diff(near, axis=0) ** 2, axis=1)) < _WANDERS * variance:
         return None
     return np.asarray(np.median(near, axis=0))

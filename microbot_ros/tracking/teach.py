@@ -35,7 +35,7 @@ _AS_GOOD = 0.6
 _LONE = 0.6
 """Share of a body's weight that lies around it, from which on it is taken to be a part."""
 
-_ACROSS = 5.0
+_ACROSS = 7.5
 """Looked-at pixels across a usual body: enough for its shape."""
 
 
@@ -62,7 +62,8 @@ def like(
         known = meant.look.model_copy(update={'name': name})
         Kind.model_validate(known.model_dump())
     learned = _learn(known, image, [*known.like, *_traits(meant.body)], known.unlike)
-    where = f'{meant.body.width[0]:.0f} px wide, {meant.body.height[0]:.0f} grey levels {_word(learned)}'
+    where = (f'{meant.body.width[0]:.0f} px wide, '
+             f'{meant.body.height[0]:.0f} grey levels {_word(learned)}')
     count = len(learned.like)
     return _with(settings, learned), (
         f'{name}: learned from {count} example{"s" if count > 1 else ""}; this one is {where}')

@@ -8,6 +8,8 @@ import numpy as np
 
 from microbot_ros.errors import InputError
 from microbot_ros.tracking.bodies import Bodies, find_bodies
+
+from microbot_ros.tracking.kinds_detector import KindsDetector
 from microbot_ros.tracking.search import pixel_noise
 from microbot_ros.tracking.settings import TrackerSettings
 from microbot_ros.tracking.standing import standing
@@ -27,6 +29,9 @@ _BLURRED = 0.55
 
 _EXAMPLES = (0.5, 0.25, 0.75)
 """Where in the order of contrast the examples are taken from what moves."""
+
+_AS_DARK = 0.5
+"""Least contrast of an example over that of the first."""
 
 _AGREED = 0.7
 """Share of what moves that the usual way must find, to be kept."""
@@ -61,9 +66,12 @@ def _pointed(
     """Point at what is typical of what moves, as somebody would."""
     ranked = np.argsort(height)
     share = np.cumsum(weight[ranked]) / np.sum(weight)
-    chosen = settings
+    chosen, first = settings, 0.0
     for quantile in _EXAMPLES:
         k, n = order[ranked[np.searchsorted(share, quantile)]]
+        first = first or float(moving[k].height[n])
+        if moving[k].height[n] < _AS_DARK * first:
+            continue
         try:
             chosen, _ = like(chosen, frames[k], *moving[k].xy[n], 'particle')
         except InputError:
@@ -103,3 +111,21 @@ def _at(bodies: Bodies, places: np.ndarray) -> np.ndarray:
 
 def _energy(seen: list[Bodies]) -> float:
     return float(sum(np.sum((bodies.height * bodies.width) ** 2) for bodies in seen))
+
+
+def needed(frames: list[np.ndarray], chosen: TrackerSettings, find: Finder | None) -> bool:
+    """Whether the usual way to `find` particles in `frames` misses much of what was `chosen`.
+
+    None stands for a usual way that has learned nothing.
+    """
+    if find is None:
+        return True
+    detector = KindsDetector(chosen.kinds, chosen.standing)
+    found = missed = 0
+    for frame in frames:
+        bodies = detector.detect(frame, np.empty((0, 2)))
+        places = find(frame)
+        away = np.linalg.norm(bodies.xy[:, None] - places, axis=2)
+        near = away.min(axis=1, initial=np.inf) < 2 * bodies.radius
+        found, missed = found + int(near.sum()), missed + int((~near).sum())
+    return found < _AGREED * (found + missed)
