@@ -149,7 +149,8 @@ def _correct(motion, covariance, rows, found, noise):  # type: ignore[no-untyped
 
 def initiate_tracks(
     xy: np.ndarray, sigma: np.ndarray, theta: np.ndarray, contrast: np.ndarray,
-    radius: np.ndarray, kind: np.ndarray, velocity_variance: float, phasor_variance: float, early_frames: int,
+    radius: np.ndarray, kind: np.ndarray, velocity_variance: float, phasor_variance: float,
+    early_frames: int,
 ) -> TrackStates:
     """States of particles seen for the first time.
 

@@ -50,9 +50,9 @@ class _Meant:
 def like(
     settings: TrackerSettings, image: np.ndarray, x: float, y: float, name: str | None = None
 ) -> tuple[TrackerSettings, str]:
-    """The `settings` with what is at (x, y) [px] of an `image` (H, W) as an example, and a sentence.
+    """The `settings` with what is at (x, y) [px] of an `image` (H, W) as an example.
 
-    It is of the kind `name`; without one of the only kind, or of `robot`. Raises InputError where
+    With a sentence about it. It is of the kind `name`; without one of the only kind, or of `robot`. Raises InputError where
     nothing is there, or two are, or it is one of the counter-examples.
     """
     name = name or (settings.kinds[0].name if len(settings.kinds) == 1 else 'robot')

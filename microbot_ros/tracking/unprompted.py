@@ -8,7 +8,6 @@ import numpy as np
 
 from microbot_ros.errors import InputError
 from microbot_ros.tracking.bodies import Bodies, find_bodies
-
 from microbot_ros.tracking.kinds_detector import KindsDetector
 from microbot_ros.tracking.search import pixel_noise
 from microbot_ros.tracking.settings import TrackerSettings
@@ -78,18 +77,26 @@ def _pointed(
             continue
     if not chosen.kinds:
         return None
-    return _without_standing(chosen, frames)
+    return without_standing(chosen, frames, np.empty((0, 2)))
 
 
-def _without_standing(settings: TrackerSettings, frames: list[np.ndarray]) -> TrackerSettings:
-    """The `settings`, with the places where things stand still that look like their kinds."""
-    kind = settings.kinds[0]
-    seen = []
-    for frame in frames:
-        bodies = find_bodies(frame, kind.dark, 0.6 * kind.height_grey[0], kind.shrink,
-                             kind.width_px[1], kind.parts_px)
-        seen.append(bodies[kind.members(bodies, np.ones(len(bodies), bool))])
-    places = standing(seen)
+def without_standing(
+    settings: TrackerSettings, frames: list[np.ndarray], meant: np.ndarray
+) -> TrackerSettings:
+    """The `settings`, with the places where things stand still that look like their kinds.
+
+    `frames` are from all over a film. Not among the places is what is `meant` (M, 2) [px]: who
+    points at something that rests wants it followed.
+    """
+    places = []
+    for kind in settings.kinds:
+        seen = []
+        for frame in frames:
+            bodies = find_bodies(frame, kind.dark, 0.6 * kind.height_grey[0], kind.shrink,
+                                 kind.width_px[1], kind.parts_px)
+            seen.append(bodies[kind.members(bodies, np.ones(len(bodies), bool))])
+        places += [place for place in standing(seen) if not np.any(
+            np.hypot(meant[:, 0] - place.x_px, meant[:, 1] - place.y_px) < 2 * place.radius_px)]
     return settings.model_copy(update={'standing': (*settings.standing, *places)})
 
 
