@@ -26,7 +26,7 @@ _LEAST_FRAMES = 24
 
 @dataclass(frozen=True)
 class Point:
-    """A point that somebody pointed at: `frame`, `x`, `y` [px], and the `kind`, None if not said."""
+    """Where somebody pointed: `frame`, `x`, `y` [px], and the `kind`, None if not said."""
 
     frame: int
     x: float

@@ -36,8 +36,8 @@ class Bodies:
     [grey]; `width` the diameter of a disc of equal area [px]; `edge` the width of the edge [px]:
     half the height over its slope at the outline, small in focus; `length` the ratio of length to
     width of the ellipse with the same second moments; `fill` the area over that of this ellipse:
-    1 for a disc or a rod, less for what is bent or branched; `halo` how far the picture beside it goes
-    to the other side of the light, as a share of the height; `angle` the direction of its length
+    1 for a disc or a rod, less for what is bent or branched; `halo` how far the picture beside it
+    goes to the other side of the light, as a share of the height; `angle` the direction of its length
     [rad, image sense], between 0 and π; `cut` whether it touches the edge of the picture; `lower`
     (N, 2) and `upper` (N, 2) the corners of the box around it [px]; `weight` the sum of the
     contrast over the largest, and `spread` the sum of the squared distances of the outline's
@@ -91,7 +91,7 @@ def find_bodies(
     image: np.ndarray, dark: bool, least_height: float, shrink: int, widest_px: float,
     nearest_px: float = 0.0,
 ) -> Bodies:
-    """The bodies of an `image` (H, W) that are `dark`, or bright, by at least `least_height` [grey].
+    """The bodies of an `image` (H, W), `dark` or bright by at least `least_height` [grey].
 
     The picture is shrunk by `shrink`; bodies are at most `widest_px` wide, what is wider is light.
     Maxima nearer than `nearest_px` belong to one body.
@@ -227,13 +227,13 @@ def _sum(picture, stack, count, row):  # type: ignore[no-untyped-def]
         row[_Y] += w * y
         row[_X0], row[_X1] = min(row[_X0], x), max(row[_X1], x)
         row[_Y0], row[_Y1] = min(row[_Y0], y), max(row[_Y1], y)
-        if 0 < y < height - 1 and 0 < x < width - 1:
-            if min(picture[y - 1, x], picture[y + 1, x], picture[y, x - 1],
-                   picture[y, x + 1]) <= level:
-                right = (picture[y, x + 1] - picture[y, x - 1]) / 2
-                down = (picture[y + 1, x] - picture[y - 1, x]) / 2
-                row[_SLOPE] += np.sqrt(right * right + down * down)
-                row[_RIM] += 1
+        inside = 0 < y < height - 1 and 0 < x < width - 1
+        if inside and min(picture[y - 1, x], picture[y + 1, x], picture[y, x - 1],
+                          picture[y, x + 1]) <= level:
+            right = (picture[y, x + 1] - picture[y, x - 1]) / 2
+            down = (picture[y + 1, x] - picture[y - 1, x]) / 2
+            row[_SLOPE] += np.sqrt(right * right + down * down)
+            row[_RIM] += 1
     row[_X] /= row[_WEIGHT]
     row[_Y] /= row[_WEIGHT]
     mx, my = 0.0, 0.0
