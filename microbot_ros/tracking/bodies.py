@@ -106,8 +106,8 @@ def find_bodies(
     return _described(rows, shrink, picture.shape)
 
 
-_X, _Y, _HEIGHT, _AREA, _WEIGHT, _XX, _YY, _XY, _SLOPE, _RIM, _X0, _Y0, _X1, _Y1, _SPREAD, _HALO = (
-    range(16))
+(_X, _Y, _HEIGHT, _AREA, _WEIGHT, _XX, _YY, _XY, _SLOPE, _RIM, _X0, _Y0, _X1, _Y1, _SPREAD,
+ _HALO) = range(16)
 
 
 def _described(rows: np.ndarray, shrink: int, shape: tuple[int, ...]) -> Bodies:

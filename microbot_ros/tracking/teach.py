@@ -12,7 +12,6 @@ from microbot_ros.tracking.bodies import Bodies, contrast, find_bodies
 from microbot_ros.tracking.kinds import Kind, traits, with_examples
 from microbot_ros.tracking.search import pixel_noise
 from microbot_ros.tracking.settings import TrackerSettings
-from microbot_ros.tracking.standing import Place
 
 _VIEW = 200
 """Pixels around a point that are looked at to find what is meant."""
@@ -52,8 +51,9 @@ def like(
 ) -> tuple[TrackerSettings, str]:
     """The `settings` with what is at (x, y) [px] of an `image` (H, W) as an example.
 
-    With a sentence about it. It is of the kind `name`; without one of the only kind, or of `robot`. Raises InputError where
-    nothing is there, or two are, or it is one of the counter-examples.
+    With a sentence about it. It is of the kind `name`; without one of the only kind, or of
+    `robot`. Raises InputError where nothing is there, or two are, or it is one of the
+    counter-examples.
     """
     name = name or (settings.kinds[0].name if len(settings.kinds) == 1 else 'robot')
     known = next((kind for kind in settings.kinds if kind.name == name), None)
@@ -103,11 +103,6 @@ def forget(settings: TrackerSettings, name: str | None = None) -> tuple[TrackerS
     places = settings.standing if left else ()
     return (settings.model_copy(update={'kinds': left, 'standing': places}),
             f'{name or "all"}: forgotten')
-
-
-def mask(settings: TrackerSettings, places: Sequence[Place]) -> TrackerSettings:
-    """The `settings` with more `places` in which nothing is a particle."""
-    return settings.model_copy(update={'standing': (*settings.standing, *places)})
 
 
 def _with(settings: TrackerSettings, learned: Kind) -> TrackerSettings:

@@ -72,9 +72,8 @@ def test_a_bright_one_is_learned_as_bright() -> None:
     (-3.0, 20.0, 'a point in the picture'), (math.nan, 20.0, 'a point in the picture'),
     (math.inf, 20.0, 'a point in the picture'), (80.0, 50.0, 'two are as near')])
 def test_points_that_mean_nothing_are_refused(x: float, y: float, problem: str) -> None:
-    image = _picture(*_SCENE, ((100.0, 50.0), 5.0, -70.0)) if x == 80 else _picture(*_SCENE)
-    if x == 80:
-        image = _picture(((70.0, 50.0), 5.0, -70.0), ((90.0, 50.0), 5.0, -70.0))
+    pair = ((70.0, 50.0), 5.0, -70.0), ((90.0, 50.0), 5.0, -70.0)
+    image = _picture(*(pair if x == 80 else _SCENE))
     with pytest.raises(InputError, match=problem):
         teach.like(TrackerSettings(), image, x, y)
 
@@ -125,8 +124,8 @@ def _bodies(places: np.ndarray) -> Bodies:
 
 def test_dirt_stands_still_and_what_drifts_or_wanders_does_not() -> None:
     rng = np.random.default_rng(2)
-    dirt = [20.0, 20.0] + rng.normal(0, 0.2, (12, 2))
-    drift = [90.0, 20.0] + np.outer(np.arange(12), [0.2, 0.1])
-    wander = [20.0, 90.0] + np.cumsum(rng.normal(0, 0.25, (12, 2)), axis=0)
+    dirt = np.array([20.0, 20.0]) + rng.normal(0, 0.2, (12, 2))
+    drift = np.array([90.0, 20.0]) + np.outer(np.arange(12), [0.2, 0.1])
+    wander = np.array([20.0, 90.0]) + np.cumsum(rng.normal(0, 0.25, (12, 2)), axis=0)
     places = standing([_bodies(np.array(rows)) for rows in zip(dirt, drift, wander, strict=True)])
     assert [(round(place.x_px), round(place.y_px)) for place in places] == [(20, 20)]
