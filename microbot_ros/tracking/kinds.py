@@ -24,10 +24,10 @@ TRAITS = ('height_grey', 'width_px', 'edge_px', 'elongation', 'fill', 'halo')
 _LOGARITHMIC = np.array([True, True, True, True, False, False])
 
 _BELOW = np.array([math.log(1 / 0.45), math.log(2.6), math.log(3.0), math.inf, 0.25, math.inf])
-_ABOVE = np.array([math.log(2.2), math.log(3.0), math.log(1.65), math.log(2.2), math.inf, 0.12])
+_ABOVE = np.array([math.log(2.2), math.log(3.0), math.log(1.65), math.log(2.2), math.inf, 0.09])
 """How far beyond one example a range goes: in logarithms where these are taken."""
 
-_LENIENT = np.array([math.log(1.7), math.log(1.3), math.log(1.5), math.log(1.5), 0.15, 0.2])
+_LENIENT = np.array([math.log(1.7), math.log(1.3), math.log(1.5), math.log(1.5), 0.15, 0.04])
 """How far beyond its range a body may be that is where one of its kind is expected."""
 
 _APART = np.array([0.05, 0.08, 0.05, 0.08, 0.03, 0.02])
