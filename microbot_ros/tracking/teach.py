@@ -202,6 +202,7 @@ def _by_parts(
 ) -> tuple[float, bool, Bodies]:
     """The body at a point, and how near its parts are: the least that leaves few around it."""
     best: tuple[float, float, Bodies] | None = None
+    problem: InputError | None = None
     least = _CLEAR * pixel_noise(view)
     first = 0.0
     for parts in _PARTS:
@@ -209,20 +210,21 @@ def _by_parts(
         bodies = find_bodies(view, dark, least / shrink, shrink, _WIDEST, parts)
         try:
             k = _pointed(what, bodies, x, y)
-        except InputError:
-            if best is None and parts == _PARTS[-1]:
-                raise
+        except InputError as error:
+            problem = problem or error
+            if first == 0 and len(bodies):
+                first = float(bodies.height[np.argmin(np.hypot(*(bodies.xy - [x, y]).T))])
             continue
         first = first or float(bodies.height[k])
         around = _around(bodies, k)
-        if best is not None and bodies.height[k] < _AS_GOOD * first:
+        if bodies.height[k] < _AS_GOOD * first:
             break
         if best is None or around < best[0]:
             best = around, parts, bodies[np.array([k])]
         if best[0] < _LONE:
             break
     if best is None:
-        raise InputError(what, 'expected something there: nothing stands out')
+        raise problem or InputError(what, 'expected something there: nothing stands out')
     return best[1], dark, best[2]
 
 
