@@ -177,9 +177,10 @@ class RoundDetector:
     def _detections(
         self, rows: np.ndarray, errors: np.ndarray, quality: np.ndarray
     ) -> Detections:
-        return Detections(*_described(
+        described = _described(
             rows, errors, quality, self._filter.noise, self.appearance.capped,
-            self.appearance.diameter_px / 2), np.zeros(len(rows), int))
+            self.appearance.diameter_px / 2)
+        return Detections(*described, kind=np.zeros(len(rows), int))
 
 
 @numba.njit(cache=True, error_model='numpy')

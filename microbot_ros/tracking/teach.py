@@ -123,7 +123,7 @@ def _traits(body: Bodies) -> list[tuple[float, ...]]:
     return [tuple(row) for row in traits(body).tolist()]
 
 
-def _learn(kind: Kind, image: np.ndarray, examples: Sequence, counter: Sequence) -> Kind:  # type: ignore[type-arg]
+def _learn(kind: Kind, image: np.ndarray, examples: Sequence, counter: Sequence) -> Kind:
     picture = contrast(image, kind.shrink, 3 * float(examples[0][1]), kind.dark)
     clutter = -float(np.quantile(picture[::2, ::2], 0.01))
     return with_examples(kind, examples, counter, max(clutter, 0.0))

@@ -72,7 +72,8 @@ def _pointed(
         if moving[k].height[n] < _AS_DARK * first:
             continue
         try:
-            chosen, _ = like(chosen, frames[k], *moving[k].xy[n], 'particle')
+            x, y = moving[k].xy[n].tolist()
+            chosen, _ = like(chosen, frames[k], x, y, 'particle')
         except InputError:
             continue
     if not chosen.kinds:
