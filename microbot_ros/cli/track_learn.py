@@ -42,6 +42,7 @@ class PointType(click.ParamType):
         self._most = 4 if named else 3
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Point:
+        """The point that a `value` says; `param` and `ctx` are as click gives them."""
         parts = str(value).split(',')
         try:
             frame, x, y = int(parts[0]), float(parts[1]), float(parts[2])
@@ -105,7 +106,10 @@ def pointed(
 
 def chosen(settings: TrackerSettings, samples: list[np.ndarray],
            recording_length: int | None) -> TrackerSettings:
-    """The `settings`, with a kind for what moves where the usual way would miss much of it."""
+    """The `settings`, with a kind for what moves where the usual way would miss much of it.
+
+    `samples` are frames from all over the film, whose length in frames is `recording_length`.
+    """
     from microbot_ros.tracking import learn
     from microbot_ros.tracking.tracker import make_detector
     from microbot_ros.tracking.unprompted import choose, needed

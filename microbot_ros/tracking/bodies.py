@@ -67,8 +67,9 @@ class Bodies:
 
 
 def contrast(image: np.ndarray, shrink: int, widest_px: float, dark: bool) -> np.ndarray:
-    """How much darker, or brighter, than the light an `image` (H, W) is: float32, shrunk.
+    """How much darker, or brighter, than the light an `image` (H, W) is: float32, by `shrink`.
 
+    Darker where `dark`.
     The light is the median of a neighbourhood in which a body of `widest_px` is the lesser part.
     """
     import cv2

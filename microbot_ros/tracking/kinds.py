@@ -102,7 +102,7 @@ def traits(bodies: Bodies) -> np.ndarray:
 
 
 def scaled(values: np.ndarray) -> np.ndarray:
-    """Traits (N, 6) with the logarithm taken where ratios count."""
+    """The `values` (N, 6) of traits with the logarithm taken where ratios count."""
     with np.errstate(divide='ignore', invalid='ignore'):
         return np.where(_LOGARITHMIC, np.log(np.maximum(values, 1e-9)), values)
 
