@@ -1,4 +1,4 @@
-# The four commands of the README. Each sets up what is missing first.
+# The commands of the README. Each sets up what is missing first.
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := PIP_DISABLE_PIP_VERSION_CHECK=1 $(BIN)/pip install --quiet --constraint constraints.txt
@@ -6,7 +6,7 @@ PIP := PIP_DISABLE_PIP_VERSION_CHECK=1 $(BIN)/pip install --quiet --constraint c
 # A rig is eight processes, and the tests start hundreds: none is to translate the package anew.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: setup demo test compiled bench lint clean
+.PHONY: setup demo test compiled bench docs lowest lint clean
 
 # The first of these that is Python 3.12 or 3.11 and can make environments.
 PYTHON := $(shell for p in python3.12 python3.11 python3; do \
@@ -21,7 +21,7 @@ $(VENV)/.runtime: setup.py constraints.txt
 		exit 2; fi
 	@echo "setting up $(VENV) with $(PYTHON): ROS 2 Jazzy and the libraries from PyPI, about a minute"
 	@[ -x $(BIN)/python ] || $(PYTHON) -m venv $(VENV)
-	@$(PIP) --editable '.[ros]'
+	@$(PIP) --editable '.[ros,cockpit]'
 	@touch $@
 
 $(VENV)/.development: $(VENV)/.runtime
@@ -51,6 +51,16 @@ lint: $(VENV)/.development
 # `make bench ONLY=tracker` runs one group.
 bench: $(VENV)/.development
 	@$(BIN)/python -m bench $(if $(ONLY),--only $(ONLY))
+
+# The documents as HTML, in out/docs; what is made from the code is made anew.
+docs: $(VENV)/.development
+	@$(BIN)/python docs/build.py
+	@$(BIN)/python -m sphinx --quiet --fail-on-warning docs out/docs
+	@echo 'out/docs/index.html'
+
+# The tests of the core in an environment of its own, with the oldest libraries that setup.py allows.
+lowest:
+	@$(PYTHON) test/lowest.py out/lowest
 
 clean:
 	rm -rf $(VENV) out build install log .mypy_cache .ruff_cache *.egg-info

@@ -13,25 +13,38 @@ training, policies = ['gymnasium'], ['onnx', 'onnxruntime']
 # Cameras beyond V4L2 and files; the emulator of one comes with it, of the other by itself.
 cameras = ['pymmcore>=11.9', 'pypylon>=4.2']
 
+# An archive of recordings on many cores or machines; bokeh is for Dask's dashboard.
+archive = ['bokeh>=3.1', 'dask>=2024.8', 'distributed>=2024.8', 'pyarrow>=14']
+
+# The server of the operator's page.
+cockpit = ['starlette>=0.40', 'uvicorn>=0.35', 'websockets>=13']
+
 # What every test needs; by the name of this extra `colcon test` knows that they are pytest's.
 tests = ['hypothesis', 'psutil', 'pytest', 'pytest-timeout']
 
+# What `make docs` needs.
+documents = ['furo', 'myst-parser', 'sphinx']
+
 development = [
-    *training, *policies, *cameras, *tests, 'mm-test-adapters', 'catkin_pkg',
-    'colcon-common-extensions', 'coverage', 'import-linter', 'magpylib', 'mypy', 'pyoperon>=0.6',
-    'pysindy', 'pytest-xdist', 'ruff', 'StochasticForceInference', 'trackpy', 'types-PyYAML',
+    *documents, *training, *policies, *cameras, *archive, *cockpit, *tests,
+    'axe-playwright-python', 'mm-test-adapters', 'catkin_pkg', 'colcon-common-extensions',
+    'coverage', 'duckdb', 'import-linter', 'magpylib', 'mypy', 'playwright>=1.48', 'polars',
+    'pyoperon>=0.6', 'pysindy', 'pytest-xdist', 'ruff', 'StochasticForceInference', 'trackpy',
+    'types-PyYAML',
     'types-pyserial',
 ]
 
 nodes = [
-    'camera', 'coil_driver', 'controller', 'model', 'player', 'recorder', 'tracker', 'virtual_rig',
+    'camera', 'cockpit', 'coil_driver', 'controller', 'model', 'player', 'recorder', 'tracker',
+    'virtual_rig',
 ]
 
 setup(
     name=package_name,
     version='0.1.0',
     packages=find_packages(include=[package_name, f'{package_name}.*']),
-    package_data={package_name: ['**/*.html', '**/*.css', '**/*.xml', 'py.typed']},
+    package_data={package_name: [
+        '**/*.html', '**/*.css', '**/*.js', '**/*.LICENSE', '**/*.xml', 'py.typed']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
         (f'share/{package_name}', ['package.xml']),
@@ -39,14 +52,17 @@ setup(
         (f'share/{package_name}/config', glob('config/*.*')),
     ],
     python_requires='>=3.11',
+    # The oldest that `make lowest` runs the tests of the core with.
     install_requires=[
-        'av', 'click', 'jinja2', 'matplotlib', 'mcap', 'numba', 'numpy', 'opencv-python-headless',
-        'openpyxl', 'osqp', 'pydantic>=2', 'pymodbus', 'pyserial', 'pyyaml', 'rich', 'rosbags',
-        'scipy', 'setuptools', 'zstandard',
+        'av>=12.0', 'click>=8.1', 'jinja2>=3.1', 'matplotlib>=3.8', 'mcap>=1.1', 'numba>=0.59',
+        'numpy>=1.26', 'opencv-python-headless>=4.8', 'openpyxl>=3.1', 'osqp>=1.0',
+        'pydantic>=2.5', 'pymodbus>=3.10', 'pyserial>=3.5', 'pyyaml>=6.0.1', 'rich>=13.0',
+        'rosbags>=0.10', 'scipy>=1.12', 'setuptools>=68', 'zstandard>=0.22',
     ],
     extras_require={
         'ros': ros_from_pypi, 'gym': training, 'onnx': policies, 'cameras': cameras,
-        'test': tests, 'dev': development},
+        'cockpit': cockpit, 'dask': archive, 'test': tests, 'docs': documents,
+        'dev': development},
     zip_safe=False,
     maintainer='microbot_ros maintainers',
     maintainer_email='maintainers@microbot-ros.example',
@@ -62,11 +78,14 @@ setup(
             'experiment = microbot_ros.control.experiment:Experiment',
             'formation = microbot_ros.control.formation:Formation',
             'hold = microbot_ros.control.hold:Hold',
+            'manual = microbot_ros.control.manual:Manual',
             'open_loop = microbot_ros.control.open_loop:OpenLoop',
             'path_following = microbot_ros.control.path_following:PathFollowing',
             'policy = microbot_ros.control.policy:Policy',
             'predictive = microbot_ros.control.predictive:Predictive',
+            'pushing = microbot_ros.control.pushing:Pushing',
             'roller = microbot_ros.control.roller:Roller',
+            'swarm = microbot_ros.control.swarm:Swarm',
             'teleop = microbot_ros.control.teleop:Teleop',
             'waypoint = microbot_ros.control.waypoint:Waypoint',
         ],

@@ -45,21 +45,25 @@ def answers(film: list[np.ndarray], rate_hz: float, frames: int, *, joined: bool
     os.environ.setdefault('ROS_DOMAIN_ID', str(215 + os.getpid() % 17))  # nobody else's graph
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for number, picture in enumerate(film):
-            cv2.imwrite(str(folder / f'{number:04d}.bmp'), picture)
         with (Emulator(folder, 'serial_transfer') as board,
-              _running(folder, board, rate_hz, joined, recorder), GraphClient('bench') as client):
+              running(folder, film, board, rate_hz, joined, **(
+                  {'recorder': {'folder': str(folder / 'recording')}} if recorder else {})),
+              GraphClient('bench') as client):
             return _heard(client, frames / rate_hz, viewer)
 
 
 @contextmanager
-def _running(folder: Path, board: Emulator, rate_hz: float, joined: bool,
-             recorder: bool) -> Iterator[None]:
+def running(folder: Path, film: list[np.ndarray], board: Emulator, rate_hz: float, joined: bool,
+            **more: dict[str, Any]) -> Iterator[None]:
+    """The nodes of a rig whose camera plays a `film`, and whose coils turn, and `more`, with their
+    parameters; the files are in `folder`."""
+    for number, picture in enumerate(film):
+        cv2.imwrite(str(folder / f'{number:04d}.bmp'), picture)
     nodes: dict[str, dict[str, Any]] = {
         'camera': {'source': str(folder / '*.bmp'), 'frame_rate_hz': rate_hz, 'loop': True},
         'tracker': {'pixel_size_um': 0.45}, 'model': {}, 'controller': _TURNING,
         'coil_driver': {'port': str(board.url), 'full_scale_A': FULL_SCALE_A},
-        **({'recorder': {'folder': str(folder / 'recording')}} if recorder else {})}
+        **more}
     parameters = folder / 'parameters.yaml'
     parameters.write_text(yaml.safe_dump(
         {node: {'ros__parameters': values} for node, values in nodes.items()}))
@@ -71,6 +75,20 @@ def _running(folder: Path, board: Emulator, rate_hz: float, joined: bool,
 
 
 def _heard(client: GraphClient, seconds: float, viewer: bool) -> Answers:
+    found = listen(client)
+    if viewer:
+        for kind, topic in ((Image, 'overlay/image_raw'), (MarkerArray, 'markers')):
+            client.node.create_subscription(kind, topic, lambda _: None, 1)
+    drive(client, found, _WARM_S)
+    found.written_s.clear()
+    found.acknowledged_s.clear()
+    found.cuts = 0
+    drive(client, found, seconds)
+    return found
+
+
+def listen(client: GraphClient) -> Answers:
+    """What fills while the `client` is spun."""
     found = Answers()
 
     def written(message: JointState, info: dict[str, Any]) -> None:
@@ -80,20 +98,12 @@ def _heard(client: GraphClient, seconds: float, viewer: bool) -> Answers:
 
     def acknowledged(message: TimeReference) -> None:
         found.acknowledged_s.append(_seconds(message.header.stamp) - _seconds(message.time_ref))
-    if viewer:
-        for kind, topic in ((Image, 'overlay/image_raw'), (MarkerArray, 'markers')):
-            client.node.create_subscription(kind, topic, lambda _: None, 1)
     client.node.create_subscription(JointState, 'coils/applied', written, 200)
     client.node.create_subscription(TimeReference, 'coil_driver/latency', acknowledged, 200)
-    _drive(client, found, _WARM_S)
-    found.written_s.clear()
-    found.acknowledged_s.clear()
-    found.cuts = 0
-    _drive(client, found, seconds)
     return found
 
 
-def _drive(client: GraphClient, found: Answers, seconds: float) -> None:
+def drive(client: GraphClient, found: Answers, seconds: float) -> None:
     """Let currents flow for that long, armed again wherever a busy machine cut them."""
     with suppress(RigError):
         client.arm()

@@ -191,15 +191,6 @@ def test_launch_files_start_nodes_with_parameters_that_exist(
                 assert set(parameters) <= set(known) | {'use_sim_time'}
 
 
-@pytest.mark.parametrize('page', ['parameters', 'effects'])
-def test_the_tables_in_the_docs_are_those_of_the_code(page) -> None:
-    made = subprocess.run(
-        [sys.executable, '-c', f'import build; print(build.{page}(), end="")'],
-        cwd=ROOT / 'docs', capture_output=True, text=True, timeout=60, check=True)
-    written = (ROOT / 'docs' / f'{page}.md').read_text()
-    assert made.stdout == written, 'run `python docs/build.py`'
-
-
 def test_what_rviz_shows_is_what_the_nodes_send() -> None:
     """RViz is not on PyPI: its frame and its topics are held against the nodes'."""
     from microbot_ros.nodes.messages import WORKSPACE

@@ -1,7 +1,7 @@
 """What every kind of camera is: opened by settings, read frame by frame, closed.
 
 A kind of one's own is a subclass of `CameraDriver` in any package, by the entry point
-`microbot_ros.cameras`; docs/cameras.md has a template.
+`microbot_ros.cameras`; docs/reference/cameras.md has a template.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ class CameraSettings:
 
     source: str = setting(
         '', 'What to read: a device number (0) or path (/dev/video0), a video file, a folder of '
-        'images or a glob; for other kinds of camera its name, see docs/cameras.md. Nothing else '
-        'is tried when it cannot be opened.', read_only=True)
+        'images or a glob; for other kinds of camera its name, see docs/reference/cameras.md. '
+        'Nothing else is tried when it cannot be opened.', read_only=True)
     frame_rate_hz: float = setting(
         0.0, 'Pace of a file, or asked of a device; 0 takes what the file says, or the device’s '
         'own.', lower=0.0, upper=10_000.0, read_only=True)

@@ -75,7 +75,7 @@ def open_source(
         raise InputError(source, 'expected a video, a folder of images or a glob; not found')
     if not found:
         raise InputError(source, expected)
-    return ImageSource(str(source), sorted(found, key=_natural), report, frame_rate)
+    return ImageSource(str(source), sorted(found, key=natural_order), report, frame_rate)
 
 
 def grey(image: Any) -> np.ndarray | None:
@@ -214,7 +214,8 @@ def _read_image(path: Path) -> np.ndarray | None:
     return None if image is None else grey(image)
 
 
-def _natural(path: Path) -> list[str | tuple[int, str]]:
+def natural_order(path: Path) -> list[str | tuple[int, str]]:
+    """A key by which the file at `path` comes in natural order: 2 before 10."""
     parts = re.split(r'(\d+)', str(path))
     return [f'{int(part):020d}' if part.isdigit() else part for part in parts]
 

@@ -26,6 +26,7 @@ _DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 _COMMANDS = {
     'demo': 'Close the loop on the virtual rig.',
     'run': 'Run the nodes beside a real rig.',
+    'cockpit': "Open the operator's page of a running rig.",
     'replay': 'Play a recording through its topics.',
     'record': 'Begin and end a recording of a running rig.',
     'arm': 'Arm or disarm the gate of a running rig.',
@@ -34,6 +35,7 @@ _COMMANDS = {
     'track': 'Track the particles of a video or of images.',
     'simulate': 'Simulate particles, camera and hidden effects as a session.',
     'discover': 'Find, name and add the effect that the model is missing.',
+    'batch': 'Track, fit, discover or import all recordings of an archive.',
     'fit': 'Fit v, φ and F of every particle of a session.',
     'paper': "Repeat the paper's experiment beside its own numbers.",
     'import': 'Turn the tables of a laboratory into a session.',

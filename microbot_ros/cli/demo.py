@@ -17,6 +17,7 @@ import yaml
 
 from microbot_ros.cli.compiling import note_on_compiling
 from microbot_ros.cli.demo_robots import KINDS, Robots
+from microbot_ros.cli.options import cockpit_option
 from microbot_ros.drive.real_time import LOOP, realtime_priority
 from microbot_ros.ending import Ending, Stopped
 from microbot_ros.errors import InputError
@@ -58,11 +59,13 @@ class _Run:
 @click.option('--robots', type=click.Choice(list(KINDS)), default='catalytic', show_default=True,
               help='What is steered: swimmers that a field turns, or rollers in a field that '
                    'turns.')
+@cockpit_option
 @click.option('--out', type=click.Path(path_type=Path), default=Path('out/demo'),
               show_default=True, help='Folder for what the demo leaves behind.')
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
               help='Also write the summary here.')
-def command(seconds: float, seed: int, robots: str, out: Path, json_path: Path | None) -> None:
+def command(seconds: float, seed: int, robots: str, cockpit: bool, out: Path,
+            json_path: Path | None) -> None:
     """Steer a microrobot on the virtual rig, over a real ROS graph and a real serial line.
 
     Every node is a process. The model learns speed and offset angle of each particle from
@@ -81,7 +84,7 @@ def command(seconds: float, seed: int, robots: str, out: Path, json_path: Path |
         raise InputError('--seconds', f'expected at least {_FEWEST_SECONDS:g}; got {seconds:g}')
     began = time.monotonic()
     try:
-        run, summary = _demo(seconds, seed, KINDS[robots], out, began)
+        run, summary = _demo(seconds, seed, KINDS[robots], cockpit, out, began)
     except Stopped as stopped:
         _say(began, f'stopped by {stopped}: the coils are at zero, nothing was kept')
         sys.exit(stopped.status)
@@ -105,20 +108,20 @@ def tell_shortcomings(faults: list[str], summary: dict[str, Any], began: float) 
     return 1 if faults or missed else 0
 
 
-def _demo(seconds: float, seed: int, kind: Callable[[Path], Robots], out: Path,
+def _demo(seconds: float, seed: int, kind: Callable[[Path], Robots], cockpit: bool, out: Path,
           began: float) -> tuple[_Run, dict[str, Any]]:
     graph = Graph(lambda who, line: _say(began, f'{who}: {line}'))
     with Ending(graph.tell_to_end) as ending, output_folder(out) as folder:
         with graph:
             robots = kind(folder)
-            run = _run(graph, ending, folder, seconds, seed, robots, began)
+            run = _run(graph, ending, folder, seconds, seed, robots, cockpit, began)
             _say(began, 'stopping; the coils are at zero')
         with ending.interrupts():
             return run, _look_back(folder, out, run, robots, began)
 
 
 def _run(graph: Graph, ending: Ending, folder: Path, seconds: float, seed: int,
-         robots: Robots, began: float) -> _Run:
+         robots: Robots, cockpit: bool, began: float) -> _Run:
     """The whole graph for that long."""
     port, log = folder / 'amplifier', folder / 'amplifier.jsonl'
     rig = folder / 'rig.yaml'
@@ -132,7 +135,8 @@ def _run(graph: Graph, ending: Ending, folder: Path, seconds: float, seed: int,
         says_when_ready='serving')
     # The log must be there before the virtual rig reads it. Particles swim as soon as that
     # lives: everybody else is to be there by then.
-    for nodes, patience_s in ((), 20.0), (NODES[:-1], 120.0), (NODES[-1:], 60.0):
+    others = (*NODES[:-1], *(['cockpit'] if cockpit else []))
+    for nodes, patience_s in ((), 20.0), (others, 120.0), (NODES[-1:], 60.0):
         for node in nodes:
             graph.start_nodes([node], rig)
         with ending.interrupts():

@@ -79,6 +79,8 @@ def command(sessions: tuple[Path, ...], out: Path, jobs: int, live: bool, second
     if drive:
         from microbot_ros.cli.discover_drive import drive_rig
 
+        if note := note_on_compiling():
+            progress.print(note, soft_wrap=True)
         drive_rig(out, minutes, apply_, json_path, progress, namespace)
         return
     with progress.status('reading'):

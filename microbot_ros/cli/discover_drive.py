@@ -26,14 +26,14 @@ def drive_rig(out: Path, minutes: float, use: bool, json_path: Path | None,
     is given to the rig. RigError where the rig can't be driven, and where nothing was learned.
     """
     from microbot_ros.discovery.driven.drive import drive
-    from microbot_ros.ending import Ending
+    from microbot_ros.ending import Ending, find_launcher
     from microbot_ros.nodes.driven_rig import DrivenRig
     from microbot_ros.nodes.graph_client import GraphClient
 
     out = out.resolve()
     kept = _Kept(out)
     with GraphClient('discover', namespace) as client:
-        with DrivenRig(client, kept) as rig, Ending(rig.tell_to_end):
+        with DrivenRig(client, kept) as rig, Ending(rig.tell_to_end, find_launcher()):
             driven = drive(rig, minutes, lambda line: progress.print(line, soft_wrap=True))
         found = _write(driven, kept.folders, out, json_path, progress)
         if use and found.model.effects and driven.decided == 'settled':

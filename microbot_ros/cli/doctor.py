@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _WATCH_SECONDS, _TICK_SECONDS, _LATE_MS = 2.0, 0.005, 10.0
 _CAMERA_SECONDS = 1.0
 _ANY_BAUD = 115_200
-_UDEV_HINT = 'see "Low latency" in docs/safety.md for the udev rule that sets it'
+_UDEV_HINT = 'see "Low latency" in docs/explanation/safety.md for the udev rule that sets it'
 _BUSY = [sys.executable, '-c', 'while True: pass']
 
 

@@ -4,42 +4,54 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
 from microbot_ros.cli.options import FiniteFloatRange, plausible_number
 from microbot_ros.errors import InputError
 
+if TYPE_CHECKING:
+    from microbot_ros.session.spreadsheets.sheets import Answers
+
 _ROLES = 'time, frame, particle, x, y, theta, direction, frequency, bx, by'
+
+
+_OPTIONS = (
+    click.option('--column', 'columns', multiple=True, metavar='ROLE=NAME',
+                 help=f'Name the column for a role: {_ROLES}.'),
+    click.option('--position-unit', type=click.Choice(['um', 'mm', 'm', 'px'])),
+    click.option('--pixel-size-um', type=plausible_number('pixel_size_um')),
+    click.option('--y', 'y_axis', type=click.Choice(['up', 'down']),
+                 help='Where y points; down is assumed of pixels.'),
+    click.option('--time-unit', type=click.Choice(['s', 'ms'])),
+    click.option('--times', type=click.Choice(['moments', 'intervals'])),
+    click.option('--frame-rate-hz', type=plausible_number('frame_rate_hz')),
+    click.option('--angle-unit', type=click.Choice(['deg', 'rad'])),
+    click.option('--angle-sense', type=click.Choice(['counterclockwise', 'clockwise'])),
+    click.option('--angle-offset-deg', type=FiniteFloatRange(-3600, 3600),
+                 help='How much too large the angles of the commands are.'),
+    click.option('--field-unit', type=click.Choice(['mT', 'T', 'G'])),
+)
+
+
+def answer_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Adds to a `command` the options that answer what tables leave open; see `answers`."""
+    for option in reversed(_OPTIONS):
+        command = option(command)
+    return command
 
 
 @click.command(name='import')
 @click.argument('source', type=click.Path(path_type=Path))
 @click.option('--out', type=click.Path(path_type=Path), required=True,
               help='The session to write: a folder.')
-@click.option('--column', 'columns', multiple=True, metavar='ROLE=NAME',
-              help=f'Name the column for a role: {_ROLES}.')
-@click.option('--position-unit', type=click.Choice(['um', 'mm', 'm', 'px']))
-@click.option('--pixel-size-um', type=plausible_number('pixel_size_um'))
-@click.option('--y', 'y_axis', type=click.Choice(['up', 'down']),
-              help='Where y points; down is assumed of pixels.')
-@click.option('--time-unit', type=click.Choice(['s', 'ms']))
-@click.option('--times', type=click.Choice(['moments', 'intervals']))
-@click.option('--frame-rate-hz', type=plausible_number('frame_rate_hz'))
-@click.option('--angle-unit', type=click.Choice(['deg', 'rad']))
-@click.option('--angle-sense', type=click.Choice(['counterclockwise', 'clockwise']))
-@click.option('--angle-offset-deg', type=FiniteFloatRange(-3600, 3600),
-              help='How much too large the angles of the commands are.')
-@click.option('--field-unit', type=click.Choice(['mT', 'T', 'G']))
+@answer_options
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
               help='Also write what was found and assumed as JSON.')
-def command(
-    source: Path, out: Path, columns: tuple[str, ...], position_unit: str | None,
-    pixel_size_um: float | None, y_axis: str | None, time_unit: str | None, times: str | None,
-    frame_rate_hz: float | None, angle_unit: str | None, angle_sense: str | None,
-    angle_offset_deg: float | None, field_unit: str | None, json_path: Path | None,
-) -> None:
+def command(source: Path, out: Path, json_path: Path | None, **given: Any) -> None:
     """Turn SOURCE into a session: a spreadsheet, a delimited text file, or a folder of them.
 
     Finds robots side by side, below each other, or on a sheet each; times that are intervals;
@@ -56,20 +68,9 @@ def command(
     from microbot_ros.files import write_text
     from microbot_ros.session import write_session
     from microbot_ros.session.spreadsheets.assemble import import_session
-    from microbot_ros.session.spreadsheets.sheets import Answers
-    from microbot_ros.units import to_si
 
-    answers = Answers(
-        columns=_named_columns(columns), position_unit=position_unit and f'_{position_unit}',
-        pixel_size=None if pixel_size_um is None else to_si('pixel_size_um', pixel_size_um),
-        y_axis=y_axis, time_unit=time_unit and f'_{time_unit}', times=times,  # type: ignore[arg-type]
-        frame_rate=frame_rate_hz, angle_unit=angle_unit and f'_{angle_unit}',
-        angle_sense=angle_sense,  # type: ignore[arg-type]
-        angle_offset=None if angle_offset_deg is None else math.radians(angle_offset_deg),
-        field_unit=field_unit and f'_{field_unit}',
-    )
     with Console(stderr=True).status(f'reading {source}'):
-        session, said = import_session(source, answers)
+        session, said = import_session(source, answers(**given))
         write_session(out, session)
     tracks, commands = session.tracks, session.commands
     for sentence in said:
@@ -83,6 +84,30 @@ def command(
             'assumed': said,
         }
         write_text(json_path, json.dumps(found, indent=1, ensure_ascii=False) + '\n')
+
+
+def answers(*, columns: tuple[str, ...], position_unit: str | None, pixel_size_um: float | None,
+            y_axis: Literal['up', 'down'] | None, time_unit: str | None,
+            times: Literal['moments', 'intervals'] | None, frame_rate_hz: float | None,
+            angle_unit: str | None, angle_sense: Literal['counterclockwise', 'clockwise'] | None,
+            angle_offset_deg: float | None, field_unit: str | None) -> Answers:
+    """What the options of `answer_options`, by their names, say of a table.
+
+    They are `columns`, `position_unit`, `pixel_size_um` [µm], `y_axis`, `time_unit`, `times`,
+    `frame_rate_hz`, `angle_unit`, `angle_sense`, `angle_offset_deg` and `field_unit`. InputError
+    for a column's role that there is not.
+    """
+    from microbot_ros.session.spreadsheets.sheets import Answers
+    from microbot_ros.units import to_si
+
+    return Answers(
+        columns=_named_columns(columns), position_unit=position_unit and f'_{position_unit}',
+        pixel_size=None if pixel_size_um is None else to_si('pixel_size_um', pixel_size_um),
+        y_axis=y_axis, time_unit=time_unit and f'_{time_unit}', times=times,
+        frame_rate=frame_rate_hz, angle_unit=angle_unit and f'_{angle_unit}',
+        angle_sense=angle_sense,
+        angle_offset=None if angle_offset_deg is None else math.radians(angle_offset_deg),
+        field_unit=field_unit and f'_{field_unit}')
 
 
 def _named_columns(pairs: tuple[str, ...]) -> dict[str, str]:

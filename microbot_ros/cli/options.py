@@ -14,6 +14,10 @@ namespace_option = click.option(
     help='Which rig, where its nodes run in a ROS namespace of their own.')
 
 
+cockpit_option = click.option(
+    '--cockpit', is_flag=True, help="Serve the operator's page beside; see `microbot cockpit`.")
+
+
 force_option = click.option(
     '--force', is_flag=True, help='Replace what an earlier run left there.')
 

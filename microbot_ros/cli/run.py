@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from microbot_ros.cli.options import namespace_option
+from microbot_ros.cli.options import cockpit_option, namespace_option
 from microbot_ros.drive.real_time import LOOP, realtime_priority
 from microbot_ros.ending import Ending, Stopped
 from microbot_ros.errors import InputError
@@ -23,8 +23,9 @@ from microbot_ros.nodes.graph import Graph
 @click.option('--one-process/--process-per-node', default=False, show_default=True,
               help='The loop in one process answers 2 ms sooner where nothing is recorded; in a '
               'process per node a crash of one leaves the others.')
+@cockpit_option
 @namespace_option
-def command(config: Path, arm: bool, one_process: bool, namespace: str) -> None:
+def command(config: Path, arm: bool, one_process: bool, cockpit: bool, namespace: str) -> None:
     """Run the nodes beside a rig until Ctrl-C, SIGTERM or SIGHUP: the coils go to zero at once.
 
     Nothing drives the coils before the gate is armed: with --arm, or from another terminal
@@ -48,7 +49,7 @@ def command(config: Path, arm: bool, one_process: bool, namespace: str) -> None:
     rig = read_rig(config, namespace)
     if not rig:
         raise InputError(config, f'expected a section for each node to run: {", ".join(NODES)}')
-    nodes = [name for name in NODES if name in rig]
+    nodes = [name for name in NODES if name in rig or (cockpit and name == 'cockpit')]
     graph = Graph(_say)
     with Ending(graph.tell_to_end) as ending, graph:
         for group in processes(nodes, one_process):

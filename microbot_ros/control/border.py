@@ -26,8 +26,9 @@ def kept_in_view(inputs: ControllerInput, command: FieldCommand, horizon: float)
     as possible. Only particles whose speed and φ are known count; a field of zero stays zero.
     This is a control barrier function, h the distance: dh/dt ≥ −h/horizon.
     """
-    if _clear(inputs.expected, inputs.speed, command.frequency or 1.0, inputs.workspace.low,
-              inputs.workspace.high, horizon):
+    if not command.in_plane or _clear(
+            inputs.expected, inputs.speed, command.frequency or 1.0, inputs.workspace.low,
+            inputs.workspace.high, horizon):
         return command
     model = inputs.model
     made = complex(*(command.field if model is None else model.field(command.field)).tolist())

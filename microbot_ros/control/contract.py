@@ -206,15 +206,41 @@ class Progress:
 
 @dataclass(frozen=True)
 class FieldCommand:
-    """One tick's answer: the wanted `field` (2,) [T] and, for rollers, its `frequency` [Hz].
+    """One tick's answer: the wanted `field` (2,) or (3,) [T] and, for rollers, its `frequency`
+    [Hz].
 
     `particles` (K,) are the ids of those it is meant for, which are kept in view; None: all.
+    A field that turns rolls along its part in the plane, or goes round the `axis` (3,), a unit
+    vector, right-handed. What has an axis, or a part along z, is kept in view by nobody.
     """
 
     field: np.ndarray
     frequency: float = 0.0
     progress: Progress = dataclasses.field(default_factory=Progress)
     particles: np.ndarray | None = None
+    axis: np.ndarray | None = None
+
+    @property
+    def angular_velocity(self) -> np.ndarray:
+        """ω (3,) [rad/s] of the field: rollers go along ω̂ × ẑ; zero for one that stands."""
+        axis = self.axis
+        if axis is None:
+            x, y = self.field[:2] / (math.hypot(*self.field[:2]) or 1.0)
+            axis = np.array([-y, x, 0.0])
+        return math.tau * self.frequency * axis
+
+    @property
+    def drive(self) -> np.ndarray:
+        """The part (2,) [T] along which particles swim, or roll."""
+        if self.axis is None:
+            return self.field[:2]
+        x, y = float(np.linalg.norm(self.field)) * self.axis[:2]
+        return np.array([y, -x])
+
+    @property
+    def in_plane(self) -> bool:
+        """Whether it is of the kind that drives what swims or rolls along the plane."""
+        return self.axis is None and len(self.field) == 2
 
 
 def no_field(message: str, done: bool = False) -> FieldCommand:

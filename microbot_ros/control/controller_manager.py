@@ -78,7 +78,7 @@ class ControllerManager:
         self._pose_timeout = pose_timeout
         self._border = border
         self._record = FieldRecord()
-        self._field = np.zeros(2)
+        self._field = np.zeros(3)
         self._fault = ''
         self._last: ControllerInput | None = None
 
@@ -135,7 +135,7 @@ class ControllerManager:
             before.deactivate(self._deadline / 2)
         try:
             if self._last is not None:
-                inputs = dataclasses.replace(self._last, field=self._field.copy())
+                inputs = dataclasses.replace(self._last, field=self._field[:2].copy())
                 after.activate(inputs, self._deadline)
         except Exception as error:
             return SwitchResult(False, f'{name}: {reason(error)}')
@@ -146,7 +146,7 @@ class ControllerManager:
 
     def let_go(self) -> None:
         """No field flows any more: the next command starts from zero."""
-        self._field = np.zeros(2)
+        self._field = np.zeros(3)
 
     def reset(self) -> None:
         """Let go, and every controller forgets what it learned and did."""
@@ -168,14 +168,14 @@ class ControllerManager:
             return Outcome(None, Result.STALE, f'poses are {inputs.age:.2f} s old')
         inputs = _with_delay_of_model(_usable(inputs))
         self._last = inputs = dataclasses.replace(
-            inputs, field=self._field.copy(), record=self._record,
+            inputs, field=self._field[:2].copy(), record=self._record,
             expected=look_ahead(inputs, self._record))
         command, result, message = self._ask(inputs)
-        field = _approach(self._field, command.field, inputs)
-        self._field = field
-        self._record.note(inputs.t + inputs.delay, field, command.frequency)
-        return Outcome(FieldCommand(field, command.frequency, command.progress, command.particles),
-                       result, message)
+        self._field = _approach(self._field, _in_space(command.field), inputs)
+        field = self._field if self._field[2] else self._field[:2]
+        command = dataclasses.replace(command, field=field)
+        self._record.note(inputs.t + inputs.delay, command.drive, command.frequency)
+        return Outcome(command, result, message)
 
     def close(self) -> None:
         """Let the active controller go; nothing may be asked afterwards."""
@@ -223,14 +223,33 @@ def _with_delay_of_model(inputs: ControllerInput) -> ControllerInput:
 
 
 def _checked(command: FieldCommand, limits: Limits) -> FieldCommand:
-    """The command with a field of its own, (2,); ValueError unless finite and within limits."""
-    field = np.array(command.field, dtype=float).reshape(2)
+    """The command with a field of its own, (2,) or (3,), and, where it has one, an axis of unit
+    length; ValueError unless finite and within limits."""
+    field = np.array(command.field, dtype=float).reshape(-1)
+    if len(field) not in (2, 3):
+        raise ValueError(f'commanded a field of {len(field)} components; expected 2 or 3')
     strength = math.hypot(*field.tolist())
     if not strength <= limits.field * (1 + 1e-9):
         raise ValueError(f'commanded {strength * 1e3:g} mT; the limit is {limits.field * 1e3:g}')
     if not 0 <= command.frequency <= limits.frequency:
         raise ValueError(f'commanded {command.frequency:g} Hz; expected 0 to {limits.frequency:g}')
-    return FieldCommand(field, float(command.frequency), command.progress, command.particles)
+    return dataclasses.replace(
+        command, field=field, frequency=float(command.frequency), axis=_unit(command.axis))
+
+
+def _unit(axis: np.ndarray | None) -> np.ndarray | None:
+    if axis is None:
+        return None
+    found = np.array(axis, dtype=float).reshape(3)
+    length = math.hypot(*found.tolist())
+    if not 0 < length < math.inf:
+        raise ValueError(f'commanded an axis {axis}; expected a direction')
+    return found / length
+
+
+def _in_space(field: np.ndarray) -> np.ndarray:
+    """A field (2,) or (3,) as (3,)."""
+    return np.pad(field, (0, 3 - len(field)))
 
 
 def _approach(now: np.ndarray, wanted: np.ndarray, inputs: ControllerInput) -> np.ndarray:

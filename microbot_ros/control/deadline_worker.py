@@ -113,6 +113,21 @@ class DeadlineWorker:
         raise BusyError('has not returned from the tick before')
 
 
+class UnhurriedWorker(DeadlineWorker):
+    """Calls in the thread of whoever asks, for as long as they take."""
+
+    def call(self, function: Callable[[], T], deadline: float) -> T:
+        return function()
+
+    def post(self, function: Callable[[], T]) -> Call[T]:
+        call = Call(function)
+        call.run()
+        return call
+
+    def leave_behind(self) -> None:
+        """There is nobody to leave."""
+
+
 def _serve(calls: queue.SimpleQueue[Call | None]) -> None:
     with suppress(SystemExit):  # it may be told to end on the way into a call
         while (call := calls.get()) is not None:

@@ -38,7 +38,7 @@ _NO_FILE = "'file' names no ONNX file"
 class PolicyParameters:
     """Which policy, and what happens before and after it."""
 
-    file: str = setting('', 'ONNX file with the policy; see docs/training.md.')
+    file: str = setting('', 'ONNX file with the policy; see docs/how-to/train_a_controller.md.')
     field_mT: float = setting(
         5.0, 'Strength of the field while the policy does not drive.', lower=0.01, upper=100.0)
     learn_phi_std_rad: float = setting(

@@ -114,8 +114,8 @@ def _answer(controller: Controller, shown: ControllerInput) -> None:
     assert command or reason, 'raises an error that says nothing'
     if command:
         field = np.asarray(command.field, dtype=float)
-        assert field.shape == (2,), f'field of shape {field.shape} at t = {shown.t:g} s'
-        assert np.hypot(*field) <= shown.limits.field * (1 + 1e-9), f'{field} T is too much'
+        assert field.shape in ((2,), (3,)), f'field of shape {field.shape} at t = {shown.t:g} s'
+        assert np.linalg.norm(field) <= shown.limits.field * (1 + 1e-9), f'{field} T is too much'
         assert 0 <= command.frequency <= shown.limits.frequency, f'{command.frequency} Hz'
     for name, content in before.items():
         assert getattr(shown, name).tobytes() == content, f'changed {name} of the input'

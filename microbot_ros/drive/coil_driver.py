@@ -76,8 +76,8 @@ class CoilDriver:
                  accept_no_watchdog: bool = False, accept_no_feedback: bool = False) -> None:
         full_scale_A = float(amplifier.full_scale_A.min())
         if not limits.current_A <= full_scale_A:
-            raise InputError('current_A', f'expected at most the full scale of the amplifier, '
-                             f'{full_scale_A:g} A; received {limits.current_A:g} A')
+            raise InputError('current_limit_A', 'expected at most the full scale of the '
+                             f'amplifier, {full_scale_A:g} A; received {limits.current_A:g} A')
         self.amplifier = amplifier
         self.gate = Gate(limits, amplifier.channels, feedback=amplifier.reads_back)
         self._names = names

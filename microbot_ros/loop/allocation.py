@@ -77,7 +77,7 @@ class AllocationStage:
         """
         if not np.isfinite(field).all():
             return np.full(len(self.coils.names), np.nan)
-        return self._allocator.cheapest(self._within(field))[0]
+        return self._allocator.cheapest(self._within(field, np.linalg.norm(field)))[0]
 
     def turn(self, field: np.ndarray, angular_velocity: np.ndarray) -> Turning:
         """The currents of a `field` (3,) [T] that turns with an `angular_velocity` (3,) [rad/s].
@@ -98,7 +98,7 @@ class AllocationStage:
         per_direction = strength * np.pad(make, ((0, 0), (0, 3 - make.shape[1])))
         if make.shape[1] < 3 and strength and not abs(axis[2]) > _UPRIGHT:
             raise ValueError('no field along z, in which it would turn, comes from these coils')
-        steady = make @ (self._within(along) - self.coils.background)
+        steady = make @ (self._within(along, np.linalg.norm(field)) - self.coils.background)
         # The largest current of a turning field: how much of a coil lies across the axis.
         across = per_direction - np.outer(per_direction @ axis, axis)
         largest = np.linalg.norm(across, axis=1)
@@ -107,10 +107,11 @@ class AllocationStage:
         start = (field - along) / (strength or 1.0)
         return Turning(steady, share * per_direction, axis, rate, start, self.coils.driven)
 
-    def _within(self, field: np.ndarray) -> np.ndarray:
-        """Of a field (2,) or (3,) what the coils have axes for."""
+    def _within(self, field: np.ndarray, strength: np.floating) -> np.ndarray:
+        """Of a field (2,) or (3,) what the coils have axes for, the rest being as good as nothing
+        beside a `strength`."""
         axes = len(self._allocator.matrix)
-        if np.any(np.abs(field[axes:]) > _IN_PLANE * np.linalg.norm(field)):
+        if np.any(np.abs(field[axes:]) > _IN_PLANE * strength):
             raise ValueError(f'no field along z comes from these coils; {field[2] * 1e3:.3g} mT '
                              'is asked for')
         return np.pad(field[:axes], (0, max(axes - len(field), 0)))

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from microbot_ros.control.controller_manager import Outcome
-from microbot_ros.control.deadline_worker import Call, DeadlineWorker
+from microbot_ros.control.deadline_worker import UnhurriedWorker
 from microbot_ros.drive.gate import Gate
 from microbot_ros.loop.allocation import AllocationStage, GateParameters, limits
 from microbot_ros.loop.controller import ControllerParameters, ControllerStage
 from microbot_ros.loop.model import ModelParameters, ModelStage
 from microbot_ros.loop.tracker import TrackerParameters, TrackerStage
-
-T = TypeVar('T')
 
 
 @dataclass(frozen=True)
@@ -67,7 +65,7 @@ class Loop:
         self._parameters = parameters
         self.model = ModelStage(parameters.model)
         self.model.use(parameters.model.model_file)
-        self.controller = ControllerStage(parameters.controller, _Unhurried)
+        self.controller = ControllerStage(parameters.controller, UnhurriedWorker)
         answer = self.controller.configure(parameters.controller, parameters.controllers)
         if not answer.ok:
             raise ValueError(answer.message)
@@ -127,18 +125,3 @@ def _asked(outcome: Outcome) -> tuple[np.ndarray, float]:
     if outcome.command is None:
         return np.zeros(2), 0.0
     return outcome.command.field, outcome.command.frequency
-
-
-class _Unhurried(DeadlineWorker):
-    """Calls in the thread of whoever asks, for as long as they take."""
-
-    def call(self, function: Callable[[], T], deadline: float) -> T:
-        return function()
-
-    def post(self, function: Callable[[], T]) -> Call[T]:
-        call = Call(function)
-        call.run()
-        return call
-
-    def leave_behind(self) -> None:
-        """There is nobody to leave."""

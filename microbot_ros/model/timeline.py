@@ -154,11 +154,13 @@ class Timeline:
 def last_change(field: np.ndarray, frequency: np.ndarray | None = None) -> np.ndarray:
     """The row (K,) from which on each command has been what it is: repeats change nothing.
 
-    Of commands of `field` (K, 2) [T], or (K, N, 2), and `frequency` (K,) [Hz] of the rotation.
+    Of commands of `field` (K, 2) [T], or (K, N, 2), and `frequency` (K,) or (K, N) [Hz] of the
+    rotation.
     """
     changed = (np.diff(field, axis=0) != 0).any(axis=tuple(range(1, field.ndim)))
     if frequency is not None:
-        changed |= np.diff(frequency) != 0
+        turns = frequency.reshape(len(field), -1)
+        changed |= (np.diff(turns, axis=0) != 0).any(axis=1)
     rows = np.arange(len(field))
     return np.maximum.accumulate(np.where(np.append(True, changed)[:len(rows)], rows, 0))
 

@@ -20,6 +20,7 @@ from microbot_ros.cameras.stream import FrameStream
 from microbot_ros.errors import InputError
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import ERROR, IMAGES_OUT, OK, WARN, RigNode
+from microbot_ros.nodes.preview import Preview
 from microbot_ros.settings import setting
 
 _RETRY_SECONDS = 1.0
@@ -42,7 +43,7 @@ class CameraParameters(CameraSettings):
 
 class CameraNode(RigNode):
     """Publishes `camera/image_raw` from a thread of its own, because devices block, and
-    `camera/camera_info` with each."""
+    `camera/camera_info` with each; `camera/preview` for screens."""
 
     Parameters: ClassVar[type] = CameraParameters
 
@@ -56,6 +57,7 @@ class CameraNode(RigNode):
         self._open()
         self._images = self.publisher(Image, 'camera/image_raw', IMAGES_OUT)
         self._info = self.publisher(CameraInfo, 'camera/camera_info', IMAGES_OUT)
+        self._preview = Preview(self)
 
     def start(self) -> None:
         self._stopping.clear()
@@ -72,6 +74,8 @@ class CameraNode(RigNode):
 
     def teardown(self) -> None:
         self._close()
+        if hasattr(self, '_preview'):
+            self._preview.close()
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         stream = self._stream
@@ -152,7 +156,9 @@ class CameraNode(RigNode):
         self._longest = max(self._longest, delay)
         stamp = messages.to_stamp(self.seconds() - delay)
         form = self._stream.format
-        self._images.publish(messages.image(frame.image, stamp, encoding=form.encoding))
+        image = messages.image(frame.image, stamp, encoding=form.encoding)
+        self._images.publish(image)
+        self._preview.offer(image)
         if self._info.get_subscription_count():
             self._info.publish(messages.camera_info(form, stamp))
         self._published += 1

@@ -10,20 +10,34 @@ from typing import Any, ClassVar
 import numpy as np
 from geometry_msgs.msg import Vector3Stamped
 from sensor_msgs.msg import JointState, MagneticField, TimeReference
+from std_msgs.msg import Bool
 from std_srvs.srv import SetBool
 
 from microbot_ros.drive.amplifier import Command, Reading, amplifier_class
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.errors import AmplifierError
-from microbot_ros.drive.gate import Reason
+from microbot_ros.drive.gate import Fault, Reason
 from microbot_ros.errors import InputError
 from microbot_ros.loop.allocation import AllocationStage, GateParameters, limits
 from microbot_ros.nodes import messages
-from microbot_ros.nodes.lifecycle import ERROR, NEWEST, OK, WARN, RigNode
+from microbot_ros.nodes.lifecycle import ERROR, LATCHED, NEWEST, OK, WARN, RigNode
 from microbot_ros.settings import setting
 
 _COMMANDER_SECONDS = 2.0
 """How long arming waits for whoever commands to be seen: both may just have been started."""
+
+
+LIMITS = {
+    Reason.LIMIT: 'current_limit_A', Reason.SLEW: 'step_limit_A, slew_limit_A_per_s',
+    Reason.STALE: 'command_timeout_ms', Reason.DEVIATION: 'deviation_A, settling_ms',
+    Reason.SILENCE: 'feedback_timeout_ms', Reason.HEAT: 'rated_current_A, thermal_s'}
+"""What the gate found → the parameters that say how much of it is allowed."""
+
+
+def _told(fault: Fault) -> str:
+    """A fault for people, with the parameters of the limit that was passed."""
+    limits = f' ({LIMITS[fault.reason]})' if fault.reason in LIMITS else ''
+    return f'{fault.reason.value}{limits}: {fault.detail}'
 
 
 @dataclass(frozen=True)
@@ -57,7 +71,7 @@ class CoilDriverParameters(GateParameters):
 
 
 class CoilDriverNode(RigNode):
-    """`field/command` → the line; the line → `coils/…`, `field/applied`, `~/latency`.
+    """`field/command` → the line; the line → `coils/…`, `field/applied`, `~/latency`, `~/armed`.
 
     With an angular velocity on `field/rotation` the commanded field turns.
 
@@ -94,6 +108,8 @@ class CoilDriverNode(RigNode):
         self._measured = self.publisher(JointState, 'coils/measured')
         self._field = self.publisher(MagneticField, 'field/applied')
         self._latencies = self.publisher(TimeReference, '~/latency')
+        self._armed, self._told_armed = self.publisher(Bool, '~/armed', LATCHED), False
+        self._armed.publish(Bool(data=False))
         self.subscribe(Vector3Stamped, 'field/command', self._on_command, NEWEST,
                        on_matched=self._on_commanders)
         self.subscribe(Vector3Stamped, 'field/rotation', self._on_rotation, NEWEST,
@@ -116,6 +132,7 @@ class CoilDriverNode(RigNode):
             self._driver.disarm()
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
+        self._tell_armed()
         counters, gate = self._driver.amplifier.counters, self._driver.gate
         values: dict[str, object] = {
             'armed': gate.armed, 'frames_sent': counters.frames_sent,
@@ -127,8 +144,7 @@ class CoilDriverNode(RigNode):
         if gate.fault and gate.fault.reason is Reason.IDLE:
             return WARN, f'coils at zero, disarmed: {gate.fault.detail}', values
         if gate.fault:
-            sentence = f'coils at zero, {gate.fault.reason.value}: {gate.fault.detail}'
-            return ERROR, sentence, values
+            return ERROR, f'coils at zero, {_told(gate.fault)}', values
         if not self._driver.connected:
             return ERROR, f'amplifier lost at {self.settings.port}; reconnecting', values
         if not gate.armed:
@@ -190,6 +206,7 @@ class CoilDriverNode(RigNode):
 
     def _on_reading(self, reading: Reading) -> None:
         """In the driver's thread: publish what was measured, and how long it took."""
+        self._tell_armed()
         now = self.get_clock().now().to_msg()
         self._measured.publish(messages.currents(self.stage.coils.names, reading.currents_A, now))
         field = self.stage.field(reading.currents_A)
@@ -201,6 +218,14 @@ class CoilDriverNode(RigNode):
             message = TimeReference(time_ref=exposed, source=self.get_name())
             message.header.stamp = now
             self._latencies.publish(message)
+
+    def _tell_armed(self) -> None:
+        """Say at once where the gate is not as it was told, and how all is."""
+        armed = self._driver.gate.armed
+        if armed != self._told_armed:
+            self._told_armed = armed
+            self._armed.publish(Bool(data=armed))
+            self._report()
 
     def _commanders(self) -> dict[bytes, str]:
         """Who publishes `field/command` now: the endpoint's identity, the node's full name."""
@@ -256,4 +281,5 @@ class CoilDriverNode(RigNode):
             refusal = self._choose_commander() or self._driver.arm()
             response.success = not refusal
             response.message = refusal or '; '.join(filter(None, ['armed', self._driver.warning]))
+        self._tell_armed()
         return response

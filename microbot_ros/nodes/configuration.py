@@ -9,6 +9,7 @@ from typing import Any
 import pydantic
 
 from microbot_ros import settings
+from microbot_ros.drive.amplifier import amplifier_class
 from microbot_ros.errors import InputError, clipped
 from microbot_ros.files import Settings, line_of, load_yaml, read_yaml
 from microbot_ros.nodes.lifecycle import RigNode
@@ -94,23 +95,37 @@ def node_class(name: str) -> type[RigNode]:
 
 
 def _refuse_contradictions(path: str | Path, rig: dict[str, dict[str, Any]]) -> None:
-    """InputError where the controller may ask for more than the coil driver was told it will."""
-    if not {'controller', 'coil_driver'} <= rig.keys():
+    """InputError where the controller may ask for more than the coil driver was told it will, and
+    where somebody waits for what an amplifier does not measure.
+    """
+    if 'coil_driver' not in rig:
         return
-    asked, allowed = (
-        rig[node].get(name, settings.defaults(node_class(node).Parameters)[name])
-        for node, name in (('controller', 'max_field_mT'), ('coil_driver', 'full_field_mT')))
-    if not asked <= allowed:
-        raise InputError(path, f'controller: max_field_mT is {asked:g}, expected at most '
-                         f'{allowed:g}, the full_field_mT of the coil_driver',
-                         _line_of_limit(path))
+    if 'controller' in rig:
+        asked = _value(rig, 'controller', 'max_field_mT')
+        allowed = _value(rig, 'coil_driver', 'full_field_mT')
+        if not asked <= allowed:
+            raise InputError(path, f'controller: max_field_mT is {asked:g}, expected at most '
+                             f'{allowed:g}, the full_field_mT of the coil_driver',
+                             _line_of(path, 'controller', 'max_field_mT'))
+    amplifier = _value(rig, 'coil_driver', 'amplifier')
+    for node in ('tracker', 'model'):
+        if (node in rig and _value(rig, node, 'field_source') == 'applied'
+                and not amplifier_class(amplifier).reads_back):
+            raise InputError(path, f'{node}: field_source is applied, expected command: '
+                             f'{amplifier} measures no currents',
+                             _line_of(path, node, 'field_source'))
 
 
-def _line_of_limit(path: str | Path) -> int | None:
-    """Where a file says what the controller may ask for."""
+def _value(rig: dict[str, dict[str, Any]], node: str, name: str) -> Any:
+    """A parameter as it is given, or its default."""
+    return rig[node].get(name, settings.defaults(node_class(node).Parameters)[name])
+
+
+def _line_of(path: str | Path, node: str, name: str) -> int | None:
+    """Where a file gives a node a parameter, or else where it begins to speak of the node."""
     keys = read_yaml(path, _File).root
-    key = next(key for key in keys if key.rpartition('/')[2] == 'controller')
-    return line_of(path, key, 'ros__parameters', 'max_field_mT')
+    key = next(key for key in keys if key.rpartition('/')[2] == node)
+    return line_of(path, key, 'ros__parameters', name)
 
 
 def _flatten(tree: dict[str, Any]) -> list[tuple[tuple[str, ...], Any]]:

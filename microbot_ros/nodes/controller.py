@@ -91,7 +91,7 @@ class ControllerNode(RigNode):
     def setup(self) -> None:
         self.stage.begin()
         self._goals_stamp = self._path_stamp = self._plan_stamp = 0.0
-        self._rolling = False
+        self._turning = False
         self._commands = self.publisher(Vector3Stamped, 'field/command')
         self._markers = self.publisher(MarkerArray, 'markers')
         self._markers_due = 0.0
@@ -227,11 +227,8 @@ class ControllerNode(RigNode):
 
     def _publish(self, command: FieldCommand, stamp: Time) -> None:
         # The rotation first: what is commanded then already turns.
-        rolling = command.frequency > 0
-        if rolling or self._rolling:
-            # The angular velocity ω for which ω̂ × ẑ is the rolling direction; zero once at rest.
-            strength = np.hypot(*command.field) or 1.0
-            x, y = command.field / strength * math.tau * command.frequency
-            self._rotations.publish(messages.field_vector(np.array([-y, x]), stamp))
-        self._rolling = rolling
+        turns = command.frequency > 0
+        if turns or self._turning:
+            self._rotations.publish(messages.field_vector(command.angular_velocity, stamp))
+        self._turning = turns
         self._commands.publish(messages.field_vector(command.field, stamp))

@@ -200,6 +200,8 @@ class RigNode(LifecycleNode):
         self.make_safe()
         if self._state_machine.current_state[1] in ('unconfigured', 'inactive', 'active'):
             self.trigger_shutdown()
+        else:  # a signal came in the midst of a transition, as during the first compilation
+            self._transition('shutdown', self._end)
 
     def complain(self, sentence: str) -> None:
         """Say a `sentence` on the log and for 5 s on `/diagnostics`: something came in wrong."""

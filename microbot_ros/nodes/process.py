@@ -15,7 +15,7 @@ from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
 
 from microbot_ros.drive.real_time import LOOP, SAFETY, set_realtime_priority_of_all
-from microbot_ros.ending import Ending, find_launcher
+from microbot_ros.ending import Ending, Stopped, find_launcher
 from microbot_ros.errors import InputError
 from microbot_ros.nodes.graph import READY
 from microbot_ros.nodes.lifecycle import RigNode
@@ -31,6 +31,7 @@ NODES = {
     'virtual_rig': 'VirtualRigNode',
     'recorder': 'RecorderNode',
     'player': 'PlayerNode',
+    'cockpit': 'CockpitNode',
 }
 """Node name → class in the module of the same name; imported only where it runs."""
 
@@ -77,17 +78,20 @@ def run(names: list[str], arguments: list[str] | None = None) -> int:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         executor = EventsExecutor()
         try:
-            for name in names:
-                nodes.append(make(name, rig))
-                executor.add_node(nodes[-1])
-            _refuse_elsewhere(nodes, arguments or [])
-            for node in nodes:
-                _activate(node)
+            with ending.interrupts():  # the first time code is compiled, for minutes
+                for name in names:
+                    nodes.append(make(name, rig))
+                    executor.add_node(nodes[-1])
+                _refuse_elsewhere(nodes, arguments or [])
+                for node in nodes:
+                    _activate(node)
             _settle(names, rig)
             print(READY, *names, flush=True)
             while not (ending.due or any(node.finished for node in nodes)):
                 executor.spin_once(timeout_sec=_SPIN_SECONDS)
             return _told_faults(nodes)
+        except Stopped:
+            return 0
         except InputError as error:
             print(f'microbot: {error}', file=sys.stderr)
             return 2

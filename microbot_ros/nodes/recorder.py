@@ -6,7 +6,7 @@ import array
 import contextlib
 import platform
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from importlib import metadata
@@ -49,8 +49,9 @@ class RecorderParameters:
         read_only=True)
     frame_every: int = setting(
         1, 'Record every n-th camera frame; 0 records none.', lower=0, upper=1000)
-    title: str = setting('', 'One line on what the next recording is of.')
-    notes: str = setting('', 'Whatever else is worth knowing of it.')
+    title: str = setting(
+        '', 'One line on what the next recording is of; set while one runs, what that is of.')
+    notes: str = setting('', 'Whatever else is worth knowing of it, before or while it runs.')
     attachments: list[str] = setting(
         [], 'Files kept inside the recording: protocol, photographs, calibrations.',
         read_only=True)
@@ -60,8 +61,8 @@ class RecorderNode(RigNode):
     """Hands serialised messages to the writer, whose own thread compresses and writes.
 
     `~/record` (std_srvs/SetBool) begins and ends a recording of the title and notes that the
-    parameters hold then. Kept inside are the parameters of every node, the files that they
-    name, versions, and how the clocks lie to each other.
+    parameters hold then, or are given meanwhile. Kept inside are the parameters of every node,
+    the files that they name, versions, and how the clocks lie to each other.
     """
 
     Parameters: ClassVar[type] = RecorderParameters
@@ -69,6 +70,7 @@ class RecorderNode(RigNode):
     def setup(self) -> None:
         typestore()  # takes 0.1 s; frames would wait for it, and some be lost
         self._writer: RecordingWriter | None = None
+        self._subject: dict[str, str] = {}
         self._attachments = {
             Path(name).name: _content(name) for name in self.settings.attachments}
         for topic in self.settings.topics or set(TOPICS) - {_OVERLAY}:
@@ -79,6 +81,17 @@ class RecorderNode(RigNode):
             self.subscribe(kind, topic, self._taker(topic), qos, raw=True)
         self.service(SetBool, '~/record', self._on_record)
         self.every(0.1, self._look_around)
+
+    def take(self, changed: Mapping[str, Any], named: Collection[str]) -> str:
+        """What is noted while a recording runs is kept in it: of `changed`, what `named` gives,
+        and no text is taken away."""
+        values: RecorderParameters = changed.get('', self.settings)
+        writer: RecordingWriter | None = getattr(self, '_writer', None)
+        for name in {'title', 'notes'} & {*named}:
+            if (text := getattr(values, name)) and writer is not None:
+                self._subject = {**self._subject, name: text}
+                writer.describe('recording', self._subject)
+        return ''
 
     def start(self) -> None:
         if self.settings.recording:
@@ -97,7 +110,8 @@ class RecorderNode(RigNode):
         values: dict[str, object] = {
             'messages': sum(status.counts.values()), 'dropped': sum(status.dropped.values()),
             'written_MB': status.bytes_written / 1e6, 'queued_MB': status.queued_bytes / 1e6,
-            'free_GB': status.free_bytes / 1e9}
+            'free_GB': status.free_bytes / 1e9,
+            'recording_s': time.monotonic() - self._began, 'title': self._subject['title']}
         if status.problem:
             return WARN, status.problem, values
         return OK, f'recording to {self._folder}', values
@@ -116,13 +130,16 @@ class RecorderNode(RigNode):
         else:
             self.stop()
             response.message = f'recorded {self._folder}'
+        self._report()
         return response
 
     def _begin(self) -> None:
         values: RecorderParameters = self.settings
         folder = values.folder or f'recordings/{datetime.now():%Y-%m-%d_%H-%M-%S}'
         writer = RecordingWriter(folder)
-        writer.describe('recording', {'title': values.title, 'notes': values.notes})
+        self._subject = {'title': values.title, 'notes': values.notes}
+        self._began = time.monotonic()
+        writer.describe('recording', self._subject)
         writer.describe('clocks', self._clocks())
         writer.describe('versions', _versions())
         for name, content in self._attachments.items():

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import ClassVar, TextIO
 
 import numpy as np
-from sensor_msgs.msg import Image, PointCloud2
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from microbot_ros import units
 from microbot_ros.errors import InputError
@@ -29,6 +29,7 @@ from microbot_ros.model.model_file import read_model
 from microbot_ros.model.particle import Fluid, rolling_drag, rotational_drag
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import IMAGES_OUT, OK, WARN, RigNode
+from microbot_ros.nodes.preview import Preview
 from microbot_ros.records import height_problem
 from microbot_ros.settings import setting
 from microbot_ros.virtual_rig.body import bodies
@@ -70,6 +71,12 @@ class VirtualRigParameters:
     phis_rad: list[float] = setting(
         [-1.09, 3.82, 2.64], 'Heading of each particle relative to the field.',
         lower=-7.0, upper=7.0, read_only=True)
+    step_outs_hz: list[float] = setting(
+        [], 'Frequency up to which each rolling particle follows a field of 5 mT; empty: what '
+        'alignment_ms makes of all.', lower=0.0, upper=1000.0, read_only=True)
+    walls_um: list[float] = setting(
+        [], 'x, y of one end and x, y of the other of each straight wall, one after the other.',
+        lower=-10000.0, upper=10000.0, read_only=True)
     alignment_ms: float = setting(
         5.0, 'Time constant with which a field of 5 mT turns the particles.',
         lower=0.1, upper=10000.0, read_only=True)
@@ -81,7 +88,7 @@ class VirtualRigParameters:
 
 
 class VirtualRigNode(RigNode):
-    """Publishes `camera/image_raw` and, for judging the others, `~/truth`."""
+    """Publishes what a camera does, and, for judging the others, `~/truth`."""
 
     Parameters: ClassVar[type] = VirtualRigParameters
 
@@ -100,6 +107,8 @@ class VirtualRigNode(RigNode):
         self._frames = 0
         self._busy = self._longest = 0.0
         self._images = self.publisher(Image, 'camera/image_raw', IMAGES_OUT)
+        self._info = self.publisher(CameraInfo, 'camera/camera_info', IMAGES_OUT)
+        self._preview = Preview(self)
         self._truth = self.publisher(PointCloud2, '~/truth')
         self.every(1 / values.frame_rate_hz, self._expose)
 
@@ -109,11 +118,17 @@ class VirtualRigNode(RigNode):
     def teardown(self) -> None:
         if hasattr(self, '_log'):
             self._log.close()
+        if hasattr(self, '_preview'):
+            self._preview.close()
 
     def veto(self, proposed: VirtualRigParameters) -> str:
         moved = proposed.gains_um_s_hz or proposed.speeds_um_s
         if len(moved) != len(proposed.phis_rad):
             return 'speeds_um_s, or gains_um_s_hz, and phis_rad must be equally many'
+        if proposed.step_outs_hz and len(proposed.step_outs_hz) != len(proposed.gains_um_s_hz):
+            return 'step_outs_hz must be as many as gains_um_s_hz, or none'
+        if len(proposed.walls_um) % 4:
+            return 'walls_um must be four numbers each'
         return height_problem(proposed.height_um, proposed.radius_um)
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
@@ -147,7 +162,8 @@ class VirtualRigNode(RigNode):
         for effect, parameters in effects.items():
             if effect in INJECTABLE:
                 inject_effect(made, effect, parameters, _REFERENCE_FIELD)
-        world = make_world(made, rng, effects, _REFERENCE_FIELD, model.learned, half)
+        world = make_world(made, rng, effects, _REFERENCE_FIELD, model.learned, half,
+                           1e-6 * np.array(values.walls_um))
         # The first step compiles; it must not happen while frames are due.
         world.advance(1e-3, FieldHistory(np.zeros(1), np.zeros((1, count, 2))))
         return world
@@ -164,7 +180,9 @@ class VirtualRigNode(RigNode):
         return float(drag / (values.alignment_ms * 1e-3 * _REFERENCE_FIELD))
 
     def _make_rolling(self) -> Rolling:
-        """Rollers of the same moment, which turn about an axis along the floor."""
+        """Rollers of the same moment, unless said, which turn about an axis along the floor."""
+        if step_outs := self.settings.step_outs_hz:
+            return Rolling(math.tau * np.array(step_outs) / _REFERENCE_FIELD)
         radius = units.to_si('radius_um', self.settings.radius_um)
         return Rolling(float(self._moment() / rolling_drag(self._fluid(), radius)))
 
@@ -178,8 +196,13 @@ class VirtualRigNode(RigNode):
         stamp = self.get_clock().now().to_msg()
         self._advance(began)
         world = self._world
-        image = self._microscope.render(world.position, world.heading, world.t)
-        self._images.publish(messages.image(image, stamp))
+        image = messages.image(
+            self._microscope.render(world.position, world.heading, world.t), stamp)
+        self._images.publish(image)
+        self._preview.offer(image)
+        if self._info.get_subscription_count():
+            self._info.publish(
+                CameraInfo(header=image.header, height=image.height, width=image.width))
         points = np.zeros(len(self._world.position), messages.TRUTH)
         points['id'] = np.arange(len(points))
         points['x'], points['y'] = self._world.position.T

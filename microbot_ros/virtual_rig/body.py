@@ -22,7 +22,7 @@ from microbot_ros.model.particle import (
 _NULL_VALUES = {
     'x': 0.0, 'y': 0.0, 'heading': 0.0, 'phi': 0.0, 'fuel': 1.0,
     'radius': 0.0, 'drag': 1.0, 'turn_drag': 1.0, 'diffusion': 0.0, 'rotational_diffusion': 0.0,
-    'speed': 0.0, 'gain': 0.0, 'moment': 0.0,
+    'speed': 0.0, 'gain': 0.0, 'moment': 0.0, 'turns': 0.0,
     # amplifier, coils and stray field
     'delay': 0.0, 'deadband': 0.0, 'gain_y': 1.0, 'skew': 0.0,
     'background_x': 0.0, 'background_y': 0.0,
@@ -38,7 +38,7 @@ _NULL_VALUES = {
     'pair_moment': 0.0, 'coil_moment': 0.0,
     # neighbours
     'dipole': 0.0, 'crowding': 0.0, 'repulsion_speed': 0.0, 'repulsion_range': 1.0,
-    'pusher': 0.0,
+    'pusher': 0.0, 'stir': 0.0,
     # camera
     'aspect': 1.0, 'jump_time': math.inf, 'jump_x': 0.0, 'jump_y': 0.0,
     # in nobody's library of effects

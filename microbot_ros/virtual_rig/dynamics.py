@@ -227,6 +227,9 @@ def neighbours(bodies: np.ndarray, i: int) -> tuple[float, float, float]:
         if other.pusher != 0:
             along = x * math.cos(other.heading) + y * math.sin(other.heading)
             away += other.pusher * (3 * along**2 - 1) / r**2
+        if other.stir != 0:
+            along = x * math.cos(other.heading) + y * math.sin(other.heading)
+            away += other.stir * roll_frequency(other, other.turns) * along / r**3
         u, v = u + away * x, v + away * y
         slowing += body.crowding / r
     return u, v, max(1 - slowing, 0.0)
@@ -253,14 +256,15 @@ def rotate(body: Any, bx: float, by: float, vorticity: float, t: float, dt: floa
 @numba.njit(cache=True)
 def advance(
     bodies: np.ndarray, middle: np.ndarray, length: float, rows: np.ndarray, field: np.ndarray,
-    frequency: np.ndarray, coils: np.ndarray, half_extent: np.ndarray,
-    rng: np.random.Generator, mean: np.ndarray,
+    frequency: np.ndarray, coils: np.ndarray, half_extent: np.ndarray, walls: np.ndarray,
+    rng: np.random.Generator, mean: np.ndarray, touched: np.ndarray,
 ) -> None:
     """Take all bodies through steps of `length` [s] about the times `middle` (K,) [s].
 
-    `rows` (R,) [s]: when each row of `field` (R, 1 or N, 2) [T] and `frequency` (R,) [Hz] begins;
-    `coils` as `coil_gradients`. Walls lie at ± `half_extent` (2,) [m]. Adds to `mean` (N, 2) [m]
-    the average position.
+    `rows` (R,) [s]: when each row of `field` (R, 1 or N, 2) [T] and `frequency` (R, 1 or N) [Hz]
+    begins; `coils` as `coil_gradients`. Walls lie at ± `half_extent` (2,) [m], and from one point
+    to another: x, y, x, y of each of `walls` (W, 4) [m]. Adds to `mean` (N, 2) [m] the average
+    position, and says in `touched` (N,) who met another or one of the `walls`.
     """
     velocity = np.empty((len(bodies), 2))
     here = np.zeros(2)
@@ -272,11 +276,12 @@ def advance(
             here[:] = 0.0
             if row >= 0:
                 here[:] = field[row, min(i, field.shape[1] - 1)]
-                turns = frequency[row]
+                turns = frequency[row, min(i, frequency.shape[1] - 1)]
             _move(bodies, i, here, turns, t, length, coils, rng, velocity)
         for i in range(len(bodies)):
             _displace(bodies[i], velocity[i], length, rng, half_extent, mean[i])
-        _separate(bodies)
+        _separate(bodies, touched)
+        _keep_out(bodies, walls, touched)
     mean /= len(middle)
 
 
@@ -292,12 +297,13 @@ def advance_worlds(
     (R,) [s], and its `field` (M, R, 1, 2) [T]; `coils` as `coil_gradients`. Adds to `mean`
     (M, N, 2) [m] the average position.
     """
-    half_extent = np.full(2, np.inf)
+    half_extent, walls = np.full(2, np.inf), np.empty((0, 4))
+    touched = np.zeros(bodies.shape[1], np.bool_)
     middle = (np.arange(steps) + 0.5) * (duration / steps)
     for m in which:
         had = count[m]
         advance(bodies[m], start[m] + middle, duration / steps, rows[:had], field[m, :had],
-                np.zeros(had), coils, half_extent, rng, mean[m])
+                np.zeros((had, 1)), coils, half_extent, walls, rng, mean[m], touched)
 
 
 @numba.njit(cache=True)
@@ -317,6 +323,7 @@ def _move(
     before = body.heading
     rotate(body, bx, by, vorticity, t, length, rng.standard_normal())
     during = (before + body.heading) / 2
+    body.turns = turns
     speed = own_speed(body, turns, t) * slowing
     along, across = tilt(body, strength, rng)
     c, s = math.cos(during), math.sin(during)
@@ -342,8 +349,12 @@ def _displace(
 
 
 @numba.njit(cache=True)
-def _separate(bodies: np.ndarray) -> None:
-    """Push overlapping spheres apart along their line of centres, half each."""
+def _separate(bodies: np.ndarray, touched: np.ndarray) -> None:
+    """Push overlapping spheres apart along their line of centres, each by its share.
+
+    What moves one by a force moves the other by as much as their drags say. Notes both in
+    `touched`.
+    """
     for i in range(len(bodies)):
         for j in range(i):
             a, b = bodies[i], bodies[j]
@@ -351,6 +362,26 @@ def _separate(bodies: np.ndarray) -> None:
             contact = a.radius + b.radius
             squared = x**2 + y**2
             if 0 < squared < contact**2:
-                push = (contact / math.sqrt(squared) - 1) / 2
-                a.x, a.y = a.x + push * x, a.y + push * y
-                b.x, b.y = b.x - push * x, b.y - push * y
+                push = contact / math.sqrt(squared) - 1
+                mine = push * b.drag / (a.drag + b.drag)
+                a.x, a.y = a.x + mine * x, a.y + mine * y
+                b.x, b.y = b.x - (push - mine) * x, b.y - (push - mine) * y
+                touched[i] = touched[j] = True
+
+
+@numba.njit(cache=True)
+def _keep_out(bodies: np.ndarray, walls: np.ndarray, touched: np.ndarray) -> None:
+    """Push spheres off thin walls, and note in `touched` whom."""
+    for wall in walls:
+        along_x, along_y = wall[2] - wall[0], wall[3] - wall[1]
+        for i in range(len(bodies)):
+            body = bodies[i]
+            x, y = body.x - wall[0], body.y - wall[1]
+            part = (x * along_x + y * along_y) / (along_x**2 + along_y**2)
+            part = min(max(part, 0.0), 1.0)
+            x, y = x - part * along_x, y - part * along_y
+            away = math.sqrt(x**2 + y**2)
+            if 0 < away < body.radius:
+                push = body.radius / away - 1
+                body.x, body.y = body.x + push * x, body.y + push * y
+                touched[i] = True

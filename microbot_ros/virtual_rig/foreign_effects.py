@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from microbot_ros.model.effect import Effect
 from microbot_ros.model.effect_context import EffectContext, Places
@@ -53,22 +54,24 @@ def foreign_effects(effects: Given) -> tuple[Effect, ...]:
 def make_world(
     bodies: np.ndarray, rng: np.random.Generator, effects: Given, reference_field: float,
     learned: Sequence[LearnedTerm] = (), half_extent: tuple[float, float] = (np.inf, np.inf),
+    walls: ArrayLike = (),
 ) -> World:
-    """A `World` of `bodies`, by `rng` and within `half_extent`, that feels foreign `effects` too,
-    and terms that were `learned`.
+    """A `World` of `bodies`, by `rng`, within `half_extent` and between `walls`, that feels
+    foreign `effects` too, and terms that were `learned`.
 
     Those that the physics knows are in the bodies already (`inject_effect`). Alignment is stated
     at `reference_field` [T]. ValueError as from `check_effect`.
     """
     foreign = foreign_effects(effects)
     if not (foreign or learned):
-        return World(bodies, rng, half_extent)
+        return World(bodies, rng, half_extent, walls)
     model = Model(reference_field, effects=foreign, learned=tuple(learned))
-    return ForeignWorld(bodies, rng, half_extent, model)
+    return ForeignWorld(bodies, rng, half_extent, model, walls)
 
 
 class ForeignWorld(World):
-    """A world of `bodies`, `rng` and `half_extent` as in `World`, under the effects of a `model`.
+    """A world of `bodies`, `rng`, `half_extent` and `walls` as in `World`, under the effects of a
+    `model`.
 
     Their stage 1 acts on the command, before the amplifier and the coils of the bodies; the rest
     sees the field at each body. `drift` adds to the flow, `speed_factor` multiplies speed and
@@ -77,8 +80,8 @@ class ForeignWorld(World):
     """
 
     def __init__(self, bodies: np.ndarray, rng: np.random.Generator,
-                 half_extent: tuple[float, float], model: Model) -> None:
-        super().__init__(bodies, rng, half_extent)
+                 half_extent: tuple[float, float], model: Model, walls: ArrayLike = ()) -> None:
+        super().__init__(bodies, rng, half_extent, walls)
         self._model = model
 
     def advance(self, until: float, history: FieldHistory) -> np.ndarray:
@@ -127,7 +130,8 @@ class ForeignWorld(World):
         on = rows >= 0
         field[on] = history.field[rows[on], which[on]]
         if history.frequency is not None:
-            frequency[on] = history.frequency[rows[on]]
+            turns = history.frequency.reshape(len(history.t), -1)
+            frequency[on] = turns[rows[on], np.minimum(which[on], turns.shape[1] - 1)]
         changed = history.t[last_change(history.field, history.frequency)]
         since = np.where(on, t - self.bodies['delay'] - changed[rows], 0.0)
         for i, body in enumerate(self.bodies):

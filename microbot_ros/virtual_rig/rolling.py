@@ -10,10 +10,10 @@ and Brenner, Chemical Engineering Science 22, 637 (1967)). A field that stands m
 from __future__ import annotations
 
 import math
-from collections import deque
 
 import numba
 import numpy as np
+from numpy.typing import ArrayLike
 
 from microbot_ros.virtual_rig.world import FieldHistory
 
@@ -24,37 +24,73 @@ _LONGEST_S = 2e-3
 class Rolling:
     """Turns what the coils make into rows by which a `World` of rollers moves.
 
-    `mobility` γ [rad/(s T)] is the same for all of them. Its clock begins at 0 s.
+    `mobility` γ [rad/(s T)] is that of all of them, or (N,) of each. Its clock begins at 0 s.
     """
 
-    def __init__(self, mobility: float) -> None:
-        self._mobility = mobility
-        self._moment = np.array([1.0, 0.0, 0.0])
+    def __init__(self, mobility: ArrayLike) -> None:
+        self._mobility = np.atleast_1d(np.asarray(mobility, dtype=float))
+        count = len(self._mobility)
+        self._moments = np.tile([1.0, 0.0, 0.0], (count, 1))
+        self._before, self._turning = np.zeros(3), np.zeros(3)
         self._t = 0.0
-        self._rows: deque[tuple[float, np.ndarray, float]] = deque([(-math.inf, np.zeros(2), 0.0)])
+        self._rows = FieldHistory(
+            np.array([-math.inf]), np.zeros((1, count, 2)), np.zeros((1, count)))
 
     def take(self, t: np.ndarray, field: np.ndarray, until: float) -> None:
         """Live on to `until` [s] in a `field` (K, 3) [T]; each row holds from `t` (K,) [s] on."""
-        ends = np.append(t[1:], until)
-        begin, end = np.clip(t, self._t, until), np.clip(ends, self._t, until)
-        for start, stop, here in zip(begin, end, field, strict=True):
-            count = math.ceil((stop - start) / _LONGEST_S)
-            for k in range(count):
-                self._turn(start + k * (stop - start) / count, (stop - start) / count, here)
+        begin = np.clip(t, self._t, max(until, self._t))
+        length = np.diff(begin, append=max(until, self._t))
+        count = np.ceil(length / _LONGEST_S).astype(int)
+        length = np.repeat(length / np.maximum(count, 1), count)
+        start = self._t + np.cumsum(length) - length
+        made = _roll(self._moments, self._before, self._turning, self._mobility, length,
+                     np.repeat(field, count, axis=0))
+        before = self._rows
+        assert before.frequency is not None
+        self._rows = FieldHistory(*map(np.concatenate, (
+            (before.t, start), (before.field, made[0]), (before.frequency, made[1]))))
         self._t = max(until, self._t)
 
     def history(self, since: float) -> FieldHistory:
-        """The rows in force from `since` [s] on: how fast all roll, and which way."""
-        while len(self._rows) > 1 and self._rows[1][0] <= since:
-            self._rows.popleft()
-        t, field, frequency = zip(*self._rows, strict=True)
-        return FieldHistory(np.array(t), np.array(field)[:, None], np.array(frequency))
+        """The rows in force from `since` [s] on: how fast each rolls, and which way.
 
-    def _turn(self, t: float, length: float, field: np.ndarray) -> None:
-        turned = turn_moment(self._moment, field, self._mobility, length) / length
-        across = math.hypot(turned[0], turned[1])
-        direction = np.array([turned[1], -turned[0]]) / (across or 1.0)
-        self._rows.append((t, math.hypot(*field) * direction, across / math.tau))
+        Those before are forgotten.
+        """
+        rows = self._rows
+        assert rows.frequency is not None
+        first = max(int(np.searchsorted(rows.t, since, side='right')) - 1, 0)
+        t, field, frequency = rows.t[first:], rows.field[first:], rows.frequency[first:]
+        self._rows = FieldHistory(t, field, frequency)
+        return FieldHistory(t, field, frequency if len(self._mobility) > 1 else frequency[:, 0])
+
+
+@numba.njit(cache=True)
+def _roll(moments: np.ndarray, before: np.ndarray, turning: np.ndarray, mobility: np.ndarray,
+          length: np.ndarray, field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which way each rolls (R, N, 2), as long as the `field` (R, 3) [T], and how fast (R, N) [Hz].
+
+    Changes the `moments` (N, 3), of a `mobility` (N,), which are in each row for a `length` (R,)
+    [s], the field `before` (3,), and the axis about which that was `turning` (3,) last. One that
+    slips rolls back: its frequency is below 0.
+    """
+    way = np.zeros((len(length), len(moments), 2))
+    frequency = np.zeros((len(length), len(moments)))
+    for k in range(len(length)):
+        here = field[k]
+        axis = np.cross(before, here)
+        if axis.any():
+            turning[:] = axis
+        before[:] = here
+        strength = math.sqrt((here**2).sum())
+        for n in range(len(moments)):
+            turned = turn_moment(moments[n], here, mobility[n], length[k]) / length[k]
+            across = math.sqrt(turned[0] ** 2 + turned[1] ** 2)
+            if across > 0:
+                sign = -1.0 if turned[0] * turning[0] + turned[1] * turning[1] < 0 else 1.0
+                way[k, n, 0] = sign * strength * turned[1] / across
+                way[k, n, 1] = -sign * strength * turned[0] / across
+                frequency[k, n] = sign * across / math.tau
+    return way, frequency
 
 
 @numba.njit(cache=True)

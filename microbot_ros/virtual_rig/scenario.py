@@ -169,6 +169,7 @@ class CommandSettings(Settings):
 
 
 Place = tuple[float, float]
+Wall = tuple[float, float, float, float]
 
 
 class ControllerSettings(Settings):
@@ -194,8 +195,9 @@ class Scenario(Settings):
     whose particles start at random within ± `spread_um`, whose effects are added to `effects` and
     whose learned terms act too.
     `alignment_ms` is how fast the field aligns them at the reference field, `height_um` how high
-    their centres are above the floor, far where it is not said. Either `commands` say
-    what the field does, or a `controller` does.
+    their centres are above the floor, far where it is not said, `walls_um` x, y, x, y of the ends
+    of straight walls that they don't pass. Either `commands` say what the field does, or a
+    `controller` does.
     """
 
     physics: Literal['langevin', 'first_order', 'newton_stokes'] = 'langevin'
@@ -211,6 +213,7 @@ class Scenario(Settings):
     particles: tuple[SwimmerSettings, ...] = ()
     model: str | None = None
     spread_um: Positive = 100.0
+    walls_um: tuple[Wall, ...] = ()
     commands: CommandSettings | None = None
     controller: ControllerSettings | None = None
     effects: EffectSettings = pydantic.Field(default_factory=dict)
@@ -235,6 +238,14 @@ class Scenario(Settings):
         for i, particle in enumerate(self.particles):
             if particle.model_fields_set & {'v_um_s', 'gain_um_s_hz'} != {self.speed_key}:
                 raise ValueError(f"expected '{self.speed_key}' of {self.propulsion} particle {i}")
+        return self
+
+    @pydantic.model_validator(mode='after')
+    def walls_fit(self) -> Scenario:
+        if self.walls_um and self.physics != 'langevin':
+            raise ValueError("expected langevin physics for 'walls_um'")
+        if any(wall[:2] == wall[2:] for wall in self.walls_um):
+            raise ValueError("expected two different ends of each of 'walls_um'")
         return self
 
     @pydantic.model_validator(mode='after')

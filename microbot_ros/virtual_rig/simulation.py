@@ -43,7 +43,8 @@ def run(scenario: Scenario, particles: ParticleParameters, source: str) -> Sessi
     heading = rng.uniform(-math.pi, math.pi, count)
     if scenario.physics == 'langevin':
         world = make_world(make_bodies(scenario, particles, start, heading), rng,
-                           scenario.effects, scenario.reference_field, scenario.learned)
+                           scenario.effects, scenario.reference_field, scenario.learned,
+                           walls=1e-6 * np.array(scenario.walls_um))
         if scenario.controller and scenario.controller.pictures:
             # Particles have the names that the tracker gives them.
             return film(scenario, world, source)

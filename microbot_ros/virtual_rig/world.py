@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from microbot_ros.model.langevin import step_grid
 from microbot_ros.records import Commands
@@ -22,7 +23,8 @@ class FieldHistory:
     """The field over time; each row holds until the next, and before the first there is none.
 
     `t` (K,) [s], ascending; `field` (K, N, 2) [T] at each particle, or (K, 1, 2) the same for
-    all; `frequency` (K,) [Hz] of a rolling field, or None.
+    all; `frequency` (K,) [Hz] of a rolling field, (K, N) of what each particle makes of it, or
+    None.
     """
 
     t: np.ndarray
@@ -41,17 +43,22 @@ class World:
     `bodies` (N,) of type BODY (see `body.bodies`) hold state and properties and change in
     place; `rng` drives all chance. `half_extent` (2,) [m], where given, keeps the particles
     between walls at ± that distance from the origin: they stop at a wall and slide along it.
-    Spheres never overlap. The clock `t` [s] starts at zero.
+    `walls` (W, 4) [m] are others, thin and straight: x, y, x, y of their ends. Spheres never
+    overlap. `touched` (N,) says which have met another or one of the `walls`. The clock `t` [s]
+    starts at zero.
     """
 
     def __init__(
         self, bodies: np.ndarray, rng: np.random.Generator,
         half_extent: tuple[float, float] = (math.inf, math.inf),
+        walls: ArrayLike = (),
     ) -> None:
         self.bodies = bodies
         self.t = 0.0
         self._rng = rng
         self._half_extent = np.array(half_extent, dtype=float)
+        self._walls = np.array(walls, dtype=float).reshape(-1, 4)
+        self.touched = np.zeros(len(bodies), bool)
 
     @property
     def position(self) -> np.ndarray:
@@ -77,13 +84,13 @@ class World:
             return self.position
         middle, length = step_grid(self.t, until)
         rows = len(history.t)
-        frequency = np.zeros(rows) if history.frequency is None else history.frequency
+        frequency = np.zeros((rows, 1)) if history.frequency is None else history.frequency
         mean = np.zeros((len(self.bodies), 2))
         advance(
             self.bodies, middle, length, np.asarray(history.t, dtype=float),
             np.ascontiguousarray(history.field, dtype=float),
-            np.asarray(frequency, dtype=float), coil_gradients(), self._half_extent,
-            self._rng, mean,
+            np.ascontiguousarray(frequency, dtype=float).reshape(rows, -1), coil_gradients(),
+            self._half_extent, self._walls, self._rng, mean, self.touched,
         )
         self.t = until
         return mean

@@ -30,7 +30,7 @@ def test_a_package_of_its_own_adds_a_camera(tmp_path, monkeypatch):
 
 
 def test_every_kind_is_in_the_table():
-    page = (ROOT / 'docs' / 'cameras.md').read_text(encoding='utf-8')
+    page = (ROOT / 'docs' / 'reference' / 'cameras.md').read_text(encoding='utf-8')
     listed = re.findall(r'^\| `(\w+)` \| ', page.split('## The moment')[0], re.MULTILINE)
     assert sorted(listed) == sorted(
         point.name for point in entry_points(group='microbot_ros.cameras')

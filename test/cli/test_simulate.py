@@ -1,6 +1,7 @@
 """`microbot simulate`: scenarios become sessions, and bad ones one clear line."""
 
 import json
+import math
 import re
 from pathlib import Path
 
@@ -155,6 +156,19 @@ def closed(duration_s=4, **controller):
     return rest | {'duration_s': duration_s, 'controller': goal | controller}
 
 
+def test_nobody_passes_a_wall(tmp_path):
+    rows = [{'t_s': 0, 'field_mT': 5.0, 'direction_deg': math.degrees(1.09)}]
+    wall = {'walls_um': [[-50, -100, -50, 100]], 'commands': {'rows': rows}}
+    free = changed(duration_s=12, commands={'rows': rows})
+    places = []
+    for folder, scenario in (('free', free), ('walled', free | wall)):
+        (tmp_path / folder).mkdir()
+        run(tmp_path / folder, scenario)
+        places.append(read_session(tmp_path / folder / 'out').tracks.of(0).position[:, 0].max())
+    assert places[0] > -30e-6
+    assert places[1] == pytest.approx(-54.6e-6, abs=0.5e-6)
+
+
 def test_a_controller_brings_a_particle_to_its_goal(tmp_path):
     run(tmp_path, closed(25))
     session = read_session(tmp_path / 'out')
@@ -219,6 +233,8 @@ def test_bad_scenarios_name_line_and_key(tmp_path, scenario, culprit, complaint)
 
 @pytest.mark.parametrize(('scenario', 'complaint'), [
     (changed(particles=[]), "either 'particles' or 'model'"),
+    (changed(walls_um=[[0, 5, 0, 5]]), 'two different ends'),
+    (quiet(physics='first_order', walls_um=[[0, 0, 0, 5]]), 'langevin physics'),
     (changed(particles=[{'x_um': 0, 'y_um': 0, 'gain_um_s_hz': 1, 'phi_rad': 0}]),
      "expected 'v_um_s' of catalytic particle 0"),
     (changed(propulsion='rolling', particles=[

@@ -165,7 +165,7 @@ def test_before_the_first_poses_a_controller_is_activated_at_its_first_tick():
     ValueError('no'), ZeroDivisionError(), SystemExit(1), KeyboardInterrupt(), None, 7, no_field,
     FieldCommand(np.array([np.nan, 0])), FieldCommand(np.array([0, np.inf])),
     FieldCommand(np.array([-np.inf, 0])), FieldCommand(np.array([5.001e-3, 0])),
-    FieldCommand(np.zeros(3)), FieldCommand(np.zeros(2), np.nan), FieldCommand(np.zeros(2), -1.0),
+    FieldCommand(np.zeros(4)), FieldCommand(np.zeros(2), np.nan), FieldCommand(np.zeros(2), -1.0),
     FieldCommand(np.zeros(2), np.inf), FieldCommand(np.array(['a', 'b']))])
 def test_faults_end_in_zero_until_the_next_swap(value):
     manager = make(answers=Answers(value))

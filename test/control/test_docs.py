@@ -49,7 +49,7 @@ def test_without_it_there_is_no_such_controller():
 
 
 def test_every_controller_is_in_the_table():
-    page = (DOCS / 'controllers.md').read_text(encoding='utf-8')
+    page = (DOCS / 'reference/controllers.md').read_text(encoding='utf-8')
     listed = set(re.findall(r'^\| `(\w+)` \|', page, re.MULTILINE))
     ours = {name for name, kind in registry.controller_classes().items()
             if kind.__module__.startswith('microbot_ros.')}

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.integrate import trapezoid
 
 from microbot_ros.estimation.phasor import polar
 
@@ -17,9 +18,9 @@ def test_moments_are_those_of_the_rice_likelihood(size):
         np.exp(-(speed**2 - 2 * speed * size * np.cos(a) + size**2) / 2) for a in angle
     ])
     over_speed = density.mean(axis=0)
-    mass = np.trapezoid(over_speed, speed)
-    mean = np.trapezoid(speed * over_speed, speed) / mass
-    std = np.sqrt(np.trapezoid(speed**2 * over_speed, speed) / mass - mean**2)
+    mass = trapezoid(over_speed, speed)
+    mean = trapezoid(speed * over_speed, speed) / mass
+    std = np.sqrt(trapezoid(speed**2 * over_speed, speed) / mass - mean**2)
     found = polar(np.array([size * 1e-6]), np.array([1e-6]))
     assert found.speed[0] == pytest.approx(mean * 1e-6, rel=1e-4)
     assert found.speed_std[0] == pytest.approx(std * 1e-6, rel=1e-4)

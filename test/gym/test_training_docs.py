@@ -1,4 +1,4 @@
-"""The example of docs/training.md trains, and what it keeps is played as it was trained."""
+"""The example of docs/how-to/train_a_controller.md trains, and is played as it was trained."""
 
 import runpy
 from pathlib import Path

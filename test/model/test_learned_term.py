@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.integrate import trapezoid
 from scipy.interpolate import RegularGridInterpolator
 
 from microbot_ros.errors import InputError
@@ -126,7 +127,7 @@ def test_in_the_model_it_moves_what_it_says():
     commands = Commands(np.array([0.0]), np.array([[5e-3, 0.0]]))
     times = np.linspace(0, 10, 301)
     moved = increments(Model(5e-3, learned=(OF_TIME,)), NOBODY, Timeline(commands, times))
-    total = [np.trapezoid(np.interp(np.linspace(0, 10, 4001), LINE, v), dx=10 / 4000)
+    total = [trapezoid(np.interp(np.linspace(0, 10, 4001), LINE, v), dx=10 / 4000)
              for v in OF_TIME.values.T]
     np.testing.assert_allclose(moved.sum(axis=0)[0], total, rtol=1e-3, atol=1e-9)
 

@@ -9,11 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Vector3Stamped
 from sensor_msgs.msg import MagneticField, TimeReference
+from std_msgs.msg import Bool
 from std_srvs.srv import SetBool
 
+from microbot_ros.drive.gate import Fault
 from microbot_ros.nodes import messages
+from microbot_ros.nodes.coil_driver import LIMITS
+from microbot_ros.nodes.lifecycle import LATCHED
 
 
 def _start(emulator: Any, ros: Any, **parameters: Any) -> Any:
@@ -55,6 +60,26 @@ def test_a_field_that_is_commanded_is_read_back(emulator: Any, ros: Any) -> None
     assert plus_x > 0 > plus_y
     checked = graph.nodes['coil_driver'].health()[2]['self_check']
     assert checked == 'passed, gains 1.00, 1.00, 1.00, 1.00'
+
+
+def test_whether_it_is_armed_is_told_at_once_and_to_whoever_comes_later(
+        emulator: Any, ros: Any) -> None:
+    """With the sentence that says why not, which else comes once a second."""
+    graph = _start(emulator, ros)
+    told = graph.hear(Bool, 'coil_driver/armed', LATCHED)
+    health = graph.hear(DiagnosticArray, '/diagnostics')
+    graph.until(lambda: told)
+    graph.until(lambda: _arm(graph).success)
+    graph.until(lambda: told[-1].data)
+    graph.until(lambda: _command(graph, 3e-3, 0.0) or not emulator.zero)
+    count = len(told)
+    health.clear()
+    graph.until(lambda: not told[-1].data)  # nobody commands any more
+    graph.until(lambda: any(one.status[0].level == b'\x02' for one in health), 0.5)
+    assert [one.data for one in told[count:]] == [False]
+    late = graph.hear(Bool, 'coil_driver/armed', LATCHED)
+    graph.until(lambda: late)
+    assert [one.data for one in late] == [False]
 
 
 def test_nothing_flows_before_arming(emulator: Any, ros: Any) -> None:
@@ -279,6 +304,15 @@ def test_the_watchdog_of_a_board_is_tried_on_arming(emulator: Any, ros: Any) -> 
     assert causes[-1] == 'watchdog'
     told = graph.nodes['coil_driver'].health()[2]['watchdog']
     assert told.startswith('in the firmware, zeroed after ')
+
+
+def test_a_fault_names_the_parameters_of_its_limit(emulator: Any, ros: Any) -> None:
+    driver = _start(emulator, ros).nodes['coil_driver']
+    known = set(type(driver).known_parameters())
+    for reason, limits in LIMITS.items():
+        assert set(limits.split(', ')) <= known
+        driver._driver.gate.fault = Fault(reason, 'why')
+        assert driver.health()[1] == f'coils at zero, {reason.value} ({limits}): why'
 
 
 @pytest.mark.parametrize(('parameters', 'expected'), [

@@ -34,6 +34,13 @@ def test_former_names_stand_for_those_of_today(tmp_path: Path) -> None:
         'tracker': {'field_source': 'none'}}
 
 
+def test_who_asks_for_no_measurement_gets_an_amplifier_without(tmp_path: Path) -> None:
+    file = tmp_path / 'rig.yaml'
+    file.write_text('model:\n  ros__parameters: {field_source: command}\n'
+                    'coil_driver:\n  ros__parameters: {amplifier: sabertooth}\n')
+    assert read_rig(file)['coil_driver'] == {'amplifier': 'sabertooth'}
+
+
 @pytest.mark.parametrize(('text', 'line', 'expected'), [
     ('coil_diver:\n  ros__parameters: {}\n', 1, "unknown node 'coil_diver'; known are: camera"),
     ('tracker:\n  ros__parameters:\n    pixel_size_mm: 1.0\n', 3,
@@ -47,6 +54,10 @@ def test_former_names_stand_for_those_of_today(tmp_path: Path) -> None:
     ('tracker:\n  parameters: {}\n', 2, "unknown key 'tracker.parameters'"),
     ('controller:\n  ros__parameters:\n    max_field_mT: 8.0\ncoil_driver:\n'
      '  ros__parameters: {}\n', 3, 'max_field_mT is 8, expected at most 5, the full_field_mT'),
+    ('model:\n  ros__parameters: {}\ncoil_driver:\n  ros__parameters: {amplifier: sabertooth}\n',
+     2, 'model: field_source is applied, expected command: sabertooth measures no currents'),
+    ('tracker:\n  ros__parameters:\n    field_source: applied\ncoil_driver:\n'
+     '  ros__parameters: {amplifier: sabertooth}\n', 3, 'tracker: field_source is applied'),
     ('- tracker\n', 1, 'expected keys and values'),
     ('tracker: [\n', 2, 'expected YAML'),
 ])

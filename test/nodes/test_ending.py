@@ -172,6 +172,22 @@ def test_a_node_ends_with_its_launcher(
     node.wait(10)
 
 
+def test_a_node_that_compiles_ends_at_once(bench: Bench) -> None:
+    """The first compilation takes a minute or two, in which it would not be ready to end."""
+    cache = bench.folder / 'compiled'
+    bench.parameters = {'model': {}}
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setenv('NUMBA_CACHE_DIR', str(cache))
+        node = bench.start(*bench.command_line('model'))
+    while not any(cache.rglob('*.nbi')):  # it has begun, and most is left to be done
+        assert node.poll() is None
+        time.sleep(0.02)
+    node.send_signal(signal.SIGINT)
+    output, _ = node.communicate(timeout=100)
+    assert 'ready' not in output
+    assert node.returncode == 0
+
+
 def test_an_emulator_ends_with_its_launcher(bench: Bench) -> None:
     (bench.folder / 'own').mkdir()
     link = bench.folder / 'own' / 'amplifier'

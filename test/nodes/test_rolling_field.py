@@ -11,9 +11,12 @@ import numpy as np
 import pytest
 import yaml
 from geometry_msgs.msg import Vector3Stamped
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool
 
 from microbot_ros.cli.demo_robots import three_pairs
+from microbot_ros.loop.points import ESTIMATE
 from microbot_ros.magnetics import CoilSet
 from microbot_ros.nodes import messages
 
@@ -93,6 +96,39 @@ def test_what_is_no_number_is_zero(
     graph.until(lambda: graph.nodes['coil_driver']._driver.gate.fault
                 or _turn(graph, field, turned))
     graph.until(lambda: emulator.zero)
+
+
+def test_a_controller_answers_in_three_axes(emulator: Any, ros: Any, tmp_path: Path) -> None:
+    """By `manual`: a field that stands upright, then one whose axis is tilted (γ = 30°)."""
+    coils = tmp_path / 'coils.yaml'
+    coils.write_text(yaml.safe_dump({'coils': three_pairs().model_dump(mode='json')}))
+    rig = ros({'coil_driver': {'port': str(emulator.port), 'coils_file': str(coils),
+                               'command_timeout_ms': 500.0, 'max_command_age_ms': 500.0},
+               'controller': {'controller': 'manual', 'deadline_ms': 200.0,
+                              'manual.field_mT': 3.0, 'manual.gamma_deg': 0.0}})
+    driver, controller = rig.add('coil_driver'), rig.add('controller')
+    states = rig.probe.create_publisher(PointCloud2, 'model/state', 10)
+
+    def see() -> bool:
+        states.publish(messages.cloud(
+            np.zeros(1, ESTIMATE), messages.to_stamp(controller.seconds())))
+        time.sleep(0.01)
+        return False
+
+    rig.until(lambda: states.get_subscription_count() == 1)
+    rig.until(lambda: rig.call(SetBool, 'coil_driver/arm', SetBool.Request(data=True)).success)
+    rig.until(lambda: np.allclose(_flowed(emulator)[1][-1], [0, 0, B], atol=0.02 * B) or see())
+    controller.set_parameters([Parameter('manual.frequency_hz', value=HERTZ),
+                               Parameter('manual.gamma_deg', value=30.0)])
+    begun = time.monotonic()
+    rig.until(lambda: time.monotonic() > begun + 2.0 or see())
+    assert driver._driver.gate.fault is None
+    t, field = _flowed(emulator)
+    field = field[t > begun + 0.7]
+    normal = np.linalg.svd(field - field.mean(0), full_matrices=False)[2][2]
+    tilt = math.degrees(math.acos(abs(normal[2])))
+    assert tilt == pytest.approx(30.0, abs=0.5)
+    assert np.linalg.norm(field, axis=1) == pytest.approx(B, rel=0.01)
 
 
 def test_a_rotation_of_long_ago_is_not_driven(graph: Any, emulator: Any) -> None:

@@ -75,3 +75,22 @@ def test_pieces_of_time_make_the_whole():
     turns = [(rows.frequency[1:] * np.diff(np.append(rows.t, 1.0))[1:]).sum()
              for rows in (whole.history(-1.0), pieces.history(-1.0))]
     assert turns[0] == pytest.approx(turns[1], rel=1e-6)
+
+
+def test_each_moment_has_a_mobility_of_its_own():
+    """Two that are alike do as one does; a third, that is slower to turn, slips and rolls back."""
+    t = np.arange(0, 0.5, 1e-3)
+    field = STRENGTH * np.stack([np.cos(200 * t), 0 * t, -np.sin(200 * t)], axis=1)
+    one, all_three = Rolling(MOBILITY), Rolling([MOBILITY, 3e4, MOBILITY])
+    one.take(t, field, 0.5)
+    all_three.take(t, field, 0.5)
+    alone, rows = one.history(0.0), all_three.history(0.0)
+    assert rows.frequency.shape == (len(rows.t), 3)
+    assert np.array_equal(rows.frequency[:, 0], rows.frequency[:, 2])
+    assert np.array_equal(rows.frequency[:, 0], alone.frequency)
+    assert np.array_equal(rows.field[:, 0], alone.field[:, 0])
+    # 200 rad/s are within what the first follows and beyond the third: it goes 1 turn in 2.7.
+    assert rows.frequency[:, 0].min() >= 0
+    assert rows.frequency[:, 1].min() < 0
+    way = np.sign(rows.field[-1, 0, 0])
+    assert np.sign(rows.field[20:, :2, 0]) == pytest.approx(way)

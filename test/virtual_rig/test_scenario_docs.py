@@ -7,7 +7,7 @@ import pytest
 from microbot_ros.virtual_rig import scenario
 from microbot_ros.virtual_rig.injected_effects import INJECTABLE, UNLISTED
 
-DOCS = (Path(__file__).parents[2] / 'docs/simulation.md').read_text(encoding='utf-8')
+DOCS = (Path(__file__).parents[2] / 'docs/reference/simulation.md').read_text(encoding='utf-8')
 SECTIONS = [
     scenario.Scenario, scenario.FluidSettings, scenario.CameraSettings, scenario.SwimmerSettings,
     scenario.CommandSettings, scenario.StepSettings, scenario.RotatingSettings,

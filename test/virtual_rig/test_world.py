@@ -290,3 +290,50 @@ def test_incomplete_alignment_is_langevins_function_on_average(kappa):
     for mean, sample in zip((expected, 0.0), draws.T, strict=True):
         assert abs(sample.mean() - mean) <= 4 * sample.std() / math.sqrt(len(sample))
     assert (np.hypot(*draws.T) <= 1 + 1e-12).all()
+
+
+def still(count, **columns):
+    """Spheres of 2 µm that nothing moves, side by side, but for what `columns` say."""
+    fluid = Fluid(viscosity=1e-3, temperature=1e-6)
+    place = 10e-6 * np.arange(count)[:, None] * [1.0, 0.0]
+    made = bodies(fluid, np.full(count, 2e-6), 0.0, np.zeros(count), place)
+    for name, values in columns.items():
+        made[name] = values
+    return made
+
+
+def test_a_sphere_stops_at_a_wall_and_passes_its_end():
+    wall = 1e-6 * np.array([[20.0, -50.0, 20.0, 5.0]])
+    world = World(still(2, drift_x=1e-5, x=0.0, y=[0.0, 9e-6]), np.random.default_rng(0),
+                  walls=wall)
+    world.advance(4.0, FieldHistory(np.zeros(1), np.zeros((1, 1, 2))))
+    assert world.position[0] == pytest.approx([18e-6, 0.0], abs=1e-8)
+    assert world.position[1] == pytest.approx([40e-6, 9e-6], abs=1e-8)
+    assert world.touched.tolist() == [True, False]
+
+
+@pytest.mark.parametrize('ratio', [1.0, 3.0])
+def test_one_that_pushes_another_shares_its_force_by_their_drags(ratio):
+    """A force F moves both at F/(ζ₁ + ζ₂), where alone it moves the first at F/ζ₁."""
+    made = still(3, drift_x=[1e-5, 0.0, 0.0])
+    made['drag'][1] *= ratio
+    world = World(made, np.random.default_rng(0))
+    world.advance(0.6, FieldHistory(np.zeros(1), np.zeros((1, 1, 2))))
+    touching = world.position[:2, 0]
+    assert touching[1] - touching[0] == pytest.approx(4e-6, rel=1e-6)
+    world.advance(0.8, FieldHistory(np.zeros(1), np.zeros((1, 1, 2))))
+    gone = world.position[:2, 0] - touching
+    assert gone == pytest.approx(0.2 * 1e-5 / (1 + ratio), rel=1e-3)
+    assert world.touched.tolist() == [True, True, False]
+
+
+def test_a_roller_stirs_the_water_ahead_and_behind_and_not_beside():
+    """6ωa³h cos ϑ/r³ outward; each rolls with its own frequency."""
+    made = still(3, x=[0.0, 20e-6, 0.0], y=[0.0, 0.0, 20e-6], stir=[1e-21, 0.0, 0.0])
+    world = World(made, np.random.default_rng(0))
+    world.advance(1e-3, FieldHistory(np.zeros(1), np.zeros((1, 1, 2)), np.array([[5.0, 0, 0]])))
+    world.advance(0.1, FieldHistory(np.zeros(1), np.zeros((1, 1, 2)), np.array([[5.0, 0, 0]])))
+    moved = world.position[1:] - 20e-6 * np.eye(2)
+    speed = 1e-21 * 5.0 / 20e-6**3
+    assert moved[0] == pytest.approx([0.1 * speed, 0.0], rel=0.02, abs=1e-10)
+    assert moved[1] == pytest.approx(0.0, abs=1e-10)

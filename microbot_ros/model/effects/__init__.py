@@ -1,7 +1,7 @@
 """The library of effects: those here, and those of other packages (`microbot_ros.effects`).
 
 A new one here is a file and a line in `BUILT_IN`; elsewhere it is a class that an entry point
-names (docs/effects.md).
+names (docs/how-to/effect.md).
 """
 
 from __future__ import annotations

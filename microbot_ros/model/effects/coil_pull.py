@@ -18,7 +18,8 @@ class CoilPull(Effect):
 
     On the axis of a single coil ∇|B| points to the coil and is g|B|, the same for all places
     near the centre; the coil stands where the field points to. k = g m/(6πηr), as for
-    `gradient_force`; g and what several coils of one side each do are in docs/magnetics.md.
+    `gradient_force`; g and what several coils of one side each do are in
+    docs/explanation/magnetics.md.
     """
 
     id = 'coil_pull'

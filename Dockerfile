@@ -1,0 +1,20 @@
+# microbot_ros on ROS 2 Jazzy. Untested by `make test`, which has no Docker.
+#   docker build -t microbot_ros . && docker run --rm microbot_ros microbot demo --out /tmp/demo
+FROM ros:jazzy-ros-base
+
+RUN apt-get update && apt-get install -y --no-install-recommends \
+        python3-pip python3-venv python3-colcon-common-extensions \
+    && rm -rf /var/lib/apt/lists/*
+
+WORKDIR /workspace
+COPY . src/microbot_ros
+
+# What Ubuntu packages is too old for some of it: see docs/how-to/with_ros.md.
+RUN python3 -m venv --system-site-packages .venv && touch .venv/COLCON_IGNORE \
+    && .venv/bin/pip install --no-cache-dir ./src/microbot_ros \
+    && . /opt/ros/jazzy/setup.sh && .venv/bin/python -m colcon build
+
+ENV PATH="/workspace/.venv/bin:$PATH"
+SHELL ["/bin/bash", "-c"]
+ENTRYPOINT ["/bin/bash", "-c", "source /workspace/install/setup.bash && exec \"$@\"", "--"]
+CMD ["microbot", "--help"]

@@ -1,0 +1,57 @@
+"""How Sphinx builds the documents: `make docs`. rosdoc2 reads this file too."""
+
+import sys
+from pathlib import Path
+
+from sphinx.application import Sphinx
+
+DOCS = Path(__file__).parent
+ROOT = DOCS.parent
+sys.path.insert(0, str(ROOT))
+
+import microbot_ros  # noqa: E402
+
+project = 'microbot_ros'
+author = copyright = 'microbot_ros maintainers'  # noqa: A001 - Sphinx's word
+release = version = microbot_ros.__version__
+
+extensions = ['myst_parser', 'sphinx.ext.autodoc']
+myst_enable_extensions = ['colon_fence']
+exclude_patterns = ['examples', 'template']
+if tags.has('prose'):  # noqa: F821 - Sphinx's own; `-t prose` leaves out what docstrings say
+    exclude_patterns.append('reference/api/*.rst')
+myst_heading_anchors = 3
+# Links to folders of the sources lead nowhere in HTML; test/test_documents.py follows them all.
+# Docstrings are for a terminal too, and no strict reStructuredText.
+suppress_warnings = ['myst.xref_missing', 'docutils', 'autodoc', 'ref.python',
+                     'toc.empty_glob']
+default_role = 'code'
+
+html_theme = 'furo'
+html_title = f'microbot_ros {release}'
+html_copy_source = False
+
+autodoc_member_order = 'bysource'
+autodoc_default_options = {'members': True, 'ignore-module-all': True}
+# What drives cameras and policies need not be there to read what a room offers.
+autodoc_mock_imports = ['gi', 'pymmcore', 'pypylon', 'onnxruntime']
+
+
+def setup(app: Sphinx) -> None:
+    """A page for each room, with all that it makes public, made when the documents are."""
+    app.connect('builder-inited', lambda app: app.tags.has('prose') or _write_rooms())
+
+
+def _write_rooms() -> None:
+    package = Path(microbot_ros.__file__).parent
+    for room in sorted(path.parent for path in package.glob('*/__init__.py')):
+        parts = [f'{room.name}\n{"=" * len(room.name)}\n']
+        for path in sorted(room.rglob('*.py')):
+            names = path.relative_to(package.parent).with_suffix('').parts
+            module = '.'.join(names).removesuffix('.__init__')
+            if not names[-1].startswith('_') or names[-1] == '__init__':
+                parts.append(f'.. automodule:: {module}\n')
+        page = DOCS / 'reference' / 'api' / f'{room.name}.rst'
+        text = '\n'.join(parts)
+        if not page.exists() or page.read_text(encoding='utf-8') != text:
+            page.write_text(text, encoding='utf-8')

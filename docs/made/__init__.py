@@ -1,0 +1,1 @@
+"""What makes the pages of the documents that come from the code; `docs/build.py` writes them."""

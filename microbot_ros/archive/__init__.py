@@ -1,0 +1,36 @@
+"""Many recordings on Dask: found by content, each done once, and compared.
+
+    from microbot_ros.archive import run_batch, conclude, read_table
+
+Nothing is loaded before it is asked for: Dask by `run_batch`, PyArrow by `read_table`.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from microbot_ros.archive.batch import Progress, Summary, run_batch
+    from microbot_ros.archive.conclusions import Conclusions, conclude
+    from microbot_ros.archive.random_effects import Spread, spread
+    from microbot_ros.archive.recurring import Recurring
+    from microbot_ros.archive.store import Archive
+    from microbot_ros.archive.table import read_table
+
+_FROM = {
+    'Archive': 'store', 'Conclusions': 'conclusions', 'Progress': 'batch',
+    'Recurring': 'recurring', 'Spread': 'random_effects', 'Summary': 'batch',
+    'conclude': 'conclusions', 'read_table': 'table', 'run_batch': 'batch',
+    'spread': 'random_effects'}
+
+__all__ = [
+    'Archive', 'Conclusions', 'Progress', 'Recurring', 'Spread', 'Summary', 'conclude',
+    'read_table', 'run_batch', 'spread',
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _FROM:
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    return getattr(import_module(f'{__name__}.{_FROM[name]}'), name)

@@ -1,0 +1,178 @@
+"""Dask's cluster for a run: one on this machine, or one that is there, of our version."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import signal
+import threading
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
+
+from microbot_ros.archive.work import Job, VersionError, do
+from microbot_ros.errors import InputError, RigError
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+_CHECKED = ('python', 'microbot_ros', 'distributed', 'dask', 'cloudpickle', 'msgpack', 'numpy',
+            'scipy', 'numba')
+"""What has to be alike: messages are understood, and numbers the same to the last bit."""
+
+_FOUND_WITHIN = '10s'
+DASHBOARD = '127.0.0.1:8787'
+
+
+class ClusterError(RigError):
+    """The scheduler went away in the middle of the work."""
+
+
+@contextmanager
+def cluster(workers: int | None = None, scheduler: str | None = None) -> Iterator[Client]:
+    """A client of the `scheduler` at an address, or of as many `workers` on this machine.
+
+    As many as it has cores where nothing is said. Nothing of the local cluster can be reached from
+    another machine. InputError where the scheduler is not there, where it or a worker has other
+    versions, or where Dask is not installed.
+    """
+    if find_spec('distributed') is None:
+        raise InputError('dask', "expected Dask distributed; install it with "
+                                 "pip install 'microbot_ros[dask]'")
+    with _local(workers) if scheduler is None else _remote(scheduler) as client:
+        yield client
+
+
+@contextmanager
+def _local(workers: int | None) -> Iterator[Client]:
+    from distributed import Client, LocalCluster
+
+    # The port is another one where somebody else has it, and Dask says so.
+    with _quietly():
+        with _interrupts_ignored():
+            local = LocalCluster(
+                n_workers=workers, threads_per_worker=1, processes=True, host='127.0.0.1',
+                dashboard_address=DASHBOARD, silence_logs=logging.CRITICAL)
+        with local, Client(local, set_as_default=False) as client:
+            yield client
+
+
+@contextmanager
+def _remote(scheduler: str) -> Iterator[Client]:
+    from distributed import Client
+
+    with _quietly():
+        try:
+            client = Client(scheduler, timeout=_FOUND_WITHIN, set_as_default=False)
+        except (OSError, ValueError, TypeError) as error:
+            raise InputError(
+                scheduler, 'expected the address of a running Dask scheduler, such as '
+                           f'tcp://host:8786 ({_first_line(error)})') from None
+        try:
+            check_versions(client)
+            yield client
+        finally:
+            with suppress(Exception):  # the scheduler may be gone
+                client.close(timeout=2)
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error) or type(error).__name__).strip().splitlines()[0]
+
+
+@contextmanager
+def _interrupts_ignored() -> Iterator[None]:
+    """Processes that are started meanwhile ignore Ctrl-C, which a terminal sends to all: one is
+    enough.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def _quietly() -> Iterator[None]:
+    """Without what Dask says of ports, versions and lost connections: all of it is said by us."""
+    loggers = [logging.getLogger(name) for name in [*logging.root.manager.loggerDict]
+               if name.split('.')[0] in ('distributed', 'tornado')]
+    before = [one.level for one in loggers]
+    for one in loggers:
+        one.setLevel(logging.CRITICAL)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter('ignore')
+            yield
+    finally:
+        for one, level in zip(loggers, before, strict=True):
+            one.setLevel(level)
+
+
+def check_versions(client: Client) -> None:
+    """InputError, naming both, where scheduler or workers of a `client` differ from it."""
+    found: Any = client.get_versions(packages=['microbot_ros', 'scipy', 'numba'])
+    ours = _versions(found['client'])
+    others = {'the scheduler': found['scheduler']} | {
+        f'worker {name}': one for name, one in found['workers'].items()}
+    for who, one in others.items():
+        theirs = _versions(one)
+        for name in _CHECKED:
+            # A scheduler only hands on what it is given.
+            if who == 'the scheduler' and name in ('microbot_ros', 'scipy', 'numba', 'numpy'):
+                continue
+            if theirs.get(name) != ours.get(name):
+                raise InputError(who, f'expected {name} {ours.get(name)} as here, found '
+                                      f'{theirs.get(name) or "none"}')
+
+
+def _versions(told: dict[str, Any]) -> dict[str, str]:
+    python = '.'.join(told['host']['python'].split('.')[:2])
+    return {**told['packages'], 'python': python}
+
+
+def introduced(client: Client) -> str:
+    """A sentence on the workers of a `client`, and Dask's dashboard where there is one."""
+    count = len(client.scheduler_info(n_workers=-1)['workers'])
+    who = f'{count} worker{"" if count == 1 else "s"}' if count else (
+        'no workers yet: waiting for one')
+    if find_spec('bokeh') is None:
+        return f'{who}; Dask’s dashboard needs bokeh (pip install bokeh)'
+    return f'{who}; dashboard {client.dashboard_link}'
+
+
+def run_jobs(client: Client, jobs: Sequence[Job], report: Callable[[Job, str], None]) -> None:
+    """Do `jobs`, of different keys, each as soon as a worker of a `client` is free.
+
+    `report` is told of each that is done, with '' or a sentence on why a worker failed. Raises
+    OSError for a full disk, InputError where a worker has another version, ClusterError where the
+    scheduler goes away; what is done by then stays done.
+    """
+    from distributed import as_completed
+
+    # Another archive may want the same from the same scheduler.
+    of = {f'{job.key}-{hashlib.sha256(str(job.archive).encode()).hexdigest()[:8]}': job
+          for job in jobs}
+    waiting = as_completed(client.map(do, list(of.values()), key=list(of)), loop=client.loop)
+    for done, future in enumerate(waiting):
+        if future.status in ('cancelled', 'lost'):
+            raise ClusterError(
+                f'the scheduler is gone after {done} of {len(of)}; what is done stays done, and '
+                'the same command goes on from there')
+        error = future.exception()
+        if isinstance(error, VersionError):
+            raise InputError('a worker', f'expected the same version, found {error}')
+        if isinstance(error, OSError):
+            raise error
+        report(of[future.key], '' if error is None else _sentence(error))
+
+
+def _sentence(error: BaseException) -> str:
+    if type(error).__name__ == 'KilledWorker':
+        return 'its worker died again and again, most likely for want of memory'
+    return f'{type(error).__name__}: {_first_line(error)}'

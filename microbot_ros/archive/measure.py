@@ -1,0 +1,53 @@
+"""How large given effects are in one session, whether or not anything was found there.
+
+An archive must not learn how an effect spreads from those sessions alone in which it was large
+enough to be found: each is asked for its own estimate, with its error, and for how much likelier
+it makes the data.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from microbot_ros.discovery.input_checks import check_sessions
+from microbot_ros.discovery.search import CandidateFit, fit_candidate
+from microbot_ros.discovery.stepwise_selection import contribution
+from microbot_ros.estimation.model_fit import fit_sessions
+from microbot_ros.model.effect_table import build_effects
+from microbot_ros.model.model import Model
+from microbot_ros.records import Session
+
+
+def measure(session: Session, effects: list[str], known: dict[str, dict[str, float]],
+            reference_field: float) -> dict[str, Any]:
+    """Estimates of each of `effects` in a `session`, beside the effects `known` there, as JSON has
+    them.
+
+    `known`: {effect: {parameter: value in the unit of its name}}. `reference_field` [T] is the one
+    at which all sessions state their alignment times. Returns {effect: {'parameters': {name: [x,
+    std]}, 'likelihood_ratio', 'dof', 'p_value'}}, x and std in fit coordinates; null where the
+    session can't show the effect.
+    """
+    [prepared], _ = check_sessions([session])
+    conditions = replace(session.conditions, reference_field=reference_field)
+    start = replace(Model.baseline(conditions, session.commands), effects=build_effects(known))
+    fit = fit_sessions(start, [prepared])
+    found = {name: contribution(fit, name) if fit.model.effect(name) else fit_candidate(fit, name)
+             for name in effects}
+    return {'effects': {name: one and _told(one) for name, one in found.items()}}
+
+
+def _told(found: CandidateFit) -> dict[str, Any]:
+    fit = found.fit
+    stds = np.sqrt(np.diag(fit.covariance))
+    return {
+        'parameters': {
+            parameter.name: [float(x), float(std) if np.isfinite(std) else None]
+            for (effect, parameter), x, std in zip(
+                fit.model.parameters, fit.model.vector(), stds, strict=True)
+            if effect == found.id},
+        'likelihood_ratio': float(max(found.likelihood_ratio, 0.0)), 'dof': found.dof,
+        'p_value': found.p_value}

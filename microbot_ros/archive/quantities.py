@@ -1,0 +1,173 @@
+"""v, φ, D and σ over an archive: by session, by rig, batch and day; who is unlike, what drifts."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+
+from microbot_ros.archive.random_effects import Spread, Trend, spread, trend, unlike
+from microbot_ros.units import symbol
+
+NAMES = {'v_um_s': 'v', 'gain_um_s_hz': 'gain', 'phi_rad': 'φ', 'diffusion_um2_s': 'D',
+         'localisation_um': 'σ'}
+LABELS = ('rig', 'batch', 'day')
+DRIFTS = 0.01
+"""Chance, over all that is looked at, below which a trend or an odd session is told."""
+
+_TOGETHER = 0.7
+"""Length of the mean of e^{iφ} from which angles have a mean that means something."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A quantity by the `name` that carries its unit: a value (K,) and its std (K,) a session.
+
+    `particles_between`: standard deviation between the particles of a session, beyond their
+    errors. `groups`: {label: {rig, batch or day: indices of its sessions}}.
+    """
+
+    name: str
+    sessions: tuple[str, ...]
+    days: np.ndarray
+    value: np.ndarray
+    std: np.ndarray
+    particles_between: float
+    groups: dict[str, dict[str, list[int]]]
+
+    @property
+    def title(self) -> str:
+        """For people: 'v (µm/s)'."""
+        name = self.name
+        return f'{NAMES.get(name, name)} ({symbol(name)})' if symbol(name) else name
+
+    @property
+    def spread(self) -> Spread | None:
+        """Between all sessions."""
+        return spread(self.value, self.std)
+
+    @property
+    def trend(self) -> Trend | None:
+        """Per week; None where too few sessions have a day."""
+        return trend(self.days / 7, self.value, self.std)
+
+    def by(self, label: str) -> dict[str, Spread]:
+        """Mean and spread of the sessions of each rig, batch or day, as `label` says."""
+        return {group: found for group, of in self.groups[label].items()
+                if (found := spread(self.value[of], self.std[of]))}
+
+    def between(self, label: str) -> Spread | None:
+        """The spread between rigs, batches or days, as `label` says, beside that within them."""
+        means = list(self.by(label).values())
+        if len(means) < 2:
+            return None
+        return spread(np.array([one.mean for one in means]),
+                      np.array([one.mean_std for one in means]))
+
+
+def quantities(rows: Sequence[Mapping[str, Any]]) -> list[Quantity]:
+    """Every quantity that the `rows` of the archive's table know, in the order of `NAMES`."""
+    sessions = [list(group) for _, group in groupby(rows, key=lambda row: row['session'])]
+    return [found for name in NAMES if (found := _quantity(name, sessions))]
+
+
+def _quantity(name: str, sessions: Sequence[Sequence[Mapping[str, Any]]]) -> Quantity | None:
+    one_each = name in ('diffusion_um2_s', 'localisation_um')
+    kept, estimates = [], []
+    for rows in sessions:
+        pairs = [(row[name], row[f'{name}_std']) for row in (rows[:1] if one_each else rows)
+                 if row.get(name) is not None and row.get(f'{name}_std')]
+        if pairs:
+            kept.append(rows[0])
+            estimates.append(np.array(pairs, dtype=float))
+    if not kept:
+        return None
+    if name == 'phi_rad' and not (estimates := _about_their_mean(estimates)):
+        return None
+    between = _between_particles(estimates)
+    weights = [1 / (pairs[:, 1] ** 2 + between) for pairs in estimates]
+    value = np.array([(w * pairs[:, 0]).sum() / w.sum()
+                      for w, pairs in zip(weights, estimates, strict=True)])
+    return of_sessions(name, kept, value, np.array([w.sum() ** -0.5 for w in weights]),
+                       float(np.sqrt(between)))
+
+
+def of_sessions(name: str, rows: Sequence[Mapping[str, Any]], value: np.ndarray, std: np.ndarray,
+                particles_between: float = 0.0) -> Quantity:
+    """A quantity of that `name` from one `value` (K,) ± `std` (K,) for each of some sessions.
+
+    `rows`: one of the table for each session; `particles_between` as of `Quantity`.
+    """
+    days = np.array([row['day'].toordinal() if row.get('day') else np.nan for row in rows], float)
+    groups: dict[str, dict[str, list[int]]] = {label: {} for label in LABELS}
+    for label in LABELS:
+        for k, row in enumerate(rows):
+            if row.get(label) is not None:
+                groups[label].setdefault(_group(row[label]), []).append(k)
+    return Quantity(name, tuple(row['session'] for row in rows), days, value, std,
+                    particles_between, {label: dict(sorted(one.items()))
+                                        for label, one in groups.items()})
+
+
+def _group(value: str | datetime.date) -> str:
+    return value.isoformat() if isinstance(value, datetime.date) else value
+
+
+def _about_their_mean(estimates: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Angles without a jump at ±π; none where they point everywhere."""
+    mean = np.exp(1j * np.concatenate([pairs[:, 0] for pairs in estimates])).mean()
+    if abs(mean) < _TOGETHER:
+        return []
+    middle = float(np.angle(mean))
+    return [np.column_stack([
+        middle + np.angle(np.exp(1j * (pairs[:, 0] - middle))), pairs[:, 1]])
+        for pairs in estimates]
+
+
+def _between_particles(estimates: Iterable[np.ndarray]) -> float:
+    """The variance between particles of one session, by moments over all sessions (DerSimonian and
+    Laird 1986).
+    """
+    excess = weight = 0.0
+    for pairs in estimates:
+        w = pairs[:, 1] ** -2
+        mean = (w * pairs[:, 0]).sum() / w.sum()
+        excess += float((w * (pairs[:, 0] - mean) ** 2).sum()) - (len(pairs) - 1)
+        weight += float(w.sum() - (w**2).sum() / w.sum())
+    return max(excess / weight, 0.0) if weight > 0 else 0.0
+
+
+@dataclass(frozen=True)
+class Unlike:
+    """A `session` whose `value` of a quantity, the `title` of which has its unit, is unlike those
+    of the others, whose `mean` is given; `p_value` is the chance of it, for this one alone.
+    """
+
+    session: str
+    title: str
+    value: float
+    mean: float
+    p_value: float
+
+
+def unlike_the_others(known: Sequence[Quantity]) -> list[Unlike]:
+    """Sessions that are unlike the others in one of the quantities `known`, the oddest first."""
+    chances = [unlike(one.value, one.std) for one in known]
+    asked = max(sum(int(np.isfinite(chance).sum()) for chance in chances), 1)
+    found = [
+        Unlike(one.sessions[k], one.title, float(one.value[k]), whole.mean, float(chance[k]))
+        for one, chance in zip(known, chances, strict=True) if (whole := one.spread)
+        for k in np.flatnonzero(chance * asked < DRIFTS)]
+    return sorted(found, key=lambda one: one.p_value)
+
+
+def drifting(known: Sequence[Quantity]) -> list[tuple[Quantity, Trend]]:
+    """Those of the quantities `known` that drift over the weeks."""
+    found = [(one, one.trend) for one in known]
+    asked = sum(line is not None for _, line in found)
+    return [(one, line) for one, line in found
+            if line is not None and line.p_value * asked < DRIFTS]

@@ -1,0 +1,159 @@
+"""How estimates spread between sessions, beside how well each session knows its own.
+
+Session i gives y_i = μ + a_i + e_i with a known variance s_i² of e_i; a_i, its own deviation, has
+the variance τ² between sessions. τ² is where Cochran's Q with weights 1/(s_i² + τ²) has its
+expectation k − 1 (Paule and Mandel 1982), its interval where Q has the tails of χ² (Q-profile,
+Viechtbauer 2007): exact for normal estimates. The mean has Hartung and Knapp's interval (2001).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.special import chdtrc, chdtri, stdtr, stdtrit
+
+_TAIL = 0.025
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Mean and spread between sessions of one quantity, in its own unit.
+
+    `count` of sessions; `mean` with `mean_std` and its 95 % interval from `mean_low` to
+    `mean_high`; `between`, the standard deviation between sessions, from `between_low` to
+    `between_high`; `within`, the usual standard deviation of one session's estimate;
+    `p_value`, the chance of so much scatter with none between sessions. Infinite or NaN where too
+    few sessions tell nothing.
+    """
+
+    count: int
+    mean: float
+    mean_std: float
+    mean_low: float
+    mean_high: float
+    between: float
+    between_low: float
+    between_high: float
+    within: float
+    p_value: float
+
+
+def spread(values: np.ndarray, stds: np.ndarray) -> Spread | None:
+    """The spread of `values` (K,) with standard deviations `stds` (K,); None where there is none.
+
+    What is not finite, or stated without error, is left out.
+    """
+    known = np.isfinite(values) & np.isfinite(stds) & (stds > 0)
+    y, s = values[known], stds[known]
+    k = len(y)
+    if not k:
+        return None
+    within = float(np.sqrt(np.median(s**2)))
+    if k == 1:
+        half = 1.96 * float(s[0])
+        return Spread(1, float(y[0]), float(s[0]), float(y[0]) - half, float(y[0]) + half,
+                      np.nan, 0.0, np.inf, within, np.nan)
+    variance = between_variance(y, s)
+    low, high = (_variance_where(y, s, float(chdtri(k - 1, tail)))
+                 for tail in (_TAIL, 1 - _TAIL))
+    mean, std = mean_of(y, s, variance)
+    half = std * float(-stdtrit(k - 1, _TAIL))
+    return Spread(k, mean, std, mean - half, mean + half, float(np.sqrt(variance)),
+                  float(np.sqrt(low)), float(np.sqrt(high)), within,
+                  float(chdtrc(k - 1, _q(y, s, 0.0))))
+
+
+def between_variance(values: np.ndarray, stds: np.ndarray) -> float:
+    """Paule and Mandel's variance between `values` (K,) beyond that of their `stds` (K,)."""
+    return _variance_where(values, stds, len(values) - 1)
+
+
+def mean_of(values: np.ndarray, stds: np.ndarray, variance: float) -> tuple[float, float]:
+    """The weighted mean of `values` (K,) with `stds` (K,) and a `variance` between them.
+
+    With its standard deviation, Hartung and Knapp's, not below that of the weights alone.
+    """
+    weight = 1 / (stds**2 + variance)
+    mean = float((weight * values).sum() / weight.sum())
+    ratio = _q(values, stds, variance) / max(len(values) - 1, 1)
+    return mean, float(np.sqrt(max(ratio, 1.0) / weight.sum()))
+
+
+def _q(y: np.ndarray, s: np.ndarray, variance: float) -> float:
+    """Cochran's Q, which falls as `variance` grows."""
+    weight = 1 / (s**2 + variance)
+    mean = (weight * y).sum() / weight.sum()
+    return float((weight * (y - mean) ** 2).sum())
+
+
+def _variance_where(y: np.ndarray, s: np.ndarray, q: float) -> float:
+    """The variance between sessions at which Q is `q`; 0 where it is less without any."""
+    if _q(y, s, 0.0) <= q:
+        return 0.0
+    high = float(np.var(y) + s.max() ** 2)
+    while _q(y, s, high) > q:
+        high *= 4
+    # Variances of metres per second squared are tiny: by their share of the largest.
+    return high * float(brentq(lambda share: _q(y, s, share * high) - q, 0.0, 1.0, xtol=1e-12))
+
+
+@dataclass(frozen=True)
+class Trend:
+    """A `slope` per unit of time, its `std`, and the chance `p_value` of it without any trend."""
+
+    slope: float
+    std: float
+    p_value: float
+
+
+def trend(times: np.ndarray, values: np.ndarray, stds: np.ndarray) -> Trend | None:
+    """A straight line through `values` (K,) with `stds` (K,) at `times` (K,).
+
+    Sessions scatter about it with a variance of their own, estimated by moments (DerSimonian and
+    Laird 1986, for a regression), and the test is Knapp and Hartung's (2003). None with fewer than
+    five sessions, or all at one time.
+    """
+    known = np.isfinite(times) & np.isfinite(values) & np.isfinite(stds) & (stds > 0)
+    x, y, s = times[known], values[known], stds[known]
+    if len(x) < 5 or np.ptp(x) == 0:
+        return None
+    columns = np.column_stack([np.ones(len(x)), x - x.mean()])
+    variance = _residual_variance(columns, y, s)
+    weight = 1 / (s**2 + variance)
+    information = columns.T * weight @ columns
+    line = np.linalg.solve(information, columns.T @ (weight * y))
+    free = len(x) - 2
+    ratio = max(float((weight * (y - columns @ line) ** 2).sum()) / free, 1.0)
+    std = float(np.sqrt(ratio * np.linalg.inv(information)[1, 1]))
+    return Trend(float(line[1]), std, float(2 * stdtr(free, -abs(line[1]) / std)))
+
+
+def _residual_variance(columns: np.ndarray, y: np.ndarray, s: np.ndarray) -> float:
+    weight = 1 / s**2
+    information = columns.T * weight @ columns
+    line = np.linalg.solve(information, columns.T @ (weight * y))
+    q = float((weight * (y - columns @ line) ** 2).sum())
+    absorbed = np.trace(np.linalg.solve(information, columns.T * weight**2 @ columns))
+    return max(0.0, (q - (len(y) - columns.shape[1])) / float(weight.sum() - absorbed))
+
+
+def unlike(values: np.ndarray, stds: np.ndarray) -> np.ndarray:
+    """The chance (K,) that each of `values` (K,) with `stds` (K,) is as far from all the others.
+
+    By what the others say of mean and spread, which what is unlike them would blur; NaN where it
+    or they are too few to tell. One at a time: who asks K times pays for it.
+    """
+    chances = np.full(len(values), np.nan)
+    known = np.flatnonzero(np.isfinite(values) & np.isfinite(stds) & (stds > 0))
+    if len(known) < 5:
+        return chances
+    for one in known:
+        rest = known[known != one]
+        y, s = values[rest], stds[rest]
+        variance = between_variance(y, s)
+        mean, std = mean_of(y, s, variance)
+        off = abs(values[one] - mean) / np.sqrt(stds[one] ** 2 + variance + std**2)
+        chances[one] = 2 * stdtr(len(rest) - 1, -off)
+    return chances

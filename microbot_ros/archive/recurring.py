@@ -1,0 +1,221 @@
+"""Effects that recur over an archive: in which sessions they are, and how their parameters spread.
+
+Session i estimates the parameters of an effect as y_i ± s_i and has it likelier by the ratio
+exp(LR_i/2). A share π of the sessions has the effect, with parameters that are normal about μ with
+variances τ² between sessions; the rest has it not. The odds of session i are then
+
+    π/(1 − π) · exp(LR_i/2) · Π √(s_i²/(s_i² + τ²)) · exp(−(y_i − μ)²/2(s_i² + τ²))
+
+with π, μ, τ² fitted to all sessions in turns (two-groups model, Efron 2008; empirical Bayes). So a
+weak session counts with what the others know, and "absent" means that an effect of that size would
+have been seen.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.special import bdtrc, chdtrc, chdtri
+
+from microbot_ros.archive.random_effects import Spread, spread
+from microbot_ros.model.effects import EFFECTS
+from microbot_ros.model.parameter import Parameter
+from microbot_ros.units import symbol
+
+SURE = 0.95
+"""Probability from which an effect is said to be in a session, or in its absence not."""
+
+BY_CHANCE = 0.01
+"""Chance per session of a name that is wrong, as `discover` keeps it."""
+
+WORTH = float(np.log(20))
+"""Gain in log likelihood over all sessions, parameters paid for, that an effect has to bring."""
+
+VARIES = 0.01
+"""Chance below which a parameter is said to vary between sessions."""
+
+_ROUNDS = 50
+
+Results = Mapping[str, dict[str, Any]]
+"""{session: result of a job}."""
+
+
+@dataclass(frozen=True)
+class Recurring:
+    """The effect `id` over an archive: the `probability` that it is in each session.
+
+    `unseen`: sessions that can't show it. `parameters`: how each spreads between the sessions
+    that have it, in the `unit` that it is given in: that of its name, or where the effect vanishes
+    at infinity the reciprocal's; angles of a shape are left out. `estimates`: {parameter:
+    {session: (value, standard deviation)}} in the same units.
+    """
+
+    id: str
+    probability: dict[str, float]
+    unseen: tuple[str, ...]
+    parameters: dict[str, Spread]
+    estimates: dict[str, dict[str, tuple[float, float]]]
+
+    @property
+    def present(self) -> list[str]:
+        """Sessions that have it."""
+        return [name for name, p in self.probability.items() if p >= SURE]
+
+    @property
+    def absent(self) -> list[str]:
+        """Sessions that would show it if they had it."""
+        return [name for name, p in self.probability.items() if p <= 1 - SURE]
+
+    @property
+    def undecided(self) -> list[str]:
+        """Sessions that can't tell."""
+        told = {*self.present, *self.absent}
+        return [*(name for name in self.probability if name not in told), *self.unseen]
+
+    @property
+    def varying(self) -> list[str]:
+        """The parameters that differ between sessions by more than their errors."""
+        return [name for name, found in self.parameters.items()
+                if found.p_value * len(self.parameters) < VARIES]
+
+    def unit(self, name: str) -> str:
+        """The unit in which a parameter of that `name` is given here."""
+        of = next(p for p in EFFECTS[self.id].parameters() if p.name == name)
+        return f'1/({symbol(name)})' if of.inverse else symbol(name)
+
+    def sentence(self) -> str:
+        """Where it is and whether it is the same everywhere."""
+        known = len(self.probability)
+        where = (f'in all {known} sessions' if len(self.present) == known else
+                 f'in {len(self.present)} of {known} sessions')
+        if self.undecided:
+            where += f' ({len(self.undecided)} can not tell)'
+        if len(self.present) < 2:
+            return f'{self.id} {where}.'
+        how = ('its ' + ' and '.join(self.varying) + ' varies by session' if self.varying else
+               'with common parameters')
+        return f'{self.id} {where}, {how}.'
+
+
+def candidates_for_all(results: Results) -> list[str]:
+    """The effects that `discover`'s `results` ask to be measured in every session.
+
+    Those that are named in more sessions than chance would, and those whose evidence, too weak
+    in each, is none by chance over all.
+    """
+    known = [one for one in results.values() if 'result' in one]
+    named = Counter(effect['id'] for one in known for effect in one['result']['effects']
+                    if effect['status'] != 'suggested')
+    gains, free = Counter[str](), Counter[str]()
+    for one in known:
+        for name, ratio, dof in one['candidates']:
+            gains[name] += max(ratio, 0.0)
+            free[name] += dof
+    often = {name for name, count in named.items()
+             if len(known) < 3 or bdtrc(count - 1, len(known), BY_CHANCE) < BY_CHANCE}
+    # Of a place or a frequency the best of many is looked at, which alone is evidence of nothing.
+    pooled = {name for name in gains
+              if not any(p.shape for p in EFFECTS[name].parameters())
+              and chdtrc(free[name], gains[name]) * len(EFFECTS) < BY_CHANCE}
+    return sorted(often | pooled)
+
+
+def common_reference(results: Results) -> float:
+    """The field [T] at which alignment times are stated: that of most sessions of `results`."""
+    return Counter(one['reference_field'] for one in results.values()
+                   if 'reference_field' in one).most_common(1)[0][0]
+
+
+def recurring_effects(measured: Results) -> list[Recurring]:
+    """Effects that an archive as a whole has, from what each session `measured`; surest first."""
+    names = sorted({name for one in measured.values() for name in one.get('effects', {})})
+    found = [both for name in names if (both := _recurring(name, measured))]
+    return [one for _, one in sorted(found, key=lambda both: -both[0])]
+
+
+def _recurring(effect: str, measured: Results) -> tuple[float, Recurring] | None:
+    """With its gain over all sessions; None where it is worth nothing."""
+    told = {name: one['effects'].get(effect) for name, one in measured.items()
+            if 'effects' in one}
+    parameters = EFFECTS[effect].parameters()
+    seen = {name: one for name, one in told.items() if one and all(
+        std is not None for _, std in one['parameters'].values())}
+    if not seen:
+        return None
+    both = np.array([[one['parameters'][p.name] for p in parameters] for one in seen.values()])
+    ratio = np.array([one['likelihood_ratio'] for one in seen.values()])
+    angle = np.array([p.is_angle for p in parameters])
+    probability, gain = _two_groups(both[..., 0], both[..., 1], ratio, angle)
+    if gain < WORTH:
+        return None
+    estimates: dict[str, dict[str, tuple[float, float]]] = {}
+    spreads: dict[str, Spread] = {}
+    has = probability >= SURE if (probability >= SURE).any() else probability >= 0.5
+    for k, parameter in enumerate(parameters):
+        if parameter.is_angle:
+            continue
+        values, stds = _in_units(parameter, both[:, k, 0], both[:, k, 1])
+        estimates[parameter.name] = {name: (float(v), float(s)) for name, v, s in zip(
+            seen, values, stds, strict=True)}
+        if (one := spread(values[has], stds[has])) is not None:
+            spreads[parameter.name] = one
+    return gain, Recurring(
+        effect, dict(zip(seen, probability.tolist(), strict=True)),
+        tuple(name for name in told if name not in seen), spreads, estimates)
+
+
+def _in_units(parameter: Parameter, x: np.ndarray, std: np.ndarray,
+              ) -> tuple[np.ndarray, np.ndarray]:
+    """Fit coordinates (K,) as people write them; of a reciprocal the reciprocal."""
+    unit = float(parameter.display_units(1.0))
+    if parameter.inverse:
+        return x / (parameter.scale * unit), std / (parameter.scale * unit)
+    return (parameter.null_value + x * parameter.scale) * unit, std * parameter.scale * unit
+
+
+def _two_groups(x: np.ndarray, std: np.ndarray, ratio: np.ndarray, angle: np.ndarray,
+                ) -> tuple[np.ndarray, float]:
+    """The probability (N,) that each session has the effect, and the gain over none having it.
+
+    From estimates `x` (N, P) with `std` (N, P), likelihood `ratio` (N,); of an `angle` (P,) nobody
+    knows anything before.
+    """
+    count = len(x)
+    # An angle is known within its error, of a turn.
+    blind = np.minimum(np.log(std[:, angle] / np.sqrt(2 * np.pi)), 0.0).sum(axis=1)
+    y, s = x[:, ~angle], std[:, ~angle]
+    probability = np.where(ratio > chdtri(max(x.shape[1], 1), 1e-3), 1.0, 0.0)
+    if not probability.any():
+        probability[:] = 1.0
+    gain = -np.inf
+    for _ in range(_ROUNDS):
+        has = probability >= 0.5
+        share = float(np.clip(probability.mean(), 0.5 / count, 1 - 0.5 / count))
+        log_bayes = ratio / 2 + blind + _fitting(y, s, has)
+        log_odds = np.log(share / (1 - share)) + log_bayes
+        before, probability = probability, 1 / (1 + np.exp(-np.clip(log_odds, -700, 700)))
+        gain = float(np.logaddexp(np.log(share) + log_bayes, np.log1p(-share)).sum())
+        if np.abs(probability - before).max() < 1e-6 or not (probability >= 0.5).any():
+            break
+    # Mean and spread of each parameter, and the share, were fitted.
+    return probability, gain - (2 * y.shape[1] + 1) / 2 * np.log(count)
+
+
+def _fitting(y: np.ndarray, s: np.ndarray, has: np.ndarray) -> np.ndarray:
+    """Log (N,) of how well estimates fit those that have the effect, over how well themselves.
+
+    `y` and `s` (N, P); `has` (N,), at least one.
+    """
+    result = np.zeros(len(y))
+    for values, stds in zip(y.T, s.T, strict=True):
+        of = spread(values[has], stds[has])
+        assert of is not None
+        # One session does not tell how they spread: as widely as its effect is large.
+        between = of.between if np.isfinite(of.between) else abs(of.mean)
+        wide = stds**2 + between**2 + of.mean_std**2
+        result += np.log(stds**2 / wide) / 2 - (values - of.mean) ** 2 / (2 * wide)
+    return result

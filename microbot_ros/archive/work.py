@@ -1,0 +1,203 @@
+"""What is done to one recording, by whichever process on whichever machine: a job and its result.
+
+A job is named by what it works on, how, and by which version; its result is a file of that name,
+there whole or not at all. Whoever has the job twice finds it done.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from microbot_ros import __version__
+from microbot_ros.archive.recordings import MARK, Kind
+from microbot_ros.errors import InputError
+from microbot_ros.files import output_folder, write_text
+
+if TYPE_CHECKING:
+    from microbot_ros.records import Session
+
+Task = Literal['track', 'fit', 'discover', 'import', 'measure']
+
+READS: dict[Task, tuple[Kind, ...]] = {
+    'track': ('film',), 'import': ('table',),
+    'fit': ('session', 'recording', 'table'), 'discover': ('session', 'recording', 'table'),
+    'measure': ('session', 'recording', 'table'),
+}
+"""Which kinds of recordings a task takes."""
+
+SESSIONS = 'sessions'
+"""Folder of an archive in which the sessions are that were made of films and tables."""
+
+_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+class VersionError(RuntimeError):
+    """A worker has another version than who sent the job."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A `task` on a recording of that `kind` at `path`, made of `files`.
+
+    `content` is its digest; `settings` are the task's, as JSON has them; the result goes into
+    `archive`. `version` is that of who asks.
+    """
+
+    task: Task
+    kind: Kind
+    path: Path
+    files: tuple[Path, ...]
+    content: str
+    archive: Path
+    settings: dict[str, Any] = field(default_factory=dict)
+    version: str = __version__
+
+    @property
+    def key(self) -> str:
+        """The name of the work, the same for the same content, settings and version."""
+        named = json.dumps([self.task, self.content, self.settings, self.version], sort_keys=True)
+        return f'{self.task}-{hashlib.sha256(named.encode()).hexdigest()[:40]}'
+
+    @property
+    def result(self) -> Path:
+        """The file of its result."""
+        return result_file(self.archive, self.key)
+
+
+def result_file(archive: Path, key: str) -> Path:
+    """Where an `archive` keeps the result of the job of that `key`."""
+    return archive / MARK / key.split('-')[-1][:2] / f'{key}.json'
+
+
+def do(job: Job) -> str:
+    """Do a `job`, unless it is done; its key.
+
+    What a recording is wrong with is a result, too. Raises OSError where the disk is full,
+    VersionError, and whatever a fault of this program raises.
+    """
+    if job.version != __version__:
+        raise VersionError(f'microbot_ros {__version__}, the client {job.version}')
+    if not job.result.exists():
+        try:
+            outcome = _TASKS[job.task](job)
+        except InputError as error:
+            outcome = {'refused': _reason(error)}
+        except OSError as error:
+            if error.errno in _DISK:
+                raise
+            outcome = {'refused': error.strerror or str(error)}
+        write_text(job.result, json.dumps(outcome, ensure_ascii=False) + '\n')
+    return job.key
+
+
+def _reason(error: InputError) -> str:
+    """Without the folders: the same recording may lie elsewhere tomorrow."""
+    name = Path(error.source).name
+    place = f'{name}:{error.line}' if error.line else name
+    return f'{place}: {error.expected}' if place else error.expected
+
+
+def _read(job: Job) -> Session:
+    """The session of a recording or of a table."""
+    from microbot_ros.session import open_recording
+    from microbot_ros.session.folder import read_folder
+    from microbot_ros.session.from_recording import session_of
+
+    if job.kind == 'session':
+        return read_folder(job.path)
+    if job.kind == 'recording':
+        with open_recording(job.path) as recording:
+            return session_of(recording)
+    session, said = _imported(job)
+    return replace(session, remarks=(*session.remarks, *(f'assumed: {one}' for one in said)))
+
+
+def _imported(job: Job) -> tuple[Session, list[str]]:
+    from microbot_ros.session.spreadsheets.assemble import import_session
+    from microbot_ros.session.spreadsheets.sheets import Answers
+
+    answers = Answers(**job.settings['answers'])
+    with tempfile.TemporaryDirectory() as scratch:
+        # Readers go by endings; people do not always, and other tables may lie beside these.
+        for file in job.files:
+            ending = '.xlsx' if file.read_bytes()[:2] == b'PK' else '.csv'
+            (Path(scratch) / f'{file.stem}{ending}').symlink_to(file)
+        single = next(Path(scratch).iterdir()) if len(job.files) == 1 else Path(scratch)
+        return import_session(single, answers)
+
+
+def _facts(session: Session) -> dict[str, Any]:
+    """What a session is, beside what is found in it."""
+    t = session.tracks.t
+    return {
+        'propulsion': session.conditions.propulsion, 'duration_s': float(t[-1] - t[0]),
+        'frames': len(set(t.tolist())), 'positions': len(t), 'remarks': list(session.remarks)}
+
+
+def _fit(job: Job) -> dict[str, Any]:
+    from microbot_ros.estimation import report
+    from microbot_ros.estimation.batch import fit
+
+    session = _read(job)
+    found = fit(session, job.settings['exposure_s'])
+    return {'facts': _facts(session), 'fit': report.as_json(found)}
+
+
+def _discover(job: Job) -> dict[str, Any]:
+    from microbot_ros.discovery.discover import discover
+    from microbot_ros.model.effect_table import write_effects
+
+    session = _read(job)
+    found = discover([session])
+    last = found.selection[-1].candidates if found.selection else ()
+    return {
+        'facts': _facts(session), 'result': found.as_json(),
+        'reference_field': found.model.reference_field,
+        'effects': write_effects(found.model.effects),
+        'candidates': [[c.id, c.likelihood_ratio, c.dof] for c in last],
+    }
+
+
+def _measure(job: Job) -> dict[str, Any]:
+    from microbot_ros.archive.measure import measure
+
+    wanted = {name: job.settings[name] for name in ('effects', 'known', 'reference_field')}
+    return measure(_read(job), **wanted)
+
+
+def _import(job: Job) -> dict[str, Any]:
+    from microbot_ros.session import write_session
+
+    session, said = _imported(job)
+    write_session(made_session(job), session)
+    return {'facts': _facts(session), 'session': made_session(job).name, 'remarks': said}
+
+
+def made_session(job: Job) -> Path:
+    """The folder of the session that a `job` makes, the same whatever it was asked to assume."""
+    return job.archive / SESSIONS / f'{job.path.stem}-{job.content[:8]}'
+
+
+def _track(job: Job) -> dict[str, Any]:
+    from microbot_ros.archive.films import track_film
+    from microbot_ros.tracking import TrackerSettings
+    from microbot_ros.units import to_si
+
+    width = job.settings['pixel_size_um']
+    with output_folder(made_session(job)) as folder:
+        told = track_film(job.files, folder / 'tracks.csv',
+                          None if width is None else to_si('_um', width),
+                          job.settings['frame_rate_hz'],
+                          TrackerSettings(**job.settings['tracker']))
+    return {'film': told, 'session': made_session(job).name}
+
+
+_TASKS: dict[Task, Callable[[Job], dict[str, Any]]] = {
+    'track': _track, 'fit': _fit, 'discover': _discover, 'import': _import, 'measure': _measure}

@@ -1,0 +1,209 @@
+"""`microbot batch`: a laboratory's archive of recordings, on many cores or machines."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from microbot_ros.cli.import_ import answer_options, answers
+from microbot_ros.cli.options import FiniteFloatRange, plausible_number
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from microbot_ros.archive import Progress, Summary
+    from microbot_ros.archive.work import Task
+
+_COMMON = (
+    click.argument('folders', metavar='FOLDER...', nargs=-1, required=True,
+                   type=click.Path(path_type=Path)),
+    click.option('--out', type=click.Path(path_type=Path), required=True, metavar='ARCHIVE',
+                 help='Folder for archive.parquet, archive.html and the results.'),
+    click.option('--workers', type=click.IntRange(1), metavar='N',
+                 help='Processes on this machine; as many as it has cores if nothing is said.'),
+    click.option('--scheduler', metavar='ADDRESS',
+                 help='Address of a running Dask scheduler, whose workers do the work.'),
+    click.option('--json', 'json_path', type=click.Path(path_type=Path),
+                 help='Also write what was done and found as JSON.'),
+)
+
+
+def _common_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    for option in reversed(_COMMON):
+        command = option(command)
+    return command
+
+
+@click.group()
+def command() -> None:
+    """Go through all recordings in folders, each once, on Dask distributed.
+
+    Recordings are found by what files hold: session folders, MCAP recordings, films, tables. What
+    was done before is kept, whoever did it; a run that was stopped goes on where it was. An
+    archive.yaml with `rig`, `batch` and `recorded` in any folder tells what only people know.
+
+    \b
+    Examples:
+      microbot batch track films/ --out archive --pixel-size-um 0.33
+      microbot batch fit archive/sessions recordings/ --out archive
+      microbot batch discover recordings/ --out archive --scheduler tcp://head:8786
+    """
+
+
+@command.command('track')
+@_common_options
+@click.option('--pixel-size-um', type=plausible_number('pixel_size_um'),
+              help='Width of a pixel in the sample, where no session.yaml beside a film says it.')
+@click.option('--frame-rate-hz', type=plausible_number('frame_rate_hz'),
+              help='Frames per second: for images, or instead of what a film says.')
+@click.option('--settings', 'settings_path', type=click.Path(path_type=Path), metavar='YAML',
+              help='Settings of detection and linking; what is left out is chosen.')
+def _track(pixel_size_um: float | None, frame_rate_hz: float | None, settings_path: Path | None,
+           **common: Any) -> None:
+    """Track every film: a video file, or a folder of images.
+
+    Each becomes a session in ARCHIVE/sessions, with the commands.csv and session.yaml that lie
+    beside the film.
+
+    \b
+    Example:
+      microbot batch track films/ --out archive --pixel-size-um 0.33
+    """
+    from microbot_ros.files import read_yaml
+    from microbot_ros.tracking import TrackerSettings
+
+    tracker = read_yaml(settings_path, TrackerSettings) if settings_path else TrackerSettings()
+    _run('track', {'pixel_size_um': pixel_size_um, 'frame_rate_hz': frame_rate_hz,
+                   'tracker': tracker.model_dump(mode='json', exclude_unset=True)}, **common)
+
+
+@command.command('fit')
+@_common_options
+@click.option('--exposure-ms', type=FiniteFloatRange(0, 10_000), default=0.0, show_default=True,
+              help='Exposure time of a frame, for the blur of diffusion during it.')
+@answer_options
+def _fit(exposure_ms: float, folders: tuple[Path, ...], out: Path, workers: int | None,
+         scheduler: str | None, json_path: Path | None, **given: Any) -> None:
+    """Fit v, φ, F, D and σ in every session, and compare the sessions.
+
+    \b
+    Example:
+      microbot batch fit recordings/ --out archive --workers 4
+    """
+    settings = {'exposure_s': exposure_ms * 1e-3, 'answers': _answered(given)}
+    _run('fit', settings, folders, out, workers, scheduler, json_path)
+
+
+@command.command('discover')
+@_common_options
+@answer_options
+def _discover(folders: tuple[Path, ...], out: Path, workers: int | None, scheduler: str | None,
+              json_path: Path | None, **given: Any) -> None:
+    """Look for the missing effect in every session, and tell what recurs.
+
+    Effects that recur are then measured in every session: which have them, which not, and
+    whether their parameters are common or vary by session.
+
+    \b
+    Example:
+      microbot batch discover recordings/ --out archive --scheduler tcp://head:8786
+    """
+    _run('discover', {'answers': _answered(given)}, folders, out, workers, scheduler, json_path)
+
+
+@command.command('import')
+@_common_options
+@answer_options
+def _import(folders: tuple[Path, ...], out: Path, workers: int | None, scheduler: str | None,
+            json_path: Path | None, **given: Any) -> None:
+    """Turn every table, spreadsheet or text, into a session in ARCHIVE/sessions.
+
+    The options are those of `microbot import`, the same for all.
+
+    \b
+    Example:
+      microbot batch import tables/ --out archive --pixel-size-um 0.33
+    """
+    _run('import', {'answers': _answered(given)}, folders, out, workers, scheduler, json_path)
+
+
+def _answered(given: dict[str, Any]) -> dict[str, Any]:
+    return dataclasses.asdict(answers(**given))
+
+
+def _run(task: Task, settings: dict[str, Any], folders: tuple[Path, ...], out: Path,
+         workers: int | None, scheduler: str | None, json_path: Path | None) -> None:
+    """Do it, with progress, and say what came of it."""
+    # Many processes of one thread each: read by OpenBLAS when it is loaded, so from here.
+    os.environ.setdefault('OMP_NUM_THREADS', '1')
+    from rich.console import Console
+
+    from microbot_ros.archive import run_batch
+    from microbot_ros.files import write_text
+
+    if workers is not None and scheduler is not None:
+        raise click.UsageError('expected either --workers or --scheduler')
+    with _Shown(Console(stderr=True, highlight=False, soft_wrap=True)) as shown:
+        summary, found = run_batch(task, folders, out, settings, workers, scheduler, shown.report)
+    for line in _told(summary):
+        shown.console.print(line, markup=False)
+    if json_path:
+        content = dataclasses.asdict(summary) | found
+        write_text(json_path, json.dumps(content, indent=1, ensure_ascii=False,
+                                         allow_nan=False) + '\n')
+    console = Console(highlight=False, soft_wrap=True)
+    for sentence in found['sentences']:
+        console.print(sentence, markup=False)
+    console.print(f'{out}: {found["sessions"]} sessions, {found["particles"]} particles in '
+                  f'archive.parquet; archive.html', markup=False)
+
+
+def _told(summary: Summary) -> list[str]:
+    lines = [f'{name}: {reason}' for name, reason in sorted(summary.refused.items())]
+    lines += [f'{name}: {reason}; the next run tries again'
+              for name, reason in sorted(summary.failed.items())]
+    parts = [f'{summary.done} done', f'{summary.kept} kept from before']
+    parts += [f'{count} {what}' for count, what in (
+        (summary.copies, 'copies of others'), (summary.aside, f'not for {summary.task}'),
+        (len(summary.refused), 'refused'), (len(summary.failed), 'failed')) if count]
+    return [*lines, f'{summary.found} recordings: {", ".join(parts)}']
+
+
+class _Shown:
+    """Progress on a `console`: a line that changes, and lines that stay."""
+
+    def __init__(self, console: Console) -> None:
+        self.console = console
+        self._status = console.status('')
+
+    def __enter__(self) -> _Shown:
+        self._status.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._status.stop()
+
+    def report(self, progress: Progress) -> None:
+        """Show the `progress`."""
+        if progress.note:
+            self.console.print(progress.note, markup=False)
+        elif not progress.total:
+            self._status.update(progress.doing)
+        else:
+            self._status.update(_line(progress))
+
+
+def _line(progress: Progress) -> str:
+    line = f'{progress.doing}: {progress.done} of {progress.total}'
+    if progress.seconds_left is None:
+        return line
+    minutes, seconds = divmod(round(progress.seconds_left), 60)
+    rate = (f'{progress.rate:.1f} a second' if progress.rate >= 0.1 else
+            f'{60 * progress.rate:.1f} a minute')
+    return f'{line}, {rate}, {minutes}:{seconds:02d} left'

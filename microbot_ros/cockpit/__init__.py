@@ -1,0 +1,1 @@
+"""The operator's page and its server: pictures, state and verbs over one socket, without ROS."""

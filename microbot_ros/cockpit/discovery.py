@@ -1,0 +1,114 @@
+"""`microbot discover --drive` as a child: started, watched and ended with the cockpit."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import sys
+from contextlib import suppress
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from microbot_ros.cockpit.rig import Answer, RefusedError
+from microbot_ros.ending import PARENT
+from microbot_ros.errors import clipped, one_line
+
+_PATIENCE_S = 10.0
+"""So long it may take to write what it has learned when it is told to end."""
+
+
+class Discovery:
+    """Drives the rig of a `namespace` to find what the model is missing; each run has a new
+    folder in `folder`.
+
+    The child is the head of a process group of its own, and ends with this process, however that
+    ends.
+    """
+
+    def __init__(self, namespace: str, folder: Path) -> None:
+        self._namespace, self._folder = namespace, folder
+        self._process: asyncio.subprocess.Process | None = None
+        self._reader: asyncio.Task[None] | None = None
+        self._out = folder
+        self._told = ''
+        self._result: dict[str, Any] = {}
+
+    @property
+    def running(self) -> bool:
+        """Whether it drives now."""
+        return self._process is not None
+
+    def state(self, elsewhere: dict[str, Any]) -> dict[str, Any] | None:
+        """What the page shows of it; before the first run of the result of a discovery
+        `elsewhere`; None where there is nothing to show."""
+        if not self._told:
+            return {'running': False, 'sentence': 'found by another discovery beside the rig',
+                    **summary(elsewhere)} if elsewhere else None
+        return {'running': self.running, 'sentence': self._told, **summary(self._result)}
+
+    async def start(self, minutes: float) -> Answer:
+        """Drive for so many `minutes` at most; RefusedError where it does already."""
+        if self.running:
+            raise RefusedError('discovery is driving already')
+        self._out = self._folder / f'{datetime.now():%Y-%m-%d_%H-%M-%S}'
+        self._result, self._told = {}, 'starting'
+        self._process = await asyncio.create_subprocess_exec(
+            sys.executable, '-m', 'microbot_ros.cli', 'discover', '--drive', '--minutes',
+            f'{minutes:g}', '--out', str(self._out), '--namespace', self._namespace,
+            stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.STDOUT, start_new_session=True,
+            env={**os.environ, PARENT: str(os.getpid()), 'PYTHONUNBUFFERED': '1',
+                 'COLUMNS': '1000'})
+        self._reader = asyncio.create_task(self._follow(self._process))
+        return f'driving for {minutes:g} min at most; into {self._out}'
+
+    async def stop(self) -> Answer:
+        """Have it end and write what it knows; RefusedError where it does not run."""
+        if self._process is None:
+            raise RefusedError('discovery is not driving')
+        self._signal(signal.SIGTERM)
+        return 'told to end'
+
+    async def end(self) -> None:
+        """Leave nothing behind when the server ends."""
+        if self._reader is None or self._process is None:
+            return
+        self._signal(signal.SIGTERM)
+        await asyncio.wait([self._reader], timeout=_PATIENCE_S)
+        self._signal(signal.SIGKILL)
+        await asyncio.wait([self._reader], timeout=_PATIENCE_S)
+
+    def _signal(self, number: int) -> None:
+        if self._process is not None:
+            with suppress(ProcessLookupError):
+                os.killpg(self._process.pid, number)
+
+    async def _follow(self, process: asyncio.subprocess.Process) -> None:
+        """Keep the last line that it prints; at its end what it has found."""
+        assert process.stdout is not None
+        while data := await process.stdout.readline():
+            if line := one_line(data.decode(errors='replace').strip()):
+                self._told = clipped(line) if len(line) > 300 else line
+        status = await process.wait()
+        with suppress(OSError, ValueError):
+            self._result = json.loads((self._out / 'result.json').read_text())
+        if status:
+            self._told = f'ended with status {status}: {self._told}'
+        self._process = None
+
+
+def summary(result: dict[str, Any]) -> dict[str, Any]:
+    """Of the content of a `result.json` (`result`) what a page shows; None for what is not there.
+    """
+    effects = result.get('effects') or [{}]
+    gap = result.get('gap') or {}
+    experiments = result.get('experiments') or [{}]
+    return {
+        'verdict': result.get('verdict'), 'decided': result.get('decided'),
+        'effect': effects[0].get('id'),
+        'gap_um': gap.get('after_um', gap.get('before_um')),
+        'odds': experiments[-1].get('odds', {}), 'minutes': result.get('minutes'),
+        'next': result.get('next_experiment')}

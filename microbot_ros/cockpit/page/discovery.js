@@ -1,0 +1,52 @@
+// The search for what the model lacks: what it found, how sure it is, what it does next.
+
+import { byId, keyed, make, setText } from './dom.js';
+import { readings } from './estimates.js';
+import { order } from './messages.js';
+import { known, withUnit } from './numbers.js';
+
+const VERDICTS = {
+  consistent: 'Consistent: nothing is missing.', named: 'Named.', unnamed: 'Unnamed: something is missing that is in no list.',
+};
+
+export function discoveryPanel(link) {
+  let running = false;
+  byId('discover-form').onsubmit = (event) => {
+    event.preventDefault();
+    order(link, running ? 'Stop discovery' : 'Discovery', 'discover',
+      { on: !running, minutes: Number(byId('minutes').value) });
+  };
+  link.on('state', ({ discovery }) => {
+    running = Boolean(discovery?.running);
+    setText(byId('discover'), running ? 'Stop' : 'Start');
+    byId('minutes').readOnly = running;
+    show(discovery ?? {});
+  });
+}
+
+function show(now) {
+  byId('verdict').dataset.verdict = now.verdict ?? '';
+  setText(byId('verdict'), headline(now));
+  readings(byId('findings'), [['effect', words(now.effect)], ['gap', withUnit(now.gap_um, 3, 'µm')],
+    ['decided', words(now.decided)], ['time', withUnit(now.minutes, 1, 'min')]]);
+  const odds = Object.entries(now.odds ?? {}).filter(([, share]) => known(share))
+    .sort(([, a], [, b]) => b - a).slice(0, 6);
+  keyed(byId('odds'), odds, ([name]) => name, oddsRow, (node, [, share]) => {
+    node.querySelector('meter').value = share;
+    setText(node.lastChild, withUnit(100 * share, share > 0.1 ? 0 : 1, '%'));
+  });
+  const learned = (now.learned ?? []).map(({ sentence }) => sentence).filter(Boolean);
+  setText(byId('next'), [...learned, now.next && `Next: ${now.next}`].filter(Boolean).join(' '));
+}
+
+function headline({ verdict, sentence, running }) {
+  if (sentence) return VERDICTS[verdict] && !running ? `${VERDICTS[verdict]} ${sentence}` : sentence;
+  return VERDICTS[verdict] ?? (running ? 'Asking the rig.' : 'Nothing was asked yet.');
+}
+
+function oddsRow([name]) {
+  return make('div', { class: 'odds' }, make('span', {}, words(name)),
+    make('meter', { min: 0, max: 1, 'aria-label': `odds of ${words(name)}` }), make('span', { class: 'number' }));
+}
+
+const words = (id) => (id ? String(id).replaceAll('_', ' ') : '–');

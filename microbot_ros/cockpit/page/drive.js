@@ -1,0 +1,105 @@
+// The controller: which one, and its parameters as their descriptors say.
+
+import { byId, keyed, make, offer, setText } from './dom.js';
+import { order } from './messages.js';
+
+export class Drive {
+  constructor(link) {
+    this.link = link;
+    byId('controller-form').onsubmit = (event) => {
+      event.preventDefault();
+      const name = byId('controller').value;
+      order(link, `Switch to ${name}`, 'switch_controller', { name });
+    };
+    link.on('state', ({ controller }) => this.#hear(controller));
+  }
+
+  #hear(controller) {
+    if (!controller) return;
+    const { name, available, parameters } = controller;
+    const summaries = new Map((available ?? []).map((one) => [one.name, one.summary]));
+    offer(byId('controller'), [...summaries.keys()]);
+    if (name !== this.name) {
+      this.name = name;
+      byId('controller').value = name;
+    }
+    setText(byId('controller-now'),
+      name ? `At work: ${name}. ${summaries.get(name) ?? ''}` : 'No controller was heard yet.');
+    setText(byId('stick-hint'), name === 'teleop'
+      ? 'Drag, or focus it and hold arrow keys or W A S D. A gamepad’s left stick steers too, its buttons stop. Let go, and the field goes to zero.'
+      : 'Only the controller teleop is steered by hand: switch to it first.');
+    const settable = (parameters ?? []).filter((one) => !one.read_only);
+    const fixed = (parameters ?? []).filter((one) => one.read_only);
+    keyed(byId('parameters'), [...settable, ...fixed], (one) => `${name} ${one.name} ${one.type}`,
+      (one) => this.#row(one), update);
+  }
+
+  #row(parameter) {
+    const { name, description, read_only } = parameter;
+    const input = field(parameter);
+    input.disabled = Boolean(read_only);
+    const id = `parameter-${name}`;
+    input.id = id;
+    input.setAttribute('aria-describedby', `${id}-about`);
+    input.oninput = () => { row.dataset.draft = 'yes'; };
+    const row = make('form', { class: 'parameter', novalidate: '' },
+      make('label', { for: id, title: name }, label(parameter)),
+      input.type === 'checkbox' ? make('label', { class: 'tick' }, input) : input,
+      make('button', { type: 'submit' }, 'Set'),
+      make('p', { class: 'hint', id: `${id}-about` }, described(description, parameter)));
+    row.querySelector('button').hidden = Boolean(read_only);
+    row.onsubmit = async (event) => {
+      event.preventDefault();
+      const value = valueOf(input, row.parameter);
+      delete row.dataset.draft;
+      await order(this.link, `Set ${name}`, 'set', { name, value });
+      update(row, row.parameter);
+    };
+    return row;
+  }
+}
+
+// 'waypoint.stop_within_um' in µm is 'stop within [µm]'.
+function label({ name, unit }) {
+  const words = name.slice(name.lastIndexOf('.') + 1);
+  if (!unit) return words.replaceAll('_', ' ');
+  const spelt = unit.replace('µ', 'u').replace('°', 'deg').replace('²', '2').replace(/[/·\s]+/g, '_(per_)?');
+  return `${words.replace(new RegExp(`_${spelt}$`, 'i'), '').replaceAll('_', ' ')} [${unit}]`;
+}
+
+function field({ type, minimum, maximum, choices }) {
+  if (choices) return make('select', {}, ...choices.map((one) => make('option', {}, one)));
+  if (type === 'boolean') return make('input', { type: 'checkbox' });
+  if (type !== 'integer' && type !== 'number') return make('input', { type: 'text' });
+  const input = make('input', { type: 'number', step: type === 'integer' ? '1' : 'any' });
+  if (minimum != null) input.min = minimum;
+  if (maximum != null) input.max = maximum;
+  return input;
+}
+
+function described(description, { minimum, maximum, read_only }) {
+  const said = [description ?? ''];
+  if (minimum != null && maximum != null) said.push(`From ${minimum} to ${maximum}.`);
+  if (read_only) said.push('Fixed at start-up.');
+  return said.join(' ').trim();
+}
+
+// What is being typed stays; everything else shows the value that is in force.
+function update(row, parameter) {
+  row.parameter = parameter;
+  const input = row.querySelector('input, select');
+  if (row.dataset.draft || (parameter.value ?? null) === null) return;
+  if (input.type === 'checkbox') input.checked = parameter.value;
+  else if (input.value !== text(parameter.value)) input.value = text(parameter.value);
+}
+
+const text = (value) => (Array.isArray(value) ? value.join(', ') : String(value));
+
+// The node checks it: a number that is none goes out as the text that was typed.
+function valueOf(input, { type }) {
+  if (input.type === 'checkbox') return input.checked;
+  if (input.type === 'number') return input.value === '' ? '' : Number(input.value);
+  if (type !== 'numbers' && type !== 'texts') return input.value;
+  const parts = input.value.split(',').map((part) => part.trim()).filter(Boolean);
+  return type === 'texts' ? parts : parts.map((part) => (Number.isFinite(Number(part)) ? Number(part) : part));
+}

@@ -1,0 +1,65 @@
+// Puts the parts of the page together.
+
+import { armButton } from './arm.js';
+import { stateBar } from './bar.js';
+import { Control } from './control.js';
+import { discoveryPanel } from './discovery.js';
+import { byId, make } from './dom.js';
+import { Drive } from './drive.js';
+import { Estimates } from './estimates.js';
+import { fieldPanel } from './field.js';
+import { Gamepads } from './gamepad.js';
+import { healthPanel } from './health.js';
+import { Keys } from './keys.js';
+import { say } from './messages.js';
+import { Overlay } from './overlay.js';
+import { Picture } from './picture.js';
+import { Pointing } from './pointing.js';
+import { recordingPanel } from './recording.js';
+import { Link } from './socket.js';
+import { Sticks } from './sticks.js';
+import { stopper } from './stop.js';
+import { tabs } from './tabs.js';
+import { Touch } from './touch.js';
+import { Tracks } from './tracks.js';
+import { View } from './view.js';
+
+tabs();
+const scheme = location.protocol === 'https:' ? 'wss' : 'ws';
+const link = new Link(`${scheme}://${location.host}/socket`);
+
+const view = new View(byId('frame'));
+const tracks = new Tracks();
+const overlay = new Overlay(view, tracks);
+const picture = new Picture(link, tracks, (stamp) => overlay.show(stamp));
+
+new Drive(link);
+fieldPanel(link);
+const estimates = new Estimates(link, tracks, (id) => overlay.choose(id));
+recordingPanel(link);
+discoveryPanel(link);
+healthPanel(link);
+stateBar(link);
+
+
+const control = new Control(link);
+new Pointing({ link, control, view, overlay, picture, choose: (id) => estimates.choose(id) });
+armButton(link);
+const sticks = new Sticks(link, control, view);
+const stop = stopper(link, sticks);
+new Keys(byId('stick'), sticks);
+new Touch(byId('stick'), sticks);
+new Gamepads(sticks, stop);
+
+link.on('hello', ({ camera, kinds }) => {
+  view.use(camera);
+  byId('kinds').replaceChildren(...(kinds ?? []).map((value) => make('option', { value })));
+});
+link.on('particles', (message) => {
+  tracks.take({ ...message, particles: view.place(message.particles) });
+  overlay.show(view.camera ? picture.stamp : message.stamp);
+});
+link.on('state', (state) => overlay.hear(state));
+link.on('lost', () => say('refused', 'The link to the cockpit’s node is lost.'));
+link.on('refused', (reason) => say('refused', reason));
+link.on('up', () => say('note', 'Linked to the cockpit’s node.'));

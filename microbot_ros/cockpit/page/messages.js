@@ -1,0 +1,23 @@
+// What the rig answered, in its own words: the last few, newest first.
+
+import { byId, make } from './dom.js';
+
+const KEPT = 4;
+const MARKS = { ok: '✓', refused: '✕', note: '·' };
+
+export function say(level, text) {
+  const list = byId('messages');
+  const time = new Date().toTimeString().slice(0, 8);
+  list.prepend(make('li', { class: level },
+    make('span', { class: 'mark', 'aria-hidden': 'true' }, MARKS[level]),
+    make('span', {}, text), make('time', {}, time)));
+  while (list.children.length > KEPT) list.lastChild.remove();
+}
+
+// Ask the rig and tell its answer: `what` says what was asked for, as 'Goal' or 'Arm'.
+export async function order(link, what, verb, fields) {
+  const { ok, reason } = await link.ask(verb, fields);
+  if (ok) say('ok', reason ? `${what}: ${reason}` : `${what}: done`);
+  else say('refused', `${what}: ${reason}`);
+  return ok;
+}

@@ -1,0 +1,91 @@
+// Where things are: pixels of the camera's full picture, micrometres of the workspace, and
+// points of the page. Pixels as in tracks.csv: y down, the centre of the first one at 0, 0.
+
+export class View {
+  constructor(frame) {
+    this.frame = frame;
+    this.width = 640;
+    this.height = 480;
+    this.matrix = null;
+    this.camera = null;
+    this.#fit();
+    new ResizeObserver(() => this.#fit()).observe(frame.parentElement);
+  }
+
+  // Take over the camera of the node's `hello`; null where it has none yet.
+  use(camera) {
+    if (!camera) return;
+    this.camera = camera;
+    this.width = camera.width_px;
+    this.height = camera.height_px;
+    this.matrix = camera.to_um ?? upright(camera);
+    this.#fit();
+  }
+
+  // Without a camera: an empty ground, doubled until it holds all `particles`, and their places
+  // on it.
+  place(particles) {
+    if (this.camera) return particles;
+    const half = Math.max(this.matrix ? -this.matrix[0][2] : 50,
+      ...particles.map(({ x_um, y_um }) => Math.max(Math.abs(x_um), Math.abs(y_um) * 4 / 3)));
+    const pixel_size_um = 50 * 2 ** Math.ceil(Math.log2(half / 50) - 1e-9) / ((this.width - 1) / 2);
+    this.matrix = upright({ width_px: this.width, height_px: this.height, pixel_size_um });
+    return particles.map((particle) => {
+      const [x_px, y_px] = this.fromMicrometres(particle.x_um, particle.y_um);
+      return { ...particle, x_px, y_px };
+    });
+  }
+
+  // Camera pixels → points of the page, from the frame's top left corner.
+  toPage(x, y) {
+    return [(x + 0.5) * this.scale, (y + 0.5) * this.scale];
+  }
+
+  toPixels(pageX, pageY) {
+    return [pageX / this.scale - 0.5, pageY / this.scale - 0.5];
+  }
+
+  toMicrometres(x, y) {
+    return this.matrix?.map(([a, b, c]) => a * x + b * y + c);
+  }
+
+  fromMicrometres(x, y) {
+    const [[a, b, c], [d, e, f]] = this.matrix;
+    const det = a * e - b * d;
+    return [(e * (x - c) - b * (y - f)) / det, (a * (y - f) - d * (x - c)) / det];
+  }
+
+  micrometresToPage(x, y) {
+    return this.toPage(...this.fromMicrometres(x, y));
+  }
+
+  // A direction as seen on the screen (right, up) in the axes of the workspace, as long as it was.
+  direction(right, up) {
+    if (!this.matrix) return [right, up];
+    const [[a, b], [d, e]] = this.matrix;
+    const pixel = Math.hypot(a, d);
+    return [(a * right - b * up) / pixel, (d * right - e * up) / pixel];
+  }
+
+  // An angle of the workspace [rad] as a direction on the page (right, down).
+  heading(angle) {
+    if (!this.matrix) return [Math.cos(angle), -Math.sin(angle)];
+    const [[a, b], [d, e]] = this.matrix;
+    const pixel = Math.hypot(a, d);
+    const [c, s] = [Math.cos(angle), Math.sin(angle)];
+    return [(a * c + d * s) / pixel, (b * c + e * s) / pixel];
+  }
+
+  #fit() {
+    const { clientWidth, clientHeight } = this.frame.parentElement;
+    this.scale = Math.max(Math.min(clientWidth / this.width, clientHeight / this.height), 0.01);
+    this.frame.style.width = `${this.width * this.scale}px`;
+    this.frame.style.height = `${this.height * this.scale}px`;
+    this.changed?.();
+  }
+}
+
+// Of a camera that is neither turned nor mirrored, the origin at the picture's centre.
+function upright({ width_px, height_px, pixel_size_um: p }) {
+  return [[p, 0, -p * (width_px - 1) / 2], [0, -p, p * (height_px - 1) / 2]];
+}

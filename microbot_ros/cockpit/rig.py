@@ -1,0 +1,77 @@
+"""What the cockpit's server needs of a rig."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+Answer = str
+"""What a node said of something that it did; '' where it said nothing."""
+
+PictureListener = Callable[[int, bytes], None]
+ParticleListener = Callable[[dict[str, Any]], None]
+
+
+class RefusedError(Exception):
+    """Something was not done; the message is the node's own reason, in one sentence."""
+
+
+class Rig(Protocol):
+    """A rig as the server sees it: `state` and verbs, each in the server's thread.
+
+    What takes time is a coroutine; all but `stick` end with what the node said, or raise
+    RefusedError with its reason.
+    """
+
+    kinds: list[str]
+    """The kinds of particles that have been seen."""
+
+    def watch(self, picture: PictureListener, particles: ParticleListener) -> None:
+        """From now on tell, from whatever thread: `picture(stamp_ns, jpeg)` for each picture, and
+        `particles(message)` for what is seen in one, as the page is to have it."""
+
+    def look(self, wanted: bool) -> None:
+        """Whether anybody looks: listen to what is heard often, if it is `wanted`."""
+
+    def camera(self) -> dict[str, Any] | None:
+        """`width_px`, `height_px`, `pixel_size_um` of the full picture, once they are known."""
+
+    def state(self) -> dict[str, Any]:
+        """The parts of the page's state that the rig knows; finite numbers, None for unknown. And
+        as `verdict`, where there is one, what a discovery of somebody else's found last."""
+
+    async def keep_up(self) -> None:
+        """Ask the rig for what it does not tell by itself, for as long as the server runs."""
+
+    async def stop(self) -> Answer:
+        """Zero the coils and disarm, by the driver itself."""
+
+    async def arm(self) -> Answer:
+        """Let currents flow."""
+
+    def stick(self, x: float, y: float) -> None:
+        """Say once where the stick is: `x` and `y` of −1 to 1, along the axes of the workspace."""
+
+    async def goal(self, x_um: float, y_um: float, particle: int | None) -> Answer:
+        """Send whatever is steered, or one `particle`, to a place, `x_um` and `y_um`."""
+
+    async def clear_goals(self) -> Answer:
+        """No goal and no path any more."""
+
+    async def path(self, points_um: list[tuple[float, float]]) -> Answer:
+        """Give a path to follow through `points_um`."""
+
+    async def switch_controller(self, name: str) -> Answer:
+        """Let the controller of that `name` drive."""
+
+    async def set(self, name: str, value: Any) -> Answer:
+        """Change the parameter of that `name` of the controllers to a `value`."""
+
+    async def teach(self, order: str) -> Answer:
+        """Show the tracker an example, by an `order` as the service `tracker/teach` takes it."""
+
+    async def record(self, on: bool, title: str) -> Answer:
+        """Begin a recording under a `title` if it is to be `on`, or end it."""
+
+    async def note(self, text: str) -> Answer:
+        """Add a line of `text` to the notes of the recording that runs."""

@@ -1,0 +1,303 @@
+"""The server of the page: a Starlette application, and the thread in which it runs."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import socket
+import threading
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
+from contextlib import asynccontextmanager, suppress
+from importlib import resources
+from typing import Any
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import FileResponse, Response
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from microbot_ros import __version__
+from microbot_ros.cockpit import verbs
+from microbot_ros.cockpit.clients import Page
+from microbot_ros.cockpit.control import Control
+from microbot_ros.cockpit.discovery import Discovery
+from microbot_ros.cockpit.rig import RefusedError, Rig
+from microbot_ros.cockpit.security import Gatekeeper
+from microbot_ros.errors import InputError
+
+_STATE_S = 0.1
+_LAST_STOP_S = 0.5
+_MOST_PAGES = 16
+_MOST_IN_WORK = 8
+_LONGEST_MESSAGE = 128 * 1024
+_BUFFER = 256 * 1024
+"""What may wait in the system for a page that does not read: a frozen one is not to be shown the
+past when it wakes."""
+_FOREIGN = 'another page has control'
+
+_log = logging.getLogger(__name__)
+
+
+class Server:
+    """Serves the page of a `rig` at `host` and `port`, 0 for any that is free, with its
+    `discovery`.
+
+    All but `start` and `stop` happens in a thread of its own. Raises InputError where it can't
+    listen there.
+    """
+
+    def __init__(self, rig: Rig, discovery: Discovery, host: str, port: int) -> None:
+        self._rig, self._discovery = rig, discovery
+        self._socket = _listen(host, port)
+        self._host, self._port = host, int(self._socket.getsockname()[1])
+        self._control = Control()
+        self._pages: dict[int, Page] = {}
+        self._count = 0
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._camera: dict[str, Any] | None = None
+        self._gate = Gatekeeper(self._application(), host, self._port)
+        self._uvicorn = uvicorn.Server(uvicorn.Config(
+            self._gate, log_level='warning', access_log=False, ws='websockets-sansio',
+            ws_max_size=_LONGEST_MESSAGE, ws_per_message_deflate=False, ws_ping_interval=5.0,
+            ws_ping_timeout=5.0, server_header=False, timeout_graceful_shutdown=2))
+        self._thread = threading.Thread(target=self._run, name='cockpit', daemon=True)
+
+    @property
+    def address(self) -> str:
+        """What to open in a browser, its token included."""
+        host = f'[{self._host}]' if ':' in self._host else self._host
+        key = f'?token={self._gate.token}' if self._gate.token else ''
+        return f'http://{host}:{self._port}/{key}'
+
+    @property
+    def pages(self) -> int:
+        """How many pages there are."""
+        return self._control.pages
+
+    @property
+    def serving(self) -> bool:
+        """Whether its thread is there."""
+        return self._thread.is_alive()
+
+    def start(self) -> None:
+        """Serve, from now on."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Close every socket, end the discovery, and be gone."""
+        self._uvicorn.should_exit = True
+        if self._thread.ident is not None:
+            self._thread.join()
+        self._socket.close()
+
+    # In the server's thread -----------------------------------------------------------------
+
+    def _run(self) -> None:
+        self._uvicorn.run(sockets=[self._socket])
+
+    def _application(self) -> Starlette:
+        page = resources.files('microbot_ros.cockpit') / 'page'
+        index = str(page / 'index.html')
+
+        async def home(_: Request) -> Response:
+            return FileResponse(index)
+        return Starlette(lifespan=self._lifespan, routes=[
+            Route('/', home), Mount('/page', StaticFiles(directory=str(page))),
+            WebSocketRoute('/socket', self._serve)])
+
+    @asynccontextmanager
+    async def _lifespan(self, _: Starlette) -> AsyncIterator[None]:
+        self._loop = asyncio.get_running_loop()
+        self._rig.watch(self._on_picture, self._on_particles)
+        background = [asyncio.create_task(_for_ever(work)) for work in (
+            self._tell_state, self._watch_attendance, self._rig.keep_up)]
+        yield
+        for task in background:
+            task.cancel()
+        await asyncio.gather(*background, return_exceptions=True)
+        if self._control.attended:  # nobody will listen for heartbeats any more
+            with suppress(RefusedError, TimeoutError):
+                await asyncio.wait_for(self._rig.stop(), _LAST_STOP_S)
+        await self._discovery.end()
+
+    def _on_picture(self, stamp: int, jpeg: bytes) -> None:
+        """From any thread: a picture for every page."""
+        self._loop.call_soon_threadsafe(self._show, stamp, jpeg)
+
+    def _on_particles(self, message: dict[str, Any]) -> None:
+        """From any thread: what is seen in a picture, for every page."""
+        text = json.dumps(message, ensure_ascii=False, allow_nan=False)
+        self._loop.call_soon_threadsafe(self._mark, text)
+
+    def _show(self, stamp: int, jpeg: bytes) -> None:
+        for page in self._pages.values():
+            page.picture(stamp, jpeg)
+
+    def _mark(self, text: str) -> None:
+        for page in self._pages.values():
+            page.particles(text)
+
+    async def _tell_state(self) -> None:
+        """The state to every page, each part written once for all."""
+        while True:
+            await asyncio.sleep(_STATE_S)
+            if not self._pages:
+                continue
+            if (camera := self._rig.camera()) != self._camera:
+                self._camera = camera
+                for page in self._pages.values():
+                    page.tell(self._hello(page))
+            state = self._rig.state()
+            state |= {'attended': self._control.attended,
+                      'discovery': self._discovery.state(state.pop('verdict', {}))}
+            parts = {name: _json(part) for name, part in state.items()}
+            for page in self._pages.values():
+                page.state({**parts, 'control': json.dumps(self._control_of(page))},
+                           time.monotonic())
+
+    def _control_of(self, page: Page) -> dict[str, Any]:
+        return {'mine': self._control.holder == page.number, 'holder': self._control.holder,
+                'pages': self._control.pages}
+
+    def _hello(self, page: Page) -> dict[str, Any]:
+        return {'kind': 'hello', 'you': page.number, 'version': __version__,
+                'verbs': list(verbs.NAMES), 'camera': self._camera, 'kinds': self._rig.kinds}
+
+    async def _watch_attendance(self) -> None:
+        """Disarm where nobody is there who should be, again and again until that is done."""
+        while True:
+            await asyncio.sleep(_STATE_S)
+            if self._control.deserted(time.monotonic()):
+                try:
+                    await self._rig.stop()
+                    self._control.attended = False
+                except RefusedError:
+                    await asyncio.sleep(1.0)
+
+    async def _serve(self, web_socket: WebSocket) -> None:
+        """One page, from its coming to its going."""
+        if len(self._pages) >= _MOST_PAGES:
+            await web_socket.close()
+            return
+        await web_socket.accept()
+        self._count += 1
+        page = Page(web_socket, self._count)
+        self._control.join(page.number)
+        self._pages[page.number] = page
+        self._rig.look(True)
+        page.tell(self._hello(page))
+        sending = asyncio.create_task(page.send())
+        receiving = asyncio.create_task(self._receive(web_socket, page))
+        try:
+            await asyncio.wait([sending, receiving], return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            del self._pages[page.number]
+            self._control.leave(page.number)
+            self._rig.look(bool(self._pages))
+            for task in (sending, receiving):
+                task.cancel()
+            await asyncio.gather(sending, receiving, return_exceptions=True)
+
+    async def _receive(self, web_socket: WebSocket, page: Page) -> None:
+        try:
+            while True:
+                text = await web_socket.receive_text()
+                try:
+                    self._obey(page, verbs.read_verb(text))
+                except verbs.VerbError as error:
+                    page.tell(_answer(error.id, False, str(error)))
+        except (WebSocketDisconnect, KeyError):
+            pass  # gone, or it sent bytes
+
+    def _obey(self, page: Page, verb: verbs.AnyVerb) -> None:
+        """Do what takes no time now; anything else in a task, so that no STOP waits behind it."""
+        controls = self._control.holder == page.number
+        match verb:
+            case verbs.Seen():
+                page.seen(int(verb.stamp))
+            case verbs.Heartbeat():
+                self._control.heard(page.number, time.monotonic())
+            case verbs.Stick():
+                if controls:
+                    self._rig.stick(verb.x, verb.y)
+            case verbs.TakeControl():
+                self._control.take(page.number)
+                self._control.heard(page.number, time.monotonic())
+                page.tell(_answer(verb.id, True))
+            case _ if verb.needs_control and not controls:
+                page.tell(_answer(verb.id, False, _FOREIGN))
+            case verbs.Order() if page.in_work < _MOST_IN_WORK or isinstance(verb, verbs.Stop):
+                page.in_work += 1
+                self._begin(self._perform(page, verb))
+            case _:
+                page.tell(_answer(verb.id, False, f'{_MOST_IN_WORK} others are still in work'))
+
+    def _begin(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _perform(self, page: Page, verb: verbs.Order) -> None:
+        try:
+            said = await verb.perform(self._rig, self._discovery)
+        except RefusedError as refusal:
+            page.tell(_answer(verb.id, False, str(refusal)))
+        except Exception as error:
+            page.tell(_answer(verb.id, False, f'the cockpit failed: {error}'))
+            raise
+        else:
+            if isinstance(verb, verbs.Arm):
+                self._control.armed(verb.attended, time.monotonic())
+            elif isinstance(verb, verbs.Stop | verbs.Disarm):
+                self._control.attended = False
+            page.tell(_answer(verb.id, True, said))
+        finally:
+            page.in_work -= 1
+
+
+def _json(part: Any) -> str:
+    """A part of the state; null where a node has told a number that is none."""
+    try:
+        return json.dumps(part, ensure_ascii=False, allow_nan=False)
+    except ValueError:
+        return 'null'
+
+
+async def _for_ever(work: Callable[[], Awaitable[None]]) -> None:
+    """Do some `work`, and again where it has failed."""
+    while True:
+        try:
+            await work()
+        except Exception:
+            _log.exception('in the cockpit')
+            await asyncio.sleep(1.0)
+
+
+def _answer(to: int | None, ok: bool, reason: str = '') -> dict[str, Any]:
+    return {'kind': 'answer', 'to': to, 'ok': ok, 'reason': reason}
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    """A socket that listens at `host` and `port`; InputError where that can't be."""
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(
+            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+        made = socket.socket(family, kind, protocol)
+    except (OSError, UnicodeError) as error:
+        raise InputError('host', f'expected a name or an address of this machine: {error}'
+                         ) from None
+    try:
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
+        made.bind(address)
+        made.listen(64)
+    except OSError as error:
+        made.close()
+        raise InputError('cockpit', f'cannot listen at {host}, port {port}: {error.strerror}'
+                         ) from None
+    return made

@@ -1,0 +1,75 @@
+"""Node `cockpit`: the operator's page. ROS in this thread, the server of the page in another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+from microbot_ros.errors import InputError
+from microbot_ros.nodes.lifecycle import ERROR, OK, RigNode
+from microbot_ros.settings import setting
+
+if TYPE_CHECKING:
+    from microbot_ros.cockpit.server import Server
+
+_ATTEND_SECONDS = 0.05
+
+
+@dataclass(frozen=True)
+class CockpitParameters:
+    """Parameters of the node `cockpit`."""
+
+    host: str = setting(
+        '127.0.0.1', 'Name or address of this machine to listen at; away from 127.0.0.1 pages '
+        'need the token that is printed at the start.', read_only=True)
+    port: int = setting(8642, 'Port to listen at; 0 takes any that is free.', lower=0,
+                        upper=65535, read_only=True)
+    discoveries: str = setting(
+        'discoveries', 'Folder for what discovery finds when a page starts it, a folder each.',
+        read_only=True)
+
+
+class CockpitNode(RigNode):
+    """Shows the rig of its namespace on a page, and has done what the page's operator asks.
+
+    It drives nothing by itself, and nothing needs it: what it is asked goes to the nodes that do
+    it, and their answers go back.
+    """
+
+    Parameters: ClassVar[type] = CockpitParameters
+
+    def setup(self) -> None:
+        self._server: Server | None = None
+        try:
+            from microbot_ros.cockpit.discovery import Discovery
+            from microbot_ros.cockpit.server import Server
+        except ImportError as error:
+            raise InputError(self.get_name(), f'expected the packages of microbot_ros[cockpit]: '
+                             f'{error}') from None
+        from microbot_ros.nodes.operated_rig import OperatedRig
+
+        values: CockpitParameters = self.settings
+        self._operated = OperatedRig(self)
+        self._server = Server(
+            self._operated, Discovery(self.get_namespace(), Path(values.discoveries).resolve()),
+            values.host, values.port)
+        self.every(_ATTEND_SECONDS, self._operated.attend)
+
+    def start(self) -> None:
+        assert self._server is not None
+        self._server.start()
+        # Not to the log, which is kept: the address may hold the token.
+        print(f'cockpit: open {self._server.address}', flush=True)
+
+    def teardown(self) -> None:
+        server, self._server = getattr(self, '_server', None), None
+        if server is not None:
+            server.stop()
+            self._operated.close()
+
+    def health(self) -> tuple[bytes, str, dict[str, object]]:
+        assert self._server is not None
+        if not self._server.serving:
+            return ERROR, 'the server of the page has ended', {}
+        return OK, f'{self._server.pages} pages', {'pages': self._server.pages}

@@ -1,0 +1,299 @@
+"""A run over an archive: each done once, what is wrong named, whatever stops it."""
+
+import errno
+import json
+import os
+import shutil
+from contextlib import nullcontext
+from unittest import mock
+
+import cv2
+import duckdb
+import numpy as np
+import openpyxl
+import polars
+import pytest
+from command_line import microbot
+
+from microbot_ros.archive import Archive, batch, conclude, read_table, work
+from microbot_ros.archive.cluster import ClusterError
+from microbot_ros.errors import InputError
+from microbot_ros.session import read_session
+from microbot_ros.session.spreadsheets.sheets import Answers
+
+TABLE = 'time (s);x (um);y (um)\n' + ''.join(f'{k / 10};{k};{2 * k}\n' for k in range(20))
+
+
+class Serial:
+    """In place of Dask: does jobs one after the other, and counts them."""
+
+    def __init__(self):
+        self.done = []
+        self.stop_after = None
+
+    def run_jobs(self, _, jobs, report):
+        for job in jobs:
+            if self.stop_after is not None and len(self.done) == self.stop_after[0]:
+                raise self.stop_after[1]
+            work.do(job)
+            self.done.append(job)
+            report(job, '')
+
+
+@pytest.fixture(autouse=True)
+def serial():
+    serial = Serial()
+    with mock.patch.object(batch, 'cluster', return_value=nullcontext()), \
+            mock.patch.object(batch, 'introduced', return_value=''), \
+            mock.patch.object(batch, 'run_jobs', serial.run_jobs):
+        yield serial
+
+
+def settings(task):
+    answers = vars(Answers())
+    return {'fit': {'exposure_s': 0.0, 'answers': answers}, 'discover': {'answers': answers},
+            'import': {'answers': answers},
+            'track': {'pixel_size_um': None, 'frame_rate_hz': None, 'tracker': {}}}[task]
+
+
+def run(task, folder, out):
+    return batch.run_batch(task, [folder], out, settings(task))
+
+
+@pytest.fixture
+def tables(tmp_path):
+    folder = tmp_path / 'tables'
+    folder.mkdir()
+    for k in range(5):
+        (folder / f't{k}.csv').write_text(TABLE + f'2.0;{k};0\n')
+    return folder
+
+
+def test_nothing_is_done_twice(laboratory, tmp_path, serial):
+    out = tmp_path / 'out'
+    first, found = run('fit', laboratory, out)
+    assert (first.found, first.done, first.kept) == (6, 6, 0)
+    assert found['sessions'] == 6
+    written = {path: path.stat().st_mtime_ns for path in out.rglob('*') if path.suffix == '.json'
+               and path.name not in ('recordings.json',)}
+    second, again = run('fit', laboratory, out)
+    assert (second.done, second.kept) == (0, 6)
+    assert again == found
+    assert len(serial.done) == 6
+    assert {path: path.stat().st_mtime_ns for path in written} == written
+
+
+def test_what_changed_is_done_again_and_what_is_gone_is_gone(laboratory, tmp_path):
+    out = tmp_path / 'out'
+    run('fit', laboratory, out)
+    changed = laboratory / 'day-0' / 's0' / 'session.yaml'
+    changed.write_text(changed.read_text().replace('radius_um: 4.6', 'radius_um: 2.3'))
+    shutil.rmtree(laboratory / 'day-1' / 's1')
+    before = read_table(out).to_pandas()
+    summary, found = run('fit', laboratory, out)
+    assert (summary.done, summary.kept, found['sessions']) == (1, 4, 5)
+    after = read_table(out).to_pandas()
+    force = [rows[rows.session == 'laboratory/day-0/s0'].force_pN.iloc[0]
+             for rows in (before, after)]
+    assert force[1] == pytest.approx(force[0] / 2)
+    assert 'laboratory/day-1/s1' not in set(after.session)
+
+
+def test_another_setting_is_another_result(laboratory, tmp_path):
+    run('fit', laboratory, tmp_path / 'out')
+    other = settings('fit') | {'exposure_s': 0.05}
+    summary, _ = batch.run_batch('fit', [laboratory], tmp_path / 'out', other)
+    assert summary.done == 6
+
+
+def test_copies_are_done_and_counted_once(laboratory, tmp_path):
+    shutil.copytree(laboratory / 'day-0' / 's0', laboratory / 'backup')
+    summary, found = run('fit', laboratory, tmp_path / 'out')
+    assert (summary.found, summary.done, summary.copies, found['sessions']) == (7, 6, 1, 6)
+
+
+def test_what_is_wrong_is_listed_and_stops_nothing(laboratory, tmp_path, serial):
+    tracks = laboratory / 'day-0' / 's0' / 'tracks.csv'
+    tracks.write_text(tracks.read_text().replace('0.05,', 'soon,', 1))
+    (laboratory / 'bad.csv').write_text('a,b\n1,2\n')
+    summary, found = run('fit', laboratory, tmp_path / 'out')
+    assert found['sessions'] == 5
+    assert summary.refused['laboratory/day-0/s0'].startswith('tracks.csv:4: expected a number')
+    assert 'laboratory/bad.csv' in summary.refused
+    assert 'tracks.csv:4' in (tmp_path / 'out' / 'archive.html').read_text()
+    assert run('fit', laboratory, tmp_path / 'out')[0].refused == summary.refused
+    assert len(serial.done) == 6
+
+
+@pytest.mark.parametrize('stop', [KeyboardInterrupt(), ClusterError('gone')])
+def test_what_was_done_before_a_stop_stays_and_the_next_run_goes_on(
+        laboratory, tmp_path, serial, stop):
+    out = tmp_path / 'out'
+    serial.stop_after = (4, stop)
+    with pytest.raises(type(stop)):
+        run('fit', laboratory, out)
+    assert len(set(read_table(out).to_pandas().session)) == 4
+    serial.stop_after = None
+    summary, _ = run('fit', laboratory, out)
+    assert (summary.done, summary.kept) == (2, 4)
+    assert len({job.key for job in serial.done}) == len(serial.done) == 6
+
+
+def test_a_failure_is_told_and_tried_again(tables, tmp_path):
+    def fails(_, jobs, report):
+        for job in jobs:
+            report(job, 'ValueError: no')
+
+    with mock.patch.object(batch, 'run_jobs', fails):
+        summary, _ = run('import', tables, tmp_path / 'out')
+    assert summary.failed == {f'tables/t{k}.csv': 'ValueError: no' for k in range(5)}
+    assert (summary.done, summary.kept) == (0, 0)
+    assert run('import', tables, tmp_path / 'out')[0].done == 5
+
+
+def test_tables_become_sessions_that_can_be_fitted(tables, tmp_path):
+    (tables / 'archive.yaml').write_text('rig: left\nrecorded: 2026-03-14\n')
+    out = tmp_path / 'out'
+    run('import', tables, out)
+    sessions = sorted((out / 'sessions').iterdir())
+    assert len(sessions) == 5
+    assert len(read_session(sessions[0]).tracks.t) == 21
+    _, found = run('fit', out / 'sessions', out)
+    assert found['quantities']['diffusion_um2_s']['by']['rig']['left']['count'] == 5
+    assert set(map(str, read_table(out).to_pandas().day)) == {'2026-03-14'}
+    # The tables themselves are the same data once more only if they are asked for.
+    assert found['sessions'] == 5
+
+
+def test_a_folder_of_robots_and_a_renamed_book_are_imported(tmp_path):
+    folder = tmp_path / 'mixed'
+    (folder / 'robots').mkdir(parents=True)
+    for k in range(2):
+        (folder / 'robots' / f'robot{k}.txt').write_text(TABLE)
+    (folder / 'robots' / 'field.txt').write_text('time (s);bx (mT);by (mT)\n0;5;0\n1;0;5\n')
+    book = openpyxl.Workbook()
+    for row in (('t (s)', 'x (um)', 'y (um)'), (0, 1, 2), (1, 2, 3)):
+        book.active.append(row)
+    book.save(folder / 'x.xlsx')
+    (folder / 'x.xlsx').rename(folder / 'book.old')
+    run('import', folder, tmp_path / 'out')
+    robots, book = (read_session(next((tmp_path / 'out' / 'sessions').glob(f'{name}-*')))
+                    for name in ('robots', 'book'))
+    assert (len(robots.tracks.particles), len(robots.commands.t)) == (2, 2)
+    assert len(book.tracks.t) == 2
+
+
+def test_films_become_sessions(tmp_path):
+    place = tmp_path / 'films' / 'monday'
+    place.mkdir(parents=True)
+    film(place / 'film.avi')
+    (place / 'session.yaml').write_text('pixel_size_um: 0.5\nradius_um: 2\n')
+    (place / 'commands.csv').write_text('t_s,bx_mT,by_mT\n0,5,0\n')
+    run('track', tmp_path / 'films', tmp_path / 'out')
+    [made] = (tmp_path / 'out' / 'sessions').iterdir()
+    session = read_session(made)
+    assert len(session.tracks.particles) == 2
+    assert len(np.unique(session.tracks.t)) == 30
+    assert session.conditions.radius == 2e-6
+    assert len(session.commands.t) == 1
+    step = session.tracks.of(int(session.tracks.particles[0])).position
+    # One pixel a frame, to the right: half a micrometre.
+    assert np.diff(step[:, 0]).mean() == pytest.approx(0.5e-6, rel=0.02)
+
+
+def film(path, frames=30):
+    """Two dark spots on grey, one pixel further each frame."""
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*'FFV1'), 10, (160, 120))
+    y, x = np.mgrid[:120, :160]
+    noise = np.random.default_rng(1)
+    for k in range(frames):
+        image = 150 + 3 * noise.standard_normal(x.shape)
+        for at in ((40 + k, 40), (60 + k, 80)):
+            image -= 90 * np.exp(-((x - at[0]) ** 2 + (y - at[1]) ** 2) / 18)
+        writer.write(cv2.cvtColor(np.clip(image, 0, 255).astype(np.uint8), cv2.COLOR_GRAY2BGR))
+    writer.release()
+
+
+def test_a_film_is_tracked_as_microbot_track_does(tmp_path):
+    (tmp_path / 'films').mkdir()
+    film(tmp_path / 'films' / 'film.avi')
+    run('track', tmp_path / 'films', tmp_path / 'out')
+    [made] = (tmp_path / 'out' / 'sessions').iterdir()
+    assert microbot('track', tmp_path / 'films' / 'film.avi', '--out', tmp_path / 'alone',
+                    '--no-overlay') == 0
+    assert (made / 'tracks.csv').read_text() == (tmp_path / 'alone' / 'tracks.csv').read_text()
+
+
+def test_one_table_for_pandas_polars_and_duckdb(laboratory, tmp_path):
+    out = tmp_path / 'out'
+    run('discover', laboratory, out)
+    file = str(out / 'archive.parquet')
+    frame = read_table(out).to_pandas()
+    assert len(frame) == 12
+    assert polars.read_parquet(file)['v_um_s'].to_list() == frame.v_um_s.tolist()
+    [(count, mean)] = duckdb.sql(
+        f"select count(*), avg(v_um_s) from '{file}' where verdict = 'consistent'").fetchall()
+    assert (count, mean) == (12, pytest.approx(frame.v_um_s.mean()))
+    assert (frame.v_um_s_low_95 < frame.v_um_s).all()
+    assert (frame.v_um_s < frame.v_um_s_high_95).all()
+    assert frame.v_um_s.mean() == pytest.approx(5.0, abs=0.3)
+    assert conclude(out).quantities[0].spread.mean == pytest.approx(5.0, abs=0.3)
+
+
+def test_two_runs_into_one_archive(laboratory, tmp_path):
+    archive = Archive(tmp_path / 'out')
+    with archive.locked(), pytest.raises(InputError, match=f'another run .*process {os.getpid()}'):
+        run('fit', laboratory, tmp_path / 'out')
+    assert run('fit', laboratory, tmp_path / 'out')[0].done == 6
+
+
+def test_a_full_disk_leaves_nothing_half(tables, tmp_path):
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    out = tmp_path / 'out'
+    with mock.patch.object(work, 'write_text', side_effect=full), \
+            pytest.raises(OSError, match='No space'):
+        run('import', tables, out)
+    with mock.patch('microbot_ros.session.folder.write_table', side_effect=full), \
+            pytest.raises(OSError, match='No space'):
+        run('import', tables, out)
+    assert not (out / 'archive.parquet').exists()
+    assert run('import', tables, out)[0].done == 5
+
+
+def test_a_job_of_another_version_is_refused(tables, tmp_path):
+    job = work.Job('import', 'table', tables / 't0.csv', (tables / 't0.csv',), 'abc', tmp_path,
+                   settings('import'), version='0.0.1')
+    with pytest.raises(work.VersionError, match=r'0\.1\.0, the client 0\.0\.1'):
+        work.do(job)
+
+
+def test_a_damaged_index_is_named(laboratory, tmp_path):
+    run('fit', laboratory, tmp_path / 'out')
+    index = tmp_path / 'out' / '.microbot' / 'recordings.json'
+    index.write_text('{"entries"')
+    with pytest.raises(InputError, match='expected the index of an archive'):
+        run('fit', laboratory, tmp_path / 'out')
+    index.unlink()
+    assert run('fit', laboratory, tmp_path / 'out')[0].kept == 6
+
+
+def test_the_command(laboratory, tmp_path, capsys):
+    (laboratory / 'bad.csv').write_text('a,b\n1,2\n')
+    out, told = tmp_path / 'out', tmp_path / 'told.json'
+    assert microbot('batch', 'fit', laboratory, '--out', out, '--json', told) == 0
+    content = json.loads(told.read_text())
+    assert (content['done'], content['sessions'], content['particles']) == (6, 6, 12)
+    said = capsys.readouterr()
+    assert '6 sessions, 12 particles' in said.out
+    assert 'bad.csv' in said.err
+    html = (out / 'archive.html').read_text()
+    assert 'laboratory' not in html.split('What could not be read')[0]
+    assert html.count('<img') >= 1
+    for words, problem in (
+            ((laboratory, '--out', out, '--workers', '2', '--scheduler', 'x'), 'either'),
+            ((laboratory / 'no', '--out', out), 'expected a folder of recordings'),
+            (('--out', out), 'FOLDER'), ((laboratory, '--out', out, '--workers', '0'), '1'),
+            ((laboratory, '--out', laboratory / 'bad.csv'), 'expected a folder')):
+        assert microbot('batch', 'fit', *words) == 2
+        [line] = capsys.readouterr().err.strip().splitlines()
+        assert problem in line

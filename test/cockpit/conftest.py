@@ -1,0 +1,176 @@
+"""A server of the page with a rig that only remembers what it was asked."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip('uvicorn', reason='the extra `cockpit` is not installed')
+
+import asyncio
+
+from websockets.sync.client import ClientConnection, connect
+
+from microbot_ros.cockpit.discovery import Discovery
+from microbot_ros.cockpit.rig import RefusedError
+from microbot_ros.cockpit.server import Server
+
+
+class RememberingRig:
+    """Does nothing, and remembers `calls`: (moment [s], name, arguments). `refusals` says why not,
+    by the name of a verb; `slow_s` how long each takes."""
+
+    def __init__(self) -> None:
+        self.kinds: list[str] = []
+        self.calls: list[tuple[float, str, tuple[Any, ...]]] = []
+        self.refusals: dict[str, str] = {}
+        self.slow_s: dict[str, float] = {}
+        self.looking = False
+        self.parts: dict[str, Any] = {'rig': 'disarmed', 'sentence': 'coils at zero'}
+        self.watched = threading.Event()
+
+    def watch(self, picture: Callable[[int, bytes], None],
+              particles: Callable[[dict[str, Any]], None]) -> None:
+        self.picture, self.particles = picture, particles
+        self.watched.set()
+
+    def look(self, wanted: bool) -> None:
+        self.looking = wanted
+
+    def camera(self) -> dict[str, Any]:
+        return {'width_px': 640, 'height_px': 480, 'pixel_size_um': 0.45}
+
+    def state(self) -> dict[str, Any]:
+        return dict(self.parts)
+
+    async def keep_up(self) -> None:
+        await asyncio.Event().wait()
+
+    def stick(self, x: float, y: float) -> None:
+        self.calls.append((time.monotonic(), 'stick', (x, y)))
+
+    def __getattr__(self, name: str) -> Any:
+        async def done(*arguments: Any) -> str:
+            self.calls.append((time.monotonic(), name, arguments))
+            await asyncio.sleep(self.slow_s.get(name, 0.0))
+            if name in self.refusals:
+                raise RefusedError(self.refusals[name])
+            return f'{name} done'
+        return done
+
+    def asked(self, name: str) -> list[tuple[Any, ...]]:
+        """The arguments of every call of that name."""
+        return [arguments for _, called, arguments in self.calls if called == name]
+
+
+class Page:
+    """What a page does, by a socket."""
+
+    def __init__(self, socket: ClientConnection) -> None:
+        self.socket = socket
+        self.pictures: list[int] = []
+        self.told: list[dict[str, Any]] = []
+        self.known: dict[str, Any] = {}
+        self._count = 0
+
+    def say(self, verb: str, **what: Any) -> None:
+        """Send a verb that has no answer."""
+        self.socket.send(json.dumps({'verb': verb, **what}))
+
+    def ask(self, verb: str, **what: Any) -> dict[str, Any]:
+        """Send a verb; its answer."""
+        self._count += 1
+        self.say(verb, id=self._count, **what)
+        return self.answer(self._count)
+
+    def answer(self, to: int | None) -> dict[str, Any]:
+        """The answer to the verb with that id."""
+        return self.until(lambda message: message.get('kind') == 'answer' and message['to'] == to)
+
+    def until(self, true: Callable[[dict[str, Any]], Any], seconds: float = 10.0,
+              ) -> dict[str, Any]:
+        """Read until a message is as wanted; pictures are left unseen."""
+        deadline = time.monotonic() + seconds
+        while True:
+            message = self.read(deadline - time.monotonic())
+            if message and true(message):
+                return message
+
+    def read(self, seconds: float) -> dict[str, Any] | None:
+        """One message, None for a picture. TimeoutError where none comes."""
+        data = self.socket.recv(timeout=max(seconds, 0.0))
+        if isinstance(data, bytes):
+            self.pictures.append(int.from_bytes(data[:8], 'big'))
+            return None
+        message: dict[str, Any] = json.loads(data)
+        self.told.append(message)
+        if message['kind'] == 'state':
+            self.known.update(message)
+        return message
+
+    def drain(self, seconds: float) -> None:
+        """Read for so long."""
+        deadline = time.monotonic() + seconds
+        while (left := deadline - time.monotonic()) > 0:
+            try:
+                self.read(left)
+            except TimeoutError:
+                return
+
+    def becomes(self, part: str, value: Any) -> None:
+        """Read until a part of the state has that value."""
+        if self.known.get(part) != value:
+            self.until(lambda message: message.get(part) == value)
+
+
+class Served:
+    """A server of a `RememberingRig`, `host` and its free port."""
+
+    def __init__(self, folder: Path, host: str = '127.0.0.1') -> None:
+        self.rig = RememberingRig()
+        self.server = Server(self.rig, Discovery('/', folder), host, 0)
+        self.server.start()
+        assert self.rig.watched.wait(10.0)
+
+    @property
+    def port(self) -> int:
+        """Where it listens."""
+        return int(self.server.address.partition('://')[2].partition('/')[0].rpartition(':')[2])
+
+    @contextmanager
+    def page(self, **options: Any) -> Iterator[Page]:
+        """A page that has come and been greeted."""
+        address = f'127.0.0.1:{self.port}'
+        given = {'origin': f'http://{address}', 'compression': None,
+                 'close_timeout': 0.2, **options}
+        with connect(f'ws://{address}/socket', **given) as socket:
+            page = Page(socket)
+            assert page.read(10.0)['kind'] == 'hello'  # type: ignore[index]
+            yield page
+
+
+@pytest.fixture
+def serve(tmp_path: Path) -> Iterator[Callable[..., Served]]:
+    """Makes servers that end with the test."""
+    made: list[Served] = []
+
+    def start(**options: Any) -> Served:
+        made.append(Served(tmp_path, **options))
+        return made[-1]
+
+    yield start
+    for one in made:
+        one.server.stop()
+
+
+@pytest.fixture
+def served(serve: Callable[..., Served]) -> Served:
+    """A server on this machine."""
+    return serve()

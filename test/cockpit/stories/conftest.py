@@ -1,0 +1,83 @@
+"""A browser, and the cockpit's page in it: before a stand-in, or before the virtual rig."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from microbot_ros.cockpit.discovery import Discovery
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+CHROMIUM = shutil.which('chromium') or shutil.which('chromium-browser')
+FLAGS = ['--no-sandbox', '--disable-gpu', '--disable-quic', '--no-first-run',
+         '--disable-background-networking', '--disable-component-update', '--disable-sync']
+
+
+@pytest.fixture(scope='session')
+def browser() -> Iterator[Any]:
+    """Debian's Chromium without a screen, driven by Playwright."""
+    playwright = pytest.importorskip('playwright.sync_api', reason='Playwright is not here')
+    if CHROMIUM is None:
+        pytest.skip('there is no chromium here')
+    with playwright.sync_playwright() as driver:
+        chromium = driver.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def rig() -> Any:
+    """What stands in for a rig."""
+    from stand_in import StandIn
+    return StandIn()
+
+
+@pytest.fixture
+def server(rig: Any, tmp_path: Path) -> Iterator[Any]:
+    """The cockpit's server before the stand-in."""
+    from microbot_ros.cockpit.server import Server
+    server = Server(rig, Discovery('', tmp_path), '127.0.0.1', 0)
+    server.start()
+    yield server
+    rig.close()
+    server.stop()
+
+
+@pytest.fixture
+def open_page(browser: Any, server: Any) -> Iterator[Any]:
+    """Opens a page of the cockpit in a window of its own; keywords are those of a browser's
+    context. A page that complains on its console fails the test."""
+    contexts, complaints = [], []
+
+    def open_one(**kind: Any) -> Any:
+        context = browser.new_context(**{'viewport': {'width': 1440, 'height': 900}, **kind})
+        contexts.append(context)
+        page = context.new_page()
+        page.on('pageerror', lambda error: complaints.append(str(error)))
+        page.on('console', lambda said: complaints.append(said.text)
+                if said.type == 'error' and 'WebSocket' not in said.text else None)
+        page.goto(server.address)
+        page.wait_for_selector('body:not(.lost)')
+        page.wait_for_selector('#overlay .rings g', state='attached')
+        return page
+
+    yield open_one
+    for context in contexts:
+        context.close()
+    assert not complaints
+
+
+@pytest.fixture
+def page(open_page: Any) -> Any:
+    """The page, in control."""
+    page = open_page()
+    page.wait_for_selector('#arm:enabled')
+    return page
+
+

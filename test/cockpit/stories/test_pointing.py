@@ -1,0 +1,212 @@
+"""The operator sees particles, and points: goals, paths, examples."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from stand_in import HEIGHT, PIXEL_UM, WIDTH
+
+# Where rings and marks are, in pixels of the camera, and which picture is under them.
+_SHOWN = """(layer) => {
+  const frame = document.querySelector('#frame').getBoundingClientRect();
+  const scale = frame.width / WIDTH;
+  const places = [...document.querySelectorAll(`#overlay .${layer} > g`)].map((node) => {
+    const { e, f } = node.getCTM();
+    return [Number(node.dataset.id ?? -1), e / scale - 0.5, f / scale - 0.5];
+  });
+  return { stamp: document.querySelector('#picture').dataset.stamp, places };
+}""".replace('WIDTH', str(WIDTH))
+
+# The middle of what is dark within 20 pixels of a place, in pixels of the camera.
+_DARK = """([x, y]) => {
+  const canvas = document.querySelector('#picture');
+  const reduced = WIDTH / canvas.width;
+  const [left, top] = [Math.round((x - 20) / reduced), Math.round((y - 20) / reduced)];
+  const size = Math.round(40 / reduced);
+  const { data } = canvas.getContext('2d').getImageData(left, top, size, size);
+  let [sum, sumX, sumY] = [0, 0, 0];
+  for (let i = 0; i < size * size; i++) {
+    const dark = Math.max(120 - data[4 * i], 0);
+    sum += dark; sumX += dark * (left + i % size); sumY += dark * (top + Math.floor(i / size));
+  }
+  return [(sumX / sum + 0.5) * reduced - 0.5, (sumY / sum + 0.5) * reduced - 0.5];
+}""".replace('WIDTH', str(WIDTH))
+
+
+def _on_page(page: Any, x_px: float, y_px: float) -> tuple[float, float]:
+    """The point of the page over a pixel of the camera."""
+    box = page.locator('#frame').bounding_box()
+    scale = box['width'] / WIDTH
+    return box['x'] + (x_px + 0.5) * scale, box['y'] + (y_px + 0.5) * scale
+
+
+def _um(x_px: float, y_px: float) -> tuple[float, float]:
+    return (x_px - (WIDTH - 1) / 2) * PIXEL_UM, ((HEIGHT - 1) / 2 - y_px) * PIXEL_UM
+
+
+def _choose(page: Any, mode: str) -> None:
+    page.click(f'#modes label:has(input[value={mode}])')
+
+
+def test_rings_are_where_the_tracker_found_particles_in_the_picture_shown(page, rig) -> None:
+    stamps = set()
+    for _ in range(8):
+        shown = page.evaluate(_SHOWN, 'rings')
+        assert len(shown['places']) == 3
+        for number, x, y in shown['places']:
+            assert math.dist((x, y), rig.shown[int(shown['stamp'])][number]) < 2
+        stamps.add(shown['stamp'])
+        page.wait_for_timeout(90)
+    assert len(stamps) == 8
+
+
+def test_the_picture_under_the_rings_is_the_one_of_their_stamp(page) -> None:
+    shown, dark = page.evaluate(
+        f'(layer) => {{ const shown = ({_SHOWN})(layer);'
+        f' return [shown, shown.places.map(([, x, y]) => ({_DARK})([x, y]))]; }}', 'rings')
+    for (_, x, y), found in zip(shown['places'], dark, strict=True):
+        assert math.dist((x, y), found) < 2
+
+
+def test_without_a_tracker_pictures_go_on(page, rig) -> None:
+    rig.tracker = False
+    page.wait_for_timeout(1100)
+    before = page.evaluate(_SHOWN, 'rings')['stamp']
+    page.wait_for_function('(before) => document.querySelector("#picture").dataset.stamp > before',
+                           arg=before)
+    page.wait_for_selector('#overlay .rings:not(:has(g))', state='attached')
+
+
+def test_without_a_camera_particles_are_shown_on_an_empty_ground(rig, open_page) -> None:
+    rig.seen_by = None
+    page = open_page()
+    page.wait_for_selector('#arm:enabled')
+    # Its half width is the first of 50, 100, 200, … µm that holds them all.
+    place = """() => {
+      const width = document.querySelector('#frame').getBoundingClientRect().width;
+      const { e, f } = document.querySelector('#overlay [data-id="1"]').getCTM();
+      return [document.querySelector('#overlay').dataset.stamp, e / width * 640 - 0.5,
+              f / width * 640 - 0.5];
+    }"""
+    stamp, x, y = page.evaluate(place)
+    x_um, y_um = _um(*rig.shown[int(stamp)][1])
+    scale = 400 / 319.5 if max(abs(_um(*one)[0]) for shown in rig.shown.values()
+                               for one in shown.values()) > 200 else 200 / 319.5
+    assert math.dist((x, y), (319.5 + x_um / scale, 239.5 - y_um / scale)) < 1
+    assert page.inner_text('#curtain') == 'No picture yet.'
+
+
+def test_an_old_picture_is_said_to_be_old(page, rig) -> None:
+    assert not page.is_visible('#curtain')
+    rig.pictures = False
+    page.wait_for_selector('#curtain:has-text("This one is old")')
+
+
+def test_a_goal_is_sent_where_it_was_clicked_and_marked_once_it_was_taken(page, rig) -> None:
+    _choose(page, 'goal')
+    page.mouse.click(*_on_page(page, 400, 200))
+    x_um, y_um, particle = rig.wait_for('goal')
+    assert math.dist((x_um, y_um), _um(400, 200)) < PIXEL_UM
+    assert particle is None
+    page.wait_for_timeout(300)
+    assert page.evaluate(_SHOWN, 'goals')['places'] == []
+
+    rig.told['controller'] = {**rig.told['controller'],
+                              'goals': [{'x_um': x_um, 'y_um': y_um, 'id': -1}]}
+    page.wait_for_selector('#overlay .goals g')
+    (_, x, y), = page.evaluate(_SHOWN, 'goals')['places']
+    assert math.dist((x, y), (400, 200)) < 1
+
+
+def test_a_goal_for_the_chosen_particle_only(page, rig) -> None:
+    page.select_option('#particle', '2')
+    _choose(page, 'goal')
+    page.check('#goal-only')
+    page.mouse.click(*_on_page(page, 640, 300))
+    assert rig.wait_for('goal')[2] == 2
+    page.click('#clear-goals')
+    rig.wait_for('clear_goals')
+
+
+def test_clicking_a_particle_chooses_it(page) -> None:
+    for _ in range(5):  # it moves on while the click is on its way
+        shown = page.evaluate(_SHOWN, 'rings')
+        x, y = next((x, y) for number, x, y in shown['places'] if number == 1)
+        page.mouse.click(*_on_page(page, x, y))
+        if page.input_value('#particle') == '1':
+            break
+    assert page.input_value('#particle') == '1'
+    assert page.locator('#overlay .chosen').get_attribute('data-id') == '1'
+
+
+def test_a_path_is_the_one_that_was_drawn(page, rig) -> None:
+    _choose(page, 'path')
+    angles = np.linspace(0, 1.5 * math.pi, 60)
+    drawn = np.column_stack([640 + 250 * np.cos(angles), 480 + 250 * np.sin(angles)])
+    page.mouse.move(*_on_page(page, *drawn[0]))
+    page.mouse.down()
+    for place in drawn[1:]:
+        page.mouse.move(*_on_page(page, *place))
+    page.mouse.up()
+    sent = np.array(rig.wait_for('path'))
+    expected = np.array([_um(*place) for place in drawn])
+    assert _farthest(sent, expected) < 2 * PIXEL_UM
+    assert _farthest(expected, sent) < 2 * PIXEL_UM
+
+
+def _farthest(points: np.ndarray, line: np.ndarray) -> float:
+    """How far the farthest of `points` is from a `line` through its corners."""
+    a, d = line[:-1], np.diff(line, axis=0)
+    share = np.clip(((points[:, None] - a) * d).sum(-1) / (d * d).sum(-1), 0, 1)
+    return float(np.linalg.norm(points[:, None] - a - share[..., None] * d, axis=-1)
+                 .min(axis=1).max())
+
+
+def test_a_path_of_corners_can_be_taken_back_and_is_sent_when_asked(page, rig) -> None:
+    _choose(page, 'path')
+    corners = [(300, 300), (900, 300), (1000, 100), (900, 700)]
+    for place in corners[:3]:
+        page.mouse.click(*_on_page(page, *place))
+    page.press('#frame', 'Backspace')
+    page.mouse.click(*_on_page(page, *corners[3]))
+    assert not rig.asked('path')
+    page.click('#path-send')
+    sent = rig.wait_for('path')
+    assert len(sent) == 3
+    for place, corner in zip(sent, [corners[0], corners[1], corners[3]], strict=True):
+        assert math.dist(place, _um(*corner)) < PIXEL_UM
+
+
+def test_pointing_by_keyboard(page, rig) -> None:
+    page.focus('#modes input:checked')
+    page.keyboard.press('ArrowRight')
+    assert page.is_checked('#modes input[value=goal]')
+    page.focus('#frame')
+    for key in ['ArrowRight', 'ArrowRight', 'ArrowUp', 'Shift+ArrowUp', 'Enter']:
+        page.keyboard.press(key)
+    x_um, y_um, _ = rig.wait_for('goal')
+    assert math.dist((x_um, y_um), _um(WIDTH / 2 + 20, HEIGHT / 2 - 11)) < PIXEL_UM
+
+
+@pytest.mark.parametrize('example', ['like', 'unlike'])
+def test_teaching_names_the_place_and_the_picture(page, rig, example) -> None:
+    _choose(page, example)
+    page.fill('#teach-kind', 'small one')
+    page.mouse.click(*_on_page(page, 500, 600))
+    order, what = rig.wait_for('teach').split()
+    assert order == example
+    place, stamp = what.split('@')
+    x, y, kind = place.split(',')
+    assert math.dist((float(x), float(y)), (500, 600)) < 1
+    assert kind == 'small_one'
+    assert int(stamp) in rig.shown
+
+
+def test_what_was_refused_is_told_in_the_rig_s_words(page, rig) -> None:
+    rig.refusals['teach'] = 'there are two things at once there'
+    _choose(page, 'like')
+    page.mouse.click(*_on_page(page, 500, 600))
+    page.wait_for_selector('#messages li:has-text("there are two things at once there")')

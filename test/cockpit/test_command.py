@@ -1,0 +1,104 @@
+"""`microbot cockpit` beside no rig at all, and `microbot run --cockpit`."""
+
+from __future__ import annotations
+
+import http.client
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cockpit.conftest import Page
+from websockets.sync.client import connect
+
+pytestmark = [pytest.mark.graph, pytest.mark.timeout(180)]
+
+
+@pytest.fixture
+def microbot(tmp_path: Path) -> Iterator[Callable[..., Any]]:
+    """Starts commands that end with the test."""
+    made: list[subprocess.Popen[str]] = []
+
+    def start(*words: str) -> subprocess.Popen[str]:
+        made.append(subprocess.Popen(
+            [sys.executable, '-m', 'microbot_ros.cli', *words], cwd=tmp_path, text=True,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT))
+        return made[-1]
+    yield start
+    for one in made:
+        one.terminate()
+        one.communicate(timeout=30)
+
+
+def address_of(command: Any) -> str:
+    """What it says that is to be opened."""
+    for line in command.stdout:
+        if 'open http' in line:
+            return str(line.split()[-1])
+    raise AssertionError('it ended without an address')
+
+
+def test_without_a_rig_the_page_says_so_and_the_command_ends_on_a_signal(microbot: Any) -> None:
+    command = microbot('cockpit', '--port', '0', '--namespace', 'rig_2')
+    place = address_of(command).removeprefix('http://').rstrip('/')
+    with connect(f'ws://{place}/socket', origin=f'http://{place}', compression=None,
+                 close_timeout=0.2) as sock:
+        page = Page(sock)
+        page.becomes('rig', 'unknown')
+        assert page.known['controller'] is None
+        assert page.known['recording'] is None
+        begin = time.monotonic()
+        answer = page.ask('arm', attended=False)
+        assert not answer['ok']
+        assert 'rig_2/coil_driver' in answer['reason']
+        assert not page.ask('goal', x_um=0, y_um=0)['ok']
+        answer = page.ask('stop')
+        assert not answer['ok']
+        assert 'SWITCH THE AMPLIFIER OFF' in answer['reason']
+        assert time.monotonic() - begin < 9.0
+        begin = time.monotonic()
+        command.send_signal(signal.SIGTERM)
+        assert command.wait(15.0) == 0
+        assert time.monotonic() - begin < 8.0
+
+
+def test_a_port_that_is_taken_is_one_line(microbot: Any) -> None:
+    with socket.create_server(('127.0.0.1', 0)) as other:
+        port = other.getsockname()[1]
+        command = microbot('cockpit', '--port', str(port))
+        said, _ = command.communicate(timeout=60)
+    assert command.returncode == 2
+    assert f'cannot listen at 127.0.0.1, port {port}' in said.strip().splitlines()[-1]
+    assert 'Traceback' not in said
+
+
+def test_beyond_this_machine_the_address_holds_a_token(microbot: Any) -> None:
+    address = address_of(microbot('cockpit', '--port', '0', '--host', '0.0.0.0'))
+    place, _, token = address.removeprefix('http://').partition('/?token=')
+    port = int(place.rpartition(':')[2])
+    for path, status in (('/', 403), (f'/?token={token}', 303)):
+        connection = http.client.HTTPConnection('127.0.0.1', port, timeout=10)
+        connection.request('GET', path)
+        assert connection.getresponse().status == status
+        connection.close()
+
+
+def test_run_has_it_beside_its_nodes(microbot: Any, tmp_path: Path) -> None:
+    (tmp_path / 'rig.yaml').write_text(
+        '/**/recorder:\n  ros__parameters: {recording: false}\n'
+        '/**/cockpit:\n  ros__parameters: {port: 0}\n')
+    command = microbot('run', '--config', 'rig.yaml', '--cockpit')
+    place = address_of(command).removeprefix('http://').rstrip('/')
+    with connect(f'ws://{place}/socket', origin=f'http://{place}', compression=None,
+                 close_timeout=0.2) as sock:
+        page = Page(sock)
+        page.becomes('recording', {'on': False, 'seconds': 0.0, 'lost': 0, 'title': ''})
+        assert page.ask('record', on=True, title='x')['ok']
+        assert page.ask('note', text='y')['ok']
+        assert page.ask('record', on=False)['ok']
+    assert len(list(tmp_path.glob('recordings/*/*.mcap'))) == 1

@@ -1,0 +1,127 @@
+"""The child that discovers: started once, followed, ended; what a page is shown of its result."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import stat
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from microbot_ros.cockpit.discovery import Discovery, summary
+from microbot_ros.cockpit.rig import RefusedError
+
+RESULT = {
+    'verdict': 'named', 'decided': 'settled', 'minutes': 6.1,
+    'effects': [{'id': 'alignment_lag'}, {'id': 'uniform_drift'}],
+    'gap': {'before_um': 0.38, 'after_um': 0.11}, 'next_experiment': 'repeat at two magnitudes',
+    'experiments': [{'odds': {'': 0.5}}, {'odds': {'alignment_lag': 0.92}}]}
+
+
+@pytest.fixture
+def stand_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """Runs a program in place of `microbot discover`; its arguments are those of that."""
+    def put(program: str) -> None:
+        file = tmp_path / 'stand_in'
+        file.write_text(f'#!{sys.executable}\nimport json, os, signal, sys, time\n'
+                        f'from pathlib import Path\n'
+                        f'out = Path(sys.argv[sys.argv.index("--out") + 1])\n{program}\n')
+        file.chmod(file.stat().st_mode | stat.S_IXUSR)
+        monkeypatch.setattr('microbot_ros.cockpit.discovery.sys.executable', str(file))
+    return put
+
+
+async def ended(discovery: Discovery) -> dict[str, Any]:
+    """Its state once it has ended."""
+    async with asyncio.timeout(20.0):
+        while discovery.running:
+            await asyncio.sleep(0.01)
+    state = discovery.state({})
+    assert state is not None
+    return state
+
+
+def test_its_end_is_what_result_json_says(stand_in: Any, tmp_path: Path) -> None:
+    stand_in(f'out.mkdir(parents=True); print("looking around: steps", file=sys.stderr)\n'
+             f'(out / "result.json").write_text({json.dumps(RESULT)!r})\n'
+             'print("named: alignment_lag", " ".join(sys.argv[1:]))')
+
+    async def run() -> dict[str, Any]:
+        discovery = Discovery('/rig_2', tmp_path / 'found')
+        assert discovery.state({}) is None
+        before = discovery.state(RESULT)
+        assert before is not None
+        assert (before['running'], before['effect']) == (False, 'alignment_lag')
+        await discovery.start(6.0)
+        with pytest.raises(RefusedError, match='already'):
+            await discovery.start(6.0)
+        assert discovery.running
+        return await ended(discovery)
+    state = asyncio.run(run())
+    assert state == {
+        'running': False, 'sentence': state['sentence'], 'verdict': 'named', 'decided': 'settled',
+        'effect': 'alignment_lag', 'gap_um': 0.11, 'odds': {'alignment_lag': 0.92},
+        'minutes': 6.1, 'next': 'repeat at two magnitudes'}
+    assert 'discover --drive --minutes 6' in state['sentence']
+    assert '--namespace /rig_2' in state['sentence']
+
+
+def test_a_refusal_is_shown_in_its_own_words(stand_in: Any, tmp_path: Path) -> None:
+    stand_in('sys.exit("microbot: coil_driver: the gate is disarmed")')
+
+    async def run() -> dict[str, Any]:
+        discovery = Discovery('/', tmp_path)
+        await discovery.start(1.0)
+        return await ended(discovery)
+    state = asyncio.run(run())
+    assert state['sentence'] == 'ended with status 1: microbot: coil_driver: the gate is disarmed'
+    assert state['verdict'] is None
+
+
+def test_told_to_end_it_may_write_and_at_the_end_nothing_is_left(
+        stand_in: Any, tmp_path: Path) -> None:
+    """Neither it nor a child of its own, though that ignores the signal."""
+    stand_in("""
+child = os.fork()
+if not child:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    time.sleep(600)
+def end(*_):
+    print('told to end', flush=True)
+    sys.exit(0)
+signal.signal(signal.SIGTERM, end)
+print(child, flush=True)
+while True:
+    time.sleep(0.1)
+""")
+
+    async def run() -> int:
+        discovery = Discovery('/', tmp_path)
+        with pytest.raises(RefusedError, match='not driving'):
+            await discovery.stop()
+        await discovery.start(1.0)
+        while not (told := str((discovery.state({}) or {})['sentence'])).isdigit():
+            await asyncio.sleep(0.01)
+        await discovery.stop()
+        while (discovery.state({}) or {})['sentence'] != 'told to end':
+            await asyncio.sleep(0.01)
+        await discovery.end()
+        return int(told)
+    child = asyncio.run(run())
+    deadline = time.monotonic() + 10.0
+    while psutil.pid_exists(child) and psutil.Process(child).status() != psutil.STATUS_ZOMBIE:
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+@pytest.mark.parametrize('result', [{}, {'effects': [], 'gap': None, 'experiments': []}])
+def test_a_result_of_little_is_shown(result: dict[str, Any]) -> None:
+    found = summary(result)
+    assert found['effect'] is None
+    assert found['odds'] == {}

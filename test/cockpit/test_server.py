@@ -1,0 +1,392 @@
+"""What pages are told and may have done: one has control, anyone may stop, nothing is repeated."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from microbot_ros.cockpit import verbs
+
+ORDERS: dict[str, dict[str, Any]] = {
+    'arm': {'attended': False}, 'disarm': {}, 'goal': {'x_um': 1.0, 'y_um': -2, 'particle': 3},
+    'clear_goals': {}, 'path': {'points_um': [[0, 0], [1.5, -2]]},
+    'switch_controller': {'name': 'waypoint'}, 'set': {'name': 'delay_ms', 'value': 20},
+    'teach': {'x_px': 1.25, 'y_px': 2, 'stamp': '17', 'example': 'like', 'particle_kind': None},
+    'record': {'on': True, 'title': 'batch 7'}, 'note': {'text': '5 % peroxide'},
+}
+"""Every verb that is performed by the rig and needs control, as a page sends it."""
+
+
+def test_a_verb_is_performed_and_answered_with_the_nodes_own_words(served: Any) -> None:
+    expected = {
+        'arm': ('arm', ()), 'disarm': ('stop', ()), 'goal': ('goal', (1.0, -2.0, 3)),
+        'clear_goals': ('clear_goals', ()), 'path': ('path', ([(0.0, 0.0), (1.5, -2.0)],)),
+        'switch_controller': ('switch_controller', ('waypoint',)),
+        'set': ('set', ('delay_ms', 20)), 'teach': ('teach', ('like 1.250,2.000@17',)),
+        'record': ('record', (True, 'batch 7')), 'note': ('note', ('5 % peroxide',))}
+    with served.page() as page:
+        for verb, what in ORDERS.items():
+            done, arguments = expected[verb]
+            answer = page.ask(verb, **what)
+            assert (answer['ok'], answer['reason']) == (True, f'{done} done'), verb
+            assert served.rig.calls[-1][1:] == (done, arguments)
+            served.rig.refusals[done] = f'no {done} today: the node says so'
+            answer = page.ask(verb, **what)
+            assert (answer['ok'], answer['reason']) == (False, served.rig.refusals[done]), verb
+
+
+def test_only_one_page_has_control_and_anyone_may_stop(served: Any) -> None:
+    with served.page() as first, served.page() as second:
+        for verb, what in ORDERS.items():
+            answer = second.ask(verb, **what)
+            assert (answer['ok'], answer['reason']) == (False, 'another page has control')
+        second.say('stick', x=1.0, y=0.0)
+        assert second.ask('discover', on=True, minutes=5)['ok'] is False
+        assert served.rig.calls == []
+        assert second.ask('stop')['ok']
+        assert served.rig.asked('stop') == [()]
+        assert first.ask('goal', x_um=0, y_um=0)['ok']
+
+
+def test_taking_control_makes_the_other_a_viewer_at_once(served: Any) -> None:
+    with served.page() as first, served.page() as second:
+        first.becomes('control', {'mine': True, 'holder': 1, 'pages': 2})
+        second.becomes('control', {'mine': False, 'holder': 1, 'pages': 2})
+        assert second.ask('take_control')['ok']
+        first.say('stick', x=1.0, y=0.0)
+        assert first.ask('goal', x_um=0, y_um=0)['ok'] is False
+        assert second.ask('goal', x_um=0, y_um=0)['ok']
+        assert served.rig.asked('stick') == []
+        first.becomes('control', {'mine': False, 'holder': 2, 'pages': 2})
+
+
+def test_control_of_a_page_that_goes_is_nobodys_until_it_is_taken(served: Any) -> None:
+    with served.page() as viewer_to_be:
+        with served.page() as other:
+            assert other.ask('take_control')['ok']
+        viewer_to_be.becomes('control', {'mine': False, 'holder': None, 'pages': 1})
+        assert viewer_to_be.ask('goal', x_um=0, y_um=0)['ok'] is False
+        with served.page() as new:
+            assert new.ask('goal', x_um=0, y_um=0)['ok']
+
+
+def test_a_stick_is_told_once_for_each_message_and_never_again(served: Any) -> None:
+    with served.page() as page:
+        page.say('stick', x=0.5, y=-1.0)
+        page.say('stick', x=1, y=0)
+        page.ask('stop')
+        page.drain(0.5)
+        assert served.rig.asked('stick') == [(0.5, -1.0), (1.0, 0.0)]
+
+
+def test_what_a_page_sent_before_it_was_killed_is_not_repeated(served: Any) -> None:
+    with served.page() as page:
+        page.say('stick', x=1.0, y=0.0)
+        page.ask('clear_goals')
+        page.socket.socket.close()
+    time.sleep(0.3)
+    assert served.rig.asked('stick') == [(1.0, 0.0)]
+
+
+class TestNumbers:
+    """Nothing that is no number, or no rig has, gets as far as the rig."""
+
+    numbers = ('NaN', 'Infinity', '-Infinity', '1e999', '-1e999', '1e300', '"1"', 'null', 'true',
+               '[1]', '1e18', '')
+
+    @pytest.mark.parametrize('number', numbers)
+    def test_in_every_place_for_a_number(self, served: Any, number: str) -> None:
+        places = [('goal', 'x_um'), ('goal', 'y_um'), ('path', 'points_um'), ('teach', 'x_px'),
+                  ('teach', 'y_px'), ('stick', 'x'), ('stick', 'y'), ('discover', 'minutes'),
+                  ('set', 'value'), ('goal', 'particle')]
+        allowed = {('goal', 'particle'): ('null',),
+                   ('set', 'value'): ('"1"', 'true', '[1]', '1e300', '1e18')}
+        with served.page() as page:
+            for verb, name in places:
+                if number in allowed.get((verb, name), ()):
+                    continue
+                what = {**ORDERS.get(verb, {}), **({'x': 0, 'y': 0} if verb == 'stick' else {}),
+                        **({'on': True} if verb == 'discover' else {}), name: '@'}
+                here = f'[[0, 0], [{number}, 1]]' if name == 'points_um' else number
+                text = json.dumps({'verb': verb, 'id': 7, **what}).replace('"@"', here)
+                page.socket.send(text)
+                answer = page.until(lambda message: message['kind'] == 'answer')
+                assert answer['ok'] is False, text
+                assert answer['reason']
+            assert served.rig.calls == []
+
+    @pytest.mark.parametrize(('x', 'sent'), [
+        (1.0, True), (-1.0, True), (0, True), (1.0000001, False), (-1.0000001, False)])
+    def test_a_stick_ends_at_one(self, served: Any, x: float, sent: bool) -> None:
+        with served.page() as page:
+            page.say('stick', x=x, y=0)
+            page.ask('stop')
+            assert served.rig.asked('stick') == ([(float(x), 0.0)] if sent else [])
+
+    @pytest.mark.parametrize(('x_um', 'taken'), [
+        (1e7, True), (-1e7, True), (1.0000001e7, False), (-1.0000001e7, False)])
+    def test_a_goal_is_within_what_a_rig_can_have(
+            self, served: Any, x_um: float, taken: bool) -> None:
+        with served.page() as page:
+            assert page.ask('goal', x_um=x_um, y_um=0)['ok'] is taken
+
+    def test_lists_and_texts_end_somewhere(self, served: Any) -> None:
+        with served.page() as page:
+            assert page.ask('path', points_um=[[0, 0]] * 2000)['ok']
+            for verb, what in (
+                    ('path', {'points_um': [[0, 0]] * 2001}), ('path', {'points_um': [[0, 0]]}),
+                    ('path', {'points_um': [[0, 0, 0], [1, 1, 1]]}),
+                    ('note', {'text': 'x' * 2001}), ('note', {'text': ''}),
+                    ('set', {'name': 'a', 'value': [0] * 1001}),
+                    ('set', {'name': 'a b', 'value': 0}), ('set', {'name': '', 'value': 0}),
+                    ('teach', {**ORDERS['teach'], 'particle_kind': 'a,b'}),
+                    ('teach', {**ORDERS['teach'], 'particle_kind': 'a@5'}),
+                    ('teach', {**ORDERS['teach'], 'stamp': '-1'}),
+                    ('teach', {**ORDERS['teach'], 'example': 'forget'}),
+                    ('switch_controller', {'name': 'a\nb'}), ('record', {'on': 1}),
+                    ('arm', {}), ('arm', {'attended': 'false'}),
+                    ('arm', {'attended': False, 'force': True}), ('goal', {'x_um': 0})):
+                before = len(served.rig.calls)
+                assert page.ask(verb, **what)['ok'] is False, (verb, what)
+                assert len(served.rig.calls) == before
+
+    def test_line_breaks_do_not_pass_into_what_is_noted(self, served: Any) -> None:
+        with served.page() as page:
+            assert page.ask('note', text='a\nb\x1b[2J')['ok']
+        assert served.rig.asked('note') == [('a\\nb\\x1b[2J',)]
+
+
+@given(st.text(max_size=200) | st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(
+        st.sampled_from(['verb', 'id', 'x', 'y', 'name', 'value', 'stop', 'x_um']), inner,
+        max_size=4), max_leaves=8).map(json.dumps))
+@settings(suppress_health_check=[HealthCheck.too_slow])
+def test_whatever_a_page_sends_is_a_verb_or_one_sentence(text: str) -> None:
+    try:
+        said = verbs.read_verb(text).verb
+    except verbs.VerbError as error:
+        said = str(error)
+    assert said
+    assert said.isprintable()
+    assert len(said) < 600
+
+
+def test_what_is_no_text_ends_the_page_and_no_other(served: Any) -> None:
+    with served.page() as good:
+        with served.page() as bad:
+            bad.socket.send(b'\0\1')
+            with pytest.raises(Exception):  # noqa: B017, PT011 - closed, in one way or another
+                bad.until(lambda _: False)
+        with served.page() as long:
+            long.socket.send('x' * 200_000)
+            with pytest.raises(Exception):  # noqa: B017, PT011
+                long.until(lambda _: False)
+        assert good.ask('clear_goals')['ok']
+
+
+def test_stop_waits_behind_nothing(served: Any) -> None:
+    served.rig.slow_s = {'arm': 5.0, 'goal': 5.0}
+    with served.page() as page:
+        page.say('arm', id=1000, attended=False)
+        for k in range(20):
+            page.say('goal', id=2000 + k, x_um=0, y_um=0)
+        begin = time.monotonic()
+        assert page.ask('stop')['ok']
+        assert time.monotonic() - begin < 1.0
+        assert len(served.rig.asked('goal')) == 7, 'eight verbs at most are in work'
+
+
+class TestPictures:
+    """Two are owed, and the newest replaces what waits."""
+
+    def test_two_and_then_the_newest(self, served: Any) -> None:
+        with served.page() as page:
+            for stamp in range(1, 11):
+                served.rig.picture(stamp, b'jpeg')
+                page.drain(0.03)
+            assert page.pictures == [1, 2]
+            page.say('seen', stamp='1')
+            page.drain(0.2)
+            assert page.pictures == [1, 2, 10]
+            page.say('seen', stamp='10')
+            served.rig.picture(11, b'jpeg')
+            served.rig.picture(12, b'jpeg')
+            page.drain(0.2)
+            assert page.pictures[3:] in ([11, 12], [12])
+
+    def test_who_has_seen_what_it_was_not_sent_gets_no_more(self, served: Any) -> None:
+        with served.page() as page:
+            for stamp in range(1, 6):
+                served.rig.picture(stamp, b'jpeg')
+                page.say('seen', stamp='999')
+                page.drain(0.03)
+            assert page.pictures == [1, 2]
+
+    def test_particles_follow_their_picture_and_wait_with_it(self, served: Any) -> None:
+        with served.page() as page:
+            for stamp in (1, 2, 3):
+                served.rig.picture(stamp, b'jpeg')
+                served.rig.particles({'kind': 'particles', 'stamp': str(stamp), 'particles': []})
+                page.drain(0.05)
+            page.say('seen', stamp='2')
+            page.drain(0.2)
+            told = [one['stamp'] for one in page.told if one['kind'] == 'particles']
+            assert page.pictures == [1, 2, 3]
+            assert told == ['1', '2', '3']
+
+    def test_a_page_that_reads_nothing_holds_nobody_up_and_is_shown_no_past(
+            self, served: Any) -> None:
+        picture = b'x' * 50_000
+        with served.page() as frozen, served.page() as other:
+            begin = time.monotonic()
+            for stamp in range(1, 200):
+                served.rig.picture(stamp, picture)
+                served.rig.particles({'kind': 'particles', 'stamp': str(stamp), 'particles': []})
+                other.say('seen', stamp=str(other.pictures[-1] if other.pictures else 0))
+                other.drain(0.005)
+            assert len(other.pictures) > 50
+            other.drain(max(0.0, 2.5 - (time.monotonic() - begin)))
+            frozen.drain(0.5)
+            states = [one for one in frozen.told if one['kind'] == 'state']
+            assert len(frozen.pictures) == 2
+            assert len(states) <= 10, 'one a second while it owes, and a few before it did'
+
+
+class TestState:
+    """Parts that are new, ten times a second."""
+
+    def test_parts_are_told_when_they_change(self, served: Any) -> None:
+        with served.page() as page:
+            first = page.until(lambda message: message['kind'] == 'state')
+            assert {'rig', 'sentence', 'attended', 'discovery', 'control'} <= set(first)
+            assert set(page.until(lambda message: message['kind'] == 'state')) == {'kind'}
+            served.rig.parts = {**served.rig.parts, 'rig': 'fault'}
+            changed = page.until(lambda message: set(message) != {'kind'})
+            assert changed == {'kind': 'state', 'rig': 'fault'}
+
+    def test_a_new_page_is_told_all(self, served: Any) -> None:
+        with served.page() as page:
+            page.becomes('rig', 'disarmed')
+        with served.page() as again:
+            again.becomes('rig', 'disarmed')
+
+    def test_nobody_looks_where_no_page_is(self, served: Any) -> None:
+        assert not served.rig.looking
+        with served.page() as page:
+            page.ask('clear_goals')
+            assert served.rig.looking
+        deadline = time.monotonic() + 5.0
+        while served.rig.looking:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+
+
+class TestAttended:
+    """Armed on condition that somebody is there."""
+
+    def test_three_seconds_after_the_last_heartbeat_it_is_disarmed(self, served: Any) -> None:
+        with served.page() as page:
+            assert page.ask('arm', attended=True)['ok']
+            for _ in range(4):
+                page.say('heartbeat')
+                last = time.monotonic()
+                page.drain(1.0)
+            assert served.rig.asked('stop') == []
+            page.becomes('attended', False)
+            moment = next(t for t, name, _ in served.rig.calls if name == 'stop')
+            assert 2.9 <= moment - last <= 3.5
+
+    def test_a_page_that_goes_does_not_attend_nor_does_a_viewer(self, served: Any) -> None:
+        with served.page() as viewer:
+            viewer.ask('stop')
+            with served.page() as page:
+                assert page.ask('take_control')['ok']
+                assert page.ask('arm', attended=True)['ok']
+                begin = time.monotonic()
+            while len(served.rig.asked('stop')) < 2:
+                viewer.say('heartbeat')
+                viewer.drain(0.1)
+                assert time.monotonic() - begin < 4.0
+            assert time.monotonic() - begin > 2.5
+
+    def test_unattended_or_refused_attends_nothing(self, served: Any) -> None:
+        with served.page() as page:
+            for attended, refusal in ((False, {}), (True, {'arm': 'a coil is open'})):
+                served.rig.refusals = refusal
+                assert page.ask('arm', attended=attended)['ok'] is not bool(refusal)
+                page.drain(0.3)
+                assert page.known['attended'] is False
+
+    def test_what_can_not_be_disarmed_is_tried_again(self, served: Any) -> None:
+        served.rig.refusals['stop'] = 'coil_driver did not answer'
+        with served.page() as page:
+            assert page.ask('arm', attended=True)['ok']
+            page.drain(4.6)
+            assert len(served.rig.asked('stop')) >= 2
+            served.rig.refusals.clear()
+            page.becomes('attended', False)
+
+
+def test_a_frozen_page_that_attends_is_not_there(served: Any) -> None:
+    """In a process of its own, which is stopped as a machine that hangs is."""
+    program = f"""
+import json, time
+from websockets.sync.client import connect
+with connect('ws://127.0.0.1:{served.port}/socket', origin='http://127.0.0.1:{served.port}') as s:
+    s.send(json.dumps({{'verb': 'arm', 'id': 1, 'attended': True}}))
+    print('there', flush=True)
+    while True:
+        s.send(json.dumps({{'verb': 'heartbeat'}}))
+        time.sleep(0.2)
+"""
+    with subprocess.Popen([sys.executable, '-c', program], stdout=subprocess.PIPE) as child:
+        try:
+            assert child.stdout is not None
+            assert b'there' in child.stdout.readline()
+            time.sleep(0.6)
+            assert served.rig.asked('arm') == [()]
+            os.kill(child.pid, signal.SIGSTOP)
+            begin = time.monotonic()
+            while not served.rig.asked('stop'):
+                assert time.monotonic() - begin < 4.0
+                time.sleep(0.02)
+        finally:
+            child.kill()
+
+
+@pytest.mark.parametrize('attended', [False, True])
+def test_the_end_of_the_server_asks_the_rig_for_nothing_but_what_it_watches_over(
+        serve: Any, attended: bool) -> None:
+    served = serve()
+    with served.page() as page:
+        assert page.ask('arm', attended=attended)['ok']
+        served.server.stop()
+    assert [name for _, name, _ in served.rig.calls] == ['arm', 'stop'][:1 + attended]
+
+
+def test_a_number_that_is_none_leaves_the_rest_of_the_state(served: Any) -> None:
+    with served.page() as page:
+        served.rig.parts |= {'latency_ms': math.nan, 'field': {'wanted_mT': [math.inf, 0.0]}}
+        page.until(lambda message: 'latency_ms' in message)
+        assert (page.known['latency_ms'], page.known['field']) == (None, None)
+        assert page.known['rig'] == 'disarmed'
+
+
+def test_what_fails_in_the_rig_is_tried_again(served: Any) -> None:
+    with served.page() as page:
+        page.becomes('rig', 'disarmed')
+        good, served.rig.parts = served.rig.parts, 7  # no state at all
+        page.drain(0.3)
+        served.rig.parts = {**good, 'rig': 'armed'}
+        page.becomes('rig', 'armed')

@@ -1,0 +1,363 @@
+"""Pages, the real nodes of a virtual rig and a real serial line, judged by the amplifier's log."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+from cockpit.virtual import VirtualRig
+from websockets.sync.client import connect
+
+pytestmark = [pytest.mark.graph, pytest.mark.timeout(240)]
+STOP_S, VANISHED_S = 0.1, 0.4
+"""Asked for: from STOP, or from letting go, to zero; and from a page's end while it steers."""
+
+
+@pytest.fixture(scope='module')
+def virtual(tmp_path_factory: pytest.TempPathFactory) -> Iterator[VirtualRig]:
+    """One rig for all tests here: each leaves it as it found it."""
+    with VirtualRig(tmp_path_factory.mktemp('rig'), coil_driver={
+            'command_timeout_ms': 250.0, 'max_command_age_ms': 250.0}) as made:
+        yield made
+
+
+@contextmanager
+def page_of(virtual: VirtualRig) -> Iterator[Any]:
+    """A page of the cockpit, with control."""
+    from cockpit.conftest import Page
+
+    address = virtual.address.removeprefix('http://').rstrip('/')
+    with connect(f'ws://{address}/socket', origin=f'http://{address}', compression=None,
+                 close_timeout=0.2) as socket:
+        made = SeeingPage(socket, Page)
+        made.page.ask('take_control')
+        yield made.page
+
+
+class SeeingPage:
+    """Says `seen` to all that it is shown."""
+
+    def __init__(self, socket: Any, page: Any) -> None:
+        self.page = page(socket)
+        read = self.page.read
+
+        def seeing(seconds: float) -> Any:
+            message = read(seconds)
+            if message is None:
+                self.page.say('seen', stamp=str(self.page.pictures[-1]))
+            return message
+        self.page.read = seeing
+
+
+@pytest.fixture
+def page(virtual: VirtualRig) -> Iterator[Any]:
+    """A page in control of a rig that ends disarmed and at rest."""
+    with page_of(virtual) as made:
+        made.until(lambda message: message['kind'] == 'particles' and message['particles'], 60.0)
+        yield made
+
+
+def armed(page: Any, controller: str) -> None:
+    """The rig is armed, and a `controller` drives it; a busy machine may need a second try."""
+    for _ in range(3):
+        assert page.ask('switch_controller', name=controller)['ok']
+        if page.ask('arm', attended=False)['ok']:
+            return
+    raise AssertionError('could not be armed')
+
+
+def steering(page: Any, virtual: VirtualRig, x: float, y: float, seconds: float = 1.0) -> None:
+    """Hold a stick there, 20 times a second, for so long; currents flow by then."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        page.say('stick', x=x, y=y)
+        page.drain(0.05)
+    assert not virtual.zero
+
+
+def test_particles_lie_where_the_tracker_has_them(page: Any) -> None:
+    camera = [one for one in page.told if one['kind'] == 'hello'][-1]['camera']
+    assert camera == {'width_px': 640, 'height_px': 480, 'pixel_size_um': 0.45}
+    seen = page.until(lambda message: message['kind'] == 'particles' and message['particles'])
+    assert int(seen['stamp']) in page.pictures
+    for one in seen['particles']:
+        # 640×480 px of 0.45 µm, the workspace's origin in the middle, y up.
+        assert one['x_px'] == pytest.approx(319.5 + one['x_um'] / 0.45, abs=0.01)
+        assert one['y_px'] == pytest.approx(239.5 - one['y_um'] / 0.45, abs=0.01)
+
+
+def test_the_state_tells_how_the_rig_is(page: Any) -> None:
+    page.drain(1.5)
+    known = page.known
+    assert known['rig'] == 'disarmed'
+    assert 'zero' in known['sentence']
+    assert 0 <= known['picture_age_ms'] < 1000
+    assert known['recording']['on'] is False
+    assert {one['name'] for one in known['health']} >= {
+        'tracker', 'model', 'controller', 'coil_driver', 'recorder', 'virtual_rig'}
+    assert {'waypoint', 'hold', 'teleop'} <= {
+        one['name'] for one in known['controller']['available']}
+    json.dumps(known, allow_nan=False)
+
+
+def test_a_goal_is_shown_once_the_controller_has_it(page: Any) -> None:
+    assert page.ask('goal', x_um=12.5, y_um=-7.0)['ok']
+    told = page.until(lambda message: (message.get('controller') or {}).get('goals'))
+    goal, = told['controller']['goals']
+    assert (goal['x_um'], goal['y_um'], goal['id']) == (12.5, -7.0, None)
+    for particle in (0, 1):
+        assert page.ask('goal', x_um=3.0 * particle, y_um=1.0, particle=particle)['ok']
+    told = page.until(lambda message: len((message.get('controller') or {}).get('goals', ())) == 2)
+    assert [goal['id'] for goal in told['controller']['goals']] == [0, 1]
+    assert page.ask('path', points_um=[[0, 0], [10, 5], [20, 0]])['ok']
+    told = page.until(lambda message: (message.get('controller') or {}).get('path'))
+    assert told['controller']['path'] == [[0, 0], [10, 5], [20, 0]]
+    assert page.ask('clear_goals')['ok']
+    page.until(lambda message: (message.get('controller') or {}).get('goals') == []
+               and message['controller']['path'] == [])
+
+
+def test_a_refused_switch_leaves_the_old_one_and_says_why(page: Any) -> None:
+    assert page.ask('switch_controller', name='waypoint')['ok']
+    answer = page.ask('switch_controller', name='nonsense')
+    assert not answer['ok']
+    assert 'nonsense' in answer['reason']
+    assert 'waypoint' in answer['reason']
+    page.until(lambda message: (message.get('controller') or {}).get('name') == 'waypoint')
+
+
+def test_parameters_are_set_as_their_descriptors_say(page: Any) -> None:
+    assert page.ask('switch_controller', name='teleop')['ok']
+    told = page.until(lambda message: any(
+        one['name'] == 'teleop.field_mT'
+        for one in (message.get('controller') or {}).get('parameters', ())))
+    parameters = {one['name']: one for one in told['controller']['parameters']}
+    field = parameters['teleop.field_mT']
+    assert (field['type'], field['unit'], field['minimum'], field['maximum']) == (
+        'number', 'mT', 0.01, 100.0)
+    assert not any(name.startswith('waypoint.') for name in parameters)
+    assert not {'controller', 'model_file', 'use_sim_time'} & set(parameters)
+    before = field['value']
+    assert page.ask('set', name='teleop.field_mT', value=3)['ok']
+    page.until(lambda message: any(
+        one['name'] == 'teleop.field_mT' and one['value'] == 3.0 and one['type'] == 'number'
+        for one in (message.get('controller') or {}).get('parameters', ())))
+    for name, value in (('teleop.field_mT', 1e6), ('teleop.field_mT', 'x'),
+                        ('teleop.field_mT', True), ('teleop.field_mT', [1.0]),
+                        ('max_field_mT', 1.0), ('model_file', '/etc/passwd'),
+                        ('controller', 'hold'), ('nonsense', 1)):
+        assert not page.ask('set', name=name, value=value)['ok'], (name, value)
+    assert page.ask('set', name='teleop.field_mT', value=before)['ok']
+
+
+@pytest.mark.clocked
+def test_stop_ends_what_flows(page: Any, virtual: VirtualRig) -> None:
+    armed(page, 'teleop')
+    steering(page, virtual, 1.0, 0.0)
+    moment = time.monotonic()
+    assert page.ask('stop')['ok']
+    assert virtual.zero_since(moment) <= STOP_S
+    page.becomes('rig', 'disarmed')
+
+
+@pytest.mark.clocked
+def test_a_viewer_may_stop(page: Any, virtual: VirtualRig) -> None:
+    armed(page, 'teleop')
+    steering(page, virtual, 1.0, 0.0)
+    with page_of(virtual) as viewer:
+        page.ask('take_control')
+        steering(page, virtual, 1.0, 0.0, 0.3)
+        moment = time.monotonic()
+        assert viewer.ask('stop')['ok']
+        assert virtual.zero_since(moment) <= STOP_S
+
+
+@pytest.mark.clocked
+def test_stop_needs_no_controller(page: Any, virtual: VirtualRig) -> None:
+    """Its process hangs: what it commanded last is stopped by the driver, that was asked."""
+    armed(page, 'teleop')
+    steering(page, virtual, 1.0, 0.0)
+    try:
+        virtual.signal('controller', signal.SIGSTOP)
+        moment = time.monotonic()
+        assert page.ask('stop')['ok']
+        assert virtual.zero_since(moment) <= STOP_S
+    finally:
+        virtual.signal('controller', signal.SIGCONT)
+
+
+@pytest.mark.clocked
+def test_a_stick_steers_and_letting_go_ends_it(page: Any, virtual: VirtualRig) -> None:
+    armed(page, 'teleop')
+    angle = math.radians(30.0)
+    steering(page, virtual, math.cos(angle), math.sin(angle), 1.5)
+    wanted = page.known['field']['applied_mT']
+    off = math.atan2(wanted[1], wanted[0]) - angle
+    assert abs(math.degrees(math.remainder(off, math.tau))) <= 5.0
+    moment = time.monotonic()
+    page.say('stick', x=0.0, y=0.0)
+    virtual.until(lambda: virtual.zero, 5.0)
+    assert virtual.zero_since(moment) <= STOP_S
+
+
+@pytest.mark.clocked
+@pytest.mark.parametrize('ending', [signal.SIGKILL, signal.SIGSTOP])
+def test_a_page_that_vanishes_steers_no_more(
+        page: Any, virtual: VirtualRig, ending: signal.Signals) -> None:
+    armed(page, 'teleop')
+    address = virtual.address.removeprefix('http://').rstrip('/')
+    program = f"""
+import json, time
+from websockets.sync.client import connect
+with connect('ws://{address}/socket', origin='http://{address}') as s:
+    s.send(json.dumps({{'verb': 'take_control', 'id': 1}}))
+    while True:
+        s.send(json.dumps({{'verb': 'stick', 'x': 0.0, 'y': 1.0}}))
+        time.sleep(0.05)
+"""
+    with subprocess.Popen([sys.executable, '-c', program]) as child:
+        try:
+            virtual.until(lambda: not virtual.zero)
+            time.sleep(0.5)
+            assert not virtual.zero
+            moment = time.monotonic()
+            os.kill(child.pid, ending)
+            virtual.until(lambda: virtual.zero, 5.0)
+            assert virtual.zero_since(moment) <= VANISHED_S
+            time.sleep(0.5)
+            assert virtual.zero
+        finally:
+            child.kill()
+    page.ask('take_control')
+
+
+def test_a_refusal_to_arm_comes_word_for_word(page: Any, virtual: VirtualRig) -> None:
+    """A second one who commands, and the driver says so."""
+    from microbot_ros.nodes.graph_client import GraphClient
+
+    with GraphClient('intruder') as client:
+        from geometry_msgs.msg import Vector3Stamped
+
+        client.node.create_publisher(Vector3Stamped, 'field/command', 1)
+        virtual.until(lambda: client.spin(0.05) or len(
+            client.node.get_publishers_info_by_topic('field/command')) == 2)
+        answer = page.ask('arm', attended=False)
+        assert not answer['ok']
+        assert '2 publish field/command, expected one' in answer['reason']
+        assert 'intruder' in answer['reason']
+
+
+def test_what_is_noted_is_in_the_recording(page: Any, virtual: VirtualRig) -> None:
+    from microbot_ros.session import open_recording
+
+    assert page.ask('note', text='too early')['ok'] is False
+    assert page.ask('record', on=True, title='batch 7')['ok']
+    told = page.until(lambda message: (message.get('recording') or {}).get('on'))
+    assert told['recording']['title'] == 'batch 7'
+    assert page.ask('record', on=True, title='another')['ok'] is False
+    assert page.ask('note', text='5 % peroxide')['ok']
+    assert page.ask('note', text='bubbles')['ok']
+    with page_of(virtual) as again:  # a reload
+        told = again.until(lambda message: (message.get('recording') or {}).get('on'))
+        assert told['recording']['title'] == 'batch 7'
+        assert told['recording']['seconds'] > 0
+        assert again.ask('record', on=False)['ok']
+    with open_recording(virtual.folder / 'recording') as recording:
+        kept = recording.metadata()['recording']
+    assert kept['title'] == 'batch 7'
+    assert [line.partition(' ')[2] for line in kept['notes'].splitlines()] == [
+        '5 % peroxide', 'bubbles']
+    page.ask('take_control')
+
+
+def test_estimates_are_the_truth_within_their_errors(page: Any, virtual: VirtualRig) -> None:
+    assert page.ask('set', name='delay_ms', value=25.0)['ok']
+    armed(page, 'teleop')
+    for k in range(6):
+        angle = 2 * math.pi * k * 5 / 12
+        steering(page, virtual, math.cos(angle), math.sin(angle), 1.2)
+    truth = np.array([(3.71, -1.09), (4.38, 3.82), (4.98, 2.64)])
+    found = page.known['estimates']
+    assert len(found) == 3
+    for one in found:
+        off_v = (one['v_um_s'] - truth[:, 0]) / one['v_std_um_s']
+        off_phi = np.array([math.remainder(math.radians(one['phi_deg']) - phi, math.tau)
+                            for phi in truth[:, 1]]) / math.radians(one['phi_std_deg'])
+        assert (np.hypot(off_v, off_phi) <= 3 * math.sqrt(2)).any(), one
+        assert one['d_um2_s'] > 0
+
+
+def test_the_cockpit_leaves_the_processors_to_the_loop(virtual: VirtualRig) -> None:
+    """All threads are of ordinary priority, but the one that does nothing but wait for the end."""
+    tasks = Path(f'/proc/{virtual.graph.process_id("cockpit")}/task').iterdir()
+    prior = [task for task in tasks if os.sched_getscheduler(int(task.name)) != os.SCHED_OTHER]
+    assert len(prior) <= 1
+
+
+def test_the_death_of_the_cockpit_harms_nothing(page: Any, virtual: VirtualRig) -> None:
+    """What drives by itself drives on."""
+    assert page.ask('goal', x_um=100.0, y_um=80.0)['ok']
+    armed(page, 'waypoint')
+    virtual.until(lambda: not virtual.zero)
+    virtual.signal('cockpit', signal.SIGKILL)
+    begin = time.monotonic()
+    time.sleep(1.5)
+    after = [one for one in virtual.entries() if one['t_monotonic_s'] > begin]
+    assert len(after) > 10
+    assert all(any(one['currents_A']) for one in after)
+    assert set(virtual.graph.ended()) == {'cockpit'}
+    virtual.restart_cockpit()
+
+
+def test_discovery_ends_with_the_cockpit(page: Any, virtual: VirtualRig) -> None:
+    """However that ends; and with it what it had drive."""
+    armed(page, 'hold')
+    assert page.ask('discover', on=True, minutes=5)['ok']
+    assert page.ask('discover', on=True, minutes=5)['ok'] is False
+    page.until(lambda message: (message.get('controller') or {}).get('name') == 'experiment', 90.0)
+    child, = psutil.Process(virtual.graph.process_id('cockpit')).children()
+    assert page.known['discovery']['running']
+    virtual.until(lambda: not virtual.zero)
+    virtual.signal('cockpit', signal.SIGKILL)
+    child.wait(30.0)
+    virtual.until(lambda: virtual.zero, 5.0)
+    virtual.restart_cockpit()
+    with page_of(virtual) as again:
+        again.until(lambda message: (message.get('controller') or {}).get('name') == 'hold')
+
+
+def test_discovery_that_is_told_to_end_says_so(page: Any, virtual: VirtualRig) -> None:
+    armed(page, 'hold')
+    assert page.ask('discover', on=True, minutes=5)['ok']
+    page.until(lambda message: (message.get('controller') or {}).get('name') == 'experiment', 90.0)
+    assert page.ask('stop')['ok']
+    told = page.until(lambda message: (message.get('discovery') or {}).get('running') is False,
+                      60.0)['discovery']
+    assert told['sentence']
+    newest = max((virtual.folder / 'discoveries').glob('*/result.json'))
+    found = json.loads(newest.read_text())
+    assert told['decided'] == found['decided'] == 'stopped'
+    assert told['verdict'] == found.get('verdict')
+
+
+@pytest.fixture(autouse=True)
+def _at_rest() -> Iterator[None]:
+    """Nothing flows after a test, whatever became of its page."""
+    yield
+    from microbot_ros.nodes.graph_client import GraphClient
+
+    with GraphClient() as client:
+        client.set('controller', controller='hold')
+        client.arm(False)

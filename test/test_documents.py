@@ -1,0 +1,229 @@
+"""The documents say what the code does: pages made from it, links, commands and snippets."""
+
+import ast
+import importlib.util
+import json
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+import pytest
+import yaml
+
+import microbot_ros
+from microbot_ros.cli import microbot
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / 'docs'
+KINDS = ('tutorial', 'how-to', 'reference', 'explanation', 'decisions')
+PROSE = sorted([*DOCS.rglob('*.md'), *ROOT.glob('*.md'), *ROOT.glob('*.rst'),
+                *(ROOT / 'firmware').glob('*.md')])
+SOURCES = [path for place in ('microbot_ros', 'test', 'bench', 'config', 'launch', 'firmware')
+           for path in sorted((ROOT / place).rglob('*'))
+           if path.suffix in ('.py', '.yaml', '.html', '.md', '.c', '.h')]
+
+LINK = re.compile(r'\]\(([^)\s]+)\)')
+MENTION = re.compile(r'\bdocs/[\w./-]+\.(?:md|py)\b')
+BLOCK = re.compile(r'^```(\w*)\n(.*?)^```', re.MULTILINE | re.DOTALL)
+
+
+def _name(path):
+    return str(path.relative_to(ROOT))
+
+
+@pytest.fixture(scope='module')
+def build():
+    """`docs/build.py`, which is no package."""
+    sys.path.insert(0, str(DOCS))
+    try:
+        import build
+        yield build
+    finally:
+        sys.path.remove(str(DOCS))
+
+
+@pytest.mark.parametrize('page', [
+    'how-to/when_something_trips.md', 'reference/commands.md', 'reference/effects.md',
+    'reference/graph.md', 'reference/parameters.md', 'reference/results.md'])
+def test_pages_of_the_code_are_up_to_date(page, build):
+    written = (DOCS / page).read_text(encoding='utf-8')
+    assert build.PAGES[page]() == written, 'run `python docs/build.py`'
+
+
+def test_every_page_of_the_code_is_tested(build):
+    made = {_name(path) for path in PROSE if 'Made from the code by' in path.read_text()}
+    assert made == {f'docs/{page}' for page in build.PAGES}
+
+
+def test_every_sentence_of_a_fault_has_its_cause_and_cure(build):
+    """Whoever writes a new one writes there what to do about it: docs/made/faults.yaml."""
+    known = yaml.safe_load(build.faults.REMEDIES.read_text(encoding='utf-8'))
+    said = build.faults.sentences()
+    assert {part: set(told) for part, told in said.items()} == {
+        part: set(told) for part, told in known.items()}
+    assert sum(map(len, said.values())) > 120, 'the reader of the code found hardly any'
+    for part in known.values():
+        assert [told for told, answer in part.items() if not all(map(str.strip, answer))] == []
+
+
+def test_every_topic_and_every_field_has_its_meaning(build):
+    """In docs/made/graph.yaml and docs/made/results.yaml."""
+    topics = yaml.safe_load(build.graph.CONTENT.read_text(encoding='utf-8'))
+    assert {end.name for end in build.graph.ends()} == set(topics)
+    meaning = yaml.safe_load(build.results.MEANING.read_text(encoding='utf-8'))
+    assert {file: set(build.results.fields(file)) for file in meaning} == {
+        file: set(fields) for file, fields in meaning.items()}
+
+
+def test_every_topic_that_is_recorded_is_in_the_reference(build):
+    from microbot_ros.nodes.topics import CHANGES, TOPICS
+
+    assert TOPICS.keys() - {end.name for end in build.graph.ends()} == {CHANGES}
+
+
+def _anchors(path):
+    """What can be linked to within a page: its headings, as GitHub and MyST spell them."""
+    text = BLOCK.sub('', path.read_text(encoding='utf-8'))
+    return {re.sub(r'[^\w\- ]', '', heading.lower()).strip().replace(' ', '-')
+            for heading in re.findall(r'^#+ (.+)$', text, re.MULTILINE)}
+
+
+@pytest.mark.parametrize('page', PROSE, ids=_name)
+def test_links_lead_somewhere(page):
+    text = BLOCK.sub('', page.read_text(encoding='utf-8'))
+    broken = []
+    for link in LINK.findall(text):
+        target, _, anchor = link.partition('#')
+        found = (page.parent / target).resolve() if target else page
+        if re.match(r'https?://|mailto:', link):
+            continue
+        if not found.exists() or (anchor and anchor not in _anchors(found)):
+            broken.append(link)
+    assert broken == []
+
+
+def test_mentions_of_documents_are_right():
+    """In messages, comments, configurations and prose: a path that begins with docs/."""
+    wrong = {f'{_name(path)}: {found}' for path in [*SOURCES, *PROSE]
+             for found in MENTION.findall(path.read_text(encoding='utf-8', errors='replace'))
+             if not (ROOT / found).exists()}
+    assert wrong == set()
+
+
+def test_every_page_is_of_a_kind():
+    """Each folder lists all of its own; a page beside the folders would be in no list."""
+    assert {path.name for path in DOCS.glob('*.md')} == {'index.md'}
+    folders = {path.relative_to(DOCS).parts[0] for path in DOCS.rglob('*.md')} - {'index.md'}
+    assert folders == set(KINDS)
+
+
+def _blocks(*languages):
+    for page in PROSE:
+        for language, text in BLOCK.findall(page.read_text(encoding='utf-8')):
+            if language in languages:
+                yield page, text
+
+
+def _commands():
+    """Every `microbot …` of a block of shell, a word of code or an example: page, words."""
+    for page, text in _blocks('', 'sh', 'text'):
+        for line in text.replace('\\\n', ' ').splitlines():
+            found = re.match(r'(?:\$ )?(?:\S*/)?microbot (.*)', line.strip())
+            if found and '[OPTIONS]' not in line:
+                yield page, found[1]
+    for page in PROSE:
+        text = BLOCK.sub('', page.read_text(encoding='utf-8'))
+        yield from ((page, found) for found in re.findall(r'(?<!`)`microbot ([^`]+)`(?!`)', text))
+
+
+def _complaint(words):
+    """What is wrong with the words after `microbot`, by click's own commands; '' for nothing."""
+    context, command = click.Context(microbot), microbot
+    while isinstance(command, click.Group) and words and not words[0].startswith('-'):
+        name, *words = words
+        if not name.islower():
+            return ''  # COMMAND, in prose
+        command = command.get_command(context, name)
+        if command is None:
+            return f'no command {name}'
+    known = {option for parameter in command.get_params(context)
+             for option in (*parameter.opts, *parameter.secondary_opts)} | {'--version', '--help'}
+    given = {word.partition('=')[0] for word in words if re.match(r'--[a-z]', word)}
+    return '' if given <= known else f'no option {", ".join(given - known)}'
+
+
+def test_commands_in_the_documents_exist():
+    told = list(_commands())
+    assert len(told) > 100
+    wrong = []
+    for page, line in told:
+        words = shlex.split(line.replace('…', '').replace('\n', ' '), comments=True)
+        if complaint := _complaint(words):
+            wrong.append(f'{_name(page)}: microbot {line}: {complaint}')
+    assert wrong == []
+
+
+def test_make_targets_in_the_documents_exist():
+    targets = set(re.findall(r'^(\w+):', (ROOT / 'Makefile').read_text(), re.MULTILINE))
+    told = {found for page in PROSE for found in re.findall(
+        r'(?:^|`)make (\w+)', page.read_text(encoding='utf-8'), re.MULTILINE)}
+    assert {'demo', 'test', 'docs'} <= told <= targets
+
+
+def test_python_in_the_documents_imports_what_there_is():
+    """Every block of Python compiles, and what it imports of ours can be imported."""
+    for page, text in _blocks('python'):
+        tree = ast.parse(text, str(page))
+        for node in ast.walk(tree):
+            names = []
+            if isinstance(node, ast.ImportFrom) and node.module:
+                module = importlib.import_module(node.module)
+                names = [alias.name for alias in node.names]
+                assert [name for name in names if not hasattr(module, name)] == [], page
+            elif isinstance(node, ast.Import):
+                for alias in node.names:
+                    assert importlib.util.find_spec(alias.name), (page, alias.name)
+
+
+def test_yaml_in_the_documents_is_yaml():
+    blocks = list(_blocks('yaml'))
+    assert blocks
+    for _, text in blocks:
+        yaml.safe_load(text.replace('…', 'more'))
+
+
+def test_sphinx_builds_the_pages_without_a_warning(tmp_path):
+    """But for the API, which takes a minute: `make docs`."""
+    built = subprocess.run(
+        [sys.executable, '-m', 'sphinx', '-q', '-t', 'prose', '-b', 'html', '-d',
+         tmp_path / 'read', DOCS, tmp_path / 'html'],
+        capture_output=True, text=True, timeout=110)
+    assert [line for line in built.stderr.splitlines() if 'glob pattern' not in line] == []
+    assert (tmp_path / 'html' / 'how-to' / 'when_something_trips.html').is_file()
+
+
+def test_files_for_other_programs_are_as_these_want_them():
+    """CITATION.cff, the issue forms and the devcontainer: read by sites, noticed late."""
+    citation = yaml.safe_load((ROOT / 'CITATION.cff').read_text(encoding='utf-8'))
+    assert {'cff-version', 'message', 'title', 'authors'} <= citation.keys()
+    assert citation['version'] == microbot_ros.__version__
+    assert 'Multiple Microrobots' in citation['references'][0]['title']
+    for form in (ROOT / '.github' / 'ISSUE_TEMPLATE').glob('*.md'):
+        head = yaml.safe_load(form.read_text(encoding='utf-8').split('---\n')[1])
+        assert {'name', 'about'} <= head.keys(), form
+    container = json.loads((ROOT / '.devcontainer' / 'devcontainer.json').read_text())
+    assert (ROOT / '.devcontainer' / container['build']['dockerfile']).is_file()
+
+
+def test_the_layout_of_foxglove_shows_what_the_nodes_send(build):
+    """Every topic that it names exists, and every panel that is laid out is described."""
+    layout = json.loads((ROOT / 'config' / 'layout.json').read_text(encoding='utf-8'))
+    text = json.dumps(layout['configById'])
+    named = set(re.findall(r'"/([a-z_]+(?:/[a-z_]+)*)', text)) - {'diagnostics'}
+    assert len(named) >= 7
+    assert named <= {end.name for end in build.graph.ends()}
+    assert set(layout['configById']) == set(re.findall(
+        r'"((?:\w|3D)+!\w+)"', json.dumps(layout['layout'])))
