@@ -180,7 +180,8 @@ class RoundDetector:
         described = _described(
             rows, errors, quality, self._filter.noise, self.appearance.capped,
             self.appearance.diameter_px / 2)
-        return Detections(*described, kind=np.zeros(len(rows), int))
+        parts = *described, np.zeros(len(rows), int)
+        return Detections(*parts)
 
 
 @numba.njit(cache=True, error_model='numpy')

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +25,8 @@ def write_kinds_figure(path: Path, image: np.ndarray, settings: TrackerSettings)
     found = KindsDetector(settings.kinds, settings.standing).detect(image, np.empty((0, 2)))
     count = len(settings.kinds)
     figure = Figure(figsize=(12, 7 + 1.6 * count), layout='constrained')
-    top, below = np.ravel(figure.subfigures(2, 1, height_ratios=[4, count]))
+    halves: Any = figure.subfigures(2, 1, height_ratios=[4, count])
+    top, below = halves
     frame, words = top.subplots(1, 2, width_ratios=[2.4, 1])
     shades = {'cmap': 'gray', 'vmin': np.quantile(image, 0.001), 'vmax': np.quantile(image, 0.999)}
     frame.imshow(image, **shades)
