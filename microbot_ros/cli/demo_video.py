@@ -73,7 +73,8 @@ def _poses(run: DemoRun, stamp: float, camera: ImageToWorkspace) -> Poses:
     return Poses(
         t=stamp, id=points['id'].astype(int), x_px=x, y_px=y,
         theta_rad=camera.image_angle(points['theta']), vx_px_s=nothing, vy_px_s=nothing,
-        sigma_px=nothing, seen=np.ones(len(points), bool))
+        sigma_px=nothing, seen=np.ones(len(points), bool),
+        kind=np.zeros(len(points), int))
 
 
 def _draw_estimates(picture: np.ndarray, run: DemoRun, stamp: float,

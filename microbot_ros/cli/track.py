@@ -13,6 +13,7 @@ import click
 import numpy as np
 
 from microbot_ros.cli.options import plausible_number
+from microbot_ros.cli.track_learn import Point, PointType, chosen, pictures, pointed, write_learned
 from microbot_ros.units import from_si, to_si
 
 if TYPE_CHECKING:
@@ -37,18 +38,25 @@ _WHOLE = 0.95
 @click.option('--commands', 'commands_path', type=click.Path(path_type=Path), metavar='CSV',
               help='What drove the particles, on the clock of the frames (the first is at 0): '
               'commands.csv of a session. A turn of the field is then expected.')
+@click.option('--like', multiple=True, type=PointType(named=True),
+              help='In this frame, at these pixels, is one to follow; KIND names it. Again for '
+              'more examples.')
+@click.option('--unlike', multiple=True, type=PointType(named=False),
+              help='There is something that is not to be followed.')
 @click.option('--overlay/--no-overlay', default=True, help='Write overlay.mp4.')
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
               help='Also write the result as JSON.')
 def command(
     source: str, out: Path, pixel_size_um: float | None, frame_rate_hz: float | None,
-    settings_path: Path | None, commands_path: Path | None, overlay: bool,
-    json_path: Path | None,
+    settings_path: Path | None, commands_path: Path | None, like: tuple[Point, ...],
+    unlike: tuple[Point, ...], overlay: bool, json_path: Path | None,
 ) -> None:
     """Track the particles of SOURCE: a video, a folder of images, or a glob (quoted).
 
     What the particles look like is learned from the first frames; settings.png shows what was
-    chosen. tracks.csv has a row for every particle in every frame in which it was seen.
+    chosen. Where that misses what moves, or where you point at something (--like), the kinds that
+    are followed stand in learned.yaml, for --settings, and learned.png. tracks.csv has a row for
+    every particle in every frame in which it was seen.
 
     \b
     Examples:
@@ -56,6 +64,7 @@ def command(
       microbot track frames/ --out out/tracks --frame-rate-hz 24
       microbot track 'frames/img_*.png' --out out/tracks --settings tracker.yaml
       microbot track recording.mp4 --out out/tracks --commands session/commands.csv
+      microbot track recording.mp4 --out out/tracks --like 0,435,326,helix --unlike 0,923,570
     """
     from rich.console import Console
 
@@ -70,7 +79,11 @@ def command(
     recording = open_source(source, problems.append, frame_rate_hz)
     if recording.frame_rate is None and pixel_size_um is not None:
         problems.append(f'{source}: no frame rate is known (--frame-rate-hz); t_s counts frames')
+    with console.status('looking at the film'):
+        settings, samples = _settings(recording, settings, like, unlike, console)
     with output_folder(out) as folder:
+        if settings.kinds:
+            write_learned(folder, settings, samples[0])
         result = _track(recording, settings, folder, pixel_size_um, commanded, overlay, console,
                         problems)
     if result['frames'] < settings.confirm_frames and result['appearance']:
@@ -88,6 +101,20 @@ def command(
         f'{result["whole_clip"]} of them from start to end')
 
 
+def _settings(
+    recording: Source, settings: TrackerSettings, like: tuple[Point, ...],
+    unlike: tuple[Point, ...], console: Any,
+) -> tuple[TrackerSettings, list[np.ndarray]]:
+    """The settings with what was pointed at or chosen, and frames from all over the film."""
+    named, samples = pictures(recording, (*like, *unlike))
+    if like or unlike:
+        settings, said = pointed(settings, like, unlike, named, samples)
+        for sentence in said:
+            console.print(f'microbot track: {sentence}', markup=False)
+        return settings, samples
+    return chosen(settings, samples, recording.length), samples
+
+
 def _track(
     recording: Source, settings: TrackerSettings, folder: Path, pixel_size_um: float | None,
     commanded: _Commanded | None, overlay: bool, console: Any, problems: list[str],
@@ -97,10 +124,12 @@ def _track(
 
     from microbot_ros.files import write_text
     from microbot_ros.tracking import FrameError, Tracker
+    from microbot_ros.tracking.kinds_detector import stand_in
     from microbot_ros.tracking.overlay import OverlayVideo
 
     with console.status('learning what the particles look like'):
-        appearance = first_appearance(recording, settings)
+        appearance = stand_in(settings.kinds) if settings.kinds else first_appearance(
+            recording, settings)
     tracker = Tracker(settings, appearance)
     rows = _Rows(recording, pixel_size_um, tracker)
     result: dict[str, Any] = {'appearance': []}
@@ -204,6 +233,8 @@ class _Rows:
         self._frames: list[tuple[int, float]] = []
         self._rows: list[tuple[int, int, str]] = []
         self._seen: Counter[int] = Counter()
+        self._kinds: dict[int, int] = {}
+        self._names = [kind.name for kind in tracker.settings.kinds]
         self._camera = None if pixel_size_um is None else ImageToWorkspace(
             to_si('_um', pixel_size_um), width, height)
         self.remarks: dict[str, list[tuple[int, str]]] = {}
@@ -211,6 +242,7 @@ class _Rows:
 
     def add(self, frame: int, poses: Poses) -> None:
         self._frames.append((frame, poses.t))
+        self._kinds.update(zip(poses.id.tolist(), poses.kind.tolist(), strict=True))
         self._write(-1, poses.id[poses.seen], poses.xy[poses.seen])
         names, before = self._tracker.before_named
         for k in range(before.shape[1]):
@@ -228,12 +260,15 @@ class _Rows:
             line = f'{frame},{name},{x:.4f},{y:.4f}'
             if metres is not None:
                 line += f',{t:.6f},{metres[k, 0]:.5f},{metres[k, 1]:.5f}'
+            if self._names:
+                line += f',{self._names[self._kinds[name]]}'
             self._rows.append((frame, name, line))
             self._seen[name] += 1
 
     def text(self) -> str:
         header = 'frame,particle,x_px,y_px'
         header += '' if self._camera is None else ',t_s,x_um,y_um'
+        header += ',kind' if self._names else ''
         return '\n'.join([header, *(line for _, _, line in sorted(self._rows))]) + '\n'
 
     def summary(self) -> dict[str, Any]:

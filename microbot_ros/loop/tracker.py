@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 
 from microbot_ros import units
+from microbot_ros.errors import InputError
 from microbot_ros.estimation.commands import NEGLIGIBLE
 from microbot_ros.files import read_yaml
 from microbot_ros.loop.points import PARTICLE
@@ -19,8 +21,12 @@ from microbot_ros.tracking import (
     Poses,
     Tracker,
     TrackerSettings,
+    teach,
     warm_up,
 )
+
+_HELD, _HELD_EVERY = 40, 0.1
+"""Frames that can be pointed into, and the least time [s] between them."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +64,7 @@ class TrackerStage:
         self._camera: ImageToWorkspace | None = None
         self._drive = Drive()
         self._previous = 0.0
+        self._held: deque[tuple[float, np.ndarray]] = deque(maxlen=_HELD)
         self.poses: Poses | None = None
         """What was seen in the last frame, in its pixels."""
         self.frames = self.refused = 0
@@ -102,7 +109,66 @@ class TrackerStage:
             self.longest_gap = max(self.longest_gap, t - self._previous)
         self._previous = t
         self.frames += 1
+        self._hold(image, t)
         return _particles(self.poses, self._camera)
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Names of the kinds that it was taught."""
+        return tuple(kind.name for kind in self._tracker.settings.kinds)
+
+    def teach(self, words: str) -> str:
+        """Learn by `words`: what was learned, in a sentence.
+
+        `like X,Y[,KIND][@STAMP_NS]`, `unlike X,Y[,KIND][@STAMP_NS]`, `forget [KIND]`; X, Y in
+        pixels of the frame with that stamp, or of the newest. Raises InputError where that can't
+        be done; nothing has changed then.
+        """
+        verb, _, rest = words.strip().partition(' ')
+        settings = self._tracker.settings
+        if verb == 'forget':
+            settings, said = teach.forget(settings, rest.strip() or None)
+        elif verb in ('like', 'unlike'):
+            x, y, name, stamp = _pointed(rest)
+            learn = teach.like if verb == 'like' else teach.unlike
+            settings, said = learn(settings, self._frame_at(stamp), x, y, name)
+        else:
+            raise InputError('teach', f'expected like, unlike or forget, got {verb!r}')
+        self._tracker.teach(settings)
+        return said
+
+    def with_kinds(self, particles: np.ndarray) -> np.ndarray:
+        """The `particles` (N,) of the last frame with a field `kind`, where kinds were taught.
+
+        It is the number of the name in `kinds`.
+        """
+        if not self.kinds or self.poses is None:
+            return particles
+        wide = np.empty(len(particles), [*PARTICLE.descr, ('kind', '<f4')])
+        for name in PARTICLE.names or ():
+            wide[name] = particles[name]
+        wide['kind'] = self.poses.kind
+        return wide
+
+    def _hold(self, image: np.ndarray, t: float) -> None:
+        """Keep a frame now and then: people point at what they saw a moment ago."""
+        if self._held and 0 <= t - self._held[-1][0] < _HELD_EVERY:
+            self._newest = t, image
+            return
+        self._newest = t, image
+        self._held.append((t, image.copy()))
+
+    def _frame_at(self, stamp: float | None) -> np.ndarray:
+        """The frame of a `stamp` [s], or the nearest that is held; None: the newest."""
+        if not self._held:
+            raise InputError('teach', 'expected a frame to point into: none has come yet')
+        if stamp is None or stamp == self._newest[0]:
+            return self._newest[1]
+        t, image = min(self._held, key=lambda held: abs(held[0] - stamp))
+        if abs(t - stamp) > _HELD_EVERY:
+            raise InputError('teach', 'expected a frame of the last few seconds: that one is no '
+                                      'longer held')
+        return image
 
     def _calibration(self, image: np.ndarray) -> ImageToWorkspace:
         values = self._parameters
@@ -122,3 +188,17 @@ def _particles(poses: Poses, camera: ImageToWorkspace) -> np.ndarray:
     points = rows.view(PARTICLE)[:, 0]
     points['id'] = poses.id
     return points
+
+
+def _pointed(text: str) -> tuple[float, float, str | None, float | None]:
+    """X, Y [px], kind and stamp [s] of `X,Y[,KIND][@STAMP_NS]`."""
+    place, at, stamp = text.strip().partition('@')
+    parts = [part.strip() for part in place.split(',')]
+    try:
+        x, y = float(parts[0]), float(parts[1])
+        seconds = int(stamp) / 1e9 if at else None
+    except (ValueError, IndexError):
+        raise InputError('teach', f'expected X,Y[,KIND][@STAMP_NS], got {text!r}') from None
+    if len(parts) > 3 or not math.isfinite(x + y):
+        raise InputError('teach', f'expected X,Y[,KIND][@STAMP_NS], got {text!r}')
+    return x, y, parts[2] if len(parts) == 3 else None, seconds

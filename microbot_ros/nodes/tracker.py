@@ -8,10 +8,12 @@ from typing import ClassVar
 
 import numpy as np
 from builtin_interfaces.msg import Time
+from diagnostic_msgs.srv import AddDiagnostics
 from geometry_msgs.msg import PoseArray, Vector3Stamped
 from sensor_msgs.msg import Image, MagneticField, PointCloud2
 
 from microbot_ros import units
+from microbot_ros.errors import InputError
 from microbot_ros.loop.tracker import TrackerParameters, TrackerStage
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.frames import publish_camera_transform
@@ -59,6 +61,7 @@ class TrackerNode(RigNode):
         self._listen(self.settings.field_source)
         publish_camera_transform(
             self, units.to_si('rotation_deg', self.settings.rotation_deg), self.settings.mirrored)
+        self.service(AddDiagnostics, '~/teach', self._on_teach)
         self.subscribe(Image, 'camera/image_raw', self._on_image, IMAGES_IN)
 
     def _listen(self, source: str) -> None:
@@ -96,6 +99,15 @@ class TrackerNode(RigNode):
         self._came = time.monotonic()
         self._publish(image, particles, stamp)
 
+    def _on_teach(self, request: AddDiagnostics.Request,
+                  answer: AddDiagnostics.Response) -> AddDiagnostics.Response:
+        try:
+            answer.message = self.stage.teach(request.load_namespace)
+            answer.success = True
+        except InputError as error:
+            answer.message, answer.success = str(error), False
+        return answer
+
     def _on_applied(self, message: MagneticField) -> None:
         self.stage.field(*messages.field_at(message))
 
@@ -106,7 +118,7 @@ class TrackerNode(RigNode):
         self.stage.rotation(*messages.vector_at(message))
 
     def _publish(self, image: np.ndarray, particles: np.ndarray, stamp: Time) -> None:
-        self._particles.publish(messages.cloud(particles, stamp))
+        self._particles.publish(messages.cloud(self.stage.with_kinds(particles), stamp))
         t = messages.to_seconds(stamp)
         if self._is_due('poses', self.settings.poses_rate_hz, t):
             places = np.stack([particles['x'], particles['y']], axis=1)

@@ -23,7 +23,8 @@ frequency are known."""
 
 # `sigma_um` and `field_mT` keep what a recording knows; the columns of images are for people.
 TRACKS = Layout(
-    ('t_s', 'particle', 'x_um', 'y_um'), ('theta_rad', 'sigma_um'), ('frame', 'x_px', 'y_px'),
+    ('t_s', 'particle', 'x_um', 'y_um'), ('theta_rad', 'sigma_um'),
+    ('frame', 'x_px', 'y_px', 'kind'),
 )
 UNIFORM = Layout(('t_s', 'bx_mT', 'by_mT'))
 ROLLING = Layout(('t_s', 'direction_rad', 'frequency_hz'), ('field_mT',))

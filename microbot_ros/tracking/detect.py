@@ -56,7 +56,8 @@ class Detections:
 
     `xy` (N, 2) [px]; `sigma` its standard deviation per coordinate [px]; `theta` cap direction
     [rad, image sense], NaN where it does not show; `contrast` [grey]; `radius` [px] at half
-    contrast; `quality` share of the particle's picture that the fit explains, noise allowed for.
+    contrast; `quality` share of the particle's picture that the fit explains, noise allowed for;
+    `kind` number of its kind, 0 where there is only one.
     """
 
     xy: np.ndarray
@@ -65,6 +66,7 @@ class Detections:
     contrast: np.ndarray
     radius: np.ndarray
     quality: np.ndarray
+    kind: np.ndarray
 
     def __len__(self) -> int:
         return len(self.xy)
@@ -175,14 +177,16 @@ class RoundDetector:
     def _detections(
         self, rows: np.ndarray, errors: np.ndarray, quality: np.ndarray
     ) -> Detections:
-        return Detections(*_described(
+        described = _described(
             rows, errors, quality, self._filter.noise, self.appearance.capped,
-            self.appearance.diameter_px / 2))
+            self.appearance.diameter_px / 2)
+        parts = *described, np.zeros(len(rows), int)
+        return Detections(*parts)
 
 
 @numba.njit(cache=True, error_model='numpy')
 def _described(rows, errors, quality, noise, capped, radius):  # type: ignore[no-untyped-def]
-    """The fields of `Detections`."""
+    """The fields of `Detections` but the kind."""
     theta = np.full(len(rows), np.nan)
     for n in range(len(rows)):
         if capped and errors[n, THETA] < _THETA_KNOWN:

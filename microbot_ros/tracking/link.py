@@ -34,6 +34,9 @@ _BIRTHS = (0.5, 0.02)
 _LOOKS_SPREAD = 0.25
 """Standard deviation of ln(contrast) and ln(radius) of one particle from frame to frame."""
 
+_OTHER_KIND = 0.9
+"""What another kind counts among the looks: e⁻⁶, so that one mistaken for another is kept."""
+
 _OVERLAP = 1.0
 """Diameters: particles nearer than this overlap in the picture."""
 
@@ -61,13 +64,9 @@ class Linker:
     def __init__(
         self, settings: TrackerSettings, appearance: Appearance, size: tuple[int, int]
     ) -> None:
-        diameter_px = self._diameter = appearance.diameter_px
-        self._settings = settings
-        # Round particles that touch are told apart by the fit; outlines run into one.
-        self._merging = not appearance.round
         self._size = size
-        self._motion = Motion(diameter_px)
-        self.max_step_px = settings.max_step_px or diameter_px
+        self._motion = Motion(appearance.diameter_px)
+        self.look_for(settings, appearance)
         self._birth_rate = _BIRTHS[0]
         self._next_id = 0
         self._interval: float | None = None
@@ -77,9 +76,18 @@ class Linker:
         self._early_frames = settings.confirm_frames - 1
         nothing = np.empty(0)
         self.states = initiate_tracks(
-            np.empty((0, 2)), nothing, nothing, nothing, nothing, 0.0, 0.0, self._early_frames)
+            np.empty((0, 2)), nothing, nothing, nothing, nothing, np.empty(0, int), 0.0, 0.0,
+            self._early_frames)
         self.named = self.states
         """The particles that were given their identities in the last frame."""
+
+    def look_for(self, settings: TrackerSettings, appearance: Appearance) -> None:
+        """Go on by other `settings`, with particles of another `appearance`."""
+        self._diameter = appearance.diameter_px
+        self._settings = settings
+        # Round particles that touch are told apart by the fit; outlines run into one.
+        self._merging = not appearance.round
+        self.max_step_px = settings.max_step_px or appearance.diameter_px
 
     @property
     def jump(self) -> float:
@@ -183,7 +191,7 @@ class Linker:
         named = self.states.xy[self.states.id != UNNAMED]
         sigma, noise = _overlapping(found.xy, found.sigma, named, self._diameter)
         found = Detections(found.xy, sigma, found.theta, found.contrast, found.radius,
-                           found.quality)
+                           found.quality, found.kind)
         return found, noise
 
     def _associate(
@@ -193,8 +201,9 @@ class Linker:
         variance, reach = _search(states.covariance, states.missed, states.host, self.max_step_px)
         rate = _MISS_RATE * self._birth_rate / (self._size[0] * self._size[1])
         return assign(
-            states.xy + offset, variance, reach, _looks(states.contrast, states.radius),
-            found.xy, noise, _looks(found.contrast, found.radius), _LOOKS_SPREAD, rate)
+            states.xy + offset, variance, reach,
+            _looks(states.contrast, states.radius, states.kind),
+            found.xy, noise, _looks(found.contrast, found.radius, found.kind), _LOOKS_SPREAD, rate)
 
     def _merge(
         self, track: np.ndarray, found: Detections, detection: np.ndarray
@@ -256,7 +265,7 @@ class Linker:
     def _initiate_tracks(self, found: Detections) -> TrackStates:
         speed = max(self._motion.velocity_step, (self.max_step_px / 4) ** 2)
         return initiate_tracks(
-            found.xy, found.sigma, found.theta, found.contrast, found.radius,
+            found.xy, found.sigma, found.theta, found.contrast, found.radius, found.kind,
             speed / (self._interval or 1.0) ** 2, self._phasor_variance, self._early_frames)
 
 
@@ -267,10 +276,11 @@ def _goes_on(before: np.ndarray, now: np.ndarray) -> bool:
 
 
 @numba.njit(cache=True)
-def _looks(contrast, radius):  # type: ignore[no-untyped-def]
-    """Traits (N, 2) that tell particles apart: logarithms of contrast and radius."""
-    looks = np.empty((len(contrast), 2))
+def _looks(contrast, radius, kind):  # type: ignore[no-untyped-def]
+    """Traits (N, 3) that tell particles apart: logarithms of contrast and radius, and the kind."""
+    looks = np.empty((len(contrast), 3))
     looks[:, 0], looks[:, 1] = np.log(contrast), np.log(radius)
+    looks[:, 2] = _OTHER_KIND * kind
     return looks
 
 

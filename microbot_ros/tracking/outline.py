@@ -128,6 +128,7 @@ class OutlineDetector:
             contrast=sums[:, _PEAK],
             radius=_diameter(sums) * self._shrink / 2,
             quality=_sharpness(sums),
+            kind=np.zeros(len(sums), int),
         )
 
     def irregularity(self, image: np.ndarray) -> float:

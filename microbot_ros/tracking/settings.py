@@ -7,6 +7,8 @@ from typing import Literal
 from pydantic import Field
 
 from microbot_ros.files import Settings
+from microbot_ros.tracking.kinds import Kind
+from microbot_ros.tracking.standing import Place
 
 
 class TrackerSettings(Settings):
@@ -36,3 +38,7 @@ class TrackerSettings(Settings):
         20, ge=0, le=1000, description='frames that an unseen particle is carried on')
     learning_frames: int = Field(
         10, ge=1, le=200, description='frames from which appearance is learned')
+    kinds: tuple[Kind, ...] = Field(
+        (), description='kinds that were pointed at: these are followed, and nothing else')
+    standing: tuple[Place, ...] = Field(
+        (), description='places at which nothing of these kinds is a particle')

@@ -35,7 +35,8 @@ class TrackStates:
     last measurement, with its `sigma`, `theta`, `contrast` and `radius`; `step` (N, 2) the
     displacement to it that neither drive nor jump explains, NaN after a gap; `hits` the frames
     seen, `missed` the frames since; `host` the identity of the particle that it has merged with,
-    −1 where it is on its own; `early` (N, K, 2) the first K measurements.
+    −1 where it is on its own; `early` (N, K, 2) the first K measurements; `kind` the number of its
+    kind when it was first seen.
     """
 
     id: np.ndarray
@@ -51,6 +52,7 @@ class TrackStates:
     missed: np.ndarray
     host: np.ndarray
     early: np.ndarray
+    kind: np.ndarray
 
     def __len__(self) -> int:
         return len(self.id)
@@ -147,11 +149,13 @@ def _correct(motion, covariance, rows, found, noise):  # type: ignore[no-untyped
 
 def initiate_tracks(
     xy: np.ndarray, sigma: np.ndarray, theta: np.ndarray, contrast: np.ndarray,
-    radius: np.ndarray, velocity_variance: float, phasor_variance: float, early_frames: int,
+    radius: np.ndarray, kind: np.ndarray, velocity_variance: float, phasor_variance: float,
+    early_frames: int,
 ) -> TrackStates:
     """States of particles seen for the first time.
 
-    `xy` (N, 2), `sigma`, `theta`, `contrast`, `radius` (N,) as measured; `velocity_variance`
+    `xy` (N, 2), `sigma`, `theta`, `contrast`, `radius` (N,) as measured,
+    and `kind`; `velocity_variance`
     [px²/s²] and `phasor_variance` of what is not known yet; `early_frames` measurements will be
     kept.
     """
@@ -168,7 +172,7 @@ def initiate_tracks(
         id=np.full(count, UNNAMED), motion=motion, covariance=covariance, measured=xy.copy(),
         step=np.full((count, 2), np.nan), sigma=sigma.copy(), theta=theta.copy(),
         contrast=contrast.copy(), radius=radius.copy(), hits=np.ones(count, int),
-        missed=np.zeros(count, int), host=np.full(count, -1), early=early)
+        missed=np.zeros(count, int), host=np.full(count, -1), early=early, kind=kind.copy())
 
 
 def phasor(xy: np.ndarray) -> np.ndarray:

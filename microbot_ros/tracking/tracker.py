@@ -13,6 +13,7 @@ from microbot_ros.errors import InputError
 from microbot_ros.tracking.appearance import Appearance
 from microbot_ros.tracking.detect import RoundDetector
 from microbot_ros.tracking.frame_quality import FrameQuality
+from microbot_ros.tracking.kinds_detector import KindsDetector, stand_in
 from microbot_ros.tracking.learn import learning
 from microbot_ros.tracking.link import Linker
 from microbot_ros.tracking.outline import OutlineDetector
@@ -39,8 +40,8 @@ class Poses:
     of the first pixel at (0, 0); `theta_rad` direction of the cap from the image's x towards its
     y (clockwise on the screen), NaN where it is not known; `vx_px_s`, `vy_px_s` velocity;
     `sigma_px` standard deviation of each coordinate, growing while unseen; `seen` False while a
-    particle is carried on by prediction. A seen position is the measurement itself, not a
-    smoothed one.
+    particle is carried on by prediction; `kind` its place among the kinds that were pointed at, 0
+    where there are none. A seen position is the measurement itself, not a smoothed one.
     """
 
     t: float
@@ -52,6 +53,7 @@ class Poses:
     vy_px_s: np.ndarray
     sigma_px: np.ndarray
     seen: np.ndarray
+    kind: np.ndarray
 
     def __len__(self) -> int:
         return len(self.id)
@@ -88,7 +90,7 @@ class Tracker:
 
         cv2.setNumThreads(1)
         self.settings = settings
-        self.appearance = appearance
+        self.appearance = stand_in(settings.kinds) if settings.kinds else appearance
         self.size: tuple[int, int] | None = None
         self._dtype: np.dtype | None = None
         self._follower: _Follower | None = None
@@ -116,6 +118,17 @@ class Tracker:
             return np.empty(0, int), np.empty((0, self.settings.confirm_frames - 1, 2))
         named = self._follower.linker.named
         return named.id, named.early
+
+    def teach(self, settings: TrackerSettings) -> None:
+        """Go on by other `settings`: those followed keep their identities where they are found."""
+        self.settings = settings
+        self._learning, self._first_frames = None, []
+        self.appearance = stand_in(settings.kinds) if settings.kinds else None
+        if self._follower is not None:
+            if self.appearance is None:
+                self._follower = None
+            else:
+                self._follower.look_for(settings, self.appearance)
 
     def update(
         self, image: np.ndarray, t: float, drive: np.ndarray | None = None
@@ -196,9 +209,17 @@ class _Follower:
 
     def __init__(self, settings: TrackerSettings, appearance: Appearance, size: tuple[int, int],
                  full_search_interval: float) -> None:
-        self.detector = make_detector(appearance, settings)
         self.linker = Linker(settings, appearance, size)
-        self._search_windows = SearchWindows(full_search_interval, self.linker.max_step_px,
+        self._interval = full_search_interval
+        self.look_for(settings, appearance)
+
+    def look_for(self, settings: TrackerSettings, appearance: Appearance) -> None:
+        """Find what these `settings` say and is of this `appearance`; go on with who is known."""
+        self.detector = make_detector(appearance, settings)
+        self.linker.look_for(settings, appearance)
+        # Kinds are looked for everywhere: in windows there would be no light to compare with.
+        interval = 0.0 if settings.kinds else self._interval
+        self._search_windows = SearchWindows(interval, self.linker.max_step_px,
                                 self.detector.margin_px, self.detector.grain_px)
 
     def follow(self, image: np.ndarray, t: float, dt: float | None, pushed: complex) -> None:
@@ -218,8 +239,10 @@ class _Follower:
 
 def make_detector(
     appearance: Appearance, settings: TrackerSettings
-) -> RoundDetector | OutlineDetector:
-    """The detector that suits the appearance."""
+) -> RoundDetector | OutlineDetector | KindsDetector:
+    """The detector that suits the `appearance`, or the kinds that the `settings` hold."""
+    if settings.kinds:
+        return KindsDetector(settings.kinds, settings.standing)
     kind = RoundDetector if appearance.round else OutlineDetector
     return kind(appearance, settings)
 
@@ -228,14 +251,15 @@ def _poses(t: float, states: TrackStates | None, drive_rate: complex) -> Poses:
     if states is None:
         none = np.empty(0)
         return Poses(
-            t, np.empty(0, int), none, none, none, none, none, none, np.empty(0, bool))
+            t, np.empty(0, int), none, none, none, none, none, none, np.empty(0, bool),
+            np.empty(0, int))
     return Poses(t, *_told(
         states.id, states.missed, states.measured, states.motion, states.covariance, states.sigma,
-        states.theta, drive_rate))
+        states.theta, states.kind, drive_rate))
 
 
 @numba.njit(cache=True)
-def _told(ids, missed, measured, motion, covariance, sigma, theta, drive_rate):  # type: ignore[no-untyped-def]
+def _told(ids, missed, measured, motion, covariance, sigma, theta, kind, drive_rate):  # type: ignore[no-untyped-def]
     """The fields of `Poses` after the time, of the particles that have an identity."""
     rows = np.flatnonzero(ids >= 0)
     x, y, spread = np.empty(len(rows)), np.empty(len(rows)), np.empty(len(rows))
@@ -247,4 +271,4 @@ def _told(ids, missed, measured, motion, covariance, sigma, theta, drive_rate): 
             spread[k] = math.sqrt(covariance[n, PLACE, PLACE].real)
         velocity = motion[n, VELOCITY] + drive_rate * motion[n, VELOCITY_PHASOR]
         vx[k], vy[k] = velocity.real, velocity.imag
-    return ids[rows], x, y, theta[rows], vx, vy, spread, seen
+    return ids[rows], x, y, theta[rows], vx, vy, spread, seen, kind[rows]

@@ -33,7 +33,8 @@ def _seen(places: np.ndarray, rng: np.random.Generator) -> Detections:
     one = np.ones(len(places))
     return Detections(
         xy=places[order] + rng.normal(0, 0.1, places.shape), sigma=0.1 * one,
-        theta=np.nan * one, contrast=60 * one, radius=5 * one, quality=one)
+        theta=np.nan * one, contrast=60 * one, radius=5 * one, quality=one,
+        kind=np.zeros(len(places), int))
 
 
 def _names(linker: Linker, places: np.ndarray) -> np.ndarray:

@@ -96,7 +96,8 @@ def test_the_whole_picture_is_searched_at_once_when_it_jumps() -> None:
 def _states(count: int, **changes: np.ndarray) -> TrackStates:
     one = np.ones(count)
     states = initiate_tracks(
-        np.linspace([100, 100], [300, 200], count), 0.1 * one, one, one, 5 * one, 1.0, 0.0, 2)
+        np.linspace([100, 100], [300, 200], count), 0.1 * one, one, one, 5 * one,
+        np.zeros(count, int), 1.0, 0.0, 2)
     states.id = np.arange(count)
     for name, value in changes.items():
         setattr(states, name, value)

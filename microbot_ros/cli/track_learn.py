@@ -1,0 +1,146 @@
+"""What `microbot track` follows: what was pointed at, or what it chooses from all of the film."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import numpy as np
+
+from microbot_ros.errors import InputError
+
+if TYPE_CHECKING:
+    from microbot_ros.cameras.source import Source
+    from microbot_ros.tracking import TrackerSettings
+
+_SAMPLES = 12
+"""Frames from all over a film by which it is seen what moves and what stands still."""
+
+_LEAST_FRAMES = 24
+"""Frames of a film from which on it is looked at for what moves."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """Where somebody pointed: `frame`, `x`, `y` [px], and the `kind`, None if not said."""
+
+    frame: int
+    x: float
+    y: float
+    kind: str | None = None
+
+
+class PointType(click.ParamType):
+    """FRAME,X,Y or, where `named`, FRAME,X,Y,KIND."""
+
+    def __init__(self, named: bool) -> None:
+        self.name = 'FRAME,X,Y[,KIND]' if named else 'FRAME,X,Y'
+        self._most = 4 if named else 3
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Point:
+        """The point that a `value` says; `param` and `ctx` are as click gives them."""
+        parts = str(value).split(',')
+        try:
+            frame, x, y = int(parts[0]), float(parts[1]), float(parts[2])
+            good = 3 <= len(parts) <= self._most and frame >= 0 and math.isfinite(x + y)
+        except (ValueError, IndexError):
+            good = False
+        if not good or (len(parts) == 4 and not parts[3]):
+            self.fail(f'expected {self.name}, numbers from 0, got {value!r}')
+        return Point(frame, x, y, parts[3] if len(parts) == 4 else None)
+
+
+def pictures(recording: Source, points: Sequence[Point]) -> tuple[dict[int, np.ndarray],
+                                                                  list[np.ndarray]]:
+    """The frames that were pointed into, by number, and some from all over the `recording`.
+
+    Raises InputError for a frame that it doesn't have.
+    """
+    step = max(1, (recording.length or 10 * _SAMPLES) // _SAMPLES)
+    wanted = {point.frame for point in points}
+    named: dict[int, np.ndarray] = {}
+    samples: list[np.ndarray] = []
+    last = -1
+    for frame in recording.frames():
+        last = frame.index
+        if frame.index in wanted:
+            named[frame.index] = frame.image
+        if frame.index % step == 0:
+            samples.append(frame.image)
+        if len(samples) > 2 * _SAMPLES:  # longer than it said: every second is enough
+            samples, step = samples[::2], 2 * step
+    if missing := sorted(wanted - set(named)):
+        raise InputError(f'frame {missing[0]}', f'expected one of the frames 0 to {last} of '
+                                                f'{recording.name}')
+    return named, samples
+
+
+def pointed(
+    settings: TrackerSettings, like: Sequence[Point], unlike: Sequence[Point],
+    named: dict[int, np.ndarray], samples: list[np.ndarray],
+) -> tuple[TrackerSettings, list[str]]:
+    """The `settings` after all examples, and a sentence about each.
+
+    `named` holds the frames that were pointed into, `samples` frames from all over the film.
+    """
+    from microbot_ros.tracking import teach
+    from microbot_ros.tracking.unprompted import without_standing
+
+    said = []
+    for point in like:
+        settings, sentence = teach.like(
+            settings, named[point.frame], point.x, point.y, point.kind)
+        said.append(sentence)
+    for point in unlike:
+        settings, sentence = teach.unlike(settings, named[point.frame], point.x, point.y)
+        said.append(sentence)
+    if len(samples) >= 3:
+        meant = np.array([(point.x, point.y) for point in like]).reshape(-1, 2)
+        settings = without_standing(settings, samples, meant)
+    return settings, said
+
+
+def chosen(settings: TrackerSettings, samples: list[np.ndarray],
+           recording_length: int | None) -> TrackerSettings:
+    """The `settings`, with a kind for what moves where the usual way would miss much of it.
+
+    `samples` are frames from all over the film, whose length in frames is `recording_length`.
+    """
+    from microbot_ros.tracking import learn
+    from microbot_ros.tracking.tracker import make_detector
+    from microbot_ros.tracking.unprompted import choose, needed
+
+    told = (settings.contrast, settings.shape, settings.diameter_px) != (None, None, None)
+    if told or settings.kinds or (recording_length or 0) < _LEAST_FRAMES or len(samples) < 3:
+        return settings
+    found = choose(samples, settings)
+    if found is None:
+        return settings
+    appearance = learn(samples, settings)
+    usual = None
+    if appearance is not None:
+        detector = make_detector(appearance, settings)
+
+        def usual(image: np.ndarray) -> np.ndarray:
+            return np.asarray(detector.detect(image, np.empty((0, 2))).xy)
+    return found if needed(samples, found, usual) else settings
+
+
+def write_learned(folder: Path, settings: TrackerSettings, image: np.ndarray) -> None:
+    """`learned.yaml`, which `--settings` takes, and `learned.png`: what is looked for in `image`,
+    and what is left out.
+    """
+    import yaml
+
+    from microbot_ros.files import write_text
+    from microbot_ros.tracking.kinds_figure import write_kinds_figure
+
+    content = settings.model_dump(mode='json', exclude_defaults=True)
+    write_text(folder / 'learned.yaml',
+               yaml.safe_dump(content, sort_keys=False, allow_unicode=True,
+                              default_flow_style=None))
+    write_kinds_figure(folder / 'learned.png', image, settings)
