@@ -84,7 +84,8 @@ def contrast(image: np.ndarray, shrink: int, widest_px: float, dark: bool) -> np
     across = max(3, min(across, 2 * (min(cells.shape) // 2) - 1))
     light: np.ndarray = cv2.medianBlur(((cells - low) * scale).astype(np.uint8), across)
     smooth = cv2.blur(light.astype(np.float32), (max(3, across // 4 * 2 + 1),) * 2)
-    light = cv2.resize(np.asarray(smooth / scale + low, np.float32), small.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    smooth = np.asarray(smooth / scale + low, np.float32)
+    light = cv2.resize(smooth, small.shape[::-1], interpolation=cv2.INTER_LINEAR)
     first, second = (light, small) if dark else (small, light)
     return cv2.GaussianBlur(first - second, (0, 0), _SMOOTH)
 
