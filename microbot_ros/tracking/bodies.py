@@ -8,6 +8,7 @@ half is a part of that one's body, or of nothing.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numba
 import numpy as np
@@ -82,11 +83,12 @@ def contrast(image: np.ndarray, shrink: int, widest_px: float, dark: bool) -> np
     scale = 255.0 / (high - low)
     across = int(widest_px * _LIGHT / shrink / coarse) // 2 * 2 + 1
     across = max(3, min(across, 2 * (min(cells.shape) // 2) - 1))
-    light: np.ndarray = cv2.medianBlur(((cells - low) * scale).astype(np.uint8), across)
+    light: Any = cv2.medianBlur(((cells - low) * scale).astype(np.uint8), across)
     light = cv2.blur(light.astype(np.float32), (max(3, across // 4 * 2 + 1),) * 2) / scale + low
     light = cv2.resize(light, small.shape[::-1], interpolation=cv2.INTER_LINEAR)
     first, second = (light, small) if dark else (small, light)
-    return cv2.GaussianBlur(first - second, (0, 0), _SMOOTH)
+    raised: np.ndarray = cv2.GaussianBlur(first - second, (0, 0), _SMOOTH)
+    return raised
 
 
 def find_bodies(
