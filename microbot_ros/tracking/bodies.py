@@ -8,6 +8,7 @@ half is a part of that one's body, or of nothing.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numba
 import numpy as np
@@ -87,7 +88,8 @@ def contrast(image: np.ndarray, shrink: int, widest_px: float, dark: bool) -> np
     smooth = np.asarray(smooth / scale + low, np.float32)
     light = cv2.resize(smooth, small.shape[::-1], interpolation=cv2.INTER_LINEAR)
     first, second = (light, small) if dark else (small, light)
-    return cv2.GaussianBlur(first - second, (0, 0), _SMOOTH)
+    raised: np.ndarray = cv2.GaussianBlur(first - second, (0, 0), _SMOOTH)
+    return raised
 
 
 def find_bodies(
