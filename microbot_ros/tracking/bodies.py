@@ -8,7 +8,6 @@ half is a part of that one's body, or of nothing.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any
 
 import numba
 import numpy as np
