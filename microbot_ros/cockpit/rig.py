@@ -34,7 +34,9 @@ class Rig(Protocol):
         """Whether anybody looks: listen to what is heard often, if it is `wanted`."""
 
     def camera(self) -> dict[str, Any] | None:
-        """`width_px`, `height_px`, `pixel_size_um` of the full picture, once they are known."""
+        """Width, height and pixel size of the full picture, and how it lies, once they are known:
+        `width_px`, `height_px`, `pixel_size_um`, and rows `to_um` from pixels to µm.
+        """
 
     def state(self) -> dict[str, Any]:
         """The parts of the page's state that the rig knows; finite numbers, None for unknown. And

@@ -243,12 +243,14 @@ class RigView:
         return self._camera is not None or self._size is None
 
     def camera(self) -> dict[str, Any] | None:
-        """Size of the full picture and of a pixel; None until both are known."""
+        """Size of the full picture and of a pixel, and how it lies: the rows a, b, c of `to_um`
+        give a x + b y + c [µm] of the pixel x, y. None until all are known.
+        """
         known = self._camera
         if known is None:
             return None
         return {'width_px': known.width, 'height_px': known.height,
-                'pixel_size_um': round(known.pixel_size * 1e6, 9)}
+                'pixel_size_um': round(known.pixel_size * 1e6, 9), 'to_um': _to_um(known)}
 
     def progress(self, what: str) -> str:
         """What the controller said last under the name `what`; '' where it is silent."""
@@ -400,6 +402,12 @@ def _by_stamp(told: deque[tuple[float, list[Any]]], stamp: str) -> list[Any]:
 
 def _millitesla(vector: Any) -> list[float | None] | None:
     return None if vector is None else [_finite(1e3 * vector.x), _finite(1e3 * vector.y)]
+
+
+def _to_um(camera: ImageToWorkspace) -> list[list[float]]:
+    """The affine map of pixels to µm (2, 3)."""
+    origin, right, down = 1e6 * camera.position(np.array([[0, 0], [1, 0], [0, 1]]))
+    return np.column_stack([right - origin, down - origin, origin]).round(9).tolist()
 
 
 def _finite(value: Any) -> float | None:

@@ -89,7 +89,8 @@ def steering(page: Any, virtual: VirtualRig, x: float, y: float, seconds: float 
 
 def test_particles_lie_where_the_tracker_has_them(page: Any) -> None:
     camera = [one for one in page.told if one['kind'] == 'hello'][-1]['camera']
-    assert camera == {'width_px': 640, 'height_px': 480, 'pixel_size_um': 0.45}
+    assert camera == {'width_px': 640, 'height_px': 480, 'pixel_size_um': 0.45, 'to_um': [
+        [0.45, 0.0, -143.775], [0.0, -0.45, 107.775]]}
     seen = page.until(lambda message: message['kind'] == 'particles' and message['particles'])
     assert int(seen['stamp']) in page.pictures
     for one in seen['particles']:
