@@ -130,7 +130,7 @@ class ForeignWorld(World):
         on = rows >= 0
         field[on] = history.field[rows[on], which[on]]
         if history.frequency is not None:
-            turns = history.frequency.reshape(len(history.t), -1)
+            turns = history.turns
             frequency[on] = turns[rows[on], np.minimum(which[on], turns.shape[1] - 1)]
         changed = history.t[last_change(history.field, history.frequency)]
         since = np.where(on, t - self.bodies['delay'] - changed[rows], 0.0)

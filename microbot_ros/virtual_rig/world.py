@@ -31,6 +31,13 @@ class FieldHistory:
     field: np.ndarray
     frequency: np.ndarray | None = None
 
+    @property
+    def turns(self) -> np.ndarray:
+        """The frequency (K, 1), or (K, N) where each has its own [Hz]; 0 where nothing turns."""
+        if self.frequency is None:
+            return np.zeros((len(self.t), 1))
+        return self.frequency if self.frequency.ndim == 2 else self.frequency[:, None]
+
     @classmethod
     def uniform(cls, commands: Commands) -> FieldHistory:
         """The same field everywhere."""
@@ -83,13 +90,11 @@ class World:
         if until <= self.t:
             return self.position
         middle, length = step_grid(self.t, until)
-        rows = len(history.t)
-        frequency = np.zeros((rows, 1)) if history.frequency is None else history.frequency
         mean = np.zeros((len(self.bodies), 2))
         advance(
             self.bodies, middle, length, np.asarray(history.t, dtype=float),
             np.ascontiguousarray(history.field, dtype=float),
-            np.ascontiguousarray(frequency, dtype=float).reshape(rows, -1), coil_gradients(),
+            np.ascontiguousarray(history.turns, dtype=float), coil_gradients(),
             self._half_extent, self._walls, self._rng, mean, self.touched,
         )
         self.t = until

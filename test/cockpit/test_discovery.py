@@ -7,7 +7,8 @@ import json
 import stat
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,12 @@ def stand_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str],
     return put
 
 
+def apart(work: Coroutine[Any, Any, Any]) -> Any:
+    """What comes of it in a thread of its own: a browser's driver leaves a loop in this one."""
+    with ThreadPoolExecutor(1) as thread:
+        return thread.submit(asyncio.run, work).result()
+
+
 async def ended(discovery: Discovery) -> dict[str, Any]:
     """Its state once it has ended."""
     async with asyncio.timeout(20.0):
@@ -63,7 +70,7 @@ def test_its_end_is_what_result_json_says(stand_in: Any, tmp_path: Path) -> None
             await discovery.start(6.0)
         assert discovery.running
         return await ended(discovery)
-    state = asyncio.run(run())
+    state = apart(run())
     assert state == {
         'running': False, 'sentence': state['sentence'], 'verdict': 'named', 'decided': 'settled',
         'effect': 'alignment_lag', 'gap_um': 0.11, 'odds': {'alignment_lag': 0.92},
@@ -79,7 +86,7 @@ def test_a_refusal_is_shown_in_its_own_words(stand_in: Any, tmp_path: Path) -> N
         discovery = Discovery('/', tmp_path)
         await discovery.start(1.0)
         return await ended(discovery)
-    state = asyncio.run(run())
+    state = apart(run())
     assert state['sentence'] == 'ended with status 1: microbot: coil_driver: the gate is disarmed'
     assert state['verdict'] is None
 
@@ -113,7 +120,7 @@ while True:
             await asyncio.sleep(0.01)
         await discovery.end()
         return int(told)
-    child = asyncio.run(run())
+    child = apart(run())
     deadline = time.monotonic() + 10.0
     while psutil.pid_exists(child) and psutil.Process(child).status() != psutil.STATUS_ZOMBIE:
         assert time.monotonic() < deadline

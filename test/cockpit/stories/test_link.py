@@ -136,7 +136,8 @@ def test_a_refused_value_gives_way_to_the_one_in_force(page, rig) -> None:
 def test_heartbeats_come_while_the_page_is_looked_at(open_page) -> None:
     page = open_page()
     sent = []
-    page.on('websocket', lambda socket: socket.on('framesent', sent.append))
+    page.on('websocket', lambda socket: socket.on(
+        'framesent', lambda text: sent.append(text)))
     page.reload()
     page.wait_for_selector(_LINKED)
     page.wait_for_timeout(3200)
