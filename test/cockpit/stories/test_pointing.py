@@ -100,7 +100,7 @@ def test_without_a_camera_particles_are_shown_on_an_empty_ground(rig, open_page)
 
 
 def test_an_old_picture_is_said_to_be_old(page, rig) -> None:
-    assert not page.is_visible('#curtain')
+    page.wait_for_selector('#curtain', state='hidden')
     rig.pictures = False
     page.wait_for_selector('#curtain:has-text("This one is old")')
 
