@@ -6,6 +6,8 @@ from typing import Any
 
 import pytest
 
+pytestmark = pytest.mark.graph
+
 _SIZES = [(1440, 900), (1920, 1080), (1100, 700), (1024, 768), (820, 1180), (390, 844), (844, 390)]
 
 # Whatever can be clicked, with the area in which it can: of what is in a label, the label's.

@@ -12,6 +12,8 @@ import pytest
 from microbot_ros.cockpit.discovery import Discovery
 from microbot_ros.cockpit.server import Server
 
+pytestmark = pytest.mark.graph
+
 _LINKED = 'body:not(.lost)'
 
 

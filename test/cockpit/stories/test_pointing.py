@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from stand_in import HEIGHT, PIXEL_UM, WIDTH
 
+pytestmark = pytest.mark.graph
+
 # Where rings and marks are, in pixels of the camera, and which picture is under them.
 _SHOWN = """(layer) => {
   const frame = document.querySelector('#frame').getBoundingClientRect();

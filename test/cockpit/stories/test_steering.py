@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.graph
+
 # A gamepad that tests move: `pad(axes, buttons)` sets it, `pad(null)` unplugs it.
 _PAD = """
 window.pads = [];
