@@ -5,8 +5,9 @@
 // value is 0, 0 until it was let go and is pressed anew.
 
 const PERIOD_MS = 50;
-// A page that was frozen wakes up with what was held then: six missed periods are one.
-const FROZEN_MS = 300;
+// A page that was frozen wakes up with what was held then. Sooner than `joy_timeout_ms` (250): what
+// was frozen for so long that the coils went to zero must not go on.
+const FROZEN_MS = 200;
 
 export class Sticks {
   constructor(link, control, view) {
