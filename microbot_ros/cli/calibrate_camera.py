@@ -227,10 +227,11 @@ def _by_size(
     part: CameraPart, source: str, diameter: float, result: dict[str, Any],
 ) -> CameraPart:
     from microbot_ros.cameras.source import open_source
-    from microbot_ros.cli.track import first_appearance
     from microbot_ros.tracking import TrackerSettings
+    from microbot_ros.tracking.learn import learn_first
 
-    appearance = first_appearance(open_source(source, lambda _: None), TrackerSettings())
+    appearance = learn_first(
+        (frame.image for frame in open_source(source, lambda _: None).frames()), TrackerSettings())
     if appearance is None:
         raise InputError(source, 'expected particles; nothing in it stands out of the noise')
     size = diameter / appearance.diameter_px

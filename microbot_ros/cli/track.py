@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
 import json
-from collections import Counter
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,11 +12,13 @@ import numpy as np
 
 from microbot_ros.cli.options import plausible_number
 from microbot_ros.cli.track_learn import Point, PointType, chosen, pictures, pointed, write_learned
-from microbot_ros.units import from_si, to_si
+from microbot_ros.units import to_si
 
 if TYPE_CHECKING:
     from microbot_ros.cameras.source import Source
-    from microbot_ros.tracking import Appearance, Poses, Tracker, TrackerSettings
+    from microbot_ros.tracking import Appearance, Tracker, TrackerSettings
+    from microbot_ros.tracking.overlay import OverlayVideo
+    from microbot_ros.tracking.rows import Rows
 
 _WHOLE = 0.95
 """Share of the frames in which a particle is seen that lives from start to end."""
@@ -80,10 +80,10 @@ def command(
     if recording.frame_rate is None and pixel_size_um is not None:
         problems.append(f'{source}: no frame rate is known (--frame-rate-hz); t_s counts frames')
     with console.status('looking at the film'):
-        settings, samples = _settings(recording, settings, like, unlike, console)
+        settings = _settings(recording, settings, like, unlike, console)
     with output_folder(out) as folder:
         if settings.kinds:
-            write_learned(folder, settings, samples[0])
+            write_learned(folder, settings, next(recording.frames()).image)
         result = _track(recording, settings, folder, pixel_size_um, commanded, overlay, console,
                         problems)
     if result['frames'] < settings.confirm_frames and result['appearance']:
@@ -104,15 +104,15 @@ def command(
 def _settings(
     recording: Source, settings: TrackerSettings, like: tuple[Point, ...],
     unlike: tuple[Point, ...], console: Any,
-) -> tuple[TrackerSettings, list[np.ndarray]]:
-    """The settings with what was pointed at or chosen, and frames from all over the film."""
-    named, samples = pictures(recording, (*like, *unlike))
+) -> TrackerSettings:
+    """The settings with what was pointed at or chosen."""
     if like or unlike:
+        named, samples = pictures(recording, (*like, *unlike))
         settings, said = pointed(settings, like, unlike, named, samples)
         for sentence in said:
             console.print(f'microbot track: {sentence}', markup=False)
-        return settings, samples
-    return chosen(settings, samples, recording.length), samples
+        return settings
+    return chosen(settings, recording)
 
 
 def _track(
@@ -120,42 +120,68 @@ def _track(
     commanded: _Commanded | None, overlay: bool, console: Any, problems: list[str],
 ) -> dict[str, Any]:
     """Fill the folder; returns what the JSON says, and adds what was wrong to `problems`."""
-    from rich.progress import track as progress
-
-    from microbot_ros.files import write_text
-    from microbot_ros.tracking import FrameError, Tracker
+    from microbot_ros.tracking import Tracker
     from microbot_ros.tracking.kinds_detector import stand_in
+    from microbot_ros.tracking.learn import learn_first
     from microbot_ros.tracking.overlay import OverlayVideo
+    from microbot_ros.tracking.rows import Rows
 
     with console.status('learning what the particles look like'):
-        appearance = stand_in(settings.kinds) if settings.kinds else first_appearance(
-            recording, settings)
-    tracker = Tracker(settings, appearance)
-    rows = _Rows(recording, pixel_size_um, tracker)
-    result: dict[str, Any] = {'appearance': []}
-    last = 0.0
+        appearance = stand_in(settings.kinds) if settings.kinds else learn_first(
+            (frame.image for frame in recording.frames()), settings)
     if appearance is not None:
         _draw_settings(folder / 'settings.png', recording, appearance, settings)
-        result['appearance'] = appearance.describe()
-        video = OverlayVideo(
-            folder / 'overlay.mp4', recording.size, recording.frame_rate or 10.0,
-            appearance.diameter_px / 2) if overlay else None
-        with video or nullcontext():
-            for frame in progress(recording.frames(), 'tracking', recording.length,
-                                  console=console, transient=True):
-                try:
-                    drive = commanded.between(last, frame.t) if commanded else None
-                    poses = tracker.update(frame.image, frame.t, drive)
-                    last = frame.t
-                except FrameError as error:
-                    problems.append(f'frame {frame.index}: {error.expected}; left out')
-                    continue
-                rows.add(frame.index, poses)
-                if video:
-                    video.write(frame.image, poses)
-    write_text(folder / 'tracks.csv', rows.text())
-    problems += _told(rows.remarks)
-    return rows.summary() | result
+    with (folder / 'tracks.csv').open('w', encoding='utf-8') as file:
+        rows = Rows(file, recording.size,
+                    None if pixel_size_um is None else to_si('_um', pixel_size_um),
+                    [kind.name for kind in settings.kinds])
+        if appearance is not None:
+            video = OverlayVideo(
+                folder / 'overlay.mp4', recording.size, recording.frame_rate or 10.0,
+                appearance.diameter_px / 2) if overlay else None
+            with video or nullcontext():
+                _follow(recording, Tracker(settings, appearance), rows, commanded, video, console,
+                        problems)
+        rows.close()
+    return _summary(rows) | {'appearance': appearance.describe() if appearance else []}
+
+
+def _follow(
+    recording: Source, tracker: Tracker, rows: Rows, commanded: _Commanded | None,
+    video: OverlayVideo | None, console: Any, problems: list[str],
+) -> None:
+    """Every frame through the tracker, into the rows and the video."""
+    from rich.progress import track as progress
+
+    from microbot_ros.tracking import FrameError
+    from microbot_ros.tracking.rows import Remarks
+
+    remarks, last = Remarks(), 0.0
+    for frame in progress(recording.frames(), 'tracking', recording.length, console=console,
+                          transient=True):
+        try:
+            drive = commanded.between(last, frame.t) if commanded else None
+            poses = tracker.update(frame.image, frame.t, drive)
+            last = frame.t
+        except FrameError as error:
+            problems.append(f'frame {frame.index}: {error.expected}; left out')
+            continue
+        rows.add(frame.index, poses, *tracker.before_named)
+        remarks.add(frame.index, tracker.remarks)
+        if video:
+            video.write(frame.image, poses)
+    problems += remarks.sentences()
+
+
+def _summary(rows: Rows) -> dict[str, Any]:
+    counts = sorted(rows.seen.values())
+    return {
+        'frames': rows.frames,
+        'tracks': len(counts),
+        'whole_clip': sum(count >= _WHOLE * rows.frames for count in counts),
+        'median_frames_seen': counts[len(counts) // 2] if counts else 0,
+        'positions': sum(counts),
+    }
 
 
 class _Commanded:
@@ -191,26 +217,6 @@ class _Commanded:
         return np.array([x, -y])
 
 
-def _told(remarks: dict[str, list[tuple[int, str]]]) -> list[str]:
-    """A line for each kind of remark: the first of its sentences, and how many there are."""
-    return [f'frame {said[0][0]}: {said[0][1]}'
-            + (f'; {len(said)} frames like it' if len(said) > 1 else '')
-            for said in remarks.values()]
-
-
-def first_appearance(recording: Source, settings: TrackerSettings) -> Appearance | None:
-    """The appearance, by `settings`, from the first frames of `recording` in which anything shows.
-    """
-    from microbot_ros.tracking import learn
-
-    frames = recording.frames()
-    while batch := [frame.image for frame in itertools.islice(frames, settings.learning_frames)]:
-        appearance = learn(batch, settings)
-        if appearance is not None:
-            return appearance
-    return None
-
-
 def _draw_settings(
     path: Path, recording: Source, appearance: Appearance, settings: TrackerSettings
 ) -> None:
@@ -220,63 +226,3 @@ def _draw_settings(
     image = next(recording.frames()).image
     found = make_detector(appearance, settings).detect(image, np.empty((0, 2)))
     write_settings_figure(path, image, found, appearance, settings)
-
-
-class _Rows:
-    """The rows of tracks.csv: what was seen, frame by frame, also before it had an identity."""
-
-    def __init__(self, recording: Source, pixel_size_um: float | None, tracker: Tracker) -> None:
-        from microbot_ros.tracking import ImageToWorkspace
-
-        height, width = recording.size
-        self._tracker = tracker
-        self._frames: list[tuple[int, float]] = []
-        self._rows: list[tuple[int, int, str]] = []
-        self._seen: Counter[int] = Counter()
-        self._kinds: dict[int, int] = {}
-        self._names = [kind.name for kind in tracker.settings.kinds]
-        self._camera = None if pixel_size_um is None else ImageToWorkspace(
-            to_si('_um', pixel_size_um), width, height)
-        self.remarks: dict[str, list[tuple[int, str]]] = {}
-        """Kind → frame and sentence of what was wrong with the pictures."""
-
-    def add(self, frame: int, poses: Poses) -> None:
-        self._frames.append((frame, poses.t))
-        self._kinds.update(zip(poses.id.tolist(), poses.kind.tolist(), strict=True))
-        self._write(-1, poses.id[poses.seen], poses.xy[poses.seen])
-        names, before = self._tracker.before_named
-        for k in range(before.shape[1]):
-            self._write(k - before.shape[1] - 1, names, before[:, k])
-        for kind, sentence in self._tracker.remarks.items():
-            self.remarks.setdefault(kind, []).append((frame, sentence))
-
-    def _write(self, which: int, names: np.ndarray, places: np.ndarray) -> None:
-        """Rows of one frame, counted from the last."""
-        if len(names) == 0:
-            return
-        frame, t = self._frames[which]
-        metres = None if self._camera is None else from_si('_um', self._camera.position(places))
-        for k, (name, (x, y)) in enumerate(zip(names.tolist(), places.tolist(), strict=True)):
-            line = f'{frame},{name},{x:.4f},{y:.4f}'
-            if metres is not None:
-                line += f',{t:.6f},{metres[k, 0]:.5f},{metres[k, 1]:.5f}'
-            if self._names:
-                line += f',{self._names[self._kinds[name]]}'
-            self._rows.append((frame, name, line))
-            self._seen[name] += 1
-
-    def text(self) -> str:
-        header = 'frame,particle,x_px,y_px'
-        header += '' if self._camera is None else ',t_s,x_um,y_um'
-        header += ',kind' if self._names else ''
-        return '\n'.join([header, *(line for _, _, line in sorted(self._rows))]) + '\n'
-
-    def summary(self) -> dict[str, Any]:
-        counts = sorted(self._seen.values())
-        return {
-            'frames': len(self._frames),
-            'tracks': len(counts),
-            'whole_clip': sum(count >= _WHOLE * len(self._frames) for count in counts),
-            'median_frames_seen': counts[len(counts) // 2] if counts else 0,
-            'positions': sum(counts),
-        }

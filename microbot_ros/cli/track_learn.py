@@ -104,18 +104,19 @@ def pointed(
     return settings, said
 
 
-def chosen(settings: TrackerSettings, samples: list[np.ndarray],
-           recording_length: int | None) -> TrackerSettings:
-    """The `settings`, with a kind for what moves where the usual way would miss much of it.
-
-    `samples` are frames from all over the film, whose length in frames is `recording_length`.
+def chosen(settings: TrackerSettings, recording: Source) -> TrackerSettings:
+    """The `settings`, with a kind for what moves in a `recording` where the usual way would miss
+    much of it.
     """
     from microbot_ros.tracking import learn
     from microbot_ros.tracking.tracker import make_detector
     from microbot_ros.tracking.unprompted import choose, needed
 
     told = (settings.contrast, settings.shape, settings.diameter_px) != (None, None, None)
-    if told or settings.kinds or (recording_length or 0) < _LEAST_FRAMES or len(samples) < 3:
+    if told or settings.kinds or (recording.length or 0) < _LEAST_FRAMES:
+        return settings
+    _, samples = pictures(recording, ())
+    if len(samples) < 3:
         return settings
     found = choose(samples, settings)
     if found is None:

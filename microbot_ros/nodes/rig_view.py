@@ -285,8 +285,7 @@ class RigView:
         told_s, status, values = self._health.get(
             'coil_driver', (-math.inf, DiagnosticStatus(), {}))
         changed_s, armed = self._armed or (-math.inf, values.get('armed') == 'True')
-        heard_s = max(told_s, changed_s if changed_s > told_s else told_s,
-                      self._raw.get('coils/measured', (-math.inf,))[0])
+        heard_s = max(told_s, changed_s, self._raw.get('coils/measured', (-math.inf,))[0])
         age = time.monotonic() - heard_s
         if not age <= _SILENCE_S:
             return 'unknown', 'the coil driver says nothing', age

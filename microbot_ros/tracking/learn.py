@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Generator
+from collections.abc import Generator, Iterable
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
@@ -58,6 +59,15 @@ def learn(frames: list[np.ndarray], settings: TrackerSettings) -> Appearance | N
         except StopIteration as done:
             appearance: Appearance | None = done.value
             return appearance
+
+
+def learn_first(images: Iterable[np.ndarray], settings: TrackerSettings) -> Appearance | None:
+    """The typical particle, by `settings`, of the first of `images` (H, W) in which any shows."""
+    rest = iter(images)
+    while batch := list(islice(rest, settings.learning_frames)):
+        if (appearance := learn(batch, settings)) is not None:
+            return appearance
+    return None
 
 
 def learning(

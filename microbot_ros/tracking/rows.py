@@ -1,0 +1,86 @@
+"""Rows of `tracks.csv`, frame by frame, and what is to be told of the frames: neither is kept."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Mapping, Sequence
+from typing import TextIO
+
+import numpy as np
+
+from microbot_ros.tracking.camera import ImageToWorkspace
+from microbot_ros.tracking.tracker import Poses
+from microbot_ros.units import from_si
+
+
+class Rows:
+    """Writes rows frame by frame to a `file`, as late as a particle may still be named in them.
+
+    Frames have the `size` (height, width); with a `pixel_size` [m] rows are in metres, too, and
+    with names of `kinds` they end with that of the particle. `frames` were tracked; `seen` counts
+    the rows of each particle.
+    """
+
+    def __init__(self, file: TextIO, size: tuple[int, int], pixel_size: float | None,
+                 kinds: Sequence[str] = ()) -> None:
+        self.frames = 0
+        self.seen: Counter[int] = Counter()
+        self._file = file
+        height, width = size
+        self._camera = pixel_size and ImageToWorkspace(pixel_size, width, height)
+        self._names = kinds
+        self._kinds: dict[int, int] = {}
+        self._open: deque[tuple[int, float, list[tuple[int, np.ndarray]]]] = deque()
+        file.write('frame,particle,x_px,y_px' + (',t_s,x_um,y_um' if self._camera else '')
+                   + (',kind\n' if kinds else '\n'))
+
+    def add(self, frame: int, poses: Poses, names: np.ndarray, before: np.ndarray) -> None:
+        """What was seen in a `frame`: `poses`, and the `names` (n,) of whom it gave names.
+
+        They were at `before` (n, K, 2) [px] in the K frames that came before it.
+        """
+        self.frames += 1
+        self._kinds.update(zip(poses.id.tolist(), poses.kind.tolist(), strict=True))
+        self._open.append((frame, poses.t, list(zip(
+            poses.id[poses.seen].tolist(), poses.xy[poses.seen], strict=True))))
+        early = before.shape[1]
+        for k in range(early if len(names) else 0):
+            self._open[k - early - 1][2].extend(zip(names.tolist(), before[:, k], strict=True))
+        while len(self._open) > early + 1:
+            self._write(*self._open.popleft())
+
+    def close(self) -> None:
+        """Write what is left; the file stays open."""
+        while self._open:
+            self._write(*self._open.popleft())
+
+    def _write(self, frame: int, t: float, rows: list[tuple[int, np.ndarray]]) -> None:
+        for name, place in sorted(rows, key=lambda row: row[0]):
+            line = f'{frame},{name},{place[0]:.4f},{place[1]:.4f}'
+            if self._camera:
+                x, y = from_si('_um', self._camera.position(place[None]))[0]
+                line += f',{t:.6f},{x:.5f},{y:.5f}'
+            if self._names:
+                line += f',{self._names[self._kinds[name]]}'
+            self._file.write(line + '\n')
+            self.seen[name] += 1
+
+
+class Remarks:
+    """What was odd in the frames: of each kind the first sentence, and how many there are."""
+
+    def __init__(self) -> None:
+        self._first: dict[str, tuple[int, str]] = {}
+        self._count: Counter[str] = Counter()
+
+    def add(self, frame: int, said: Mapping[str, str]) -> None:
+        """What was `said` of a `frame`: kind → sentence."""
+        for kind, sentence in said.items():
+            self._first.setdefault(kind, (frame, sentence))
+            self._count[kind] += 1
+
+    def sentences(self) -> list[str]:
+        """One of each kind."""
+        return [f'frame {frame}: {sentence}'
+                + (f'; {self._count[kind]} frames like it' if self._count[kind] > 1 else '')
+                for kind, (frame, sentence) in self._first.items()]
