@@ -31,7 +31,7 @@ development = [
     'coverage', 'duckdb', 'import-linter', 'magpylib', 'mypy', 'playwright>=1.48', 'polars',
     'pyoperon>=0.6', 'pysindy', 'pytest-xdist', 'ruff', 'StochasticForceInference', 'trackpy',
     'types-PyYAML',
-    'types-pyserial',
+    'types-pyserial', 'wheel',
 ]
 
 nodes = [
@@ -70,7 +70,7 @@ setup(
     license='Apache-2.0',
     entry_points={
         'console_scripts': [
-            'microbot = microbot_ros.cli:main',
+            'microbot = microbot_ros.cli:script',
             *(f'{node}_node = microbot_ros.nodes.process:script' for node in nodes),
         ],
         'microbot_ros.controllers': [

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+SIZES_NOISE = 5.0
+"""Noise of a pixel [grey] in the field of several sizes."""
+
 
 @dataclass(frozen=True)
 class Film:
@@ -47,7 +50,7 @@ def among_cells(
 
 def of_sizes(
     frames: int = 40, seed: int = 5, radii: tuple[float, ...] = (4.0, 6.3, 10.0, 16.0),
-    each: int = 8, noise: float = 5.0,
+    each: int = 8, noise: float = SIZES_NOISE,
 ) -> Film:
     """Dark discs of several radii [px] in one field, all in focus."""
     rng = np.random.default_rng(seed)

@@ -3,18 +3,16 @@
 Worlds of the fine physics, a camera, a view with edges; the loop without a graph. Every effect is
 hidden so that a minute of random steps would hold λ = 10 of evidence. The rivals are random steps
 judged by the same rules, and the rules of the literature. The worlds are drawn by seed, and what
-came of each is in `out/asks.json`.
+came of each is in `out/asks.jsonl`.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import itertools
-import json
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from statistics import median
@@ -25,16 +23,16 @@ import numpy as np
 from bench._asks_rivals import by_akaike_weights
 from bench._asks_worlds import hidden_world
 from bench._hidden_effects import LISTED, UNLISTED
+from bench._kept import run_kept
 from bench.figure import Figure
 from microbot_ros.discovery.driven.design import Design, Question, Range, Search, random_steps
 from microbot_ros.discovery.driven.drive import Driven, drive
 from microbot_ros.estimation.model_fit import ModelFit
-from microbot_ros.files import write_text
 from microbot_ros.model.effects import EFFECTS
 
 ISSUE = 18
 MINUTES, PAIR_MINUTES, OTHER_MINUTES = 6.0, 10.0, 6.0
-SEEDS, NULLS, WORKERS = 4, 200, 2
+SEEDS, NULLS = 4, 200
 
 PAIRS = (
     ('uniform_drift', 'alignment_lag'), ('background_field', 'command_delay'),
@@ -83,13 +81,16 @@ class Run:
 
 def figures() -> list[Figure]:
     """Every figure of the issue."""
-    jobs = [*_effects('asks'), *_effects('random'), *_effects('literature'), *_nulls(), *_twins(),
-            *_pairs(), *_unlisted()]
-    with ProcessPoolExecutor(WORKERS) as pool:
-        runs = list(pool.map(run, *zip(*jobs, strict=True)))
-    write_text(Path('out/asks.json'), json.dumps(
-        [dataclasses.asdict(one) for one in runs], indent=1, ensure_ascii=False) + '\n')
-    return [*score(runs), _design_seconds()]
+    cases = [*_effects('asks'), *_twins(), *_unlisted(), *_pairs(), *_nulls(), *_effects('random'),
+             *_effects('literature')]
+    return [*score(run_kept(Path('out/asks.jsonl'), cases, run, _again)), _design_seconds()]
+
+
+def _again(told: dict[str, Any]) -> Run:
+    """A run from its fields as JSON has them."""
+    pairs = tuple((one, other) for one, other in told.pop('twins'))
+    return Run(**{key: tuple(value) if isinstance(value, list) else value
+                  for key, value in told.items()}, twins=pairs)
 
 
 def score(runs: Sequence[Run]) -> list[Figure]:
@@ -170,8 +171,9 @@ def _unlisted() -> list[tuple[str, tuple[str, ...], int]]:
     return [('unlisted', (effect,), 4000 + seed) for seed in range(SEEDS) for effect in UNLISTED]
 
 
-def run(asked: str, hidden: tuple[str, ...], seed: int) -> Run:
+def run(case: tuple[str, tuple[str, ...], int]) -> Run:
     """One world, asked in one way."""
+    asked, hidden, seed = case
     rig, _ = hidden_world(seed, hidden)
     if asked == 'literature':
         taken = by_akaike_weights(rig, MINUTES, seed)

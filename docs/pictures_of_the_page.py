@@ -16,11 +16,13 @@ from pathlib import Path
 from typing import Any
 
 import av
+from PIL import Image
 from playwright.sync_api import sync_playwright
 
 IMAGES = Path(__file__).parent / 'images'
-WIDE, PHONE = {'width': 1440, 'height': 900}, {'width': 390, 'height': 844}
-FILM = {'maxWidth': 960, 'maxHeight': 600}
+WIDE = {'width': 1440, 'height': 900}
+PHONE, TABLET = {'width': 390, 'height': 844}, {'width': 820, 'height': 1180}
+FILM = {'maxWidth': 800, 'maxHeight': 500}
 _TICK = Fraction(1, 1000)
 
 
@@ -32,20 +34,30 @@ def main(address: str) -> None:
         page = _open(browser.new_context(viewport=WIDE), address)
         film = Film(page)
         _first_minutes(page)
-        page.screenshot(path=IMAGES / 'cockpit_light.png')
+        _keep(page, 'cockpit_light')
         page.emulate_media(color_scheme='dark')
-        page.wait_for_timeout(1000)
-        page.screenshot(path=IMAGES / 'cockpit_dark.png')
+        page.locator('#field').evaluate(
+            'part => { part.parentNode.scrollTop = part.offsetTop - 12; }')
+        page.wait_for_timeout(1500)
+        _keep(page, 'cockpit_dark')
         page.click('#stop')
         page.wait_for_timeout(1500)
         page.close()
-        phone = _open(browser.new_context(viewport=PHONE, device_scale_factor=2, has_touch=True,
-                                          is_mobile=True), address)
-        phone.click('#tab-estimates')
-        phone.wait_for_timeout(2000)
-        phone.screenshot(path=IMAGES / 'cockpit_phone.png')
+        for name, kind in (('cockpit_phone', PHONE), ('cockpit_tablet', TABLET)):
+            small = _open(browser.new_context(viewport=kind, has_touch=True, is_mobile=True,
+                                              device_scale_factor=1.5), address)
+            small.click('#tab-estimates')
+            small.wait_for_timeout(2000)
+            _keep(small, name)
+            small.close()
         browser.close()
     film.save(IMAGES / 'cockpit.webm')
+
+
+def _keep(page: Any, name: str) -> None:
+    """The `page` as an image of that `name`, in no more colours than are told apart."""
+    picture = Image.open(io.BytesIO(page.screenshot()))
+    picture.convert('RGB').quantize(128).save(IMAGES / f'{name}.png', optimize=True)
 
 
 class Film:
@@ -66,7 +78,7 @@ class Film:
         """Write it to `path`, VP9 in WebM, each frame at its time."""
         with av.open(str(path), 'w') as file:
             stream = file.add_stream('libvpx-vp9', rate=10, options={
-                'crf': '42', 'b': '0', 'deadline': 'realtime', 'cpu-used': '8'})
+                'crf': '50', 'b': '0', 'deadline': 'realtime', 'cpu-used': '8'})
             stream.width, stream.height = FILM['maxWidth'], FILM['maxHeight']
             stream.pix_fmt, stream.time_base = 'yuv420p', _TICK
             begin, last = self._frames[0][0], -1
@@ -94,22 +106,44 @@ def _first_minutes(page: Any) -> None:
     """Look, arm, steer by hand, then let the controller go to a place, and along a path."""
     page.wait_for_timeout(1500)
     _switch(page, 'teleop')
-    page.hover('#arm')
-    page.mouse.down()
-    page.wait_for_selector('#rig-chip[data-state=armed]', timeout=20_000)
-    page.mouse.up()
+    _arm(page)
     page.focus('#stick')
     for key in ['ArrowRight', 'ArrowUp', 'ArrowLeft', 'ArrowDown', 'ArrowRight']:
         page.keyboard.down(key)
         page.wait_for_timeout(2500)
         page.keyboard.up(key)
+    _switch(page, 'path_following')
+    _choose(page, 'path')
+    places = [(0.30, 0.35), (0.45, 0.28), (0.60, 0.35), (0.64, 0.52), (0.52, 0.66), (0.36, 0.60)]
+    page.mouse.move(*_place(page, *places[0]))
+    page.mouse.down()
+    for place in places[1:]:
+        page.mouse.move(*_place(page, *place), steps=15)
+    page.mouse.up()
+    page.wait_for_timeout(8000)
     _switch(page, 'waypoint')
-    box = page.locator('#frame').bounding_box()
-    page.click('#modes label:has(input[value=goal])')
-    page.mouse.click(box['x'] + 0.65 * box['width'], box['y'] + 0.35 * box['height'])
-    page.wait_for_timeout(6000)
+    _choose(page, 'goal')
+    page.mouse.click(*_place(page, 0.62, 0.36))
+    page.wait_for_timeout(8000)
     if page.get_attribute('#rig-chip', 'data-state') != 'armed':
         sys.exit(f'the rig did not stay armed: {page.inner_text("#rig-sentence")}')
+
+
+def _arm(page: Any) -> None:
+    page.hover('#arm')
+    page.mouse.down()
+    page.wait_for_selector('#rig-chip[data-state=armed]', timeout=20_000)
+    page.mouse.up()
+
+
+def _choose(page: Any, mode: str) -> None:
+    page.click(f'#modes label:has(input[value={mode}])')
+
+
+def _place(page: Any, right: float, down: float) -> tuple[float, float]:
+    """A point of the page, by its shares of the picture."""
+    box = page.locator('#frame').bounding_box()
+    return box['x'] + right * box['width'], box['y'] + down * box['height']
 
 
 def _switch(page: Any, name: str) -> None:

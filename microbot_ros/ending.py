@@ -12,6 +12,7 @@ from pathlib import Path
 from types import FrameType
 
 from microbot_ros.drive.real_time import set_realtime_priority
+from microbot_ros.lost_signals import sent_again
 
 PARENT = 'MICROBOT_PARENT'
 """Environment variable with the process id that a node must not outlive; 0 for none."""
@@ -67,6 +68,7 @@ class Ending:
         self._interruptible = False
         self._over = False
         self._done_at_once = threading.Event()
+        self._sent_again = sent_again(self._number_of)
 
     def __enter__(self) -> Ending:
         self._reader, self._writer = os.pipe()
@@ -76,11 +78,13 @@ class Ending:
             number: signal.signal(number, self._handle)
             for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
             if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN}
+        self._sent_again.__enter__()
         self._thread = threading.Thread(target=self._watch, name='ending', daemon=True)
         self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._sent_again.__exit__(None, None, None)
         for number, handler in self._handlers_before.items():
             signal.signal(number, handler)
         signal.set_wakeup_fd(self._wakeup_before)
@@ -107,6 +111,12 @@ class Ending:
             if self._interruptible:
                 self._done_at_once.wait(_HEAD_START_S)
                 raise Stopped(number)
+
+    def _number_of(self, lost: BaseException | None) -> int | None:
+        if not isinstance(lost, Stopped):
+            return None
+        self._received = None
+        return lost.status - 128
 
     def _watch(self) -> None:
         """In a thread: wait for the byte that the interpreter writes for a signal, or the end of

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import difflib
 import reprlib
+from collections.abc import Iterable
 from pathlib import Path
 
 _SHOWN = 80
+_LISTED = 400
+"""Characters of names in one line; where there are more, only the nearest are told."""
 _short = reprlib.Repr()
 _short.maxlevel = 2
 _short.maxstring = _short.maxother = _SHOWN
@@ -51,3 +55,14 @@ def shown(value: object) -> str:
 def clipped(text: str) -> str:
     """The `text`, or where it is long its first 80 characters, the last of them an ellipsis."""
     return text if len(text) <= _SHOWN else f'{text[:_SHOWN - 1]}…'
+
+
+def known(names: Iterable[str], received: str) -> str:
+    """Which `names` there are, or where they fill lines the five that are nearest to what was
+    `received`.
+    """
+    listed = sorted(names)
+    if len(', '.join(listed)) <= _LISTED:
+        return f'known are: {", ".join(listed)}'
+    nearest = difflib.get_close_matches(clipped(received), listed, n=5, cutoff=0.0)
+    return f'nearest of {len(listed)} are: {", ".join(nearest)}'

@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.metadata import entry_points
 from typing import Any
 
-from microbot_ros.errors import InputError
+from microbot_ros.errors import InputError, clipped
 
 
 def installed(group: str, what: str, name: str) -> Any:
@@ -17,7 +17,7 @@ def installed(group: str, what: str, name: str) -> Any:
     found = {entry.name: entry for entry in entry_points(group=group)}
     if name not in found:
         known = ', '.join(sorted(found)) or f'those that a package brings in {group}'
-        raise InputError(what, f"expected one of {known}; received '{name}'")
+        raise InputError(what, f"expected one of {known}; received '{clipped(name)}'")
     try:
         return found[name].load()
     except Exception as error:

@@ -85,7 +85,7 @@ def convert(settings: type, name: str, value: Any) -> Any:
     if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
     if isinstance(default, list):
-        value = _convert_list(name, value)
+        value = _convert_list(settings, name, value)
     elif type(value) is not type(default):
         kind = {'str': 'a text', 'float': 'a number', 'int': 'a whole number', 'bool': 'a boolean'}
         raise ValueError(f'{name} must be {kind[type(default).__name__]}; received {shown(value)}')
@@ -93,11 +93,16 @@ def convert(settings: type, name: str, value: Any) -> Any:
     return value
 
 
-def _convert_list(name: str, value: Any) -> list[Any]:
-    items = list(value) if not isinstance(value, str) and hasattr(value, '__iter__') else None
-    if items is None:
-        raise ValueError(f'{name} must be a list; received {shown(value)}')
-    return [float(v) if isinstance(v, int) and not isinstance(v, bool) else v for v in items]
+def _convert_list(settings: type, name: str, value: Any) -> list[Any]:
+    of_texts = settings.__dataclass_fields__[name].type == 'list[str]'  # type: ignore[attr-defined]
+    several = hasattr(value, '__iter__') and not isinstance(value, str | dict)
+    items = list(value) if several else None
+    if items is not None and not of_texts:
+        items = [float(v) if isinstance(v, int) and not isinstance(v, bool) else v for v in items]
+    if items is None or not all(isinstance(v, str if of_texts else float) for v in items):
+        kind = 'texts' if of_texts else 'numbers'
+        raise ValueError(f'{name} must be a list of {kind}; received {shown(value)}')
+    return items
 
 
 def _check_limits(allowed: About, name: str, value: Any) -> None:

@@ -47,6 +47,7 @@ _SUFFIXES: dict[str, tuple[float, str]] = {
     '_deg': (math.pi / 180, '°'),
     '_per_s': (1.0, '1/s'),
     '_A_per_s': (1.0, 'A/s'),
+    '_mT_per_s': (1e-3, 'mT/s'),
     '_rad_per_s': (1.0, 'rad/s'),
     '_rad_s': (1.0, 'rad/s'),
     '_per_s_mT': (1e3, '1/s/mT'),

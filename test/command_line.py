@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import inspect
 import sys
 from unittest import mock
 
 import pytest
+from click.testing import CliRunner
 
 from microbot_ros.cli import main
 
@@ -16,3 +18,9 @@ def microbot(*words: object) -> int:
             pytest.raises(SystemExit) as done:
         main()
     return int(done.value.code or 0)
+
+
+def runner() -> CliRunner:
+    """Of a command alone, with its two outputs apart: click 8.1 does that only when asked."""
+    mixes = 'mix_stderr' in inspect.signature(CliRunner).parameters
+    return CliRunner(mix_stderr=False) if mixes else CliRunner()

@@ -36,6 +36,7 @@ _OF_EXTRAS = {'gym/test_steering.py': 'gymnasium', 'gym/test_training_docs.py': 
 collect_ignore = [file for file, module in _OF_EXTRAS.items() if find_spec(module) is None]
 
 _TRIES = 4
+_TRIED = pytest.StashKey[int]()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -47,16 +48,16 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_runtest_protocol(item: Any, nextitem: Any) -> bool:
     """Try a test again that failed while the host lent the processors to others, or, once, one
     that is `clocked`."""
+    tried = item.stash[_TRIED] = item.stash.get(_TRIED, 0) + 1
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
-    for tried in range(1, _TRIES + 1):
-        with Processors() as processors:
-            reports = runtestprotocol(item, log=False, nextitem=nextitem)
-        again = not processors.ours or (tried == 1 and item.get_closest_marker('clocked'))
-        if not any(report.failed for report in reports) or not again:
-            break
-        if tried < _TRIES:
-            print(f'\n{item.nodeid}: tried again, {processors}')
-            item._initrequest()
+    with Processors() as processors:
+        reports = runtestprotocol(item, log=False, nextitem=nextitem)
+    again = not processors.ours or (tried == 1 and item.get_closest_marker('clocked'))
+    if any(report.failed for report in reports) and again and tried < _TRIES:
+        print(f'\n{item.nodeid}: tried again, {processors}', flush=True)
+        item._initrequest()
+        # By the hook once more: what limits its time is wound up anew, and a failure ends it.
+        return bool(item.ihook.pytest_runtest_protocol(item=item, nextitem=nextitem))
     for report in reports:
         item.ihook.pytest_runtest_logreport(report=report)
     item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)

@@ -47,7 +47,9 @@ def main(folder: Path) -> int:
                    if name not in ('LD_LIBRARY_PATH', '_ROS_WHEELS_BOOTSTRAP_COMPLETE')}
     return subprocess.run(
         [python, '-m', 'pytest', '-m', 'not graph', *(f'test/{room}' for room in ROOMS)],
-        cwd=ROOT, env={**environment, 'PYTHONPATH': str(ROOT)}, check=False).returncode
+        cwd=ROOT, check=False, env={**environment, 'PYTHONPATH': str(ROOT),
+                                    # Two versions of numba would take it from each other.
+                                    'NUMBA_CACHE_DIR': str(folder / 'compiled')}).returncode
 
 
 if __name__ == '__main__':

@@ -113,6 +113,14 @@ def test_mentions_of_documents_are_right():
     assert wrong == set()
 
 
+@pytest.mark.parametrize('page', ['README.md', 'docs/explanation/architecture.md'])
+def test_the_house_has_all_its_rooms(page):
+    rooms = {path.parent.name for path in (ROOT / 'microbot_ros').glob('*/__init__.py')}
+    table = (ROOT / page).read_text(encoding='utf-8').partition('## The house')[2]
+    cells = re.findall(r'^\| (.*?) \|', table, re.MULTILINE)
+    assert rooms <= set(re.findall(r'`(\w+)`', ' '.join(cells)))
+
+
 def test_every_page_is_of_a_kind():
     """Each folder lists all of its own; a page beside the folders would be in no list."""
     assert {path.name for path in DOCS.glob('*.md')} == {'index.md'}
@@ -216,6 +224,23 @@ def test_files_for_other_programs_are_as_these_want_them():
         assert {'name', 'about'} <= head.keys(), form
     container = json.loads((ROOT / '.devcontainer' / 'devcontainer.json').read_text())
     assert (ROOT / '.devcontainer' / container['build']['dockerfile']).is_file()
+
+
+def test_the_checks_of_a_change_run_what_there_is():
+    """Every job of the workflow, on every Python that is claimed, by commands of the Makefile."""
+    workflow = yaml.safe_load((ROOT / '.github' / 'workflows' / 'checks.yml').read_text())
+    jobs = workflow['jobs']
+    ran = {name: ' '.join(step.get('run', '') for step in job['steps'])
+           for name, job in jobs.items()}
+    targets = set(re.findall(r'^(\w+):', (ROOT / 'Makefile').read_text(), re.MULTILINE))
+    told = set(re.findall(r'\bmake (\w+)', ' '.join(ran.values())))
+    assert {'test', 'lowest', 'docs'} <= told <= targets
+    assert jobs['tests']['strategy']['matrix']['python'] == ['3.11', '3.12']
+    page = (DOCS / 'how-to' / 'with_ros.md').read_text(encoding='utf-8')
+    for command in ('python3 -m venv --system-site-packages .venv', 'touch .venv/COLCON_IGNORE',
+                    'python -m colcon build', 'source /opt/ros/jazzy/setup.bash'):
+        assert command in page
+        assert command in ran['ros']
 
 
 def test_the_layout_of_foxglove_shows_what_the_nodes_send(build):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import subprocess
 import sys
 
+import pytest
+
 PROGRAM = """
 import os, signal, threading, time
 from microbot_ros.ending import Ending, Stopped
@@ -43,3 +45,29 @@ def test_what_is_to_be_done_at_once_comes_before_the_clean_up() -> None:
 
 def test_a_lock_that_the_interrupted_holds_keeps_nobody_from_the_end() -> None:
     assert _order('SIGTERM', locked=True) == 'interrupted, at once'
+
+
+LOST = """
+import os, signal, time
+from microbot_ros.ending import Ending, Stopped
+
+class Collected:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(10)
+
+try:
+    with Ending() as ending, ending.interrupts():
+        for _ in range({times}):
+            Collected()
+        time.sleep(10)
+except Stopped as stopped:
+    print(stopped)
+"""
+
+
+@pytest.mark.parametrize('times', [1, 3])
+def test_an_interruption_that_a_collected_object_swallows_comes_again(times: int) -> None:
+    done = subprocess.run([sys.executable, '-c', LOST.format(times=times)], capture_output=True,
+                          text=True, timeout=9, check=True)
+    assert (done.stdout.strip(), done.stderr) == ('SIGTERM', '')

@@ -61,3 +61,12 @@ def test_no_import_leads_back():
     graph = {name: sorted({*needs(name)} - {name}) for name in FILES}
     assert sum(map(len, graph.values())) > 500
     assert circle(graph) == []
+
+
+def test_what_is_compiled_uses_the_cache_that_many_processes_may_share():
+    for name in FILES.keys() - {'microbot_ros.compiled'}:
+        for node in ast.walk(ast.parse(FILES[name].read_text(encoding='utf-8'))):
+            if isinstance(node, ast.Import):
+                assert 'numba' not in {alias.name for alias in node.names}, name
+            elif isinstance(node, ast.ImportFrom) and node.module == 'numba':
+                assert {alias.name for alias in node.names} <= {'types'}, name

@@ -14,6 +14,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
+import lowest
 import pytest
 import yaml
 
@@ -81,6 +82,33 @@ def test_colcon_runs_the_tests(workspace: Path) -> None:
     assert 'Summary: 2 tests, 0 errors, 0 failures' in done.stdout
 
 
+# What the extra `test` doesn't bring, by the names under which it is imported.
+MORE = ('axe_playwright_python', 'dask', 'distributed', 'duckdb', 'furo', 'gymnasium', 'magpylib',
+        'mm_test_adapters', 'myst_parser', 'onnx', 'onnxruntime', 'playwright', 'polars',
+        'pyarrow', 'pymmcore', 'pypylon', 'pysindy', 'sphinx', 'starlette', 'trackpy', 'uvicorn')
+WITHOUT = """
+import sys
+from importlib.machinery import PathFinder
+missing, known = sys.argv.pop(1).split(','), PathFinder.find_spec
+PathFinder.find_spec = classmethod(lambda _, name, *more: (
+    None if name.partition('.')[0] in missing else known(name, *more)))
+import pytest
+sys.exit(pytest.main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.timeout(300)
+def test_all_tests_are_found_where_only_the_extra_for_them_is() -> None:
+    """`colcon test` counts what pytest collects: what needs more than that is skipped."""
+    found = subprocess.run(
+        [sys.executable, '-c', WITHOUT, ','.join(MORE), '--collect-only',
+         '-p', 'pytest_timeout', '-o', 'addopts=--import-mode=importlib', str(ROOT / 'test')],
+        cwd=ROOT, env={**os.environ, 'PYTEST_DISABLE_PLUGIN_AUTOLOAD': '1'},
+        capture_output=True, text=True, timeout=280)
+    assert found.returncode == 0, found.stdout[-2000:] + found.stderr
+    assert int(re.findall(r'(\d+) tests collected', found.stdout)[-1]) > 4000
+
+
 def test_scripts_run_from_the_install_space(workspace: Path) -> None:
     installed = workspace / 'install' / 'microbot_ros'
     site = next((installed / 'lib').glob('python3*/site-packages'))
@@ -102,6 +130,25 @@ def test_versions_agree() -> None:
     setup = re.search(r"version='([^']+)'", (ROOT / 'setup.py').read_text())
     assert setup is not None
     assert package == setup.group(1) == microbot_ros.__version__
+
+
+# Where the key of rosdep is not python3- and the name on PyPI.
+KEYS = {'opencv-python-headless': 'python3-opencv', 'pymodbus': 'python3-pymodbus-pip',
+        'pyserial': 'python3-serial', 'pyyaml': 'python3-yaml', 'rosbags': 'python3-rosbags-pip'}
+
+
+def test_rosdep_is_asked_for_all_that_it_knows() -> None:
+    """What it does not know, or only by pip into the system, is in the how-to."""
+    keys = {item.text or '' for item in ElementTree.parse(ROOT / 'package.xml').iter()
+            if item.tag.endswith('_depend')}
+    required = {re.split('[=<>]', name)[0] for name in lowest.lowest()}
+    unknown = {name for name in required if KEYS.get(name, f'python3-{name}') not in keys}
+    how_to = (ROOT / 'docs' / 'how-to' / 'with_ros.md').read_text()
+    *first, last = sorted(unknown)
+    assert f'four libraries: {", ".join(first)} and {last}.' in ' '.join(how_to.split())
+    skipped = re.search(r'--skip-keys "(.*)"', how_to)
+    assert skipped is not None
+    assert set(skipped[1].split()) == {key for key in keys if key.endswith('-pip')}
 
 
 class Launched:

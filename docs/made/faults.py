@@ -103,7 +103,7 @@ def _told(node: ast.AST, raised: set[str]) -> Iterator[ast.expr]:
         name = ast.unparse(node.func).rpartition('.')[2]
         if name in _SAYS or ast.unparse(node.func) == 'super().__init__':
             yield from node.args
-    elif isinstance(node, ast.Return) and isinstance(node.value, ast.Tuple):
+    elif isinstance(node, ast.Return) and isinstance(node.value, ast.Tuple) and node.value.elts:
         if ast.unparse(node.value.elts[0]) in ('WARN', 'ERROR'):
             yield node.value.elts[1]
     elif isinstance(node, ast.Assign | ast.AugAssign):

@@ -20,10 +20,14 @@ CONTENT = Path(__file__).with_name('graph.yaml')
 
 _SHARED = {'lifecycle': NODES, 'account': ('tracker', 'model', 'controller'),
            'frames': ('tracker',), 'playback_publishers': ('player',),
+           'felt_rotation': ('tracker', 'model'), 'preview': ('camera', 'virtual_rig'),
+           'operated_rig': ('cockpit',), 'rig_view': ('cockpit',), 'graph_client': (),
+           'driven_rig': ('microbot discover --drive',),
            'verdict_publisher': ('microbot discover --live',)}
-"""Module that makes a topic for others → for whom."""
+"""Module that makes a topic for others → for whom; of commands only those that stay."""
 
-_CALLS = {'publisher': 'out', 'create_publisher': 'out', 'subscribe': 'in', 'service': 'service'}
+_CALLS = {'publisher': 'out', 'create_publisher': 'out', 'subscribe': 'in', 'service': 'service',
+          'service_aside': 'service'}
 
 
 class End(NamedTuple):
@@ -44,10 +48,16 @@ def ends() -> Iterator[End]:
             if isinstance(call.func, ast.Attribute) and call.func.attr in _CALLS and (
                     len(call.args) > 1 and isinstance(call.args[1], ast.Constant)):
                 kind, name = ast.unparse(call.args[0]), str(call.args[1].value)
-                for node in _SHARED.get(path.stem, (path.stem,)):
-                    if path.stem in (*_SHARED, *NODES):
-                        yield End(_CALLS[call.func.attr], name.replace('~', node),
-                                  types.get(kind, kind), node)
+                for node in _makers(path.stem):
+                    yield End(_CALLS[call.func.attr], name.replace('~', node),
+                              types.get(kind, kind), node)
+
+
+def _makers(module: str) -> tuple[str, ...]:
+    """Whose topics a module makes; LookupError for one of which nothing is said here."""
+    if module not in NODES and module not in _SHARED:
+        raise LookupError(f'{module} makes topics; expected it in _SHARED: for whom?')
+    return _SHARED.get(module, (module,))
 
 
 def _message_types(tree: ast.Module) -> dict[str, str]:
@@ -69,15 +79,17 @@ def page() -> str:
                 by[end.what].append(end.node)
         kind = next(end.kind for end in made if end.name == name)
         if 'service' in by:
-            services.append([code(name), kind, content[name]])
+            services.append([f'{code(name)} {kind}', content[name]])
         else:
-            topics.append([code(name), kind, _nodes(by['out']), _nodes(by['in']), content[name]])
+            way = f'{_nodes(by["out"])} → {_nodes(by["in"])}'.strip()
+            topics.append([f'{code(name)} {kind}', way, content[name]])
     return (f'# Topics and services\n\n{MADE} Names are relative, so that a rig may have a '
             'namespace; SI units. A stamp is the moment of exposure of the frame, and travels '
             'with all that is computed from it. Every node is a lifecycle node, with its '
-            'services; `recorder` takes all topics, and `player` plays them.\n\n## Topics\n\n'
-            + table(('topic', 'type', 'from', 'to', 'content'), topics)
-            + '\n## Services\n\n' + table(('service', 'type', 'does'), services))
+            'services; `recorder` takes all topics, `player` plays them, and `cockpit` takes '
+            'those too that an open page shows.\n\n## Topics\n\n'
+            + table(('topic, type', 'from → to', 'content'), topics)
+            + '\n## Services\n\n' + table(('service, type', 'does'), services))
 
 
 def _nodes(names: list[str]) -> str:

@@ -91,6 +91,8 @@ def run_batch(task: Task, folders: Sequence[Path], out: Path, settings: dict[str
             return started
 
         jobs = _look(archive, task, folders, settings, summary, report)
+        if not (summary.found or summary.refused):
+            raise InputError(', '.join(map(str, folders)), 'expected recordings; found none')
         archive.save()
         if (known := archive.findings()) is not None:
             _count(archive, jobs, summary)

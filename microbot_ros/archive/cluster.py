@@ -62,9 +62,12 @@ def _local(workers: int | None) -> Iterator[Client]:
 @contextmanager
 def _remote(scheduler: str) -> Iterator[Client]:
     from distributed import Client
+    from distributed.comm.addressing import parse_address, parse_host_port
 
     with _quietly():
         try:
+            # A client that was given no address complains once more when it is thrown away.
+            parse_host_port(parse_address(scheduler)[1])
             client = Client(scheduler, timeout=_FOUND_WITHIN, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
             raise InputError(

@@ -15,7 +15,7 @@ import os
 import shutil
 import socket
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -170,8 +170,12 @@ class Archive:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Keep all others from writing here meanwhile; InputError where another run does."""
+        """Keep all others from writing here meanwhile; InputError where another run does.
+
+        Of a run that found its input wrong before it did anything here nothing stays.
+        """
         lock = self.folder / MARK / _LOCK
+        made = [one for one in (lock.parent, *lock.parent.parents) if not one.exists()]
         try:
             lock.parent.mkdir(parents=True, exist_ok=True)
             file = lock.open('a+', encoding='utf-8')
@@ -183,6 +187,8 @@ class Archive:
         with file:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if not os.fstat(file.fileno()).st_nlink:
+                    raise BlockingIOError  # of a run that has just taken it away
             except OSError:
                 file.seek(0)
                 raise InputError(self.folder, 'another run writes into this archive '
@@ -190,4 +196,15 @@ class Archive:
             file.truncate(0)
             file.write(f'process {os.getpid()} on {socket.gethostname()}')
             file.flush()
-            yield
+            try:
+                yield
+            except InputError:
+                if made:
+                    self._index.unlink(missing_ok=True)
+                raise
+            finally:
+                if not self._index.exists():
+                    lock.unlink()
+                    with suppress(OSError):  # there is something in it
+                        for folder in made:
+                            folder.rmdir()

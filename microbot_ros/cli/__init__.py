@@ -16,6 +16,7 @@ import click
 
 from microbot_ros import __version__
 from microbot_ros.errors import InputError, RigError, one_line
+from microbot_ros.lost_signals import sent_again
 
 # What the system says of a place that somebody named, and of a disk that nobody can help.
 _WRONG_PLACE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOENT, errno.ENOTDIR, errno.EISDIR,
@@ -96,6 +97,17 @@ def main() -> None:
     sys.exit(status)
 
 
+def script() -> None:
+    """What the program `microbot` runs: `main`, and then this process ends, whatever hangs."""
+    try:
+        main()
+    except SystemExit as end:
+        graph = sys.modules.get('microbot_ros.nodes.participant')
+        if graph and isinstance(end.code, int | None):
+            graph.leave(end.code or 0)
+        raise
+
+
 def _failed(who: str, sentence: str, status: int) -> int:
     print(one_line(f'{who}: {sentence}'), file=sys.stderr)
     return status
@@ -116,11 +128,21 @@ def _cleaned_up_on(*signals: int) -> Iterator[None]:
             raise SystemExit(128 + number)
         os.kill(os.getpid(), number)
 
+    def number_of(lost: BaseException | None) -> int | None:
+        if isinstance(lost, KeyboardInterrupt):
+            return signal.SIGINT
+        if not isinstance(lost, SystemExit) or lost.code not in [128 + one for one in before]:
+            return None
+        for one in before:
+            signal.signal(one, end)
+        return int(lost.code) - 128
+
     # `nohup` has one of them ignored.
     before = {one: signal.signal(one, end) for one in signals
               if signal.getsignal(one) == signal.SIG_DFL}
     try:
-        yield
+        with sent_again(number_of):
+            yield
     finally:
         for one, handler in before.items():
             signal.signal(one, handler)

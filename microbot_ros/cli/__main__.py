@@ -1,5 +1,5 @@
 """`python -m microbot_ros.cli`, for machines where scripts are not on the path."""
 
-from microbot_ros.cli import main
+from microbot_ros.cli import script
 
-main()
+script()

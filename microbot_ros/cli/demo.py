@@ -15,9 +15,8 @@ import click
 import numpy as np
 import yaml
 
-from microbot_ros.cli.compiling import note_on_compiling
 from microbot_ros.cli.demo_robots import KINDS, Robots
-from microbot_ros.cli.options import cockpit_option
+from microbot_ros.cli.options import FiniteFloatRange, cockpit_option
 from microbot_ros.drive.real_time import LOOP, realtime_priority
 from microbot_ros.ending import Ending, Stopped
 from microbot_ros.errors import InputError
@@ -54,8 +53,10 @@ class _Run:
 
 
 @click.command()
-@click.option('--seconds', default=30.0, show_default=True, help='How long the loop runs.')
-@click.option('--seed', default=1, show_default=True, help='Seed of particles, noise and debris.')
+@click.option('--seconds', type=FiniteFloatRange(_FEWEST_SECONDS, 86400), default=30.0,
+              show_default=True, help='How long the loop runs.')
+@click.option('--seed', type=click.IntRange(0, 2**31 - 1), default=1, show_default=True,
+              metavar='N', help='Seed of particles, noise and debris.')
 @click.option('--robots', type=click.Choice(list(KINDS)), default='catalytic', show_default=True,
               help='What is steered: swimmers that a field turns, or rollers in a field that '
                    'turns.')
@@ -80,8 +81,6 @@ def command(seconds: float, seed: int, robots: str, cockpit: bool, out: Path,
       microbot demo --seconds 30 --seed 1 --out out/demo
       microbot demo --robots rolling --out out/rollers
     """
-    if not seconds >= _FEWEST_SECONDS:
-        raise InputError('--seconds', f'expected at least {_FEWEST_SECONDS:g}; got {seconds:g}')
     began = time.monotonic()
     try:
         run, summary = _demo(seconds, seed, KINDS[robots], cockpit, out, began)
@@ -127,8 +126,6 @@ def _run(graph: Graph, ending: Ending, folder: Path, seconds: float, seed: int,
     rig = folder / 'rig.yaml'
     write_text(rig, _rig_file(folder, port, log, seed, robots))
     _say(began, f'starting the emulated amplifier and {len(NODES)} nodes')
-    if note := note_on_compiling():
-        _say(began, note)
     graph.start('amplifier', [
         sys.executable, '-m', 'microbot_ros.cli', 'emulate', 'serial_transfer',
         '--link', str(port), '--log', str(log), '--full-scale-A', '2', *robots.emulator],
@@ -136,11 +133,11 @@ def _run(graph: Graph, ending: Ending, folder: Path, seconds: float, seed: int,
     # The log must be there before the virtual rig reads it. Particles swim as soon as that
     # lives: everybody else is to be there by then.
     others = (*NODES[:-1], *(['cockpit'] if cockpit else []))
-    for nodes, patience_s in ((), 20.0), (others, 120.0), (NODES[-1:], 60.0):
+    for nodes in (), others, NODES[-1:]:
         for node in nodes:
             graph.start_nodes([node], rig)
         with ending.interrupts():
-            graph.wait_ready(patience_s)
+            graph.wait_ready()
     with ending.interrupts(), realtime_priority(LOOP):  # no signal waits for the loop
         return _steer(graph, seconds, robots, began)
 

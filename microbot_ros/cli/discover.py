@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from microbot_ros.cli.compiling import note_on_compiling
 from microbot_ros.cli.options import FiniteFloatRange, namespace_option
+from microbot_ros.first_compilation import tell_of_compiling
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -79,8 +80,7 @@ def command(sessions: tuple[Path, ...], out: Path, jobs: int, live: bool, second
     if drive:
         from microbot_ros.cli.discover_drive import drive_rig
 
-        if note := note_on_compiling():
-            progress.print(note, soft_wrap=True)
+        tell_of_compiling(partial(progress.print, soft_wrap=True))
         drive_rig(out, minutes, apply_, json_path, progress, namespace)
         return
     with progress.status('reading'):
@@ -100,8 +100,8 @@ def _discover(recordings: Sequence[Session], sources: Sequence[Path], out: Path,
     from microbot_ros.files import output_folder, write_text
     from microbot_ros.model.model_file import write_model
 
-    for line in filter(None, ('looking', note_on_compiling())):
-        progress.print(line, soft_wrap=True)
+    progress.print('looking')
+    tell_of_compiling(partial(progress.print, soft_wrap=True))
     with progress.status('looking') as status:
         found = discover(recordings, status.update, jobs=jobs)
     text = json.dumps(found.as_json(), indent=1, ensure_ascii=False, allow_nan=False) + '\n'

@@ -13,7 +13,7 @@ import numpy as np
 
 from microbot_ros import units
 from microbot_ros.cli.options import FiniteFloatRange, namespace_option
-from microbot_ros.errors import InputError, shown
+from microbot_ros.errors import InputError, RigError, shown
 from microbot_ros.plausible import implausible
 
 if TYPE_CHECKING:
@@ -28,6 +28,10 @@ _NO_PATHS = ('experiment', 'hold', 'open_loop', 'teleop', 'waypoint', 'ensemble'
 
 _HEALTH_SECONDS = 1.5
 """Within this a node says on `/diagnostics` how it is, once a second."""
+
+_JUDGED_SECONDS = 1.0
+"""Within this a controller that sees particles has said what it makes of goals: it judges them
+with the next frame, and tells five times a second."""
 
 
 # Unknown options are taken as positions, for those may begin with a minus sign.
@@ -45,8 +49,8 @@ def command(positions_um: tuple[str, ...], file: Path | None, as_path: bool, can
             seconds: float | None, namespace: str) -> None:
     """Send goals to the running controller, in micrometres of the workspace, in order.
 
-    Ends when the controller has taken them; with 1 and the reason where it is not there or does
-    not answer. Says so where the controller is not one for them, or the coils are disarmed.
+    Ends when the controller has taken them; with 1 and the reason where it is not there, does not
+    answer or refuses. Says so where the controller is not one for them, or the coils are disarmed.
 
     \b
     Examples:
@@ -76,6 +80,8 @@ def command(positions_um: tuple[str, ...], file: Path | None, as_path: bool, can
         idle = taken.controller in (_NO_PATHS if as_path else _NO_GOALS)
         said = f"{what} taken by controller '{taken.controller}'" + (
             ', which does not go there: ' + _swap(as_path, namespace) if idle else '')
+        if not idle:
+            _refuse(client, 'path' if as_path else 'goals', taken.stamp)
         if seconds is None:
             click.echo(said)
             coils.listen()
@@ -136,8 +142,24 @@ class _Coils:
             click.echo(f'{node}: {sentence}', err=True)
 
 
+def _refuse(client: GraphClient, what: str, stamp: float) -> None:
+    """RigError where the controller says that `what` it took, of that `stamp`, can't be followed.
+    """
+    heard = ['', '']
+
+    def tell(_level: bytes, sentence: str, values: dict[str, str]) -> None:
+        # Until the next frame its poses are as good as stale.
+        if float(values[f'{what}_stamp_s']) == stamp and values['result'] != 'stale poses':
+            heard[:] = values['result'], sentence
+
+    client.watch_progress(tell)
+    client.until(lambda: heard[0], _JUDGED_SECONDS)
+    if heard[0] == 'bad goal':
+        raise RigError(heard[1])
+
+
 def _wait(client: GraphClient, stamp: float, seconds: float) -> None:
-    """Tell the progress until arrival; InputError where the goals are refused, else exit 1."""
+    """Tell the progress until arrival; RigError where the goals are refused, else exit 1."""
     heard, next_line = ['', 'nothing more was heard of the controller'], 0.0
 
     def tell(_level: bytes, sentence: str, values: dict[str, str]) -> None:
@@ -155,6 +177,6 @@ def _wait(client: GraphClient, stamp: float, seconds: float) -> None:
     client.watch_progress(tell)
     client.until(lambda: heard[0] in ('done', 'bad goal', 'fault', 'replaced'), seconds)
     if heard[0] == 'bad goal':
-        raise InputError('', heard[1])
+        raise RigError(heard[1])
     click.echo('arrived' if heard[0] == 'done' else f'not arrived: {heard[1]}')
     sys.exit(0 if heard[0] == 'done' else 1)

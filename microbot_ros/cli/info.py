@@ -42,7 +42,7 @@ def command(session: Path, json_path: Path | None, figure: Path | None, repair: 
     """
     from rich.console import Console
 
-    from microbot_ros.estimation.batch import command_excitation
+    from microbot_ros.estimation.excitation import command_excitation
     from microbot_ros.session import is_recording, open_recording
     from microbot_ros.session.survey import survey_folder, survey_recording
 

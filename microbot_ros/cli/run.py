@@ -41,7 +41,7 @@ def command(config: Path, arm: bool, one_process: bool, cockpit: bool, namespace
       microbot arm
       microbot run --config rig_2.yaml --namespace rig_2
     """
-    from microbot_ros.nodes.configuration import read_rig
+    from microbot_ros.nodes.configuration import read_rig, refused
     from microbot_ros.nodes.graph_client import checked_namespace
     from microbot_ros.nodes.process import NODES, processes
 
@@ -56,10 +56,12 @@ def command(config: Path, arm: bool, one_process: bool, cockpit: bool, namespace
             graph.start_nodes(group, config, namespace)
         try:
             with ending.interrupts():
-                graph.wait_ready(120.0)
+                graph.wait_ready()
                 _say('microbot', f'running: {", ".join(nodes)}; Ctrl-C stops')
                 with realtime_priority(LOOP):  # who is told to end must not wait for the loop
                     _watch(graph, arm, namespace)
+        except InputError as error:
+            raise refused(config, rig, namespace, error.source, error.expected) from None
         except Stopped as stopped:
             _say('microbot', f'stopping on {stopped}')
     if graph.killed:

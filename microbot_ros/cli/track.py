@@ -39,8 +39,8 @@ _WHOLE = 0.95
               help='What drove the particles, on the clock of the frames (the first is at 0): '
               'commands.csv of a session. A turn of the field is then expected.')
 @click.option('--like', multiple=True, type=PointType(named=True),
-              help='In this frame, at these pixels, is one to follow; KIND names it. Again for '
-              'more examples.')
+              help='In this frame, at these pixels, is one to follow; KIND names it. Between '
+              'two near parts both are meant, as one. Again for more examples.')
 @click.option('--unlike', multiple=True, type=PointType(named=False),
               help='There is something that is not to be followed.')
 @click.option('--overlay/--no-overlay', default=True, help='Write overlay.mp4.')

@@ -11,6 +11,8 @@ from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from microbot_ros.cockpit.steering import Steering
+
 _OWED = 2
 """Pictures that a page may have without having said that it has seen them."""
 _SIGN_OF_LIFE_S = 1.0
@@ -30,6 +32,7 @@ class Page:
         self.number = number
         self.in_work = 0
         """Verbs that are being performed."""
+        self.steering = Steering()
         self._socket = socket
         self._owed: deque[int] = deque()
         self._picture: tuple[int, bytes] | None = None

@@ -111,4 +111,6 @@ def summary(result: dict[str, Any]) -> dict[str, Any]:
         'effect': effects[0].get('id'),
         'gap_um': gap.get('after_um', gap.get('before_um')),
         'odds': experiments[-1].get('odds', {}), 'minutes': result.get('minutes'),
-        'next': result.get('next_experiment')}
+        'next': result.get('next_experiment'),
+        'learned': [{'sentence': one.get('sentence'), 'arrows': one.get('arrows') or []}
+                    for one in result.get('learned') or []]}

@@ -24,7 +24,7 @@ class Rig(Protocol):
     """
 
     kinds: list[str]
-    """The kinds of particles that have been seen."""
+    """The names of the kinds of particles that the tracker was taught."""
 
     def watch(self, picture: PictureListener, particles: ParticleListener) -> None:
         """From now on tell, from whatever thread: `picture(stamp_ns, jpeg)` for each picture, and

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import math
 import socket
 import threading
 import time
@@ -32,6 +33,10 @@ from microbot_ros.errors import InputError
 
 _STATE_S = 0.1
 _LAST_STOP_S = 0.5
+_STOOD_STILL_S, _DEAF_S = 0.7, 0.5
+"""A page that hears nothing for so long takes the link for lost, and what it asked for for not
+done. A server that stood still makes that true: for so long it then does nothing but stop and
+disarm."""
 _MOST_PAGES = 16
 _MOST_IN_WORK = 8
 _LONGEST_MESSAGE = 128 * 1024
@@ -39,6 +44,7 @@ _BUFFER = 256 * 1024
 """What may wait in the system for a page that does not read: a frozen one is not to be shown the
 past when it wakes."""
 _FOREIGN = 'another page has control'
+_LATE = 'the cockpit stood still, and does nothing late: ask again'
 
 _log = logging.getLogger(__name__)
 
@@ -59,7 +65,8 @@ class Server:
         self._pages: dict[int, Page] = {}
         self._count = 0
         self._tasks: set[asyncio.Task[None]] = set()
-        self._camera: dict[str, Any] | None = None
+        self._ticked_s = self._deaf_until_s = -math.inf
+        self._greeting: dict[str, Any] = self._known()
         self._gate = Gatekeeper(self._application(), host, self._port)
         self._uvicorn = uvicorn.Server(uvicorn.Config(
             self._gate, log_level='warning', access_log=False, ws='websockets-sansio',
@@ -113,6 +120,7 @@ class Server:
     @asynccontextmanager
     async def _lifespan(self, _: Starlette) -> AsyncIterator[None]:
         self._loop = asyncio.get_running_loop()
+        self._ticked_s = time.monotonic()
         self._rig.watch(self._on_picture, self._on_particles)
         background = [asyncio.create_task(_for_ever(work)) for work in (
             self._tell_state, self._watch_attendance, self._rig.keep_up)]
@@ -146,10 +154,11 @@ class Server:
         """The state to every page, each part written once for all."""
         while True:
             await asyncio.sleep(_STATE_S)
+            self._tick(time.monotonic())
             if not self._pages:
                 continue
-            if (camera := self._rig.camera()) != self._camera:
-                self._camera = camera
+            if (known := self._known()) != self._greeting:
+                self._greeting = known
                 for page in self._pages.values():
                     page.tell(self._hello(page))
             state = self._rig.state()
@@ -160,13 +169,27 @@ class Server:
                 page.state({**parts, 'control': json.dumps(self._control_of(page))},
                            time.monotonic())
 
+    def _tick(self, now_s: float) -> None:
+        """Know at `now_s` [s] for how long the server stood still."""
+        if now_s - self._ticked_s > _STOOD_STILL_S:
+            self._deaf_until_s = now_s + _DEAF_S
+        self._ticked_s = now_s
+
+    def _stood_still(self, now_s: float) -> bool:
+        """Whether what is read at `now_s` [s] may have waited for longer than a page believes."""
+        return now_s - self._ticked_s > _STOOD_STILL_S or now_s < self._deaf_until_s
+
     def _control_of(self, page: Page) -> dict[str, Any]:
         return {'mine': self._control.holder == page.number, 'holder': self._control.holder,
                 'pages': self._control.pages}
 
     def _hello(self, page: Page) -> dict[str, Any]:
         return {'kind': 'hello', 'you': page.number, 'version': __version__,
-                'verbs': list(verbs.NAMES), 'camera': self._camera, 'kinds': self._rig.kinds}
+                'verbs': list(verbs.NAMES), **self._known()}
+
+    def _known(self) -> dict[str, Any]:
+        """Of the rig what changes hardly ever."""
+        return {'camera': self._rig.camera(), 'kinds': self._rig.kinds}
 
     async def _watch_attendance(self) -> None:
         """Disarm where nobody is there who should be, again and again until that is done."""
@@ -216,18 +239,22 @@ class Server:
 
     def _obey(self, page: Page, verb: verbs.AnyVerb) -> None:
         """Do what takes no time now; anything else in a task, so that no STOP waits behind it."""
-        controls = self._control.holder == page.number
+        now_s, controls = time.monotonic(), self._control.holder == page.number
         match verb:
             case verbs.Seen():
                 page.seen(int(verb.stamp))
             case verbs.Heartbeat():
-                self._control.heard(page.number, time.monotonic())
+                self._control.heard(page.number, now_s)
             case verbs.Stick():
-                if controls:
+                allowed = controls and not self._stood_still(now_s)
+                if page.steering.counts(verb.x, verb.y, now_s, allowed):
                     self._rig.stick(verb.x, verb.y)
+            case verbs.Order() if not isinstance(
+                    verb, verbs.Stop | verbs.Disarm) and self._stood_still(now_s):
+                page.tell(_answer(verb.id, False, _LATE))
             case verbs.TakeControl():
                 self._control.take(page.number)
-                self._control.heard(page.number, time.monotonic())
+                self._control.heard(page.number, now_s)
                 page.tell(_answer(verb.id, True))
             case _ if verb.needs_control and not controls:
                 page.tell(_answer(verb.id, False, _FOREIGN))

@@ -5,9 +5,9 @@ from __future__ import annotations
 import cmath
 import dataclasses
 
-import numba
 import numpy as np
 
+from microbot_ros.compiled import numba
 from microbot_ros.control.contract import ControllerInput, FieldCommand
 from microbot_ros.control.forecast import KNOWN_WELL_ENOUGH
 from microbot_ros.control.shared import borders

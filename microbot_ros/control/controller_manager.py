@@ -249,7 +249,7 @@ def _unit(axis: np.ndarray | None) -> np.ndarray | None:
 
 def _in_space(field: np.ndarray) -> np.ndarray:
     """A field (2,) or (3,) as (3,)."""
-    return np.pad(field, (0, 3 - len(field)))
+    return np.array([*field.tolist(), 0.0][:3])
 
 
 def _approach(now: np.ndarray, wanted: np.ndarray, inputs: ControllerInput) -> np.ndarray:

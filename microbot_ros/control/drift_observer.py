@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
+
+from microbot_ros.compiled import numba
 
 
 class DriftObserver:

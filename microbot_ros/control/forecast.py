@@ -5,9 +5,9 @@ from __future__ import annotations
 import cmath
 import math
 
-import numba
 import numpy as np
 
+from microbot_ros.compiled import numba
 from microbot_ros.control.contract import ControllerInput
 from microbot_ros.control.field_record import FieldRecord
 

@@ -7,6 +7,7 @@ import logging
 from importlib.metadata import EntryPoint, entry_points
 
 from microbot_ros.control.contract import INTERFACE_VERSION, Controller
+from microbot_ros.errors import clipped
 
 GROUP = 'microbot_ros.controllers'
 
@@ -27,7 +28,7 @@ def controller_class(name: str) -> type[Controller]:
     """The class behind one name; PluginError if there is none or it can't be used."""
     if name not in _installed():
         known = ', '.join(sorted(_installed())) or 'none'
-        raise PluginError(f"no controller '{name}' is installed; there are: {known}")
+        raise PluginError(f"no controller '{clipped(name)}' is installed; there are: {known}")
     return _load(_installed()[name])
 
 

@@ -15,7 +15,7 @@ weaker and weaker fields, tell one roller after the other apart.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,6 +38,10 @@ _UNCLEAR = 0.1
 """How gladly other kinds are used."""
 _FAITH = 0.3
 """What part of the difference to what was seen is taken over at once."""
+_DEAR = 4.0
+"""How much longer a detour may be per length of room that it gives where it lacks."""
+_WEIGHED = 12
+"""Turns that are weighed by their room, at each step."""
 _ROUNDS = 12
 _WORTH = 0.15
 """Of a turn: legs that are less are left for the next time."""
@@ -124,10 +128,13 @@ class SingleTurns:
         """How long [s] it takes to displace each by `displacement` (N,) [m], about."""
         return float(self.seconds @ np.abs(self.turns(displacement)))
 
-    def legs(self, displacement: np.ndarray) -> list[Leg]:
+    def legs(self, displacement: np.ndarray,
+             slack: Callable[[np.ndarray], np.ndarray] | None = None) -> list[Leg]:
         """Whole turns that add up to `displacement` (N,) [m], one after the other.
 
-        Each time that which leaves the smallest detour of any roller from a straight way.
+        Each time that which leaves the smallest detour of any roller from a straight way; a
+        detour that gives room where it lacks may be longer. `slack` tells how much [m] (C,) is to
+        spare, less than 0 where it lacks, where all have moved by each of (N, C) [m].
         """
         left = [leg for kind, u in enumerate(self.turns(displacement).tolist())
                 for leg in _whole(kind, u)]
@@ -136,8 +143,13 @@ class SingleTurns:
         rest = list(range(len(left)))
         for done in range(1, len(left) + 1):
             due = displacement * (done / len(left))
-            detour = np.abs((at - due)[:, None] + moves[:, rest]).max(0)
-            order.append(rest.pop(int(np.argmin(detour))))
+            moved = at[:, None] + moves[:, rest]
+            detour = np.abs(moved - due[:, None]).max(0)
+            nearest = np.argsort(detour)[:1 if slack is None else _WEIGHED]
+            if slack is not None:
+                room = np.minimum(slack(moved[:, nearest]), 0)
+                nearest = nearest[np.argsort(detour[nearest] - _DEAR * room)]
+            order.append(rest.pop(int(nearest[0])))
             at = at + moves[:, order[-1]]
         return [left[k] for k in order]
 

@@ -99,6 +99,7 @@ class Swarm(Controller):
         self._legs: deque[Leg] = deque()
         self._leg: tuple[Leg, np.ndarray] | None = None
         self._orders: deque[tuple[np.ndarray, float]] = deque()
+        self._standing = np.zeros(2)
         self._upright = False
         self._begin_anew()
 
@@ -106,6 +107,7 @@ class Swarm(Controller):
         """Forget the ways, and not what was surveyed."""
         self._search: Generator[None, None, _Ways] | None = None
         self._ways: _Ways | None = None
+        self._plan: Generator[None, None, None] | None = None
         self._refused: ControllerError | None = None
         self._reach = SHORTEST_S
         self._arrived = False
@@ -244,7 +246,7 @@ class Swarm(Controller):
         """No field flows."""
         self._legs.clear()
         self._orders.clear()
-        self._leg, self._upright = None, False
+        self._leg, self._plan, self._upright = None, None, False
 
     def _next(self, inputs: ControllerInput, here: np.ndarray, ways: _Ways) -> None:
         """Order the next leg on the `ways`, if any is left to do, from `here` (N,) [m]."""
@@ -254,11 +256,20 @@ class Swarm(Controller):
             self._arrived = ways.through and far <= arrival * (AGAIN if self._arrived else 1.0)
             if self._arrived:
                 return self._stop()
-            if self._upright:
-                self._plan_legs(inputs, here, ways)
+            if self._upright and self._plans(inputs, here, ways):
+                return self._orders.append((self._standing, STANDING_HZ))
         if self._legs or not self._upright:
             self._order_next(inputs, here)
         return None
+
+    def _plans(self, inputs: ControllerInput, here: np.ndarray, ways: _Ways) -> bool:
+        """Plan the next legs from `here` (N,) [m], a bit at each tick; whether that goes on."""
+        if self._plan is None:
+            self._plan = self._plan_legs(inputs.workspace, here, ways)
+        for _ in self._plan:
+            return True
+        self._plan = None
+        return False
 
     def _order_next(self, inputs: ControllerInput, here: np.ndarray) -> None:
         """A leg from `here` (N,) [m], or before the first the field upright.
@@ -281,6 +292,7 @@ class Swarm(Controller):
         turning = float(self._turns.frequency[leg.kind])
         self._orders.extend([(field, part * turning)] * int(self._turns.ticks[leg.kind]))
         self._orders.extend([(field, STANDING_HZ)] * int(self._turns.rest[leg.kind]))
+        self._standing = field
 
     def _look(self, inputs: ControllerInput) -> np.ndarray:
         """Where all are (N,) [m]; ParticleLostError where one is not seen."""
@@ -291,19 +303,25 @@ class Swarm(Controller):
         rows = order[np.searchsorted(inputs.ids, self._ids, sorter=order)]
         return as_complex(inputs.position[rows])
 
-    def _plan_legs(self, inputs: ControllerInput, here: np.ndarray, ways: _Ways) -> None:
+    def _plan_legs(self, view: Workspace, here: np.ndarray, ways: _Ways,
+                   ) -> Generator[None, None, None]:
         """As long a part of the ways as goes without anybody coming near to anything."""
         assert self._turns is not None
-        room = self._room(inputs.workspace, TIGHT)
+        room = self._room(view, TIGHT)
         reach, best, chosen = min(2 * self._reach, LONGEST_S), -math.inf, []
+
+        def slack_after(moved: np.ndarray) -> np.ndarray:
+            return _slack(here[:, None] + moved, room)
+
         while True:
-            legs = self._turns.legs(ways.ahead(reach) - here)
-            slack = _slack(here, self._turns.moves(legs), room)
+            legs = self._turns.legs(ways.ahead(reach) - here, slack_after)
+            slack = slack_after(self._turns.moves(legs).cumsum(1)).min(initial=math.inf)
             if slack > best:
                 chosen, best, self._reach = legs, slack, reach
             if slack >= 0 or reach <= SHORTEST_S:
                 break
             reach /= 2
+            yield
         ways.advance(self._reach)
         self._legs.extend(chosen)
 
@@ -340,12 +358,7 @@ class _Ways:
         self._at = min(self._at + seconds, self._times[-1])
 
 
-def _slack(here: np.ndarray, moves: np.ndarray, room: Room) -> float:
-    """How much nearer [m] anybody could come to anything, from `here` (N,) on by `moves` (N, L)
-    [m].
-    """
-    if not moves.size:
-        return math.inf
-    ways = here + np.cumsum(moves, axis=1).T
-    return float(min((between(ways) - room.apart).min(),
-                     (room.to_walls(ways) - room.off_walls).min()))
+def _slack(place: np.ndarray, room: Room) -> np.ndarray:
+    """How much nearer [m] (C,) anybody could come to anything where all are at `place` (N, C)."""
+    return np.asarray(np.minimum((between(place.T) - room.apart).min(-1),
+                                 (room.to_walls(place) - room.off_walls).min(0)))

@@ -227,8 +227,19 @@ class Learned:
             'band_95': 'in model.yaml', 'log_evidence': self.log_evidence,
             'odds': [{'against': against, 'frame': frame, 'acts_on': acts_on, 'odds': odds}
                      for (against, frame, acts_on), odds in self.odds.items() if odds > 1e-3],
-            'left_against': list(self.left),
+            'left_against': list(self.left), 'sentence': self.sentence(),
+            'arrows': self._arrows(),
         }
+
+    def _arrows(self) -> list[list[float | None]]:
+        """Of a velocity that depends on the place: x, y [µm] and the velocity there [µm/s] at each
+        knot that data were at. Of all else none."""
+        term = self.term
+        if (term.against, term.acts_on) != ('position', 'velocity'):
+            return []
+        x, y = np.meshgrid(*term.axes, indexing='ij')
+        rows = np.column_stack([x.ravel(), y.ravel(), term.values])[term.seen]
+        return [[_edge('_um', value) for value in row] for row in rows.tolist()]
 
 
 @dataclass(frozen=True)

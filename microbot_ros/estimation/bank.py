@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from typing import ClassVar, NamedTuple
 
-import numba
 import numpy as np
+
+from microbot_ros.compiled import numba
 
 MIN_WEIGHT = 0.05
 """Hypotheses less probable than this neither move nor widen an estimate."""

@@ -9,13 +9,13 @@ import numpy as np
 
 from microbot_ros.errors import InputError
 from microbot_ros.estimation.delay import Delay, DelayedFits
-from microbot_ros.estimation.excitation import Excitation
+from microbot_ros.estimation.excitation import excitation
 from microbot_ros.estimation.likelihood import SessionFit
 from microbot_ros.estimation.model_fit import fit_sessions
-from microbot_ros.estimation.noise import Noise, sphere_in_fluid, stokes_einstein, whiten
+from microbot_ros.estimation.noise import Noise, sphere_in_fluid, whiten
 from microbot_ros.estimation.one_leg_regression import Leg, one_leg
 from microbot_ros.estimation.phasor import Polar
-from microbot_ros.estimation.prepared_session import PreparedSession, prepare
+from microbot_ros.estimation.prepared_session import prepare
 from microbot_ros.model.floor import height_of_drag
 from microbot_ros.model.model import Model
 from microbot_ros.model.particle import translational_diffusion
@@ -84,7 +84,7 @@ def fit(session: Session, exposure: float = 0.0) -> FitResult:
     fits = DelayedFits(model, prepared)
     plain = fit_sessions(model, [prepared]).session_fits[0]
     noise = plain.noise(exposure)
-    excited = fits.excitation(0.0, noise)
+    excited = excitation(model, prepared, 0.0, noise)
     best, delay = _with_delay(model, fits, plain) if excited.shows_delay else (plain, Delay())
     slope = fits.log_phasor_slope(delay.value, best.whitening.noise_ratio)
     if best is not plain:
@@ -106,20 +106,6 @@ def fit(session: Session, exposure: float = 0.0) -> FitResult:
         _of_particles(np.where(best.session.seen, best.session.z, np.nan), best.session.ids),
         _of_particles(_predicted(best), best.session.ids), model.propulsion == 'rolling',
     )
-
-
-def command_excitation(session: Session) -> Excitation | None:
-    """What the commands of a `session` could tell apart, before anything is fitted.
-
-    Under Stokes–Einstein's diffusion, 0.1 µm²/s where it is not known, and localised to 50 nm.
-    None with fewer than two frames.
-    """
-    prepared = PreparedSession.of(session)
-    if len(prepared.times) < 2:
-        return None
-    diffusion, _ = stokes_einstein(session.conditions) or (1e-13, 0.0)
-    model = Model.baseline(session.conditions, session.commands)
-    return DelayedFits(model, prepared).excitation(0.0, Noise(diffusion, 5e-8))
 
 
 def _with_delay(model: Model, fits: DelayedFits, plain: SessionFit) -> tuple[SessionFit, Delay]:

@@ -9,10 +9,8 @@ from itertools import pairwise
 import numpy as np
 from scipy.integrate import trapezoid
 
-from microbot_ros.estimation.excitation import Excitation, judge
 from microbot_ros.estimation.expected_displacement import ExpectedDisplacement
 from microbot_ros.estimation.likelihood import SessionFit, Whitening
-from microbot_ros.estimation.noise import Noise
 from microbot_ros.estimation.prepared_session import PreparedSession
 from microbot_ros.model.model import Model
 
@@ -125,13 +123,3 @@ class DelayedFits:
             return 0j
         slope = (after[usable] / before[usable] - 1) / (2 * self._step)
         return complex(np.average(slope, weights=weight[usable]))
-
-    def excitation(self, delay: float, noise: Noise) -> Excitation:
-        """What the commands could tell apart, `delay` [s] late and under `noise`."""
-        bare = Model(self._model.reference_field, self._model.propulsion)
-        early, middle, late = (
-            ExpectedDisplacement.of(bare, self.session(delay + s).timeline).along[:, 0]
-            for s in (-self._step, 0.0, self._step)
-        )
-        slope = (late - early) / (2 * self._step)
-        return judge(self._session.times, middle, slope, noise)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
+from microbot_ros.compiled import numba
 from microbot_ros.estimation.noise import Noise
 from microbot_ros.estimation.phasor import polar
 from microbot_ros.estimation.propagation import Step

@@ -1,12 +1,20 @@
-"""What the recent command cannot tell apart, from the information it carries."""
+"""What the recent command cannot tell apart, from the information it carries.
+
+Nothing here is compiled: it is also said before anything is fitted, by `microbot info`.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import solve_banded
 
-from microbot_ros.estimation.noise import Noise, whiten
+from microbot_ros.estimation.noise import Noise, stokes_einstein
+from microbot_ros.estimation.prepared_session import PreparedSession
+from microbot_ros.model.heading import integrate_heading
+from microbot_ros.model.model import Model
+from microbot_ros.records import Session
 
 PARAMETERS = ('speed', 'φ', 'delay', 'drift', 'drift')
 """Rows of the information: log v, φ, delay, drift along x, drift along y."""
@@ -56,24 +64,61 @@ class Excitation:
         return told
 
 
-def judge(times: np.ndarray, path: np.ndarray, late: np.ndarray, noise: Noise) -> Excitation:
-    """What a command tells apart within `times` (T,) [s], by its Fisher information.
+def command_excitation(session: Session) -> Excitation | None:
+    """What the commands of a `session` could tell apart, before anything is fitted.
 
-    About PARAMETERS, from one particle with v = 1 and φ = 0: `path` (T,) complex is ∫u dt [s],
-    `late` (T,) its derivative by the delay. Both axes are whitened under `noise` as positions
-    are; a slow drift is a column that grows with time.
+    Under Stokes–Einstein's diffusion, 0.1 µm²/s where it is not known, and localised to 50 nm.
+    None with fewer than two frames.
     """
-    time = (times - times[0]).astype(complex)
-    columns = np.stack([path, 1j * path, late, time, 1j * time], axis=-1)[:, None, :]
-    white = whiten(columns, times, noise)[:, 0]
-    info = np.real(np.conj(white).T @ white)
+    prepared = PreparedSession.of(session)
+    if len(prepared.times) < 2:
+        return None
+    diffusion, _ = stokes_einstein(session.conditions) or (1e-13, 0.0)
+    model = Model.baseline(session.conditions, session.commands)
+    return excitation(model, prepared, 0.0, Noise(diffusion, 5e-8))
+
+
+def excitation(model: Model, session: PreparedSession, delay: float, noise: Noise) -> Excitation:
+    """What the commands of a `session` could tell apart, `delay` [s] late and under `noise`.
+
+    By the Fisher information about PARAMETERS in the first order of a `model`, from one particle
+    with v = 1 and φ = 0 that is always seen: its path ∫u dt [s], turned by 90°, its derivative by
+    the delay, and time, for a slow drift.
+    """
+    step = 0.5 * session.interval
+    early, path, late = (_moved(model, session, delay + s) for s in (-step, 0.0, step))
+    interval = np.diff(session.times).astype(complex)
+    info = _information(
+        np.stack([path, 1j * path, (late - early) / (2 * step), interval, 1j * interval], axis=-1),
+        interval.real, noise)
     size = np.sqrt(np.diag(info))
     return Excitation(
-        seconds=float(times[-1] - times[0]),
+        seconds=float(session.times[-1] - session.times[0]),
         driven=bool(size[0] > 0),
         turned=bool(size[2] > 1e-4 * size[0]),
         pairs=_confounded(info),
     )
+
+
+def _moved(model: Model, session: PreparedSession, delay: float) -> np.ndarray:
+    """∫u dt [s] over every frame interval (T−1,), complex, with the commands `delay` [s] late."""
+    bare = Model(model.reference_field, model.propulsion)
+    late = replace(session.commands, t=session.commands.t + delay)
+    segments, course, context = integrate_heading(bare, replace(session, commands=late).timeline)
+    moved: np.ndarray = segments.sum(course.path * bare.speed_factor(context))[:, 0]
+    return moved
+
+
+def _information(columns: np.ndarray, interval: np.ndarray, noise: Noise) -> np.ndarray:
+    """That of increments about the amplitudes of `columns` (T−1, M) of them.
+
+    Increments over an `interval` h have the variance 2Dh + 2R and the covariance −R with their
+    neighbours, R = σ² − DE/3 (see `noise`).
+    """
+    covariance = np.full((3, len(interval)), -noise.ratio)
+    covariance[1] = 2 * (interval + noise.ratio)
+    solved = solve_banded((1, 1), covariance, columns)
+    return np.real(np.conj(columns).T @ solved) / noise.diffusion
 
 
 def _confounded(info: np.ndarray) -> tuple[tuple[str, str], ...]:

@@ -9,15 +9,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, types
+from numba import types
 
+from microbot_ros.compiled import numba
 from microbot_ros.model.alignment_kernel import given
 
 _ROWS = (given(types.float64, 1, 'C'), given(types.int64, 2, 'C'))
 
 
-@njit([(*_ROWS, given(kind, 3, 'C'), types.float64) for kind in (types.complex128, types.float64)],
-      cache=True)
+@numba.njit([(*_ROWS, given(kind, 3, 'C'), types.float64)
+             for kind in (types.complex128, types.float64)], cache=True)
 def whiten_columns(times, pieces, columns, noise_ratio):  # type: ignore[no-untyped-def]
     """White increments of `columns` (T, N, M), of unit variance per axis, by the local-level gain.
 
@@ -56,7 +57,7 @@ def whiten_columns(times, pieces, columns, noise_ratio):  # type: ignore[no-unty
     return out, log_det, used
 
 
-@njit(cache=True)
+@numba.njit(cache=True)
 def whitened_products(times, pieces, z, offset, along, noise_ratio):  # type: ignore[no-untyped-def]
     """Real inner products (N, 3, 3) of `z` − `offset`, `along` and i·`along` (T, 1 or N), white.
 
@@ -103,7 +104,7 @@ def whitened_products(times, pieces, z, offset, along, noise_ratio):  # type: ig
     return products, log_det, used
 
 
-@njit([(given(types.complex128, 3, 'C'), given(types.complex128, 3, 'C'), types.float64)],
+@numba.njit([(given(types.complex128, 3, 'C'), given(types.complex128, 3, 'C'), types.float64)],
       cache=True)
 def joint_products(white, others, scale):  # type: ignore[no-untyped-def]
     """Real inner products (N, L + M, L + M) of `white` (T, N, L) times a `scale` and `others`.
@@ -130,7 +131,7 @@ def joint_products(white, others, scale):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True)
+@numba.njit(cache=True)
 def filter_positions(times, pieces, positions, noise_ratio):  # type: ignore[no-untyped-def]
     """Means (T, N) of the local-level filter of `positions` (T, N) complex after every frame.
 
@@ -157,7 +158,7 @@ def filter_positions(times, pieces, positions, noise_ratio):  # type: ignore[no-
     return out
 
 
-@njit(cache=True)
+@numba.njit(cache=True)
 def _stationary_variance(diffusion_ratio, times, retention, k, n):  # type: ignore[no-untyped-def]
     """Variance of a heading that the field has long held."""
     k = min(k, len(retention) - 1)
@@ -167,7 +168,7 @@ def _stationary_variance(diffusion_ratio, times, retention, k, n):  # type: igno
     return -diffusion_ratio * (times[k + 1] - times[k]) / math.log(q)
 
 
-@njit(cache=True)
+@numba.njit(cache=True)
 def _heading_noise(h, diffusion_ratio, retention):  # type: ignore[no-untyped-def]
     """What noise in the heading adds over an interval h: an Ornstein–Uhlenbeck process.
 
@@ -187,7 +188,7 @@ def _heading_noise(h, diffusion_ratio, retention):  # type: ignore[no-untyped-de
             diffusion_ratio * (1 - retention**2) / rate)
 
 
-@njit(cache=True)
+@numba.njit(cache=True)
 def _heading_noises(times, diffusion_ratio, retention):  # type: ignore[no-untyped-def]
     """`_heading_noise` (T−1, 4) of every frame interval, for the first particle."""
     out = np.empty((len(times) - 1, 4))
@@ -200,7 +201,7 @@ NEGLIGIBLE = 1e-12
 """Covariance of x and y, relative to their variances, that is none."""
 
 
-@njit(cache=True)
+@numba.njit(cache=True)
 def _ahead(covariance, h, side, spread, mixed, turned, b, q):  # type: ignore[no-untyped-def]
     """The covariance of place and heading (xx, xy, yy, xa, ya, aa) an interval h later.
 
@@ -219,7 +220,7 @@ def _ahead(covariance, h, side, spread, mixed, turned, b, q):  # type: ignore[no
     return xx, xy, yy, xa, ya, q * q * aa + turned
 
 
-@njit(cache=True)
+@numba.njit(cache=True)
 def _seen(covariance, ratio_x, ratio_y):  # type: ignore[no-untyped-def]
     """The covariance after a reading, the gains (xx, xy, yx, yy, ax, ay), how to make the
     innovation white (scale of x, lean, scale of y), and the determinant of its covariance.
@@ -241,7 +242,7 @@ def _seen(covariance, ratio_x, ratio_y):  # type: ignore[no-untyped-def]
     return after, (gxx, gxy, gyx, gyy, gax, gay), white, det
 
 
-@njit(cache=True)
+@numba.njit(cache=True)
 def _carry(  # type: ignore[no-untyped-def]
         covariance, place, turn, k, n, times, noises, diffusion_ratio, sensitivity, retention):
     """The covariance at row k of track n, an interval later; `place` and `turn` (M,) in place."""
@@ -256,7 +257,7 @@ def _carry(  # type: ignore[no-untyped-def]
     return _ahead(covariance, h, *noise, b, q)
 
 
-@njit(cache=True)
+@numba.njit(cache=True)
 def _logged(log_det, product):  # type: ignore[no-untyped-def]
     """½ log det so far, and the `product` of determinants that is not in it yet.
 
@@ -267,8 +268,9 @@ def _logged(log_det, product):  # type: ignore[no-untyped-def]
     return log_det + 0.5 * math.log(product), 1.0
 
 
-@njit([(*_ROWS, given(types.complex128, 3, 'C'), types.float64, types.float64, types.float64,
-        given(types.complex128, 2, 'C'), given(types.float64, 2, 'C'))], cache=True)
+@numba.njit([(*_ROWS, given(types.complex128, 3, 'C'), types.float64, types.float64,
+             types.float64, given(types.complex128, 2, 'C'), given(types.float64, 2, 'C'))],
+            cache=True)
 def whiten_with_heading(  # type: ignore[no-untyped-def]
         times, pieces, columns, ratio_x, ratio_y, diffusion_ratio, sensitivity, retention):
     """White increments of complex `columns` (T, N, M) where headings are noisy as well.
@@ -315,7 +317,7 @@ def whiten_with_heading(  # type: ignore[no-untyped-def]
     return out, log_det + 0.5 * math.log(product), used
 
 
-@njit(cache=True)
+@numba.njit(cache=True)
 def whitened_products_with_heading(  # type: ignore[no-untyped-def]
         times, pieces, z, offset, along, noise_ratio, diffusion_ratio, sensitivity, retention):
     """`whitened_products` where headings are noisy as well.

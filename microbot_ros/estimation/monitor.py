@@ -16,8 +16,9 @@ import cmath
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
+
+from microbot_ros.compiled import numba
 
 TICK = 0.5
 """Seconds between looks at the stakes."""

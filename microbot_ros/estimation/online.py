@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-import numba
 import numpy as np
 
+from microbot_ros.compiled import numba
 from microbot_ros.errors import InputError
 from microbot_ros.estimation.commands import CommandLog
 from microbot_ros.estimation.estimates import FASTEST, Estimates, Settings, State, answer

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from scipy.special import i0e, i1e
 
+from microbot_ros.compiled import numba
 from microbot_ros.estimation.noise import sphere_in_fluid
 from microbot_ros.model.particle import stokes_drag
 from microbot_ros.records import Conditions

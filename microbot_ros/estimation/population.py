@@ -6,9 +6,9 @@ from __future__ import annotations
 import math
 from typing import ClassVar, NamedTuple
 
-import numba
 import numpy as np
 
+from microbot_ros.compiled import numba
 from microbot_ros.estimation.bank import Mixture, PhasorBank
 from microbot_ros.estimation.heading_bank import HeadingBank
 

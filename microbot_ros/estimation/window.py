@@ -9,6 +9,7 @@ import numpy as np
 
 from microbot_ros.estimation.commands import CommandLog
 from microbot_ros.estimation.delay import Delay, DelayedFits
+from microbot_ros.estimation.excitation import excitation
 from microbot_ros.estimation.likelihood import search_noise_ratio
 from microbot_ros.estimation.noise import Noise
 from microbot_ros.estimation.prepared_session import PreparedSession
@@ -122,7 +123,7 @@ class Window:
         while (fit := next(search)) is None:
             yield None
         learned, ratio = fit.noise(noise.exposure), fit.whitening.noise_ratio
-        excited = fits.excitation(delay.value, learned)
+        excited = excitation(model, session, delay.value, learned)
         found = Delay()
         for result in fits.posterior(ratio) if excited.shows_delay else ():
             yield None

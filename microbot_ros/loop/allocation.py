@@ -75,9 +75,10 @@ class AllocationStage:
         NaN, which the gate latches as a fault, for one that is not finite. ValueError for one
         with a part along z that the coils can't make.
         """
-        if not np.isfinite(field).all():
+        strength = math.hypot(*field.tolist())
+        if not strength < math.inf:
             return np.full(len(self.coils.names), np.nan)
-        return self._allocator.cheapest(self._within(field, np.linalg.norm(field)))[0]
+        return self._allocator.cheapest(self._within(field, strength))[0]
 
     def turn(self, field: np.ndarray, angular_velocity: np.ndarray) -> Turning:
         """The currents of a `field` (3,) [T] that turns with an `angular_velocity` (3,) [rad/s].
@@ -98,7 +99,7 @@ class AllocationStage:
         per_direction = strength * np.pad(make, ((0, 0), (0, 3 - make.shape[1])))
         if make.shape[1] < 3 and strength and not abs(axis[2]) > _UPRIGHT:
             raise ValueError('no field along z, in which it would turn, comes from these coils')
-        steady = make @ (self._within(along, np.linalg.norm(field)) - self.coils.background)
+        steady = make @ (self._within(along, float(np.linalg.norm(field))) - self.coils.background)
         # The largest current of a turning field: how much of a coil lies across the axis.
         across = per_direction - np.outer(per_direction @ axis, axis)
         largest = np.linalg.norm(across, axis=1)
@@ -107,14 +108,16 @@ class AllocationStage:
         start = (field - along) / (strength or 1.0)
         return Turning(steady, share * per_direction, axis, rate, start, self.coils.driven)
 
-    def _within(self, field: np.ndarray, strength: np.floating) -> np.ndarray:
+    def _within(self, field: np.ndarray, strength: float) -> np.ndarray:
         """Of a field (2,) or (3,) what the coils have axes for, the rest being as good as nothing
         beside a `strength`."""
-        axes = len(self._allocator.matrix)
-        if np.any(np.abs(field[axes:]) > _IN_PLANE * strength):
-            raise ValueError(f'no field along z comes from these coils; {field[2] * 1e3:.3g} mT '
-                             'is asked for')
-        return np.pad(field[:axes], (0, max(axes - len(field), 0)))
+        x, y, z = [*field.tolist(), 0.0][:3]
+        if self.coils.axes == 3:
+            return np.array([x, y, z])
+        if abs(z) > _IN_PLANE * strength:
+            raise ValueError(f'no field along z comes from these coils; {z * 1e3:.3g} mT is asked '
+                             'for')
+        return np.array([x, y])
 
     def field(self, currents: np.ndarray) -> np.ndarray:
         """The field (2,) or (3,) [T] at the centre of the workspace, of currents (N,) [A]."""

@@ -27,6 +27,9 @@ ESTIMATE = np.dtype([
 GOAL = np.dtype([('id', '<u4'), ('x', '<f4'), ('y', '<f4')])
 """Where one particle is to go [m], a point of `particle_goals`."""
 
+PLACE = np.dtype([('x', '<f4'), ('y', '<f4')])
+"""Where to go [m], whoever goes there: a point of `controller/goals` where goals have no ids."""
+
 
 def numbers(points: np.ndarray) -> np.ndarray:
     """All of `points` (N,), of one of these types, but their ids: (F, N) double precision, a row

@@ -24,6 +24,8 @@ from microbot_ros.tracking import (
     teach,
     warm_up,
 )
+from microbot_ros.tracking.burnt_in import LEAST_FRAMES, burnt_in
+from microbot_ros.tracking.doubt import together
 
 _HELD, _HELD_EVERY = 40, 0.1
 """Frames that can be pointed into, and the least time [s] between them."""
@@ -58,8 +60,9 @@ class TrackerStage:
         warm_up()
         file = parameters.settings_file
         self._parameters = parameters
+        self._wanted = read_yaml(file, TrackerSettings) if file else TrackerSettings()
         self._tracker = Tracker(
-            read_yaml(file, TrackerSettings) if file else TrackerSettings(),
+            self._wanted,
             full_search_interval=units.to_si('full_search_ms', parameters.full_search_ms))
         self._camera: ImageToWorkspace | None = None
         self._drive = Drive()
@@ -79,7 +82,7 @@ class TrackerStage:
     @property
     def remarks(self) -> str:
         """What is wrong with the picture, in words; '' where nothing is."""
-        return '; '.join(self._tracker.remarks.values())
+        return '; '.join(together(self._tracker.remarks.values()))
 
     def field(self, t: float, field: np.ndarray) -> None:
         """From `t` [s] on swimmers turn with a field (2,) [T]; without one they go on."""
@@ -99,6 +102,8 @@ class TrackerStage:
         """
         if self._camera is None:
             self._camera = self._calibration(image)
+        if self._wanted is not self._tracker.settings:
+            self._tracker.teach(self._wanted)
         drive = self._drive.between(self._previous, t) if self.frames else np.zeros(2)
         try:
             self.poses = self._tracker.update(image, t, self._camera.image_axes(drive))
@@ -114,28 +119,52 @@ class TrackerStage:
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """Names of the kinds that it was taught."""
+        """Names of the kinds that it was taught, as of the last frame."""
         return tuple(kind.name for kind in self._tracker.settings.kinds)
 
     def teach(self, words: str) -> str:
         """Learn by `words`: what was learned, in a sentence.
 
         `like X,Y[,KIND][@STAMP_NS]`, `unlike X,Y[,KIND][@STAMP_NS]`, `forget [KIND]`; X, Y in
-        pixels of the frame with that stamp, or of the newest. Raises InputError where that can't
-        be done; nothing has changed then.
+        pixels of the frame with that stamp, or of the newest. The next frame is seen so. Raises
+        InputError where that can't be done; nothing has changed then. Frames may be stepped
+        through meanwhile, in another thread.
         """
         verb, _, rest = words.strip().partition(' ')
-        settings = self._tracker.settings
+        settings = self._wanted
         if verb == 'forget':
             settings, said = teach.forget(settings, rest.strip() or None)
         elif verb in ('like', 'unlike'):
             x, y, name, stamp = _pointed(rest)
             learn = teach.like if verb == 'like' else teach.unlike
             settings, said = learn(settings, self._frame_at(stamp), x, y, name)
+            if verb == 'like':
+                # Who points at something that was left out wants it followed.
+                settings = settings.model_copy(update={'standing': tuple(
+                    place for place in settings.standing if not place.holds(x, y))})
+            settings, more = self._masked(settings, x, y)
+            said += more
         else:
             raise InputError('teach', f'expected like, unlike or forget, got {verb!r}')
-        self._tracker.teach(settings)
+        self._wanted = settings
         return said
+
+    def _masked(
+        self, settings: TrackerSettings, x: float, y: float
+    ) -> tuple[TrackerSettings, str]:
+        """The `settings` with what is burnt in masked, unless it is at (x, y) [px]; and what is
+        to be said of it.
+        """
+        held = [image for _, image in list(self._held)[-LEAST_FRAMES:]]
+        places = tuple(place for place in burnt_in(held, settings.kinds)
+                       if not place.holds(x, y)
+                       and not any(known.holds(place.x_px, place.y_px)
+                                   for known in settings.standing))
+        if not places:
+            return settings, ''
+        where = ' '.join(f'{place.x_px:.0f},{place.y_px:.0f}' for place in places)
+        return (settings.model_copy(update={'standing': (*settings.standing, *places)}),
+                f'; left out as burnt into the picture: what is at {where}')
 
     def with_kinds(self, particles: np.ndarray) -> np.ndarray:
         """The `particles` (N,) of the last frame with a field `kind`, where kinds were taught.
@@ -152,19 +181,19 @@ class TrackerStage:
 
     def _hold(self, image: np.ndarray, t: float) -> None:
         """Keep a frame now and then: people point at what they saw a moment ago."""
-        if self._held and 0 <= t - self._held[-1][0] < _HELD_EVERY:
-            self._newest = t, image
-            return
         self._newest = t, image
-        self._held.append((t, image.copy()))
+        if not (self._held and 0 <= t - self._held[-1][0] < _HELD_EVERY):
+            self._held.append((t, image.copy()))
 
     def _frame_at(self, stamp: float | None) -> np.ndarray:
         """The frame of a `stamp` [s], or the nearest that is held; None: the newest."""
-        if not self._held:
+        held = list(self._held)  # frames may come meanwhile
+        if not held:
             raise InputError('teach', 'expected a frame to point into: none has come yet')
-        if stamp is None or stamp == self._newest[0]:
-            return self._newest[1]
-        t, image = min(self._held, key=lambda held: abs(held[0] - stamp))
+        last, newest = self._newest
+        if stamp is None or stamp == last:
+            return newest
+        t, image = min(held, key=lambda frame: abs(frame[0] - stamp))
         if abs(t - stamp) > _HELD_EVERY:
             raise InputError('teach', 'expected a frame of the last few seconds: that one is no '
                                       'longer held')

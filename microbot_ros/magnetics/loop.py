@@ -25,9 +25,9 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
+from microbot_ros.compiled import numba
 from microbot_ros.units import MU_0
 
 ON_WIRE = 1e-12

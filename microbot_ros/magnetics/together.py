@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
+
+from microbot_ros.compiled import numba
 
 
 @numba.njit(cache=True)

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
+
+from microbot_ros.compiled import numba
 
 # Beyond a limit by less than this part of it is at the limit, to rounding.
 _AT = 1e-13

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-import numba
 import numpy as np
 from numba import types
+
+from microbot_ros.compiled import numba
 
 UNSTABLE = 0.01
 """A heading this close [rad] to opposing the field is moved this far from it.

@@ -58,15 +58,15 @@ def _known_only(what: str) -> Any:
     return pydantic.model_validator(mode='before')(cast('Any', classmethod(check)))
 
 
-def _number(p: Parameter) -> Any:
+def _number(p: Parameter, default: Any) -> Any:
     low, high = (float(exact_display(p.name, bound)) for bound in (p.low, p.high))
-    return Annotated[float, pydantic.Field(ge=low, le=high, allow_inf_nan=p.inverse)]
+    return float, pydantic.Field(default, ge=low, le=high, allow_inf_nan=p.inverse)
 
 
 def _settings_of(effect: type[Effect]) -> type[Settings]:
     optional = effect.defaults()
     fields: dict[str, Any] = {
-        p.name: (_number(p), optional.get(p.field, ...)) for p in effect.parameters()
+        p.name: _number(p, optional.get(p.field, ...)) for p in effect.parameters()
     }
     checks = {'known': _known_only(f'parameter of {effect.id}')}
     return pydantic.create_model(effect.id, __base__=Settings, __validators__=checks, **fields)

@@ -15,9 +15,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
+from microbot_ros.compiled import numba
 from microbot_ros.model.particle import (
     Fluid,
     Particle,

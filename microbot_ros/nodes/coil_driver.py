@@ -124,7 +124,8 @@ class CoilDriverNode(RigNode):
         self.make_safe()
 
     def teardown(self) -> None:
-        if hasattr(self, '_driver') and not self._driver.stop():
+        if (hasattr(self, '_driver') and not self._driver.stop()
+                and self._driver.amplifier.counters.frames_sent):
             self.get_logger().warning('no reading confirmed that the coils are at zero')
 
     def make_safe(self) -> None:
@@ -167,12 +168,14 @@ class CoilDriverNode(RigNode):
         field, stamp = messages.vector(message), message.header.stamp
         exposed = messages.to_seconds(stamp)
         age, newest = self.seconds() - exposed, self.settings.max_command_age_ms * 1e-3
-        if not -0.05 <= age <= newest:
+        if age < -0.05:
+            self._refuse(f'field/command is {-age:.3f} s ahead of the clock here; not driven')
+        elif not age <= newest:
             self._refuse(f'field/command is {age:.3f} s old, more than max_command_age_ms; '
                          'not driven')
         elif self._rotation.any() and not abs(exposed - self._rotation_s) <= newest:
             self._refuse(f'field/rotation is {exposed - self._rotation_s:.3f} s older than '
-                         'field/command; not driven')
+                         'field/command, more than max_command_age_ms; not driven')
         else:
             try:
                 wanted = self._drive(field, stamp)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import importlib
+import re
 from pathlib import Path
 from typing import Any
 
 import pydantic
 
-from microbot_ros import settings
+from microbot_ros import errors, settings
+from microbot_ros.control.registry import PluginError, controller_class
 from microbot_ros.drive.amplifier import amplifier_class
 from microbot_ros.errors import InputError, clipped
 from microbot_ros.files import Settings, line_of, load_yaml, read_yaml
@@ -54,8 +56,31 @@ def read_rig(path: str | Path, namespace: str = '') -> dict[str, dict[str, Any]]
         raise InputError(path, f"'{clipped(elsewhere)}' is no node of the namespace {namespace}; "
                                f"'/**/{elsewhere.rpartition('/')[2]}' would be",
                          line_of(path, elsewhere))
-    _refuse_contradictions(path, rig)
+    _refuse_missing_packages(path, rig, namespace)
+    _refuse_contradictions(path, rig, namespace)
     return rig
+
+
+def refused(path: str | Path, rig: dict[str, dict[str, Any]], namespace: str, node: str,
+            problem: str) -> InputError:
+    """Why a `node` of a `rig` could not start, a `problem` in its own words, where the file `path`
+    caused it for the rig of a `namespace`: by the line of the parameter that the words name, or
+    whose text they show.
+    """
+    given = rig.get(node, {})
+    texts = {name: value for name, value in given.items() if isinstance(value, str) and value}
+    name = next((name for name in given if _speaks_of(problem, name)), '') or next(
+        (name for name, text in texts.items() if _speaks_of(problem, text)), '')
+    if name in texts:
+        problem = problem.replace(texts[name], clipped(texts[name]))
+    if name and not problem.startswith(name):
+        problem = f'{name}: {problem}'
+    line = _line_of(path, node, name, namespace) if node in rig else None
+    return InputError(path, f'{node}: {problem}', line)
+
+
+def _speaks_of(problem: str, word: str) -> bool:
+    return re.search(rf'(?<!\w){re.escape(word)}(?!\w)', problem) is not None
 
 
 def refuse_elsewhere(path: str | Path, node: str, namespace: str) -> None:
@@ -94,7 +119,21 @@ def node_class(name: str) -> type[RigNode]:
     return found
 
 
-def _refuse_contradictions(path: str | Path, rig: dict[str, dict[str, Any]]) -> None:
+def _refuse_missing_packages(path: str | Path, rig: dict[str, dict[str, Any]], namespace: str,
+                             ) -> None:
+    """InputError where a controller or an amplifier is named that nobody installed."""
+    for node, name, find in (('coil_driver', 'amplifier', amplifier_class),
+                             ('controller', 'controller', controller_class)):
+        try:
+            if node in rig:
+                find(_value(rig, node, name))
+        except (InputError, PluginError) as error:
+            line = _line_of(path, node, name, namespace)
+            raise InputError(path, f'{node}: {error}', line) from None
+
+
+def _refuse_contradictions(path: str | Path, rig: dict[str, dict[str, Any]], namespace: str,
+                           ) -> None:
     """InputError where the controller may ask for more than the coil driver was told it will, and
     where somebody waits for what an amplifier does not measure.
     """
@@ -106,14 +145,14 @@ def _refuse_contradictions(path: str | Path, rig: dict[str, dict[str, Any]]) -> 
         if not asked <= allowed:
             raise InputError(path, f'controller: max_field_mT is {asked:g}, expected at most '
                              f'{allowed:g}, the full_field_mT of the coil_driver',
-                             _line_of(path, 'controller', 'max_field_mT'))
+                             _line_of(path, 'controller', 'max_field_mT', namespace))
     amplifier = _value(rig, 'coil_driver', 'amplifier')
     for node in ('tracker', 'model'):
         if (node in rig and _value(rig, node, 'field_source') == 'applied'
                 and not amplifier_class(amplifier).reads_back):
             raise InputError(path, f'{node}: field_source is applied, expected command: '
                              f'{amplifier} measures no currents',
-                             _line_of(path, node, 'field_source'))
+                             _line_of(path, node, 'field_source', namespace))
 
 
 def _value(rig: dict[str, dict[str, Any]], node: str, name: str) -> Any:
@@ -121,11 +160,17 @@ def _value(rig: dict[str, dict[str, Any]], node: str, name: str) -> Any:
     return rig[node].get(name, settings.defaults(node_class(node).Parameters)[name])
 
 
-def _line_of(path: str | Path, node: str, name: str) -> int | None:
-    """Where a file gives a node a parameter, or else where it begins to speak of the node."""
-    keys = read_yaml(path, _File).root
-    key = next(key for key in keys if key.rpartition('/')[2] == node)
-    return line_of(path, key, 'ros__parameters', name)
+def _line_of(path: str | Path, node: str, name: str, namespace: str) -> int | None:
+    """Where a file gives a node of a namespace a parameter, or else where it gives it any."""
+    sections = [(key, section.ros__parameters)
+                for key, section in read_yaml(path, _File).root.items()
+                if key.rpartition('/')[2] == node
+                and (not namespace or _is_in(key.rpartition('/')[0], namespace))]
+    for key, parameters in sections:
+        for keys, _ in _flatten(parameters):
+            if '.'.join(keys) == name:
+                return line_of(path, key, 'ros__parameters', *keys)
+    return line_of(path, sections[0][0], 'ros__parameters')
 
 
 def _flatten(tree: dict[str, Any]) -> list[tuple[tuple[str, ...], Any]]:
@@ -147,8 +192,8 @@ def _checked(path: str | Path, node: str, name: str, value: Any, line: int | Non
     present = {full: described for full, described in known.items() if name in (
         full, full.removesuffix(described[1]) + settings.about(*described).formerly)}
     if not present:
-        names = ', '.join(sorted(known))
-        raise InputError(path, f"unknown parameter '{name}' of {node}; known are: {names}", line)
+        raise InputError(path, f"unknown parameter '{clipped(name)}' of {node}; "
+                               f'{errors.known(known, name)}', line)
     try:
         return {full: settings.convert(kind, field, value)
                 for full, (kind, field) in present.items()}

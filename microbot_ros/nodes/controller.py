@@ -24,9 +24,9 @@ from visualization_msgs.msg import MarkerArray
 
 from microbot_ros.control.contract import FieldCommand, Goals, Result, no_field
 from microbot_ros.control.registry import controller_classes
-from microbot_ros.errors import InputError
+from microbot_ros.errors import InputError, shown
 from microbot_ros.loop.controller import ControllerParameters, ControllerStage
-from microbot_ros.loop.points import GOAL
+from microbot_ros.loop.points import GOAL, PLACE
 from microbot_ros.model.model_file import read_model
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import ERROR, LATCHED, NEWEST, OK, WARN, RigNode, status
@@ -63,7 +63,7 @@ class ControllerNode(RigNode):
     def veto(self, proposed: ControllerParameters) -> str:
         low_x, low_y, high_x, high_y = (*proposed.workspace_um, *4 * [math.nan])[:4]
         if not (low_x < high_x and low_y < high_y and len(proposed.workspace_um) == 4):
-            return 'workspace_um must be left, bottom, right, top; received ' + str(
+            return 'workspace_um must be left, bottom, right, top; received ' + shown(
                 proposed.workspace_um)
         if proposed.model_file:
             try:
@@ -110,6 +110,11 @@ class ControllerNode(RigNode):
         self.service(AddDiagnostics, '~/switch_controller', self._on_switch)
         self.service(Trigger, '~/list_controllers', self._on_list)
         self._progress = self.publisher(DiagnosticStatus, '~/progress')
+        # Latched: who looks later is to know too where it goes.
+        self._goals_taken = self.publisher(PointCloud2, '~/goals', LATCHED)
+        self._path_taken = self.publisher(Path, '~/path', LATCHED)
+        self._tell_goals(Time())
+        self._path_taken.publish(Path())
         self.every(0.2, self._tell)
 
     def stop(self) -> None:
@@ -166,13 +171,24 @@ class ControllerNode(RigNode):
         messages.in_workspace(header)
         self.stage.go_to(Goals(np.array([(p.x, p.y) for p in places]).reshape(-1, 2), ids))
         self._goals_stamp = messages.to_seconds(header.stamp)
+        self._tell_goals(header.stamp)
         self._tell()  # at once, for those who wait for it
+
+    def _tell_goals(self, stamp: Time) -> None:
+        """Say which goals it has since a `stamp`, whoever sent them and in whatever form."""
+        goals = self.stage.goals
+        points = np.zeros(len(goals), PLACE if goals.ids is None else GOAL)
+        points['x'], points['y'] = goals.position.T
+        if goals.ids is not None:
+            points['id'] = goals.ids
+        self._goals_taken.publish(messages.cloud(points, stamp))
 
     def _on_path(self, message: Path) -> None:
         messages.in_workspace(message.header)
         self.stage.follow(np.array([
             (p.pose.position.x, p.pose.position.y) for p in message.poses]).reshape(-1, 2))
         self._path_stamp = messages.to_seconds(message.header.stamp)
+        self._path_taken.publish(message)
         self._tell()
 
     def _on_plan(self, message: JointTrajectory) -> None:

@@ -16,12 +16,17 @@ from pathlib import Path
 
 from microbot_ros.ending import PARENT
 from microbot_ros.errors import InputError
+from microbot_ros.first_compilation import COMPILES
 from microbot_ros.nodes.transport import clear_shared_memory
 
-READY = 'microbot: ready'
+WORD = 'microbot: '
+"""How a child begins a line of its own, and not of a library."""
+READY = f'{WORD}ready'
 """What a child prints on standard output when it does its work."""
 
-_PATIENCE_S = 15.0
+_START_S = 600.0
+"""How long children may take to get ready: where all compile, two busy cores need minutes."""
+_END_S = 15.0
 """How long children may take to end: a recorder on a slow disk has much to write."""
 _REMARK_S = 1.0
 """After this it is said who is still ending."""
@@ -52,7 +57,7 @@ class Graph:
         self._environment = {**os.environ, PARENT: str(os.getpid())}
         self._children: dict[str, _Child] = {}
         self._selector = selectors.DefaultSelector()
-        self._ending = False
+        self._ending = self._compiling = False
         self._starting = threading.Lock()
 
     def __enter__(self) -> Graph:
@@ -97,7 +102,7 @@ class Graph:
         os.set_blocking(_output(child), False)
         self._selector.register(_output(child), selectors.EVENT_READ, child)
 
-    def wait_ready(self, seconds: float) -> None:
+    def wait_ready(self, seconds: float = _START_S) -> None:
         """Return when every child works. InputError when one ends or takes more than `seconds`."""
         deadline = time.monotonic() + seconds
         while waiting := [c for c in self._children.values() if not c.ready]:
@@ -107,8 +112,7 @@ class Graph:
                 if ended:
                     self._read(child)  # its last words came before its end
                 if ended and not child.ready:
-                    last = child.said[-1] if child.said else 'it said nothing'
-                    raise InputError(child.name, f'ended while starting: {last}')
+                    raise _reason(child)
                 if not child.ready and time.monotonic() > deadline:
                     raise InputError(child.name, f'did not get ready within {seconds:g} s')
 
@@ -141,7 +145,11 @@ class Graph:
         else:
             child.said.append(line)
             del child.said[:-20]
-            self._tell(child.name, line)
+            twice = line == COMPILES and self._compiling
+            self._compiling |= line == COMPILES
+            # Before it is ready a word of its own is the reason why it ends, told as such.
+            if not twice and (child.ready or not line.startswith(WORD)):
+                self._tell(child.name, line)
 
     def ended(self) -> dict[str, int]:
         """Children that have ended by themselves, with their exit status."""
@@ -163,7 +171,7 @@ class Graph:
             self._ending = True
             _end([child for child in self._children.values() if child.nodes])
 
-    def stop(self, names: Sequence[str], seconds: float = _PATIENCE_S) -> None:
+    def stop(self, names: Sequence[str], seconds: float = _END_S) -> None:
         """SIGTERM the children of these `names`, the coil driver first, and see them end.
 
         What is no node, as an emulated amplifier, is told when the nodes have ended. What hangs
@@ -179,7 +187,8 @@ class Graph:
 
     def _see_end(self, children: list[_Child], seconds: float) -> None:
         for child in self._await_end(children, _REMARK_S):
-            self._tell(child.name, f'still ending; it has {seconds:g} s')
+            if child.ready:
+                self._tell(child.name, f'still ending; it has {seconds:g} s')
         for child in self._await_end(children, seconds - _REMARK_S):
             self._tell(child.name, f'did not end within {seconds:g} s: killed')
             self.killed.append(child.name)
@@ -200,6 +209,18 @@ class Graph:
             if time.monotonic() > deadline:
                 break
         return alive
+
+
+def _reason(child: _Child) -> InputError:
+    """Why a child has ended before it was ready: what it says of one of its nodes, or its last
+    line.
+    """
+    said = [line.removeprefix(WORD) for line in child.said if line.startswith(WORD)]
+    if not said:
+        last = child.said[-1] if child.said else 'it said nothing'
+        return InputError(child.name, f'ended while starting: {last}')
+    node, _, problem = said[-1].partition(': ')
+    return InputError(node, problem) if node in child.nodes else InputError(child.name, said[-1])
 
 
 def _output(child: _Child) -> int:

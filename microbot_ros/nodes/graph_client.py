@@ -18,7 +18,6 @@ from rclpy.exceptions import InvalidNamespaceException, NameValidationException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import QoSProfile
-from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rclpy.validate_namespace import validate_namespace
 from sensor_msgs.msg import PointCloud2
@@ -28,7 +27,7 @@ from std_srvs.srv import SetBool
 from microbot_ros.errors import InputError, RigError, clipped
 from microbot_ros.loop.points import GOAL
 from microbot_ros.nodes import messages
-from microbot_ros.nodes.transport import stay_local
+from microbot_ros.nodes.participant import client_context
 from microbot_ros.records import Commands
 
 _FIND_SECONDS = 5.0
@@ -80,10 +79,9 @@ class GraphClient:
 
     def __init__(self, name: str = 'microbot', namespace: str = '/') -> None:
         namespace = checked_namespace(namespace)
-        stay_local()
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        self.node = rclpy.create_node(name, namespace=namespace)
-        self._executor = SingleThreadedExecutor()
+        context = client_context()
+        self.node = rclpy.create_node(name, namespace=namespace, context=context)
+        self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(self.node)
         # At once: by the time that somebody waits for an answer it has long been matched.
         self._progress: dict[str, str] = {}
@@ -97,7 +95,6 @@ class GraphClient:
     def __exit__(self, *_: object) -> None:
         self._executor.shutdown()
         self.node.destroy_node()
-        rclpy.try_shutdown()
 
     def spin(self, seconds: float) -> None:
         """Serve callbacks for so many `seconds`."""

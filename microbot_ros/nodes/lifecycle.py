@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 import traceback
 from collections.abc import Callable, Collection, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any, ClassVar, cast
 
@@ -65,6 +66,8 @@ class RigNode(LifecycleNode):
     def __init__(self, name: str, rig: Rig | None = None) -> None:
         super().__init__(name)
         self.active = False
+        self.starting = False
+        """Whether its process starts it, and says why where that fails."""
         self.account = self.Account(self)
         self.fault = ''
         """Why setup failed or the node is not doing its work; '' when all is well."""
@@ -177,6 +180,25 @@ class RigNode(LifecycleNode):
         made = self.create_service(kind, name, callback)
         self._created.append((self.destroy_service, made))
 
+    def service_aside(self, kind: type, name: str, callback: Callable[[Any, Any], Any]) -> None:
+        """A service of a `kind` whose `callback` works in a thread, one request after the other.
+
+        Messages do not wait for it. It goes with the next cleanup.
+        """
+        pool = ThreadPoolExecutor(1, thread_name_prefix=name)
+        made = self.create_service(kind, name, lambda *asked: asked)
+        answer = made.send_response
+
+        def work(asked: tuple[Any, Any], header: Any) -> None:
+            try:
+                answer(callback(*asked), header)
+            except Exception:  # nobody looks at what a thread raises
+                self.get_logger().error(f'{name}: {traceback.format_exc()}')
+
+        # The executor answers with what the callback returns; this lets it go on instead.
+        made.send_response = lambda asked, header: pool.submit(work, asked, header)  # type: ignore
+        self._created += [(pool.shutdown, True), (self.destroy_service, made)]
+
     def client(self, kind: type, name: str) -> Client:
         """A client of a service of a `kind` that goes with the next cleanup."""
         made = self.create_client(kind, name)
@@ -243,15 +265,16 @@ class RigNode(LifecycleNode):
     def _transition(self, name: str, step: Callable[[], None]) -> TransitionCallbackReturn:
         try:
             step()
-        except InputError as error:
-            self.fault = str(error)
-            self.make_safe()
-            self.get_logger().error(self.fault)
-            return TransitionCallbackReturn.FAILURE
         except Exception as error:
-            self.fault = f'{name} failed: {error}'
-            self._failed(name, error)
-            return TransitionCallbackReturn.ERROR
+            self.fault = _for_people(error)
+            if not self.fault:
+                self.fault = f'{name} failed: {error}'
+                self._failed(name, error)
+                return TransitionCallbackReturn.ERROR
+            self.make_safe()
+            if not self.starting:
+                self.get_logger().error(self.fault)
+            return TransitionCallbackReturn.FAILURE
         return TransitionCallbackReturn.SUCCESS
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -336,6 +359,13 @@ def status(node: Node, level: bytes, sentence: str, values: dict[str, object]) -
     return DiagnosticStatus(
         level=level, name=f'{full}: {node.get_name()}', message=sentence,
         values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()])
+
+
+def _for_people(error: Exception) -> str:
+    """What somebody has to mend: an input, or the place of a file; '' where it is the code."""
+    if isinstance(error, OSError) and error.filename is not None:
+        return f'{error.filename}: {error.strerror}'
+    return str(error) if isinstance(error, InputError) else ''
 
 
 def _ignore(_: object) -> None:

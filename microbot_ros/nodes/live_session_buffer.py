@@ -31,7 +31,8 @@ _SAME_FIELD = 3e-5
 class LiveSessionBuffer:
     """Keeps the last `seconds` of the graph of a `client`: `particles`, the commanded field, how
     fast it rolls, and whether the gate let it through. `applied`: in place of the commanded field
-    the one that is read back, as far as it differs from what was read before.
+    the one that is read back, as far as it differs from what was read before; not of rollers,
+    whose field goes round and round while they do what is commanded.
     """
 
     def __init__(self, client: GraphClient, seconds: float, applied: bool = False) -> None:
@@ -41,18 +42,15 @@ class LiveSessionBuffer:
         self._client = client
         subscribe = client.node.create_subscription
         subscribe(PointCloud2, 'particles', self._on_particles, 200)
-        if applied:
-            subscribe(MagneticField, 'field/applied', self._taker(
-                'field/command', lambda m: (m.magnetic_field.x, m.magnetic_field.y),
-                _SAME_FIELD), 200)
-        for topic, kind, value in (
-            *([] if applied else [
-                ('field/command', Vector3Stamped, lambda m: (m.vector.x, m.vector.y))]),
+        taken: list[tuple[str, type, Callable[[Any], tuple[float, ...]]]] = [
             ('field/rotation', Vector3Stamped,
-             lambda m: (math.hypot(m.vector.x, m.vector.y) / math.tau,)),
-            *([] if applied else [
-                ('coils/applied', JointState, lambda m: (float(any(m.effort)),))]),
-        ):
+             lambda m: (math.hypot(m.vector.x, m.vector.y) / math.tau,))]
+        if applied and self.conditions().propulsion != 'rolling':
+            subscribe(MagneticField, 'field/applied', self._take_applied, 200)
+        else:
+            taken += [('field/command', Vector3Stamped, lambda m: (m.vector.x, m.vector.y)),
+                      ('coils/applied', JointState, lambda m: (float(any(m.effort)),))]
+        for topic, kind, value in taken:
             subscribe(kind, topic, self._taker(topic, value), 200)
 
     def conditions(self) -> Conditions:
@@ -118,8 +116,15 @@ class LiveSessionBuffer:
             while len(rows) > 1 and rows[1][0] < self._frames[0][0]:
                 rows.popleft()
 
-    def _taker(self, topic: str, value: Callable[[Any], tuple[float, ...]],
-               same: float = 0.0) -> Callable[..., None]:
+    def _take_applied(self, message: MagneticField) -> None:
+        # Stamped with the moment of the reading, however late it is heard of here.
+        field = message.magnetic_field.x, message.magnetic_field.y
+        rows = self._commands.setdefault('field/command', deque())
+        if not rows or math.dist(field, rows[-1][1:]) >= _SAME_FIELD:
+            _append(rows, messages.to_seconds(message.header.stamp), field)
+
+    def _taker(self, topic: str,
+               value: Callable[[Any], tuple[float, ...]]) -> Callable[..., None]:
         rows = self._commands[topic] = deque()
 
         def take(message: Any) -> None:
@@ -127,10 +132,10 @@ class LiveSessionBuffer:
             # replay the clock of this machine says nothing, and the stamp is the best there is.
             t = messages.to_seconds(message.header.stamp)
             now = messages.to_seconds(self._client.node.get_clock().now().to_msg())
-            t = now if abs(now - t) < _LIVE_SECONDS else t
-            new = value(message)
-            if same and rows and math.dist(new, rows[-1][1:]) < same:
-                return
-            if not rows or t > rows[-1][0]:
-                rows.append((t, *new))
+            _append(rows, now if abs(now - t) < _LIVE_SECONDS else t, value(message))
         return take
+
+
+def _append(rows: deque[tuple[float, ...]], t: float, value: tuple[float, ...]) -> None:
+    if not rows or t > rows[-1][0]:
+        rows.append((t, *value))

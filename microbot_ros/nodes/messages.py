@@ -212,6 +212,13 @@ def field_at(message: MagneticField) -> tuple[float, np.ndarray]:
     return _vector_at(message.header, message.magnetic_field)
 
 
+def whole_field_at(message: MagneticField) -> tuple[float, np.ndarray]:
+    """When [s] which field (3,) [T] was there, up or down as well, by a `message`; MessageError
+    where that is not of the workspace."""
+    t, (x, y) = field_at(message)
+    return t, np.array([x, y, message.magnetic_field.z])
+
+
 def vector_at(message: Vector3Stamped) -> tuple[float, np.ndarray]:
     """When [s] which vector (2,) in the plane, by a `message`; MessageError where that is not of
     the workspace."""

@@ -15,6 +15,7 @@ from microbot_ros.loop.model import ModelParameters, ModelStage
 from microbot_ros.loop.points import PARTICLE
 from microbot_ros.model.model_file import read_model
 from microbot_ros.nodes import messages
+from microbot_ros.nodes.felt_rotation import follow_rotation
 from microbot_ros.nodes.lifecycle import OK, SILENCE_SECONDS, WARN, RigNode, in_one_line
 from microbot_ros.records import height_problem
 from microbot_ros.settings import setting
@@ -26,7 +27,8 @@ class ModelNodeParameters(ModelParameters):
 
     field_source: str = setting(
         'applied', 'What the particles felt: the field read back from the coils, or the one '
-        'commanded where nothing is read back.', choices=('applied', 'command'), read_only=True,
+        'commanded where nothing is read back. Rollers roll as commanded, and with applied only '
+        'while a field is read back.', choices=('applied', 'command'), read_only=True,
         formerly='command_source')
 
 
@@ -43,7 +45,7 @@ class ModelNode(RigNode):
         self._state = self.publisher(PointCloud2, 'model/state')
         self.subscribe(PointCloud2, 'particles', self._on_particles)
         if values.propulsion == 'rolling':
-            self.subscribe(Vector3Stamped, 'field/rotation', self._on_rotation)
+            follow_rotation(self, self.stage.rotation, values.field_source == 'applied')
         elif values.field_source == 'applied':
             self.subscribe(MagneticField, 'field/applied', self._on_applied)
         else:
@@ -83,9 +85,6 @@ class ModelNode(RigNode):
         # Its stamp is the exposure it answers; what passes until the field turns is a delay, and
         # that is estimated.
         self.stage.field(*messages.vector_at(message))
-
-    def _on_rotation(self, message: Vector3Stamped) -> None:
-        self.stage.rotation(*messages.vector_at(message))
 
     def _on_particles(self, message: PointCloud2) -> None:
         self.stage.use(self.settings.model_file)

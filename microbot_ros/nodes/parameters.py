@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from microbot_ros import settings
-from microbot_ros.errors import InputError
+from microbot_ros.errors import InputError, clipped, known
 
 ValuesT = TypeVar('ValuesT')
 
@@ -126,8 +126,8 @@ def refuse_unknown(node: Node) -> None:
     """
     for name in node._parameter_overrides:
         if not node.has_parameter(name) and not name.startswith('qos_overrides.'):
-            known = ', '.join(sorted(node._parameters))
-            raise InputError(node.get_name(), f"unknown parameter '{name}'; known are: {known}")
+            raise InputError(node.get_name(), f"unknown parameter '{clipped(name)}'; "
+                                              f'{known(node._parameters, name)}')
 
 
 def _descriptor(kind: type, name: str, default: Any) -> ParameterDescriptor:

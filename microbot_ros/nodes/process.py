@@ -6,21 +6,22 @@ import gc
 import importlib
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
 import rclpy
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.lifecycle import TransitionCallbackReturn
-from rclpy.signals import SignalHandlerOptions
 
 from microbot_ros.drive.real_time import LOOP, SAFETY, set_realtime_priority_of_all
 from microbot_ros.ending import Ending, Stopped, find_launcher
 from microbot_ros.errors import InputError
-from microbot_ros.nodes.graph import READY
+from microbot_ros.first_compilation import tell_of_compiling
+from microbot_ros.nodes.graph import READY, WORD
 from microbot_ros.nodes.lifecycle import RigNode
+from microbot_ros.nodes.participant import join, leave
 from microbot_ros.nodes.rig import Rig
-from microbot_ros.nodes.transport import stay_local
 
 NODES = {
     'camera': 'CameraNode',
@@ -72,10 +73,10 @@ def run(names: list[str], arguments: list[str] | None = None) -> int:
     nodes: list[RigNode] = []
     rig = Rig(names) if len(names) > 1 else None
     with Ending(lambda: _zero(nodes), find_launcher()) as ending:
-        stay_local()
+        tell_of_compiling(partial(print, flush=True))
         if names == ['coil_driver']:
             set_realtime_priority_of_all(SAFETY)
-        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        join(arguments)
         executor = EventsExecutor()
         try:
             with ending.interrupts():  # the first time code is compiled, for minutes
@@ -93,7 +94,7 @@ def run(names: list[str], arguments: list[str] | None = None) -> int:
         except Stopped:
             return 0
         except InputError as error:
-            print(f'microbot: {error}', file=sys.stderr)
+            print(f'{WORD}{error}', file=sys.stderr)
             return 2
         finally:
             _zero(nodes)
@@ -134,7 +135,7 @@ def _told_faults(nodes: list[RigNode]) -> int:
     """Say why nodes have finished; the exit status."""
     faults = [node.fault for node in nodes if node.finished and node.fault]
     for fault in faults:
-        print(f'microbot: {fault}', file=sys.stderr)
+        print(f'{WORD}{fault}', file=sys.stderr)
     return 1 if faults else 0
 
 
@@ -148,9 +149,11 @@ def _zero(nodes: list[RigNode]) -> None:
 def _activate(node: RigNode) -> None:
     steps: tuple[Callable[[], TransitionCallbackReturn], ...] = (
         node.trigger_configure, node.trigger_activate)
+    node.starting = True
     for step in steps:
         if step() != TransitionCallbackReturn.SUCCESS:
             raise InputError(node.get_name(), node.fault.removeprefix(f'{node.get_name()}: '))
+    node.starting = False
 
 
 def main() -> None:
@@ -163,9 +166,9 @@ def main() -> None:
         print(f'usage: python -m microbot_ros.nodes NODE... [--ros-args ...]\n'
               f'nodes: {", ".join(NODES)}', file=sys.stderr)
         sys.exit(2)
-    sys.exit(run(names, ros))
+    leave(run(names, ros))
 
 
 def script() -> None:
     """The console scripts: `tracker_node --ros-args ...` runs the node it is named after."""
-    sys.exit(run([Path(sys.argv[0]).stem.removesuffix('_node')], sys.argv[1:]))
+    leave(run([Path(sys.argv[0]).stem.removesuffix('_node')], sys.argv[1:]))

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import PoseArray, PoseStamped, Vector3Stamped
+from geometry_msgs.msg import Vector3Stamped
 from nav_msgs.msg import Path
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rclpy.serialization import deserialize_message
@@ -30,7 +30,7 @@ from std_msgs.msg import Bool, String
 
 from microbot_ros import units
 from microbot_ros.cockpit.rig import ParticleListener, PictureListener
-from microbot_ros.loop.points import GOAL, PARTICLE
+from microbot_ros.loop.points import GOAL, PARTICLE, PLACE
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import LATCHED, RigNode
 from microbot_ros.tracking import ImageToWorkspace
@@ -50,8 +50,9 @@ _PICTURE_S = 0.5
 """Without a picture for so long, particles are shown by themselves."""
 _PERIOD_S = 1 / 30
 _KEPT = 64
-"""Frames whose particles, and goals whose acceptance, are waited for."""
+"""Frames whose particles are waited for."""
 
+_KIND = np.dtype([('kind', '<u4')])
 _LEVELS = {b'\0': 'ok', b'\1': 'warn', b'\2': 'error', b'\3': 'stale'}
 
 
@@ -73,8 +74,8 @@ class RigView:
         self._armed: tuple[float, bool] | None = None
         self._progress: tuple[float, dict[str, str]] = (-math.inf, {})
         self._available: list[dict[str, str]] = []
-        self._goals: deque[tuple[float, list[dict[str, Any]]]] = deque(maxlen=_KEPT)
-        self._paths: deque[tuple[float, list[list[float | None]]]] = deque(maxlen=_KEPT)
+        self._taken_goals: list[dict[str, Any]] = []
+        self._taken_path: list[list[float | None]] = []
         self._verdict: dict[str, Any] = {}
         self._size: tuple[int, int] | None = None
         self._asking_size: Subscription | None = None
@@ -84,7 +85,7 @@ class RigView:
         self._picture_s, self._picture_stamp = -math.inf, 0
         self._told_s = -math.inf
         self.kinds: list[str] = []
-        """The kinds of particles that were seen."""
+        """The names of the kinds that the tracker was taught, by their numbers."""
         self._listen()
 
     # In the executor's thread ---------------------------------------------------------------
@@ -97,10 +98,9 @@ class RigView:
         node.subscribe(DiagnosticStatus, 'controller/progress', self._on_progress)
         node.subscribe(String, 'controller/controllers', self._on_controllers, LATCHED)
         node.subscribe(String, 'discovery/verdict', self._on_verdict, LATCHED)
-        node.subscribe(PoseArray, 'goals', self._on_goals)
-        node.subscribe(PoseStamped, 'goal_pose', self._on_goal_pose)
-        node.subscribe(PointCloud2, 'particle_goals', self._on_particle_goals)
-        node.subscribe(Path, 'path', self._on_path)
+        node.subscribe(String, 'tracker/kinds', self._on_kinds, LATCHED)
+        node.subscribe(PointCloud2, 'controller/goals', self._on_goals, LATCHED)
+        node.subscribe(Path, 'controller/path', self._on_path, LATCHED)
 
     def watch(self, picture: PictureListener, particles: ParticleListener) -> None:
         """From now on tell each `picture`, and the `particles` in it."""
@@ -172,13 +172,22 @@ class RigView:
         message = deserialize_message(data, PointCloud2)
         try:
             points = messages.points(message, PARTICLE)
-            kinds = _kinds(message)
+            kinds = self._kinds_of(message)
         except messages.MessageError as error:
             self._node.complain(str(error))
             return
         self._told_s = time.monotonic()
-        self.kinds += sorted({kind for kind in kinds if kind} - {*self.kinds})
         self._particles(particles_message(stamp, points, kinds, self._camera))
+
+    def _kinds_of(self, message: PointCloud2) -> list[str | None]:
+        """The kind of each particle, where the tracker tells kinds apart and has named it."""
+        if all(field.name != 'kind' for field in message.fields):
+            return [None] * (message.width * message.height)
+        numbers = messages.points(message, _KIND)['kind'].tolist()
+        return [self.kinds[number] if number < len(self.kinds) else None for number in numbers]
+
+    def _on_kinds(self, message: String) -> None:
+        self.kinds = json.loads(message.data)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         here = self._node.get_namespace()
@@ -204,27 +213,16 @@ class RigView:
         found = json.loads(message.data)
         self._verdict = found if isinstance(found, dict) else {}
 
-    def _on_goals(self, message: PoseArray) -> None:
-        self._keep_goals(message, [(p.position.x, p.position.y, None) for p in message.poses])
-
-    def _on_goal_pose(self, message: PoseStamped) -> None:
-        place = message.pose.position
-        self._keep_goals(message, [(place.x, place.y, None)])
-
-    def _on_particle_goals(self, message: PointCloud2) -> None:
-        self._keep_goals(message, [
-            (float(goal['x']), float(goal['y']), int(goal['id']))
-            for goal in messages.points(message, GOAL)])
-
-    def _keep_goals(self, message: Any, goals: list[tuple[float, float, int | None]]) -> None:
-        self._goals.append((messages.to_seconds(message.header.stamp), [
-            {'x_um': _finite(1e6 * x), 'y_um': _finite(1e6 * y), 'id': name}
-            for x, y, name in goals]))
+    def _on_goals(self, message: PointCloud2) -> None:
+        named = any(field.name == 'id' for field in message.fields)
+        self._taken_goals = [
+            {'x_um': _finite(1e6 * goal['x']), 'y_um': _finite(1e6 * goal['y']),
+             'id': int(goal['id']) if named else None}
+            for goal in messages.points(message, GOAL if named else PLACE)]
 
     def _on_path(self, message: Path) -> None:
-        self._paths.append((messages.to_seconds(message.header.stamp), [
-            [_finite(1e6 * p.pose.position.x), _finite(1e6 * p.pose.position.y)]
-            for p in message.poses]))
+        self._taken_path = [[_finite(1e6 * p.pose.position.x), _finite(1e6 * p.pose.position.y)]
+                      for p in message.poses]
 
     # In any thread --------------------------------------------------------------------------
 
@@ -258,8 +256,8 @@ class RigView:
         return values.get(what, '') if time.monotonic() - heard_s <= _SILENCE_S else ''
 
     def goals(self) -> list[dict[str, Any]]:
-        """The goals that the controller has, as far as they were heard."""
-        return _by_stamp(self._goals, self.progress('goals_stamp_s'))
+        """The goals that the controller has, whoever sent them."""
+        return self._taken_goals
 
     def state(self) -> dict[str, Any]:
         """All but the parameters: a part by its name; None for what is not known."""
@@ -277,8 +275,7 @@ class RigView:
         if not name:
             return None
         return {'name': name, 'sentence': self.progress('sentence'),
-                'available': self._available, 'goals': self.goals(),
-                'path': _by_stamp(self._paths, self.progress('path_stamp_s'))}
+                'available': self._available, 'goals': self._taken_goals, 'path': self._taken_path}
 
     def _rig(self) -> tuple[str, str, float]:
         """armed, disarmed, fault or unknown; in a sentence; the age of what is known [s]."""
@@ -378,25 +375,10 @@ def particles_message(stamp: int, points: np.ndarray, kinds: list[str | None],
         for point, (x, y), kind in zip(points, pixels.tolist(), kinds, strict=True)]}
 
 
-def _kinds(message: PointCloud2) -> list[str | None]:
-    """The kind of each particle by its number, where the tracker tells kinds apart."""
-    if all(field.name != 'kind' for field in message.fields):
-        return [None] * (message.width * message.height)
-    numbers = messages.points(message, np.dtype([('kind', '<u4')]))['kind']
-    return [str(number) for number in numbers.tolist()]
-
-
 def _stamp_of(data: bytes) -> int:
     """The stamp [ns] of a serialised message that begins with a header."""
     seconds, nanoseconds = struct.unpack_from('<iI' if data[1] & 1 else '>iI', data, 4)
     return int(seconds * 1_000_000_000 + nanoseconds)
-
-
-def _by_stamp(told: deque[tuple[float, list[Any]]], stamp: str) -> list[Any]:
-    """Of what was sent to the controller, what it says that it has."""
-    if not stamp:
-        return []
-    return next((what for t, what in reversed(told) if t == float(stamp)), [])
 
 
 def _millitesla(vector: Any) -> list[float | None] | None:

@@ -6,7 +6,12 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray, PoseStamped, Vector3Stamped
 from nav_msgs.msg import Path
 from rcl_interfaces.msg import ParameterEvent
-from rclpy.qos import QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.qos import (
+    QoSDurabilityPolicy,
+    QoSHistoryPolicy,
+    QoSProfile,
+    QoSReliabilityPolicy,
+)
 from sensor_msgs.msg import Image, JointState, Joy, MagneticField, PointCloud2, TimeReference
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
@@ -17,6 +22,10 @@ _IMAGES = QoSProfile(depth=50, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 
 KEPT = QoSProfile(history=QoSHistoryPolicy.KEEP_ALL)
 """Nothing is given up for something newer: to record by, and to play."""
+
+_LATCHED = QoSProfile(history=QoSHistoryPolicy.KEEP_ALL,
+                      durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+"""What was said last before the recording began is kept, too."""
 
 CHANGES = '/parameter_events'
 """Every change of a parameter of a node, made by rclpy itself."""
@@ -42,6 +51,7 @@ TOPICS: dict[str, tuple[type, QoSProfile]] = {
     'coil_driver/latency': (TimeReference, KEPT),
     'virtual_rig/truth': (PointCloud2, KEPT),
     'markers': (MarkerArray, KEPT),
+    'tracker/kinds': (String, _LATCHED),
     'tracker/account': (String, KEPT),
     'model/account': (String, KEPT),
     'controller/account': (String, KEPT),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from dataclasses import dataclass
 from typing import ClassVar
@@ -11,15 +12,18 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.srv import AddDiagnostics
 from geometry_msgs.msg import PoseArray, Vector3Stamped
 from sensor_msgs.msg import Image, MagneticField, PointCloud2
+from std_msgs.msg import String
 
 from microbot_ros import units
 from microbot_ros.errors import InputError
 from microbot_ros.loop.tracker import TrackerParameters, TrackerStage
 from microbot_ros.nodes import messages
+from microbot_ros.nodes.felt_rotation import follow_rotation
 from microbot_ros.nodes.frames import publish_camera_transform
 from microbot_ros.nodes.lifecycle import (
     IMAGES_IN,
     IMAGES_OUT,
+    LATCHED,
     OK,
     SILENCE_SECONDS,
     WARN,
@@ -35,7 +39,8 @@ class TrackerNodeParameters(TrackerParameters):
 
     field_source: str = setting(
         'applied', 'What turns the particles, so that a turn is expected: the field read back '
-        'from the coils, the one commanded, the rotation of rollers, or nothing known.',
+        'from the coils, the one commanded, the rotation of rollers while a field is read '
+        'back, or nothing known.',
         choices=('applied', 'command', 'rotation', 'none'), read_only=True, formerly='drive')
     overlay_rate_hz: float = setting(
         10.0, 'Rate of `overlay/image_raw` while somebody looks; 0 turns it off.',
@@ -45,8 +50,9 @@ class TrackerNodeParameters(TrackerParameters):
 
 
 class TrackerNode(RigNode):
-    """`camera/image_raw` and the field → `particles`, `particles/poses`, `overlay/image_raw`; and
-    where the picture lies, on `/tf_static`."""
+    """`camera/image_raw` and the field → `particles`, `particles/poses`, `overlay/image_raw`; the
+    names of the kinds that were taught on `tracker/kinds`, and where the picture lies on
+    `/tf_static`."""
 
     Parameters: ClassVar[type] = TrackerNodeParameters
     accounts_for = 'camera/image_raw'
@@ -58,10 +64,12 @@ class TrackerNode(RigNode):
         self._particles = self.publisher(PointCloud2, 'particles')
         self._poses = self.publisher(PoseArray, 'particles/poses')
         self._overlay = self.publisher(Image, 'overlay/image_raw', IMAGES_OUT)
+        self._names = self.publisher(String, '~/kinds', LATCHED)
+        self._tell_kinds()
         self._listen(self.settings.field_source)
         publish_camera_transform(
             self, units.to_si('rotation_deg', self.settings.rotation_deg), self.settings.mirrored)
-        self.service(AddDiagnostics, '~/teach', self._on_teach)
+        self.service_aside(AddDiagnostics, '~/teach', self._on_teach)
         self.subscribe(Image, 'camera/image_raw', self._on_image, IMAGES_IN)
 
     def _listen(self, source: str) -> None:
@@ -70,7 +78,7 @@ class TrackerNode(RigNode):
         elif source == 'command':
             self.subscribe(Vector3Stamped, 'field/command', self._on_command)
         elif source == 'rotation':
-            self.subscribe(Vector3Stamped, 'field/rotation', self._on_rotation)
+            follow_rotation(self, self.stage.rotation)
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         stage, silence = self.stage, time.monotonic() - self._came
@@ -97,6 +105,8 @@ class TrackerNode(RigNode):
         if remarks := self.stage.remarks:
             self.complain(remarks)
         self._came = time.monotonic()
+        if self.stage.kinds != self._told_kinds:
+            self._tell_kinds()
         self._publish(image, particles, stamp)
 
     def _on_teach(self, request: AddDiagnostics.Request,
@@ -108,14 +118,15 @@ class TrackerNode(RigNode):
             answer.message, answer.success = str(error), False
         return answer
 
+    def _tell_kinds(self) -> None:
+        self._told_kinds = self.stage.kinds
+        self._names.publish(String(data=json.dumps(self._told_kinds)))
+
     def _on_applied(self, message: MagneticField) -> None:
         self.stage.field(*messages.field_at(message))
 
     def _on_command(self, message: Vector3Stamped) -> None:
         self.stage.field(*messages.vector_at(message))
-
-    def _on_rotation(self, message: Vector3Stamped) -> None:
-        self.stage.rotation(*messages.vector_at(message))
 
     def _publish(self, image: np.ndarray, particles: np.ndarray, stamp: Time) -> None:
         self._particles.publish(messages.cloud(self.stage.with_kinds(particles), stamp))

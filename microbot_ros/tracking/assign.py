@@ -3,41 +3,63 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
-import numba
 import numpy as np
+
+from microbot_ros.compiled import numba
 
 _TAIL = 8.0
 """Degrees of freedom of a displacement's distribution: particles start, stop and turn at once."""
 
 
+@dataclass(frozen=True)
+class Pairs:
+    """Which prediction is which detection: arrays of equal length K.
+
+    `track` and `detection` rows of each; `doubt` the probability that the prediction is another
+    detection, or none, by the likelihood of what is next likely; `astray` the variance per
+    coordinate [px²] of where it would be then, about the detection that it was given.
+    """
+
+    track: np.ndarray
+    detection: np.ndarray
+    doubt: np.ndarray
+    astray: np.ndarray
+
+
 def assign(
     predicted: np.ndarray, variance: np.ndarray, reach: np.ndarray, looks: np.ndarray,
-    found: np.ndarray, noise: np.ndarray, found_looks: np.ndarray, spread: float, stranger: float,
-) -> tuple[np.ndarray, np.ndarray]:
+    unlikely: np.ndarray, found: np.ndarray, noise: np.ndarray, found_looks: np.ndarray,
+    spread: float, stranger: float,
+) -> Pairs:
     """Rows of predictions and of detections that belong together.
 
     `predicted` (N, 2) [px] with variance per coordinate (N,) and the farthest distance to look,
     `reach` (N,) [px]; `found` (M, 2) with variance `noise` (M,); `looks` (N, F) and `found_looks`
-    (M, F) are traits that vary by `spread` from frame to frame. Maximises the likelihood of the
+    (M, F) are traits that vary by `spread` from frame to frame; `unlikely` (N,) is the
+    negative logarithm of how likely each is to be seen at all. Maximises the likelihood of the
     whole picture: displacements follow Student's t, and `stranger` [1/px²] is the likelihood that
     a particle goes unseen and a new one turns up instead.
     """
     limit = -math.log(stranger)
     track, detection, cost, alone = _pairs(
-        predicted, variance, reach, looks, found, noise, found_looks, spread, limit)
-    if alone.all():
-        return track, detection
-    rest = ~alone
+        predicted, variance, reach, looks, unlikely, found, noise, found_looks, spread, limit)
     # Costs are relative to `limit`, so that leaving both alone costs nothing.
-    both = np.concatenate([
-        np.column_stack([track[alone], detection[alone]]),
-        *_clusters(track[rest], detection[rest], cost[rest] - limit)])
-    return both[:, 0].copy(), both[:, 1].copy()
+    cost -= limit
+    lone = Pairs(track[alone], detection[alone], 1 / (1 + np.exp(-cost[alone])),
+                 variance[track[alone]])
+    if alone.all():
+        return lone
+    rest = ~alone
+    parts = [lone, *_clusters(track[rest], detection[rest], cost[rest], variance, found)]
+    return Pairs(*(np.concatenate([getattr(part, name) for part in parts])
+                   for name in Pairs.__dataclass_fields__))
 
 
 @numba.njit(cache=True)
-def _pairs(predicted, variance, reach, looks, found, noise, found_looks, spread, limit):  # type: ignore[no-untyped-def]
+def _pairs(  # type: ignore[no-untyped-def]
+        predicted, variance, reach, looks, unlikely, found, noise, found_looks, spread, limit):
     """Prediction, detection and cost (K,) of all pairs likelier than strangers.
 
     And whether neither of the two is in another pair.
@@ -54,7 +76,7 @@ def _pairs(predicted, variance, reach, looks, found, noise, found_looks, spread,
                 continue
             total = variance[i] + noise[k]
             cost = (_TAIL / 2 + 1) * math.log(1 + square / (_TAIL * total))
-            cost += math.log(2 * math.pi * total)
+            cost += math.log(2 * math.pi * total) + unlikely[i]
             for f in range(looks.shape[1]):
                 cost += 0.5 * ((found_looks[k, f] - looks[i, f]) / spread) ** 2
             if cost < limit:
@@ -69,7 +91,8 @@ def _pairs(predicted, variance, reach, looks, found, noise, found_looks, spread,
     return track, detection, costs, alone
 
 
-def _clusters(track: np.ndarray, detection: np.ndarray, cost: np.ndarray) -> list[np.ndarray]:
+def _clusters(track: np.ndarray, detection: np.ndarray, cost: np.ndarray, variance: np.ndarray,
+              found: np.ndarray) -> list[Pairs]:
     """Solve each group of predictions and detections that compete with one another."""
     from scipy.optimize import linear_sum_assignment
     from scipy.sparse import coo_array
@@ -87,5 +110,37 @@ def _clusters(track: np.ndarray, detection: np.ndarray, cost: np.ndarray) -> lis
         matrix[i, k] = cost[rows]
         i, k = linear_sum_assignment(matrix)
         real = matrix[i, k] < 0
-        matched.append(np.column_stack([some_tracks[i[real]], some_found[k[real]]]))
+        i, k = i[real], k[real]
+        doubt, astray = _doubts(matrix, i, k, variance[some_tracks], found[some_found])
+        matched.append(Pairs(some_tracks[i], some_found[k], doubt, astray))
     return matched
+
+
+@numba.njit(cache=True)
+def _doubts(cost, track, detection, variance, found):  # type: ignore[no-untyped-def]
+    """`Pairs.doubt` and `Pairs.astray` (K,) within a group, of the pairs that were chosen.
+
+    In place of each pair its track may be at any other detection, whose own track is then at
+    that of the pair, or unseen; or it may be unseen itself. `cost` (N, M + N) of all pairs.
+    """
+    owner = np.full(len(found), -1)
+    for n in range(len(track)):
+        owner[detection[n]] = track[n]
+    doubt, astray = np.empty(len(track)), np.empty(len(track))
+    for n in range(len(track)):
+        i, k = track[n], detection[n]
+        weight = math.exp(cost[i, k])
+        total, square = weight, weight * variance[i]
+        for m in range(len(found)):
+            if m == k or cost[i, m] == 0.0:
+                continue
+            j = owner[m]
+            more = cost[i, m] - cost[i, k]
+            if j >= 0:
+                more += cost[j, k] - cost[j, m]
+            away = found[m] - found[k]
+            weight = math.exp(-max(more, 0.0))
+            total += weight
+            square += weight * (away[0] ** 2 + away[1] ** 2) / 2
+        doubt[n], astray[n] = total / (1 + total), square / max(total, 1e-300)
+    return doubt, astray

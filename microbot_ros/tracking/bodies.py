@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
-import numba
 import numpy as np
 
+from microbot_ros.compiled import numba
 from microbot_ros.tracking.fit import FAST
 from microbot_ros.tracking.search import block_mean, pixel_noise
 
@@ -139,7 +139,7 @@ def _described(rows: np.ndarray, shrink: int, shape: tuple[int, ...]) -> Bodies:
     )
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _bodies(picture, least, most):  # type: ignore[no-untyped-def]
     """Rows of sums (N, 16), in order of the names above, for bodies of at most `most` pixels."""
     places = _maxima(picture, least)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 
-import numba
 import numpy as np
 
+from microbot_ros.compiled import numba
 from microbot_ros.tracking.appearance import Appearance
 from microbot_ros.tracking.fit import (
     CONTRAST,

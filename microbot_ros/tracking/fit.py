@@ -13,8 +13,9 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
+
+from microbot_ros.compiled import numba
 
 X, Y, CONTRAST, OFFSET, SIZE, THETA = range(6)
 PARAMETERS = 6

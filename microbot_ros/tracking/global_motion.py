@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from microbot_ros.compiled import numba
 from microbot_ros.tracking.neighbours import count_within
 
 _LEAST = 3

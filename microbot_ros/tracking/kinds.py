@@ -27,8 +27,11 @@ _BELOW = np.array([math.log(1 / 0.45), math.log(2.6), math.log(3.0), math.inf, 0
 _ABOVE = np.array([math.log(2.2), math.log(3.0), math.log(1.65), math.log(2.2), math.inf, 0.09])
 """How far beyond one example a range goes: in logarithms where these are taken."""
 
-_LENIENT = np.array([math.log(1.7), math.log(1.3), math.log(1.5), math.log(1.5), 0.15, 0.04])
+_LENIENT = np.array([math.log(1.7), math.log(1.3), math.log(1.5), math.log(1.5), 0.15, math.inf])
 """How far beyond its range a body may be that is where one of its kind is expected."""
+
+_ODDEST = 1.15
+"""The most that a body may be odd in all traits together."""
 
 _APART = np.array([0.05, 0.08, 0.05, 0.08, 0.03, 0.02])
 """How much two bodies must differ in a trait to be told apart by it."""
@@ -82,11 +85,31 @@ class Kind(Settings):
         return float(np.exp(self.typical[1]))
 
     def members(self, bodies: Bodies, lenient: np.ndarray) -> np.ndarray:
-        """Which (N,) of some bodies are of this kind; `lenient` (N,) where one is expected."""
+        """Which (N,) of some bodies are of this kind; `lenient` (N,) where one is expected.
+
+        What the edge of the picture cuts doesn't show its shape: of a kind only where expected.
+        """
         values, ends = scaled(traits(bodies)), self.ranges
         slack = np.where(lenient[:, None], _LENIENT, 0.0)
         inside = (values >= ends[:, 0] - slack) & (values <= ends[:, 1] + slack)
-        return np.asarray(inside.all(axis=1))
+        alike = ~bodies.cut & (self._oddity(values) <= _ODDEST)
+        return np.asarray(inside.all(axis=1) & (lenient | alike))
+
+    def _oddity(self, values: np.ndarray) -> np.ndarray:
+        """How odd (N,) bodies of `values` (N, 6), as `scaled`, are in all traits together.
+
+        The root of the sum of squares of how far each is beyond the examples, 1 at the end of a
+        range: what is both smaller and paler by all that is left open is another thing. No body is
+        odd where a range is open: rounder than the example is not strange.
+        """
+        if not self.like:
+            return np.zeros(len(values))
+        examples, ends = scaled(np.array(self.like)), self.ranges
+        low, high = examples.min(axis=0), examples.max(axis=0)
+        below = np.maximum(low - values, 0) / np.maximum(low - ends[:, 0], 1e-9)
+        above = np.maximum(values - high, 0) / np.maximum(ends[:, 1] - high, 1e-9)
+        beyond = np.where(np.isfinite(_BELOW), below, 0) + np.where(np.isfinite(_ABOVE), above, 0)
+        return np.asarray(np.sqrt(np.sum(beyond**2, axis=1)))
 
     def strangeness(self, bodies: Bodies) -> np.ndarray:
         """How far (N,) bodies are from what is typical, in the ranges that one example leaves."""

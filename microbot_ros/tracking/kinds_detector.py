@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from microbot_ros.tracking.appearance import Appearance
 from microbot_ros.tracking.bodies import Bodies, find_bodies
 from microbot_ros.tracking.detect import Detections
+from microbot_ros.tracking.disc_fit import refine
 from microbot_ros.tracking.fit import TABLE_STEP
 from microbot_ros.tracking.kinds import Kind
 from microbot_ros.tracking.search import pixel_noise
@@ -77,8 +79,8 @@ class KindsDetector:
         best = np.argmin(strange, axis=0)
         least_strange = strange[best, np.arange(len(bodies))]
         good = np.isfinite(least_strange)
-        return (_detections(bodies[good], np.array(chosen)[best[good]], noise / shrink, shrink),
-                least_strange[good])
+        found = _detections(bodies[good], np.array(chosen)[best[good]], noise / shrink, shrink)
+        return _refined(found, image, bodies[good], dark, noise), least_strange[good]
 
     def _stands(self, bodies: Bodies) -> np.ndarray:
         """Whether each (N,) is at one of the places that are no particles."""
@@ -101,6 +103,16 @@ def _detections(bodies: Bodies, kind: np.ndarray, noise: float, shrink: int) -> 
         xy=bodies.xy, sigma=np.maximum(sigma, _LEAST_SIGMA),
         theta=np.where(bodies.length > _HEADED, bodies.angle, np.nan),
         contrast=bodies.height, radius=bodies.width / 2, quality=bodies.fill, kind=kind)
+
+
+def _refined(
+    found: Detections, image: np.ndarray, bodies: Bodies, dark: bool, noise: float
+) -> Detections:
+    """What was `found`, with the precise place of what is round."""
+    places, sigma, fitted = refine(
+        image, bodies.xy, bodies.width / 2, bodies.edge, (-1.0 if dark else 1.0) * bodies.height,
+        bodies.length, noise)
+    return replace(found, xy=places, sigma=np.where(fitted, sigma, found.sigma))
 
 
 def _joined(parts: list[Detections]) -> Detections:

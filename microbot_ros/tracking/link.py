@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
-import numba
 import numpy as np
 
+from microbot_ros.compiled import numba
 from microbot_ros.tracking.appearance import Appearance
-from microbot_ros.tracking.assign import assign
+from microbot_ros.tracking.assign import Pairs, assign
 from microbot_ros.tracking.detect import Detections
+from microbot_ros.tracking.doubt import doubt_told, grow_doubt, note_doubt, settle_doubt
 from microbot_ros.tracking.global_motion import common_displacement, common_shake
+from microbot_ros.tracking.heading import orient
+from microbot_ros.tracking.looks import LOOKS_SPREAD, looks
+from microbot_ros.tracking.lost import Lost
 from microbot_ros.tracking.motion import Motion
 from microbot_ros.tracking.neighbours import count_within
 from microbot_ros.tracking.settings import TrackerSettings
@@ -30,12 +35,6 @@ _MISS_RATE = 0.02
 
 _BIRTHS = (0.5, 0.02)
 """New particles per frame: the first guess, and the least that is reckoned with."""
-
-_LOOKS_SPREAD = 0.25
-"""Standard deviation of ln(contrast) and ln(radius) of one particle from frame to frame."""
-
-_OTHER_KIND = 0.9
-"""What another kind counts among the looks: e⁻⁶, so that one mistaken for another is kept."""
 
 _OVERLAP = 1.0
 """Diameters: particles nearer than this overlap in the picture."""
@@ -58,7 +57,8 @@ _EXPECTED_FOR = 5
 class Linker:
     """Follows particles from frame to frame. Identities count up from 0 and are never reused.
 
-    `size` is the height and width [px] of the pictures.
+    Who is unseen for longer than `coast_frames` is let go, but remembered: see `Lost`. `size` is
+    the height and width [px] of the pictures.
     """
 
     def __init__(
@@ -78,6 +78,7 @@ class Linker:
         self.states = initiate_tracks(
             np.empty((0, 2)), nothing, nothing, nothing, nothing, np.empty(0, int), 0.0, 0.0,
             self._early_frames)
+        self._lost = Lost(self.states)
         self.named = self.states
         """The particles that were given their identities in the last frame."""
 
@@ -87,7 +88,14 @@ class Linker:
         self._settings = settings
         # Round particles that touch are told apart by the fit; outlines run into one.
         self._merging = not appearance.round
+        # Of a body of a taught kind the outline shows an axis; of a cap, the direction.
+        self._axes = bool(settings.kinds)
         self.max_step_px = settings.max_step_px or appearance.diameter_px
+
+    def renumber_kinds(self, numbers: np.ndarray) -> None:
+        """Kind k is number `numbers`[k] from now on; −1: none, and its particles are let go."""
+        self.states = _renumbered(self.states, numbers)
+        self._lost.states = _renumbered(self._lost.states, numbers)
 
     @property
     def jump(self) -> float:
@@ -95,16 +103,24 @@ class Linker:
         size = 0.0 if self._jump is None else float(np.linalg.norm(self._jump))
         return size if size > _JUMPED * self._diameter else 0.0
 
+    @property
+    def doubts(self) -> dict[str, str]:
+        """Who may be another than its identity says: kind of remark → sentence."""
+        return doubt_told(self.states)
+
     def predict(self, dt: float, drive: complex) -> None:
         """Move all to where they should be `dt` [s] later, after so much drive."""
         self._interval = dt if self._interval is None else 0.95 * self._interval + 0.05 * dt
-        states = self.states
+        everybody = self.states, self._lost.states
         if abs(drive) / dt > 1.01 * self._drive_rate:
             # What was learned from less drive, or from a part of a frame, says next to nothing.
             self._drive_rate = abs(drive) / dt
-            states.forget_velocity_phasor(self._phasor_variance)
-        self._expected_step = planar(drive * states.motion[:, VELOCITY_PHASOR])
-        states.predict(dt, self._interval, drive, self._motion, self._phasor_variance)
+            for states in everybody:
+                states.forget_velocity_phasor(self._phasor_variance)
+        self._expected_step = planar(drive * self.states.motion[:, VELOCITY_PHASOR])
+        for states in everybody:
+            states.predict(dt, self._interval, drive, self._motion, self._phasor_variance)
+        grow_doubt(self.states, dt / self._interval, self._motion)
 
     @property
     def _phasor_variance(self) -> float:
@@ -127,21 +143,29 @@ class Linker:
         states = self.states
         offset = self._jumped(found)
         found, noise = self._doubted(found)
-        track, detection = self._associate(found, noise, offset)
+        pairs = self._associate(found, noise, offset)
+        note_doubt(states, pairs)
+        track, detection = pairs.track, pairs.detection
         if self._merging:
             track = self._merge(track, found, detection)
         alone = np.ones(len(track), bool)
         if self._merging:
             # What a clump looks like says nothing about its parts, once they part.
             alone = ~np.isin(states.id[track], states.host[states.host >= 0])
+        before = states.measured[track]
         self._motion.learn(*_take_over(
             track, detection, found.xy, found.sigma, found.theta, found.contrast, found.radius,
             alone, self._expected_step, _TOUCHED * self._diameter, states.measured, states.step,
             states.sigma, states.theta, states.contrast, states.radius, states.hits,
             states.missed, states.early))
-        states.correct(track, found.xy[detection], noise[detection])
+        if self._axes:
+            orient(states, track, states.measured[track] - before)
+        # In an outline that it shares, it is not known to be in the middle.
+        states.correct(track, found.xy[detection], np.where(
+            alone, noise[detection], np.maximum(noise, found.radius**2)[detection]))
         if self._merging:
             self._follow_hosts()
+        settle_doubt(states, self._settings.coast_frames)
         self._delete_tracks()
         self._confirm_tracks()
         births = len(found) - len(detection)
@@ -167,6 +191,7 @@ class Linker:
         if before is not None and _goes_on(before, self._jump):
             return self._jump
         states.motion[:, PLACE] += phasor(self._jump)
+        self._lost.states.motion[:, PLACE] += phasor(self._jump)
         self._expected_step = self._expected_step + self._jump
         return np.zeros(2)
 
@@ -196,14 +221,21 @@ class Linker:
 
     def _associate(
         self, found: Detections, noise: np.ndarray, offset: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    ) -> Pairs:
         states = self.states
-        variance, reach = _search(states.covariance, states.missed, states.host, self.max_step_px)
-        rate = _MISS_RATE * self._birth_rate / (self._size[0] * self._size[1])
+        variance, reach = _search(
+            states.covariance, states.missed, states.host, states.id, states.radius,
+            self.max_step_px)
         return assign(
             states.xy + offset, variance, reach,
-            _looks(states.contrast, states.radius, states.kind),
-            found.xy, noise, _looks(found.contrast, found.radius, found.kind), _LOOKS_SPREAD, rate)
+            looks(states.contrast, states.radius, states.kind), np.zeros(len(states)),
+            found.xy, noise, looks(found.contrast, found.radius, found.kind), LOOKS_SPREAD,
+            _MISS_RATE * self._strangers)
+
+    @property
+    def _strangers(self) -> float:
+        """How many turn up in a frame, per px²."""
+        return self._birth_rate / (self._size[0] * self._size[1])
 
     def _merge(
         self, track: np.ndarray, found: Detections, detection: np.ndarray
@@ -223,7 +255,7 @@ class Linker:
             other = track[k]
             if states.id[other] == UNNAMED:
                 continue
-            if states.hits[i] > states.hits[other]:
+            if (states.hits[i], -states.id[i]) > (states.hits[other], -states.id[other]):
                 track[k], other, i = i, i, other
             states.host[i] = states.id[other]
         return track
@@ -251,7 +283,11 @@ class Linker:
         stay = _staying(states.id, states.motion, states.missed, states.host,
                         self._settings.coast_frames, self._size)
         if not stay.all():
+            self._lost.states = self._lost.states.join(states.take(~stay & (states.id != UNNAMED)))
             self.states = states.take(stay)
+        if len(self._lost.states):
+            self._lost.states.missed += 1
+            self._lost.forget(self._strangers, self._size)
 
     def _confirm_tracks(self) -> None:
         states = self.states
@@ -259,14 +295,37 @@ class Linker:
         if due.any() or len(self.named):
             count = int(due.sum())
             states.id[due] = self._next_id + np.arange(count)
-            self._next_id += count
+            if len(self._lost.states) and count:
+                self._recognise(np.flatnonzero(due))
+            self._next_id += int(np.sum(states.id[due] >= self._next_id))
             self.named = states.take(due)
+
+    def _recognise(self, rows: np.ndarray) -> None:
+        """Give their identities back to those of these new rows who were lost."""
+        states, lost = self.states, self._lost.states
+        pairs = self._lost.returned(states.take(rows), self._strangers)
+        back = rows[pairs.detection]
+        for name in ('id', 'hits', 'kind', 'doubt', 'unsure', 'astray'):
+            getattr(states, name)[back] = getattr(lost, name)[pairs.track]
+        note_doubt(states, replace(pairs, track=back))
+        # No number is left out.
+        strangers = np.setdiff1d(rows, back)
+        states.id[strangers] = self._next_id + np.arange(len(strangers))
+        self._lost.states = lost.take(np.setdiff1d(np.arange(len(lost)), pairs.track))
 
     def _initiate_tracks(self, found: Detections) -> TrackStates:
         speed = max(self._motion.velocity_step, (self.max_step_px / 4) ** 2)
         return initiate_tracks(
             found.xy, found.sigma, found.theta, found.contrast, found.radius, found.kind,
             speed / (self._interval or 1.0) ** 2, self._phasor_variance, self._early_frames)
+
+
+def _renumbered(states: TrackStates, numbers: np.ndarray) -> TrackStates:
+    """Those of kinds that go on: kind k is number `numbers`[k], and none where that is −1."""
+    kind = numbers[states.kind]
+    states = states.take(kind >= 0)
+    states.kind = kind[kind >= 0]
+    return states
 
 
 def _goes_on(before: np.ndarray, now: np.ndarray) -> bool:
@@ -276,24 +335,20 @@ def _goes_on(before: np.ndarray, now: np.ndarray) -> bool:
 
 
 @numba.njit(cache=True)
-def _looks(contrast, radius, kind):  # type: ignore[no-untyped-def]
-    """Traits (N, 3) that tell particles apart: logarithms of contrast and radius, and the kind."""
-    looks = np.empty((len(contrast), 3))
-    looks[:, 0], looks[:, 1] = np.log(contrast), np.log(radius)
-    looks[:, 2] = _OTHER_KIND * kind
-    return looks
+def _search(covariance, missed, host, ids, radius, max_step):  # type: ignore[no-untyped-def]
+    """Variance [px²] of every particle's place, and how far [px] it is looked for: (N,).
 
-
-@numba.njit(cache=True)
-def _search(covariance, missed, host, max_step):  # type: ignore[no-untyped-def]
-    """Variance [px²] of every particle's place, and how far [px] it is looked for: (N,)."""
+    Where two go in one outline, neither is known to be in the middle of it.
+    """
     variance, reach = np.empty(len(missed)), np.empty(len(missed))
     for n in range(len(missed)):
         variance[n] = covariance[n, PLACE, PLACE].real
-        if host[n] < 0:
-            reach[n] = max_step * math.sqrt(1.0 + missed[n])
-        else:
-            reach[n] = max_step + math.sqrt(variance[n])
+        reach[n] = max_step * math.sqrt(1.0 + missed[n])
+    for part in np.flatnonzero(host >= 0):
+        reach[part] = max_step + math.sqrt(variance[part])
+        for k in np.flatnonzero(ids == host[part]):
+            variance[k] = max(variance[k], radius[k] ** 2)
+            reach[k] = max(reach[k], max_step + math.sqrt(variance[k]))
     return variance, reach
 
 

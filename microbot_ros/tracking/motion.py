@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
+
+from microbot_ros.compiled import numba
 
 _MEMORY = 2000.0
 """Displacements over which the motion is averaged."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from microbot_ros.compiled import numba
 from microbot_ros.tracking.fit import CONTRAST, X, Y
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import itertools
 import math
 
-import numba
 import numpy as np
 
+from microbot_ros.compiled import numba
 from microbot_ros.tracking.appearance import Appearance
 from microbot_ros.tracking.detect import Detections
 from microbot_ros.tracking.search import background, block_mean, pixel_noise, whole

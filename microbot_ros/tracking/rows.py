@@ -9,6 +9,7 @@ from typing import TextIO
 import numpy as np
 
 from microbot_ros.tracking.camera import ImageToWorkspace
+from microbot_ros.tracking.doubt import together
 from microbot_ros.tracking.tracker import Poses
 from microbot_ros.units import from_si
 
@@ -80,7 +81,11 @@ class Remarks:
             self._count[kind] += 1
 
     def sentences(self) -> list[str]:
-        """One of each kind."""
-        return [f'frame {frame}: {sentence}'
-                + (f'; {self._count[kind]} frames like it' if self._count[kind] > 1 else '')
-                for kind, (frame, sentence) in self._first.items()]
+        """One of each kind, and one for all particles of which the same is said."""
+        first, counts = list(self._first.values()), [self._count[kind] for kind in self._first]
+        told = []
+        for sentence, places in together(sentence for _, sentence in first).items():
+            most = max(counts[place] for place in places)
+            told.append(f'frame {first[places[0]][0]}: {sentence}'
+                        + (f'; {most} frames like it' if most > 1 else ''))
+        return told

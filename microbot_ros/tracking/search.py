@@ -5,9 +5,9 @@ Parts are boxes, (n, 4) whole numbers: rows y0, x0, y1, x1, the ends left out.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from microbot_ros.compiled import numba
 from microbot_ros.tracking.fit import FAST
 
 _LEAST_NOISE = 0.3

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
+from microbot_ros.compiled import numba
 from microbot_ros.tracking.states import PLACE, UNNAMED, TrackStates
 
 _WORTH = 0.5

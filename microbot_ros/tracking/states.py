@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
-import numba
 import numpy as np
 
+from microbot_ros.compiled import numba
 from microbot_ros.tracking.motion import Motion
 
 PLACE, VELOCITY, VELOCITY_PHASOR = range(3)
@@ -36,7 +36,11 @@ class TrackStates:
     displacement to it that neither drive nor jump explains, NaN after a gap; `hits` the frames
     seen, `missed` the frames since; `host` the identity of the particle that it has merged with,
     −1 where it is on its own; `early` (N, K, 2) the first K measurements; `kind` the number of its
-    kind when it was first seen.
+    kind when it was first seen. `doubt` the probability that it is another than its identity says,
+    0 where that is sure; `unsure` [s] for how long it has been so; `astray` [px²] the variance per
+    coordinate of where it would be then, about where it is seen. Of what is longer than wide:
+    `tail` the last direction of its tail, NaN before it shows, and `along` [px] how far it went
+    the other way lately.
     """
 
     id: np.ndarray
@@ -53,6 +57,11 @@ class TrackStates:
     host: np.ndarray
     early: np.ndarray
     kind: np.ndarray
+    doubt: np.ndarray
+    unsure: np.ndarray
+    astray: np.ndarray
+    tail: np.ndarray
+    along: np.ndarray
 
     def __len__(self) -> int:
         return len(self.id)
@@ -172,7 +181,9 @@ def initiate_tracks(
         id=np.full(count, UNNAMED), motion=motion, covariance=covariance, measured=xy.copy(),
         step=np.full((count, 2), np.nan), sigma=sigma.copy(), theta=theta.copy(),
         contrast=contrast.copy(), radius=radius.copy(), hits=np.ones(count, int),
-        missed=np.zeros(count, int), host=np.full(count, -1), early=early, kind=kind.copy())
+        missed=np.zeros(count, int), host=np.full(count, -1), early=early, kind=kind.copy(),
+        doubt=np.zeros(count), unsure=np.zeros(count), astray=np.zeros(count),
+        tail=np.full(count, np.nan), along=np.zeros(count))
 
 
 def phasor(xy: np.ndarray) -> np.ndarray:

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pydantic
 
-from microbot_ros.errors import InputError
+from microbot_ros.errors import InputError, shown
 from microbot_ros.tracking.bodies import Bodies, contrast, find_bodies
 from microbot_ros.tracking.kinds import Kind, traits, with_examples
 from microbot_ros.tracking.search import pixel_noise
@@ -46,27 +47,46 @@ class _Meant:
     body: Bodies
 
 
+class _TwoError(InputError):
+    """A point between `two` bodies (2,)."""
+
+    def __init__(self, what: str, x: float, y: float, two: Bodies) -> None:
+        super().__init__(what, f'expected one thing at {x:g},{y:g}: two are as near to it')
+        self.two = two
+
+
 def like(
     settings: TrackerSettings, image: np.ndarray, x: float, y: float, name: str | None = None
 ) -> tuple[TrackerSettings, str]:
     """The `settings` with what is at (x, y) [px] of an `image` (H, W) as an example.
 
     With a sentence about it. It is of the kind `name`; without one of the only kind, or of
-    `robot`. Raises InputError where nothing is there, or two are, or it is one of the
-    counter-examples.
+    `robot`. In the light between two that nearly touch both are meant, as one body. Raises
+    InputError where nothing is there, or two are, or it is one of the counter-examples, and for a
+    name that can't be one.
     """
     name = name or (settings.kinds[0].name if len(settings.kinds) == 1 else 'robot')
     known = next((kind for kind in settings.kinds if kind.name == name), None)
     meant = _meant('like', image, x, y, known)
     if known is None:
-        known = meant.look.model_copy(update={'name': name})
-        Kind.model_validate(known.model_dump())
+        known = _named(meant.look, name)
     learned = _learn(known, image, [*known.like, *_traits(meant.body)], known.unlike)
     where = (f'{meant.body.width[0]:.0f} px wide, '
              f'{meant.body.height[0]:.0f} grey levels {_word(learned)}')
+    if learned.parts_px:
+        where += f', parts nearer than {learned.parts_px:g} px taken as one'
     count = len(learned.like)
     return _with(settings, learned), (
         f'{name}: learned from {count} example{"s" if count > 1 else ""}; this one is {where}')
+
+
+def _named(look: Kind, name: str) -> Kind:
+    """A kind like `look` with this `name`; InputError where it is no name."""
+    try:
+        return Kind.model_validate({**look.model_dump(), 'name': name})
+    except pydantic.ValidationError:
+        raise InputError('like', 'expected a name of at most 32 letters, digits, - and _ that '
+                                 f'begins with a letter; received {shown(name)}') from None
 
 
 def unlike(
@@ -164,7 +184,7 @@ def _pointed(what: str, bodies: Bodies, x: float, y: float) -> int:
     if len(order) > 1 and away[first] > bodies.width[first] / 2:
         second = order[1]
         if away[second] < 1.5 * away[first] + 1:
-            raise InputError(what, f'expected one thing at {x:g},{y:g}: two are as near to it')
+            raise _TwoError(what, x, y, bodies[order[:2]])
     return int(first)
 
 
@@ -181,10 +201,9 @@ def _way_to_look(what: str, image: np.ndarray, x: float, y: float) -> Kind:
             problem = problem or error
     if not ways:
         assert problem is not None
-        place = f'{x:g},{y:g}'
-        two = 'two are' in str(problem)
-        raise InputError(what, f'expected one thing at {place}: two are as near to it' if two else
-                         f'expected something at {place}: nothing stands out there')
+        if isinstance(problem, _TwoError):
+            raise _TwoError(what, x, y, problem.two)
+        raise InputError(what, f'expected something at {x:g},{y:g}: nothing stands out there')
     # What is meant is the stronger, unless the point is beside it.
     off = [np.hypot(body.xy[0, 0] - x + left, body.xy[0, 1] - y + top) / body.width[0]
            for _, _, body in ways]
@@ -200,9 +219,14 @@ def _way_to_look(what: str, image: np.ndarray, x: float, y: float) -> Kind:
 def _by_parts(
     what: str, view: np.ndarray, x: float, y: float, dark: bool
 ) -> tuple[float, bool, Bodies]:
-    """The body at a point, and how near its parts are: the least that leaves few around it."""
+    """The body at a point, and how near its parts are: the least that leaves few around it.
+
+    Where the point is in the light between two: the least that makes them one, up to their width.
+    """
     best: tuple[float, float, Bodies] | None = None
     problem: InputError | None = None
+    two: Bodies | None = None
+    whole: tuple[float, bool, Bodies] | None = None
     least = _CLEAR * pixel_noise(view)
     first = 0.0
     for parts in _PARTS:
@@ -212,9 +236,13 @@ def _by_parts(
             k = _pointed(what, bodies, x, y)
         except InputError as error:
             problem = problem or error
+            if two is None and isinstance(error, _TwoError):
+                two = error.two
             if first == 0 and len(bodies):
                 first = float(bodies.height[np.argmin(np.hypot(*(bodies.xy - [x, y]).T))])
             continue
+        if two is not None and parts <= two.width.min() and _holds(bodies, k, two):
+            whole = whole or (parts, dark, bodies[np.array([k])])
         first = first or float(bodies.height[k])
         around = _around(bodies, k)
         if bodies.height[k] < _AS_GOOD * first:
@@ -223,9 +251,16 @@ def _by_parts(
             best = around, parts, bodies[np.array([k])]
         if best[0] < _LONE:
             break
-    if best is None:
+    if best is not None:
+        return best[1], dark, best[2]
+    if whole is None:
         raise problem or InputError(what, 'expected something there: nothing stands out')
-    return best[1], dark, best[2]
+    return whole
+
+
+def _holds(bodies: Bodies, k: int, others: Bodies) -> bool:
+    """Whether the box around body `k` of some holds the centroids of all the `others`."""
+    return bool(np.all((bodies.lower[k] <= others.xy) & (others.xy <= bodies.upper[k])))
 
 
 def _around(bodies: Bodies, k: int) -> float:

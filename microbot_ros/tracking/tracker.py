@@ -6,9 +6,9 @@ import math
 from collections.abc import Generator
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
+from microbot_ros.compiled import numba
 from microbot_ros.errors import InputError
 from microbot_ros.tracking.appearance import Appearance
 from microbot_ros.tracking.detect import RoundDetector
@@ -38,8 +38,10 @@ class Poses:
 
     `id` lasting identities, never reused; `x_px`, `y_px` image coordinates, y down, the centre
     of the first pixel at (0, 0); `theta_rad` direction of the cap from the image's x towards its
-    y (clockwise on the screen), NaN where it is not known; `vx_px_s`, `vy_px_s` velocity;
-    `sigma_px` standard deviation of each coordinate, growing while unseen; `seen` False while a
+    y (clockwise on the screen), or, of what is longer than wide, of its tail: opposite to where it
+    went, on the whole; NaN where it is not known; `vx_px_s`, `vy_px_s` velocity;
+    `sigma_px` standard deviation of each coordinate, growing while unseen, and while it
+    may be another that is followed, of which `Tracker.remarks` tells; `seen` False while a
     particle is carried on by prediction; `kind` its place among the kinds that were pointed at, 0
     where there are none. A seen position is the measurement itself, not a smoothed one.
     """
@@ -120,15 +122,24 @@ class Tracker:
         return named.id, named.early
 
     def teach(self, settings: TrackerSettings) -> None:
-        """Go on by other `settings`: those followed keep their identities where they are found."""
+        """Go on by other `settings`: those followed keep their identities where they are found.
+
+        Those of a kind that is no more are let go.
+        """
+        if self._follower is not None:
+            names = [kind.name for kind in settings.kinds]
+            self._follower.linker.renumber_kinds(np.array([
+                names.index(kind.name) if kind.name in names else -1
+                for kind in self.settings.kinds] or [0 if names else -1]))
         self.settings = settings
         self._learning, self._first_frames = None, []
         self.appearance = stand_in(settings.kinds) if settings.kinds else None
-        if self._follower is not None:
-            if self.appearance is None:
-                self._follower = None
-            else:
-                self._follower.look_for(settings, self.appearance)
+        self._look()
+
+    def _look(self) -> None:
+        """Look from now on for what the settings and the appearance say."""
+        if self._follower is not None and self.appearance is not None:
+            self._follower.look_for(self.settings, self.appearance)
 
     def update(
         self, image: np.ndarray, t: float, drive: np.ndarray | None = None
@@ -155,7 +166,7 @@ class Tracker:
         pushed = 0j if drive is None else complex(*drive)
         self._follower.follow(image, t, dt, pushed)
         linker = self._follower.linker
-        self.remarks = self._frame_quality.look(image, dt, linker.jump)
+        self.remarks = self._frame_quality.look(image, dt, linker.jump) | linker.doubts
         if self._follower.detector.remark:
             self.remarks['strange'] = self._follower.detector.remark
         return _poses(t, linker.states, pushed / dt if dt else 0j)
@@ -202,6 +213,7 @@ class Tracker:
         except StopIteration as done:
             self.appearance = done.value
             self._learning = None
+            self._look()
 
 
 class _Follower:
@@ -255,20 +267,22 @@ def _poses(t: float, states: TrackStates | None, drive_rate: complex) -> Poses:
             np.empty(0, int))
     return Poses(t, *_told(
         states.id, states.missed, states.measured, states.motion, states.covariance, states.sigma,
-        states.theta, states.kind, drive_rate))
+        states.theta, states.kind, states.doubt * states.astray, drive_rate))
 
 
 @numba.njit(cache=True)
-def _told(ids, missed, measured, motion, covariance, sigma, theta, kind, drive_rate):  # type: ignore[no-untyped-def]
+def _told(  # type: ignore[no-untyped-def]
+        ids, missed, measured, motion, covariance, sigma, theta, kind, doubtful, drive_rate):
     """The fields of `Poses` after the time, of the particles that have an identity."""
     rows = np.flatnonzero(ids >= 0)
     x, y, spread = np.empty(len(rows)), np.empty(len(rows)), np.empty(len(rows))
     vx, vy, seen = np.empty(len(rows)), np.empty(len(rows)), missed[rows] == 0
     for k, n in enumerate(rows):
-        x[k], y[k], spread[k] = measured[n, 0], measured[n, 1], sigma[n]
+        x[k], y[k], variance = measured[n, 0], measured[n, 1], sigma[n] ** 2
         if not seen[k]:
             x[k], y[k] = motion[n, PLACE].real, motion[n, PLACE].imag
-            spread[k] = math.sqrt(covariance[n, PLACE, PLACE].real)
+            variance = covariance[n, PLACE, PLACE].real
+        spread[k] = math.sqrt(variance + doubtful[n])
         velocity = motion[n, VELOCITY] + drive_rate * motion[n, VELOCITY_PHASOR]
         vx[k], vy[k] = velocity.real, velocity.imag
     return ids[rows], x, y, theta[rows], vx, vy, spread, seen, kind[rows]

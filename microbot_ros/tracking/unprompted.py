@@ -78,16 +78,17 @@ def _pointed(
             continue
     if not chosen.kinds:
         return None
-    return without_standing(chosen, frames, np.empty((0, 2)))
+    return without_standing(chosen, frames, np.empty((0, 2)), carried=True)
 
 
 def without_standing(
-    settings: TrackerSettings, frames: list[np.ndarray], meant: np.ndarray
+    settings: TrackerSettings, frames: list[np.ndarray], meant: np.ndarray, carried: bool = False
 ) -> TrackerSettings:
     """The `settings`, with the places where things stand still that look like their kinds.
 
     `frames` are from all over a film. Not among the places is what is `meant` (M, 2) [px]: who
-    points at something that rests wants it followed.
+    points at something that rests wants it followed. `carried`: what only drifts with the sample
+    stands, too.
     """
     places = []
     for kind in settings.kinds:
@@ -96,19 +97,19 @@ def without_standing(
             bodies = find_bodies(frame, kind.dark, 0.6 * kind.height_grey[0], kind.shrink,
                                  kind.width_px[1], kind.parts_px)
             seen.append(bodies[kind.members(bodies, np.ones(len(bodies), bool))])
-        places += [place for place in standing(seen) if not np.any(
+        places += [place for place in standing(seen, carried) if not np.any(
             np.hypot(meant[:, 0] - place.x_px, meant[:, 1] - place.y_px) < 2 * place.radius_px)]
     return settings.model_copy(update={'standing': (*settings.standing, *places)})
 
 
 def _compact(frame: np.ndarray, dark: bool) -> Bodies:
     bodies = find_bodies(frame, dark, _CLEAR * pixel_noise(frame) / _SHRINK, _SHRINK, _WIDEST)
-    good = (bodies.length < _LONGEST) & (bodies.fill > _LEAST_FILL)
+    good = (bodies.length < _LONGEST) & (bodies.fill > _LEAST_FILL) & ~bodies.cut
     return bodies[good & (bodies.edge < _BLURRED * bodies.width)]
 
 
 def _standing(seen: list[Bodies]) -> np.ndarray:
-    places = standing(seen)
+    places = standing(seen, carried=True)
     return np.array([(place.x_px, place.y_px, place.radius_px) for place in places]).reshape(-1, 3)
 
 

@@ -7,8 +7,10 @@ from functools import cache
 
 import numpy as np
 
+from microbot_ros.tracking.assign import assign
 from microbot_ros.tracking.learn import learn
 from microbot_ros.tracking.settings import TrackerSettings
+from microbot_ros.tracking.teach import like
 from microbot_ros.tracking.tracker import Tracker
 
 
@@ -23,6 +25,8 @@ def warm_up(dtype: type[np.uint8] | type[np.uint16] = np.uint8) -> None:
     import scipy.optimize
     import scipy.sparse.csgraph  # noqa: F401
 
+    at, one = np.zeros((2, 2)), np.ones(2)
+    assign(at, one, one, at, one, at, one, at, 1.0, 1e-9)  # two that compete
     rng = np.random.default_rng(0)
     for shape, cap in (('round', 0.0), ('round', 40.0), ('any', 0.0)):
         settings = TrackerSettings(shape=shape, diameter_px=10)
@@ -34,6 +38,11 @@ def warm_up(dtype: type[np.uint8] | type[np.uint16] = np.uint8) -> None:
         tracker = Tracker(settings, learn(frames, settings), full_search_interval=math.inf)
         for k, frame in enumerate(frames):
             tracker.update(frame, float(k))
+    # Whoever points at something has frames coming.
+    taught, _ = like(TrackerSettings(), frames[0], 45.0, 80.0)
+    tracker.teach(taught)
+    for k, frame in enumerate(frames):
+        tracker.update(frame, float(len(frames) + k))
 
 
 def _discs(rng: np.random.Generator, cap: float) -> np.ndarray:

@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 
+from microbot_ros.compiled import numba
 from microbot_ros.model.langevin import step_heading
 from microbot_ros.virtual_rig.coil_gradients import SPACING
 

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
 from numpy import ndarray
 
+from microbot_ros.compiled import numba
 
-@njit(cache=True)
+
+@numba.njit(cache=True)
 def _window(centre: float, reach: float, size: int) -> tuple[int, int]:
     return max(0, math.ceil(centre - reach)), min(size, math.floor(centre + reach) + 1)
 
 
-@njit(cache=True)
+@numba.njit(cache=True)
 def draw_smudge(light: ndarray, x: float, y: float, width: float, depth: float) -> None:
     """Multiply `light` (H, W) by a dark Gaussian spot at (x, y), std `width` [px].
 
@@ -27,14 +28,14 @@ def draw_smudge(light: ndarray, x: float, y: float, width: float, depth: float) 
             light[i, j] *= 1 - depth * math.exp(-q)
 
 
-@njit(cache=True)
+@numba.njit(cache=True)
 def _ring(rho: float, radius: float, width: float, blur: float) -> float:
     """A ring of unit height blurred to a lower and wider one of the same cross-section."""
     spread = math.hypot(width, blur)
     return width / spread * math.exp(-((rho - radius) ** 2) / (2 * spread * spread))
 
 
-@njit(cache=True)
+@numba.njit(cache=True)
 def draw_sphere(light: ndarray, x: float, y: float, heading: float, radius: float, blur: float,
                 z: float, cap: float) -> None:
     """Multiply `light` (H, W) by the transmission of a Janus sphere at (x, y), all in pixels.
@@ -64,7 +65,7 @@ def draw_sphere(light: ndarray, x: float, y: float, heading: float, radius: floa
             light[i, j] *= max(0.02, (body + bright + border) * (1 - cap * inside * behind))
 
 
-@njit(cache=True, fastmath=True)
+@numba.njit(cache=True, fastmath=True)
 def count_electrons(light: ndarray, noise: ndarray, starts: ndarray, shot: float,
                     read_variance: float, frame: ndarray) -> None:
     """Fill `frame` (H, W) uint8 with `light` and noise of variance light·shot + read_variance.

@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike
 
+from microbot_ros.compiled import numba
 from microbot_ros.virtual_rig.world import FieldHistory
 
 _LONGEST_S = 2e-3

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import random
 import signal
 import subprocess
@@ -19,6 +20,7 @@ from command_line import microbot
 from microbot_ros.cli import main
 from microbot_ros.session.mcap_writer import MAGIC
 
+LONG = 'x' * 9000
 HEADER = 't_s,particle,x_um,y_um\n'
 ROWS = ''.join(f'{k / 10:.1f},0,{k},{-k}\n' for k in range(30))
 COMMANDS = 't_s,bx_mT,by_mT\n'
@@ -73,6 +75,8 @@ YAML_READERS: dict[str, Callable[[Path, Path], list[object]]] = {
         'calibrate', 'camera', '--particles', bad, '--diameter-um', 3, '--config', bad,
         '--out', out],
     'track': lambda bad, out: ['track', bad, '--settings', bad, '--out', out],
+    'batch track': lambda bad, out: ['batch', 'track', bad, '--settings', bad, '--out', out],
+    'reach': lambda bad, _: ['reach', '--model', bad, '--at', '0,0', '--goal', '9,0'],
 }
 SESSION_READERS: dict[str, Callable[[Path, Path], list[object]]] = {
     'info': lambda bad, out: ['info', bad, '--json', out],
@@ -119,6 +123,33 @@ OPTIONS: dict[str, list[object]] = {
     'jobs': ['discover', 'SESSION', '--jobs', '0', '--out', 'OUT'],
     'rate': ['replay', 'SESSION', '--rate', '-1'],
     'start': ['replay', 'SESSION', '--start', '1e300'],
+    'frame that is not there': ['track', 'PICTURES', '--like', '9,40,60', '--out', 'OUT'],
+    'point off the picture': ['track', 'PICTURES', '--like', '0,1e300,1', '--out', 'OUT'],
+    'point nowhere': ['track', 'PICTURES', '--unlike', '0,nan,1', '--out', 'OUT'],
+    'point at nothing': ['track', 'PICTURES', '--like', '0,150,110', '--out', 'OUT'],
+    'point of digits': ['track', 'PICTURES', '--like', f'{"9" * 6000},1,1', '--out', 'OUT'],
+    'kind with a bell': ['track', 'PICTURES', '--like', '0,40,60,\a\x1b[2J', '--out', 'OUT'],
+    'kind of two lines': ['track', 'PICTURES', '--like', '0,40,60,a\nb', '--out', 'OUT'],
+    'pixel size of films': ['batch', 'track', 'PICTURES', '--pixel-size-um', '1e308',
+                            '--out', 'OUT'],
+    'exposure of sessions': ['batch', 'fit', 'SESSION', '--exposure-ms', 'inf', '--out', 'OUT'],
+    'column of tables': ['batch', 'import', 'SESSION', '--column', 'x', '--out', 'OUT'],
+    'no workers': ['batch', 'discover', 'SESSION', '--workers', '0', '--out', 'OUT'],
+    'two kinds of workers': ['batch', 'fit', 'SESSION', '--workers', '1', '--scheduler', 'x',
+                             '--out', 'OUT'],
+    'demo without end': ['demo', '--seconds', 'inf', '--out', 'OUT'],
+    'demo of ages': ['demo', '--seconds', '1e300', '--out', 'OUT'],
+    'seed of digits': ['demo', '--seed', '9' * 6000, '--out', 'OUT'],
+    'repetitions': ['paper', '--repetitions', '0', '--out', 'OUT'],
+    'minutes': ['discover', '--drive', '--minutes', 'nan', '--out', 'OUT'],
+    'looks': ['discover', '--live', '--rounds', '-1', '--out', 'OUT'],
+    'port of the page': ['cockpit', '--port', '65536'],
+    'name of a rig': ['cockpit', '--namespace', 'a\nb'],
+    'rig to arm': ['arm', '--namespace', '2 rigs'],
+    'rig to record': ['record', '--namespace', 'x' * 9000],
+    'rig to set': ['set', 'controller', 'controller', 'hold', '--namespace', '-'],
+    'full scale': ['emulate', 'serial_transfer', '--link', 'OUT', '--full-scale-A', 'inf'],
+    'fault of words': ['emulate', 'serial_transfer', '--link', 'OUT', '--fault', 'x' * 9000],
     'goal': ['goal', '1e300,0'], 'goal of words': ['goal', 'x' * 9000],
     'seconds': ['reach', '--seconds', '1e308'],
     'spacing': ['calibrate', 'camera', '--graticule', 'SESSION', '--spacing-um', '1e308',
@@ -218,6 +249,47 @@ def test_options_that_cannot_be(tmp_path, out, capsys, words):
     for name, place in places.items():
         words = [str(word).replace(name, place) for word in words]
     refused(capsys, *words)
+
+
+BATCHES: dict[str, list[object]] = {
+    'empty folder': ['EMPTY'], 'no folder': ['EMPTY/none'], 'a line in a folder': ['a\nb'],
+    'labels': ['LABELLED'], 'long labels': ['LONG'], 'no day': ['DAY'], 'no label': ['KEY'],
+    'no port of the scheduler': ['SESSION', '--scheduler', 'nowhere'],
+    'a line in the scheduler': ['SESSION', '--scheduler', 'a\nb'],
+}
+
+
+@pytest.mark.parametrize('words', BATCHES.values(), ids=BATCHES)
+def test_archives_of_nothing(tmp_path, capfd, words):
+    pytest.importorskip('distributed')
+    labelled = session(tmp_path / 'labelled')
+    (labelled / 'archive.yaml').write_text(bomb())
+    (tmp_path / 'empty').mkdir()
+    places = {'SESSION': session(tmp_path / 'session'), 'EMPTY': tmp_path / 'empty',
+              'LABELLED': labelled}
+    for name, label in {'LONG': f'rig: [{LONG}]', 'DAY': f'recorded: {LONG}',
+                        'KEY': f'{{{LONG}: 1}}'}.items():
+        places[name] = session(tmp_path / name)
+        (places[name] / 'archive.yaml').write_text(label)
+    for name, place in places.items():
+        words = [str(word).replace(name, str(place)) for word in words]
+    assert microbot('batch', 'fit', *words, '--out', tmp_path / 'archive') == 2
+    gc.collect()  # what was thrown away has its last word
+    said = capfd.readouterr()
+    assert said.out == ''
+    assert len(said.err.splitlines()) == 1, said.err
+    assert LONG[:81] not in said.err
+    assert not (tmp_path / 'archive').exists()
+
+
+def test_no_command_is_left_out():
+    """Every one stands in a table above; a new one belongs there too."""
+    from microbot_ros.cli import _COMMANDS
+
+    tables = [list(words) for words in OPTIONS.values()]
+    tables += [words(Path(), Path()) for readers in (YAML_READERS, SESSION_READERS)
+               for words in readers.values()]
+    assert set(_COMMANDS) <= {words[0] for words in tables}
 
 
 def test_an_empty_configuration_runs_nothing(tmp_path, capsys):

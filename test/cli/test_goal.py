@@ -1,10 +1,10 @@
 """`microbot goal` from its command line; what becomes of goals is tested with the node."""
 
 import pytest
-from click.testing import CliRunner
+from command_line import runner
 
 from microbot_ros.cli.goal import command
-from microbot_ros.errors import InputError
+from microbot_ros.errors import InputError, RigError
 from microbot_ros.nodes import graph_client
 
 
@@ -48,7 +48,8 @@ class Graph:
     def until(self, true, seconds):
         while not true() and self.left:
             stamp, sentence, values = self.left.pop(0)
-            self.tell(b'\0', sentence, {'goals_stamp_s': str(stamp), **values})
+            stamps = {'goals_stamp_s': str(stamp), 'path_stamp_s': '0.0'}
+            self.tell(b'\0', sentence, stamps | values)
 
 
 @pytest.fixture(autouse=True)
@@ -57,7 +58,7 @@ def graph(monkeypatch):
 
 
 def run(*arguments):
-    return CliRunner().invoke(command, list(arguments))
+    return runner().invoke(command, list(arguments))
 
 
 def test_positions_may_be_negative():
@@ -92,10 +93,21 @@ def test_waits_for_the_arrival_at_these_goals(monkeypatch):
     monkeypatch.setattr(Graph, 'answers', [far])
     result = run('1,1', '--wait', '0.01')
     assert (result.exit_code, result.stdout) == (1, 'not arrived: far\n')
-    monkeypatch.setattr(Graph, 'answers', [(5.0, 'goal 1 is outside', {'result': 'bad goal'})])
-    result = run('1,1', '--wait', '60')
-    assert isinstance(result.exception, InputError)
-    assert 'goal 1 is outside' in str(result.exception)
+
+
+@pytest.mark.parametrize('arguments', [
+    ('1,1',), ('1,1', '--wait', '60'), ('--path', '1,1', '2,2')])
+def test_goals_that_are_refused_are_no_success(monkeypatch, arguments):
+    kind = 'path' if '--path' in arguments else 'goals'
+    monkeypatch.setattr(Graph, 'controller', 'swarm')
+    monkeypatch.setattr(Graph, 'answers', [
+        (4.0, 'goal 7 is outside', {'result': 'bad goal'}),  # of others
+        (5.0, 'no poses since', {'result': 'stale poses'}),
+        (5.0, 'goal 1 is outside', {'result': 'bad goal', f'{kind}_stamp_s': '5.0'})])
+    result = run(*arguments)
+    assert isinstance(result.exception, RigError)
+    assert str(result.exception) == 'goal 1 is outside'
+    assert 'taken' not in result.output
 
 
 def test_goals_that_others_replaced_are_waited_for_no_longer(monkeypatch):
@@ -141,13 +153,13 @@ def test_a_file_that_is_wrong_is_named(tmp_path, content, complaint):
     if content is not None:
         file.write_text(content)
     with pytest.raises(InputError, match=complaint):
-        CliRunner().invoke(command, ['--file', str(file)], catch_exceptions=False)
+        runner().invoke(command, ['--file', str(file)], catch_exceptions=False)
 
 
 @pytest.mark.parametrize('text', ['nan,1', '1,inf', '1', '1,2,3', 'a,b', '--wiat'])
 def test_a_position_that_is_none_is_named(text):
     with pytest.raises(InputError, match='expected X_UM,Y_UM'):
-        CliRunner().invoke(command, ['1,1', text], catch_exceptions=False)
+        runner().invoke(command, ['1,1', text], catch_exceptions=False)
 
 
 @pytest.mark.parametrize('arguments', [

@@ -1,6 +1,9 @@
 """`microbot info` from the outside."""
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -64,3 +67,11 @@ def test_bad_input_is_one_line_and_exit_2(folder, words, said):
     with pytest.raises(InputError, match=said) as refusal:
         run(*(word.format(folder) for word in words))
     assert '\n' not in str(refusal.value)
+
+
+def test_nothing_is_compiled_for_it(folder: Path, tmp_path: Path) -> None:
+    """The first command that a person tries on their own data answers at once."""
+    cache = tmp_path / 'cache'
+    subprocess.run([sys.executable, '-m', 'microbot_ros.cli', 'info', str(folder)], check=True,
+                   env={**os.environ, 'NUMBA_CACHE_DIR': str(cache)}, timeout=60)
+    assert not cache.exists()

@@ -98,10 +98,11 @@ class Page:
               ) -> dict[str, Any]:
         """Read until a message is as wanted; pictures are left unseen."""
         deadline = time.monotonic() + seconds
-        while True:
-            message = self.read(deadline - time.monotonic())
+        while (left := deadline - time.monotonic()) > 0:
+            message = self.read(left)
             if message and true(message):
                 return message
+        raise TimeoutError(f'much was told, and not that, in {seconds:g} s')
 
     def read(self, seconds: float) -> dict[str, Any] | None:
         """One message, None for a picture. TimeoutError where none comes."""

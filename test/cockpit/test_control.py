@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from microbot_ros.cockpit.control import UNATTENDED_S, Control
+from microbot_ros.cockpit.steering import Steering
 
 
 def test_the_first_page_has_control_and_others_look() -> None:
@@ -66,3 +67,24 @@ def test_only_the_page_in_control_is_somebody() -> None:
     control.leave(2)
     control.heard(2, 100.0)
     assert control.deserted(100.0)
+
+
+class TestSteering:
+    """A stick of one page, told with its moments."""
+
+    @pytest.mark.parametrize(('told', 'passed'), [
+        # x, y, moment [s], whether the page may steer
+        ([(1, 0, 0.0, True), (0, 1, 0.05, True), (0, 0, 0.1, True)], [True, True, True]),
+        ([(1, 0, 0.0, True), (1, 0, 0.3, True), (1, 0, 0.35, True)], [True, False, False]),
+        ([(1, 0, 0.0, True), (1, 0, 0.3, True), (0, 0, 0.4, True), (1, 0, 9.0, True)],
+         [True, False, True, True]),
+        ([(1, 0, 0.0, True), (0, 0, 0.05, True), (1, 0, 60.0, True)], [True, True, True]),
+        ([(1, 0, 0.0, False), (1, 0, 0.05, True), (0, 0, 0.1, True), (1, 0, 0.15, True)],
+         [False, False, True, True]),
+        ([(0, 0, 0.0, False)], [False]),
+        ([(1, 0, 0.0, True), (1, 0, 0.25, True)], [True, True]),
+    ])
+    def test_after_a_silence_only_neutral_counts(
+            self, told: list[tuple[float, float, float, bool]], passed: list[bool]) -> None:
+        stick = Steering()
+        assert [stick.counts(*one) for one in told] == passed

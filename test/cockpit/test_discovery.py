@@ -22,7 +22,9 @@ RESULT = {
     'verdict': 'named', 'decided': 'settled', 'minutes': 6.1,
     'effects': [{'id': 'alignment_lag'}, {'id': 'uniform_drift'}],
     'gap': {'before_um': 0.38, 'after_um': 0.11}, 'next_experiment': 'repeat at two magnitudes',
-    'experiments': [{'odds': {'': 0.5}}, {'odds': {'alignment_lag': 0.92}}]}
+    'experiments': [{'odds': {'': 0.5}}, {'odds': {'alignment_lag': 0.92}}],
+    'learned': [{'against': 'position', 'sentence': 'A swirl.',
+                 'arrows': [[1.0, 2.0, 0.5, -0.5]]}]}
 
 
 @pytest.fixture
@@ -74,7 +76,8 @@ def test_its_end_is_what_result_json_says(stand_in: Any, tmp_path: Path) -> None
     assert state == {
         'running': False, 'sentence': state['sentence'], 'verdict': 'named', 'decided': 'settled',
         'effect': 'alignment_lag', 'gap_um': 0.11, 'odds': {'alignment_lag': 0.92},
-        'minutes': 6.1, 'next': 'repeat at two magnitudes'}
+        'minutes': 6.1, 'next': 'repeat at two magnitudes',
+        'learned': [{'sentence': 'A swirl.', 'arrows': [[1.0, 2.0, 0.5, -0.5]]}]}
     assert 'discover --drive --minutes 6' in state['sentence']
     assert '--namespace /rig_2' in state['sentence']
 

@@ -89,6 +89,35 @@ def test_a_stick_is_told_once_for_each_message_and_never_again(served: Any) -> N
         assert served.rig.asked('stick') == [(0.5, -1.0), (1.0, 0.0)]
 
 
+def test_a_stick_that_was_silent_must_come_back_to_neutral(served: Any) -> None:
+    with served.page() as page:
+        page.say('stick', x=0.5, y=0.0)
+        page.drain(0.6)
+        page.say('stick', x=0.6, y=0.0)
+        page.say('stick', x=0.0, y=0.0)
+        page.say('stick', x=0.7, y=0.0)
+        page.ask('stop')
+    assert served.rig.asked('stick') == [(0.5, 0.0), (0.0, 0.0), (0.7, 0.0)]
+
+
+def test_what_waited_while_the_server_stood_still_is_not_done_but_stop(served: Any) -> None:
+    with served.page() as page:
+        page.ask('clear_goals')
+        served.server._loop.call_soon_threadsafe(time.sleep, 1.2)
+        time.sleep(0.1)
+        page.say('stick', x=1.0, y=0.0)
+        page.say('goal', id=101, x_um=0, y_um=0)
+        page.say('arm', id=102, attended=False)
+        page.say('stop', id=103)
+        assert page.answer(103)['ok']
+        assert [one['to'] for one in page.told
+                if one.get('kind') == 'answer' and 'stood still' in one['reason']] == [101, 102]
+        page.drain(0.7)
+        assert page.ask('goal', x_um=1, y_um=0)['ok']
+    assert served.rig.asked('stick') == served.rig.asked('arm') == []
+    assert len(served.rig.asked('goal')) == 1
+
+
 def test_what_a_page_sent_before_it_was_killed_is_not_repeated(served: Any) -> None:
     with served.page() as page:
         page.say('stick', x=1.0, y=0.0)

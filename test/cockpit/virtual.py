@@ -52,7 +52,7 @@ class VirtualRig:
     def _start(self) -> None:
         port, parameters = self.folder / 'amplifier', self._parameters
         nodes: dict[str, dict[str, Any]] = {
-            'virtual_rig': {'amplifier_log': str(self.log)},
+            'virtual_rig': {'amplifier_log': str(self.log), 'frame_rate_hz': 30.0},
             'tracker': {'pixel_size_um': 0.45},
             'model': {}, 'controller': {'controller': 'hold'},
             'coil_driver': {'port': str(port), 'full_scale_A': 2.0},
@@ -66,10 +66,10 @@ class VirtualRig:
             sys.executable, '-m', 'microbot_ros.cli', 'emulate', 'serial_transfer', '--link',
             str(port), '--log', str(self.log), '--full-scale-A', '2'],
             says_when_ready='serving')
-        self.graph.wait_ready(30.0)
+        self.graph.wait_ready(60.0)
         for name in NODES:
             self.graph.start_nodes([name], parameters)
-        self.graph.wait_ready(120.0)
+        self.graph.wait_ready(300.0)  # where nothing is compiled yet
         self.until(lambda: self.address)
 
     def restart_cockpit(self) -> None:
@@ -114,7 +114,10 @@ def main(arguments: Sequence[str]) -> None:
     folder = Path(arguments[0])
     folder.mkdir(parents=True, exist_ok=True)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    with VirtualRig(folder, cockpit={'port': int(arguments[1]) if arguments[1:] else 8642}) as rig:
+    with VirtualRig(  # also on a busy machine
+            folder, cockpit={'port': int(arguments[1]) if arguments[1:] else 8642},
+            coil_driver={'command_timeout_ms': 500.0, 'max_command_age_ms': 500.0},
+            controller={'controller': 'hold', 'deadline_ms': 100.0}) as rig:
         while True:
             rig.graph.pump(1.0)
 

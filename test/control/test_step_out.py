@@ -74,6 +74,23 @@ def test_turns_displace_each_as_asked():
     assert np.abs(np.cumsum(moves, 1) - wanted[:, None] * part).max() < 12e-6
 
 
+def test_the_order_of_turns_spares_room_that_lacks():
+    rng, gain, step_out = drawn()
+    made = seen(gain, step_out)
+    wanted = 1e-5 * (rng.normal(size=6) + 1j * rng.normal(size=6))
+
+    def slack(moved):
+        return 1e-6 - moved[2].imag  # the third must not go up
+
+    def highest(legs):
+        return made.moves(legs)[2].cumsum().imag.max()
+
+    wanted[2] = 0
+    plain, sparing = made.legs(wanted), made.legs(wanted, slack)
+    assert highest(sparing) < 1.2e-6 < highest(plain)
+    assert made.moves(sparing).sum(1) == pytest.approx(made.moves(plain).sum(1))
+
+
 def test_the_time_is_the_least_of_a_linear_programme_that_goes_one_way():
     """Along one line the least time is a linear programme, which scipy solves."""
     from scipy.optimize import linprog

@@ -21,6 +21,7 @@ from microbot_ros.discovery.learned.learn import (
     with_terms,
 )
 from microbot_ros.discovery.learned.moments import Moments
+from microbot_ros.discovery.result import Learned
 from microbot_ros.discovery.stepwise_selection import StepwiseSelection
 from microbot_ros.estimation.model_fit import fit_sessions
 from microbot_ros.model.learned_term import LearnedTerm
@@ -218,3 +219,18 @@ def test_a_hidden_effect_of_the_library_is_named_and_nothing_learned(film):
     found = discover([session])
     assert found.verdict == 'named'
     assert found.learned == () == found.model.learned
+
+
+def test_a_flow_is_told_as_arrows_where_data_were():
+    term = LearnedTerm(
+        'position', 'laboratory', 'velocity',
+        (np.array([-1e-5, 1e-5]), np.array([0.0, 1e-5, 2e-5])),
+        values=1e-6 * np.arange(12.0).reshape(6, 2), low=np.zeros((6, 2)), high=np.zeros((6, 2)),
+        seen=np.array([True, False, True, True, False, False]))
+    told = Learned(term, '', 9.0, {}).as_json(1e-7)
+    np.testing.assert_allclose(told['arrows'], [
+        [-10, 0, 0, 1], [-10, 20, 4, 5], [10, 0, 6, 7]], atol=1e-9)
+    assert 'velocity' in told['sentence']
+    elsewhere = replace(term, frame='radial', against='neighbour distance',
+                                    axes=(np.arange(1.0, 7.0),))
+    assert Learned(elsewhere, '', 9.0, {}).as_json(1e-7)['arrows'] == []

@@ -11,7 +11,9 @@ from oracles import sliding_near_a_wall
 
 from microbot_ros.errors import InputError
 from microbot_ros.estimation import report
-from microbot_ros.estimation.batch import command_excitation, fit
+from microbot_ros.estimation.batch import fit
+from microbot_ros.estimation.excitation import _information, command_excitation
+from microbot_ros.estimation.noise import Noise, whiten
 from microbot_ros.estimation.one_leg_regression import one_leg
 from microbot_ros.model.particle import Fluid, translational_diffusion
 from microbot_ros.records import Commands, Conditions, Session, Tracks
@@ -185,3 +187,15 @@ def test_the_rolling_robot():
     assert any('gain is not constant in frequency' in text for text in result.warnings)
     assert np.isnan(result.force).all()
     assert 'gain_um_s_hz' in report.as_json(result)['particles']['0']
+
+
+@pytest.mark.parametrize('exposure', [0.0, 0.01])
+def test_what_commands_tell_is_what_the_whitening_of_positions_leaves(exposure):
+    """The information by a tridiagonal covariance of increments, and by the filter of the fit."""
+    rng = np.random.default_rng(4)
+    interval = rng.uniform(0.02, 0.1, 60)
+    steps = rng.normal(size=(60, 3)) + 1j * rng.normal(size=(60, 3))
+    noise = Noise(1e-13, 5e-8, exposure)
+    paths = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+    white = whiten(paths[:, None], np.r_[0.0, np.cumsum(interval)], noise)[:, 0]
+    assert _information(steps, interval, noise) == pytest.approx(np.real(white.conj().T @ white))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import magpylib
 import numpy as np
 import pytest
 from coil_rigs import EIGHT, SIX, scattered
@@ -13,6 +12,8 @@ from scipy.optimize import linprog, minimize
 from microbot_ros.errors import InputError
 from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings
 from microbot_ros.units import MU_0
+
+magpylib = pytest.importorskip('magpylib')
 
 
 def usable(coils: CoilSet) -> Allocator:

@@ -30,9 +30,18 @@ from microbot_ros.nodes.transport import stay_local
 FULL_SCALE_A = 2.0
 
 
-# The middleware shows the nodes of a graph that has ended for a while yet: the next graphs of this
-# process are elsewhere.
-_DOMAINS = itertools.cycle([os.environ['ROS_DOMAIN_ID'], *(str(own_domain()) for _ in range(15))])
+def _elsewhere() -> Iterator[str]:
+    """Domains in turn: the middleware shows the nodes of a graph that has ended for a while yet,
+    so the next graphs of this process are in others, taken when they are needed."""
+    domains = [os.environ['ROS_DOMAIN_ID']]
+    yield domains[0]
+    for _ in range(15):
+        domains.append(str(own_domain()))
+        yield domains[-1]
+    yield from itertools.cycle(domains)
+
+
+_DOMAINS = _elsewhere()
 
 
 class Emulator:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import threading
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -9,12 +11,14 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from diagnostic_msgs.srv import AddDiagnostics
 from geometry_msgs.msg import Vector3Stamped
 from sensor_msgs.msg import Image, MagneticField, PointCloud2
+from std_msgs.msg import String
 
 from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes import messages
-from microbot_ros.nodes.lifecycle import IMAGES_IN
+from microbot_ros.nodes.lifecycle import IMAGES_IN, LATCHED
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 
 PLACE = np.array([[-60.0, 20.0], [10.0, -40.0], [70.0, 30.0]]) * 1e-6
@@ -47,6 +51,57 @@ def test_frames_become_particles_where_they_are(ros: Any, folder: Path) -> None:
     assert np.abs(np.sort(found, axis=0) - np.sort(PLACE, axis=0)).max() < 0.5e-6
     assert (points['sigma'] > 0).all()
     assert len(set(points['id'].tolist())) == len(PLACE)
+
+
+def test_what_is_pointed_at_is_followed_and_its_name_reaches_who_comes_later(
+        ros: Any, folder: Path) -> None:
+    graph = ros({'camera': {'source': str(folder), 'frame_rate_hz': 60, 'loop': True},
+                 'tracker': {'pixel_size_um': 0.45}})
+    particles = graph.hear(PointCloud2, 'particles')
+    assert graph.add('tracker').active
+    assert graph.add('camera').active, graph.nodes['camera'].fault
+    graph.until(lambda: bool(particles))
+    nothing = graph.call(AddDiagnostics, 'tracker/teach',
+                         AddDiagnostics.Request(load_namespace='like 5,5'))
+    assert not nothing.success
+    assert 'nothing stands out' in nothing.message
+    x, y = PLACE[1] / 0.45e-6 * [1, -1] + [319.5, 239.5]
+    answer = graph.call(AddDiagnostics, 'tracker/teach',
+                        AddDiagnostics.Request(load_namespace=f'like {x:.0f},{y:.0f},swimmer'))
+    assert answer.success, answer.message
+    graph.until(lambda: particles[-1].fields[-1].name == 'kind' and particles[-1].width > 0)
+    kinds = graph.hear(String, 'tracker/kinds', LATCHED)
+    graph.until(lambda: bool(kinds))
+    points = messages.points(particles[-1], np.dtype([('kind', '<f4')]))
+    assert [json.loads(kinds[-1].data)[int(kind)] for kind in points['kind']] == (
+        ['swimmer'] * particles[-1].width)
+
+
+def test_frames_go_on_while_the_tracker_is_taught(
+        ros: Any, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    graph = ros({'camera': {'source': str(folder), 'frame_rate_hz': 60, 'loop': True},
+                 'tracker': {'pixel_size_um': 0.45}})
+    particles = graph.hear(PointCloud2, 'particles')
+    tracker = graph.add('tracker')
+    assert graph.add('camera').active, graph.nodes['camera'].fault
+    graph.until(lambda: bool(particles))
+    begun, seen = threading.Event(), threading.Event()
+
+    def slowly(words: str) -> str:
+        begun.set()
+        assert seen.wait(60)
+        return words
+    monkeypatch.setattr(tracker.stage, 'teach', slowly)
+    client = graph.probe.create_client(AddDiagnostics, 'tracker/teach')
+    graph.until(client.service_is_ready)
+    future = client.call_async(AddDiagnostics.Request(load_namespace='like 1,2'))
+    graph.until(begun.is_set)
+    before = len(particles)
+    graph.until(lambda: len(particles) >= before + 10)
+    assert not future.done()
+    seen.set()
+    graph.until(future.done)
+    assert future.result().message == 'like 1,2'
 
 
 def test_a_film_that_ends_is_said_and_all_frames_came(ros: Any, folder: Path) -> None:

@@ -114,16 +114,17 @@ def test_a_field_that_is_no_number_latches_zero(
     assert emulator.zero
 
 
-def test_silence_and_stale_stamps_end_in_zero(emulator: Any, ros: Any) -> None:
+@pytest.mark.parametrize('age', [1.0, -1.0])
+def test_silence_and_stale_stamps_end_in_zero(emulator: Any, ros: Any, age: float) -> None:
     graph = _start(emulator, ros)
     graph.until(lambda: _arm(graph).success)
     graph.until(lambda: _command(graph, 3e-3, 0.0) or not emulator.zero)
     last = time.monotonic()
 
-    def old_commands_only() -> bool:
-        _command(graph, 3e-3, 0.0, age=1.0)
+    def no_command_of_now() -> bool:
+        _command(graph, 3e-3, 0.0, age=age)
         return bool(emulator.zero)
-    graph.until(old_commands_only)
+    graph.until(no_command_of_now)
     assert emulator.entries()[-1]['t_monotonic_s'] - last < 0.2
     assert graph.nodes['coil_driver']._refused > 0
 

@@ -49,7 +49,7 @@ class ForeignRig:
         inject_effect(swarm, effect, parameters, FIELD)
         self._node, self._world, self._rng = node, World(swarm, rng), rng
         self._changes = [(-1.0, np.zeros(2))]
-        self._begun = time.monotonic()
+        self._begun, self._lived = node.get_clock().now().nanoseconds, 0.0
         self.gone = self.dark = False
         self._out = node.create_publisher(PointCloud2, 'particles', 10)
         node.create_subscription(MagneticField, 'field/applied', self._on_field, 50)
@@ -58,7 +58,9 @@ class ForeignRig:
     def _on_field(self, message: MagneticField) -> None:
         field = np.array([message.magnetic_field.x, message.magnetic_field.y])
         if not np.allclose(field, self._changes[-1][1], atol=1e-7):
-            self._changes = [*self._changes[-500:], (time.monotonic() - self._begun, field)]
+            # When it changed, not when this process had a moment to hear of it.
+            t = messages.to_seconds(message.header.stamp) - 1e-9 * self._begun
+            self._changes = [*self._changes[-500:], (max(t, self._lived), field)]
 
     @property
     def field(self) -> float:
@@ -68,7 +70,9 @@ class ForeignRig:
     def _expose(self) -> None:
         t = np.array([t for t, _ in self._changes])
         field = np.array([f for _, f in self._changes])[:, None]
-        self._world.advance(time.monotonic() - self._begun, FieldHistory(t, field))
+        now = self._node.get_clock().now()
+        self._lived = 1e-9 * (now.nanoseconds - self._begun)
+        self._world.advance(self._lived, FieldHistory(t, field))
         if self.dark:
             return
         seen = self._world.position + self._rng.normal(0.0, 5e-8, (4, 2))
@@ -76,7 +80,7 @@ class ForeignRig:
         if not self.gone:
             points['id'], points['x'], points['y'] = np.arange(4), *seen.T
             points['theta'], points['sigma'] = np.nan, 5e-8
-        self._out.publish(messages.cloud(points, self._node.get_clock().now().to_msg()))
+        self._out.publish(messages.cloud(points, now.to_msg()))
 
 
 class Stand:

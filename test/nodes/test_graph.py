@@ -11,6 +11,7 @@ import psutil
 import pytest
 
 from microbot_ros.errors import InputError
+from microbot_ros.first_compilation import COMPILES
 from microbot_ros.nodes.graph import Graph
 
 Said = list[tuple[str, str]]
@@ -63,6 +64,23 @@ def test_last_words_are_heard_and_are_the_reason(said: Said) -> None:
         with pytest.raises(InputError, match='child: ended while starting: port is gone'):
             graph.wait_ready(20.0)
     assert said == [('child', 'one'), ('child', 'port is gone')]
+
+
+def test_what_all_say_while_they_compile_is_told_once(said: Said) -> None:
+    program = f'print({COMPILES!r}); print("ready", flush=True); import time; time.sleep(60)'
+    with Graph(lambda *line: said.append(line)) as graph:
+        for number in range(3):
+            _start(graph, f'child {number}', program)
+        graph.wait_ready(20.0)
+    assert [line for _, line in said] == [COMPILES]
+
+
+def test_the_reason_is_what_a_child_says_of_itself_and_not_of_its_end(said: Said) -> None:
+    with Graph(lambda *line: said.append(line)) as graph:
+        _start(graph, 'child', 'print("microbot: no port"); print("a warning at the end")')
+        with pytest.raises(InputError, match=r'^child: no port$'):
+            graph.wait_ready(20.0)
+    assert said == [('child', 'a warning at the end')]
 
 
 def test_all_end_side_by_side(said: Said) -> None:

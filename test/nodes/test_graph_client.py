@@ -8,11 +8,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 from geometry_msgs.msg import Vector3Stamped
 from rclpy.service import Service
+from sensor_msgs.msg import PointCloud2
 
+from microbot_ros.loop.points import ESTIMATE
+from microbot_ros.nodes import messages
 from microbot_ros.nodes.graph import Graph
 from microbot_ros.nodes.graph_client import GraphClient
 
@@ -72,6 +76,29 @@ def test_goals_are_taken_each_time_beside_a_recorder_that_was_there_first(
         assert client.until(lambda: has(10, True), 1.0)
         assert _microbot('goal', '--cancel') == (0, 'cancelled\n', '')
         assert client.until(lambda: has(0, True), 1.0)
+
+
+@pytest.mark.parametrize(('controller', 'words'), [
+    ('waypoint', ('1000,0',)), ('path_following', ('--path', '0,0', '1000,0'))])
+def test_goals_outside_the_workspace_are_one_and_the_reason(
+        tmp_path: Path, controller: str, words: tuple[str, ...]) -> None:
+    parameters = _parameters(tmp_path, {'controller': {'controller': controller}})
+    particle = np.zeros(1, ESTIMATE)
+    for name in ('speed', 'x_std', 'y_std', 'speed_std', 'phi_std'):
+        particle[name] = 4e-6 if name == 'speed' else 1e-8
+    with Graph(lambda *_: None) as graph, GraphClient('test') as client:
+        graph.start_nodes(['controller'], parameters)
+        graph.wait_ready(60.0)
+        seen = client.node.create_publisher(PointCloud2, 'model/state', 10)
+        client.node.create_timer(0.05, lambda: seen.publish(
+            messages.cloud(particle, client.node.get_clock().now().to_msg())))
+        asked = _start('goal', *words)
+        client.until(lambda: asked.poll() is not None, 60)
+        status, out, error = _end(asked)
+    assert (status, out) == (1, '')
+    assert error.startswith(f'microbot: {controller}: ')
+    assert 'workspace' in error
+    assert len(error.splitlines()) == 1
 
 
 def test_a_node_that_is_not_there_is_one_and_the_reason() -> None:

@@ -239,3 +239,39 @@ def test_what_the_joined_loop_recorded_is_answered_the_same_by_nodes_apart(
          str(tmp_path / 'recording')], capture_output=True, text=True, timeout=100)
     assert done.returncode == 0, done.stdout + done.stderr
     assert 'every answer is the same' in done.stdout
+
+
+UNFIT: dict[str, tuple[str, str]] = {
+    'host': ('cockpit:\n  ros__parameters:\n    host: NONSENSE\n',
+             '5: cockpit: host: expected a name or an address of this machine'),
+    'port': ('coil_driver:\n  ros__parameters:\n    port: /dev/nowhere\n',
+             '5: coil_driver: port: /dev/nowhere: expected a serial port'),
+    'one of two values': ('controller:\n  ros__parameters:\n    workspace_um: [1, 2, 3]\n',
+                          '5: controller: workspace_um must be left, bottom, right, top'),
+    'a long path': (f'camera:\n  ros__parameters:\n    source: /x/{"y" * 9000}\n',
+                    f'5: camera: source: /x/{"y" * 76}…: '),
+}
+
+
+@pytest.mark.parametrize(('text', 'told'), UNFIT.values(), ids=UNFIT)
+def test_what_only_a_node_can_find_wrong_is_one_line_that_says_where(
+        tmp_path: Path, text: str, told: str) -> None:
+    config = tmp_path / 'rig.yaml'
+    config.write_text(f'model:\n  ros__parameters: {{}}\n{text}')
+    process = subprocess.Popen([sys.executable, '-m', 'microbot_ros.cli', 'run', '--config',
+                                str(config)], stderr=subprocess.PIPE, text=True)
+    _, said = process.communicate(timeout=120)
+    *before, line = said.splitlines()
+    assert line.startswith(f'microbot: {config}:{told}')
+    assert all('the first time code is compiled' in note for note in before), said
+    assert process.returncode == 2
+
+
+@pytest.mark.parametrize('host', ['NONSENSE', 'x' * 9000])
+def test_a_page_that_cannot_be_served_is_one_line(host: str) -> None:
+    done = subprocess.run([sys.executable, '-m', 'microbot_ros.cli', 'cockpit', '--host', host],
+                          capture_output=True, text=True, timeout=120, check=False)
+    (line,) = done.stderr.splitlines()
+    assert line.startswith('microbot: cockpit: host: expected a name or an address')
+    assert 'x' * 81 not in line
+    assert (done.returncode, done.stdout) == (2, '')

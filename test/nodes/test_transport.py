@@ -104,3 +104,42 @@ def test_the_shared_memory_of_the_killed_goes_and_that_of_the_living_stays(
     node.wait()
     clear_shared_memory()
     assert not any(path.exists() for path in own | locks)
+
+
+def test_clients_that_come_and_go_are_one_participant() -> None:
+    """To delete one can hang for ever, in Fast DDS 2.14."""
+    def threads() -> int:
+        return sum(task.read_text().startswith('dds') for task in Path(
+            '/proc/self/task').glob('*/comm'))
+    with GraphClient('first') as client:
+        client.spin(0.05)
+        alive = threads()
+    assert alive
+    assert threads() == alive
+    with GraphClient('second') as client:
+        client.spin(0.05)
+        assert 'first' not in client.node.get_node_names()
+        assert threads() == alive
+
+
+@pytest.mark.parametrize('status', [0, 3])
+def test_who_leaves_says_its_last_words_and_leaves_no_memory(status: int) -> None:
+    program = ('import atexit, os, sys\n'
+               'from pathlib import Path\n'
+               'from microbot_ros.nodes.graph_client import GraphClient\n'
+               'from microbot_ros.nodes.participant import leave\n'
+               'atexit.register(print, "closed")\n'
+               'with GraphClient("guest") as client:\n'
+               '    client.spin(0.05)\n'
+               'for one in Path("/proc/self/fd").iterdir():\n'
+               '    if "fastrtps" in os.readlink(one):\n'
+               '        print(os.readlink(one))\n'
+               '        break\n'
+               f'leave({status})\n')
+    done = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True,
+                          timeout=60)
+    lock, closed = done.stdout.split()
+    assert done.returncode == status
+    assert closed == 'closed'
+    assert not Path(lock).exists()
+    assert not Path(lock.removesuffix('_el')).exists()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from microbot_ros.errors import InputError
 from microbot_ros.files import read_yaml
 from microbot_ros.tracking import Tracker, TrackerSettings, teach
 from microbot_ros.tracking.bodies import Bodies
+from microbot_ros.tracking.kinds import Kind, with_examples
 from microbot_ros.tracking.kinds_detector import KindsDetector
 from microbot_ros.tracking.standing import standing
 
@@ -78,6 +80,12 @@ def test_points_that_mean_nothing_are_refused(x: float, y: float, problem: str) 
         teach.like(TrackerSettings(), image, x, y)
 
 
+@pytest.mark.parametrize('name', ['\x1b[2J', '2nd', 'a b', 'x' * 33, '-'])
+def test_a_name_that_is_none_is_refused(name: str) -> None:
+    with pytest.raises(InputError, match='expected a name'):
+        teach.like(TrackerSettings(), _picture(*_SCENE), *_SMALL, name)
+
+
 def test_examples_that_contradict_each_other_are_refused() -> None:
     image = _picture(*_SCENE)
     settings, _ = teach.like(TrackerSettings(), image, *_SMALL)
@@ -129,3 +137,132 @@ def test_dirt_stands_still_and_what_drifts_or_wanders_does_not() -> None:
     wander = np.array([20.0, 90.0]) + np.cumsum(rng.normal(0, 0.25, (12, 2)), axis=0)
     places = standing([_bodies(np.array(rows)) for rows in zip(dirt, drift, wander, strict=True)])
     assert [(round(place.x_px), round(place.y_px)) for place in places] == [(20, 20)]
+
+
+def test_without_pointing_what_only_drifts_with_the_sample_does_not_move() -> None:
+    rng = np.random.default_rng(6)
+    noise = rng.normal(0, 0.2, (12, 2))
+    stuck = np.array([20.0, 20.0]) + np.outer(np.arange(12), [0.3, 0.2]) + noise
+    swims = np.array([90.0, 20.0]) + np.outer(np.arange(12), [1.0, 0.8]) + noise
+    wander = np.array([20.0, 90.0]) + np.cumsum(rng.normal(0, 0.25, (12, 2)), axis=0)
+    seen = [_bodies(np.array(rows)) for rows in zip(stuck, swims, wander, strict=True)]
+    assert standing(seen) == []
+    place, = standing(seen, carried=True)
+    assert np.hypot(*(stuck - [place.x_px, place.y_px]).T).max() < place.radius_px
+
+
+def test_a_kind_that_is_forgotten_takes_its_particles_along_and_no_identity_comes_twice() -> None:
+    settings, _ = teach.like(TrackerSettings(), _picture(*_SCENE), *_SMALL, 'small')
+    settings, _ = teach.like(settings, _picture(*_SCENE), *_LARGE, 'large')
+    tracker = Tracker(settings)
+    for t in range(6):
+        before = tracker.update(_picture(*_SCENE, seed=t), t / 10)
+    names = dict(zip(before.kind.tolist(), before.id.tolist(), strict=True))
+    fewer, _ = teach.forget(settings, 'small')
+    tracker.teach(fewer)
+    after = tracker.update(_picture(*_SCENE, seed=9), 0.7)
+    assert (after.id.tolist(), after.kind.tolist()) == ([names[1]], [0])
+    tracker.teach(teach.forget(fewer)[0])
+    assert len(tracker.update(_picture(*_SCENE, seed=10), 0.8)) == 0
+    tracker.teach(settings)
+    for t in range(6):
+        again = tracker.update(_picture(*_SCENE, seed=t), 1 + t / 10)
+    assert len(again) == 2
+    assert not set(again.id.tolist()) & set(before.id.tolist())
+
+
+@pytest.mark.parametrize('radius', [4.0, 7.3, 13.0])
+def test_the_place_of_a_taught_disc_is_as_exact_as_its_noise_allows(radius: float) -> None:
+    # Fisher's information of a disc whose look is known, by differences of the drawn picture.
+    noise, rng, off, told = 1.5, np.random.default_rng(4), [], []
+    v, u = np.mgrid[:200, :300]
+    drawn = [-70 / (1 + np.exp(1.6 * (np.hypot(u - x, v - 50) - radius))) for x in (59.99, 60.01)]
+    bound = math.hypot(noise, 12**-0.5) / math.sqrt(np.sum(((drawn[1] - drawn[0]) / 0.02) ** 2))
+    settings, _ = teach.like(TrackerSettings(), _picture((_SMALL, radius, -70.0)), *_SMALL)
+    for seed in range(60):
+        place = rng.uniform(50, 70, 2)
+        found = KindsDetector(settings.kinds).detect(
+            _picture((tuple(place), radius, -70.0), seed=seed), _NOWHERE)
+        off.append(found.xy[0] - place)
+        told.append(found.sigma[0])
+    error = float(np.sqrt(np.mean(np.square(off))))
+    assert error < 1.2 * bound
+    assert float(np.median(told)) == pytest.approx(bound, rel=0.2)
+
+
+def test_what_the_edge_cuts_is_followed_only_where_it_is_known() -> None:
+    settings, _ = teach.like(TrackerSettings(), _picture(*_SCENE), *_LARGE)
+    detector, edge = KindsDetector(settings.kinds), (2.0, 100.0)
+    image = _picture((edge, 9.0, -80.0))
+    assert len(detector.detect(image, _NOWHERE)) == 0
+    assert len(detector.detect(image, np.array([[4.0, 100.0]]))) == 1
+
+
+def test_what_hardly_diffuses_is_no_dirt() -> None:
+    rng = np.random.default_rng(5)
+    slow = np.array([50.0, 50.0]) + np.cumsum(rng.normal(0, 0.5, (12, 2)), axis=0)
+    passed = np.array([20.0, 20.0]) + rng.normal(0, 0.1, (12, 2))
+    passed[5] += 2.5  # something goes by
+    places = standing([_bodies(np.array(rows)) for rows in zip(slow, passed, strict=True)])
+    assert [(round(place.x_px), round(place.y_px)) for place in places] == [(20, 20)]
+
+
+def test_what_is_smaller_and_paler_at_once_is_another_thing() -> None:
+    image = _picture(*_SCENE)
+    settings, _ = teach.like(TrackerSettings(), image, *_LARGE)
+    assert len(_found(settings, _picture((_SMALL, 4.6, -80.0)))) == 1
+    assert len(_found(settings, _picture((_SMALL, 9.0, -45.0)))) == 1
+    assert len(_found(settings, _picture((_SMALL, 4.0, -42.0)))) == 0
+
+
+def test_one_that_passes_by_bright_things_is_followed_on() -> None:
+    settings, _ = teach.like(TrackerSettings(), _picture(*_SCENE), *_SMALL)
+    tracker = Tracker(settings)
+    for t in range(40):
+        place = (40.0 + 3 * t, 60.0)
+        poses = tracker.update(_picture((place, 5.0, -70.0), ((100.0, 76.0), 9.0, 60.0), seed=t),
+                               t / 10)
+        if t > 3:
+            np.testing.assert_allclose(poses.xy[poses.seen], [place], atol=0.6)
+    assert poses.id.tolist() == [0]
+
+
+@pytest.mark.parametrize(('apart', 'found'), [
+    (10.0, [(85.0, 60.0), (200.0, 125.0)]),
+    (14.0, [(80.0, 60.0), (94.0, 60.0), (200.0, 120.0), (200.0, 134.0)])])
+def test_a_doublet_is_one_body_where_its_halves_touch_and_its_parts_where_light_is_between(
+    apart: float, found: list[tuple[float, float]]
+) -> None:
+    image = _picture(*(((x, y), 5.0, -70.0) for x, y in (
+        (80.0, 60.0), (80.0 + apart, 60.0), (200.0, 120.0), (200.0, 120.0 + apart))))
+    settings, _ = teach.like(TrackerSettings(), image, 80.0, 60.0)
+    places = sorted(map(tuple, _found(settings, image).round()))
+    np.testing.assert_array_equal(places, found)
+
+
+def test_a_point_in_the_light_between_two_parts_means_both_as_one_body() -> None:
+    parts = [(80.0, 60.0), (94.0, 60.0), (200.0, 120.0), (200.0, 134.0), (60.0, 150.0)]
+    image = _picture(*((place, 5.0, -70.0) for place in parts))
+    settings, said = teach.like(TrackerSettings(), image, 87.0, 60.0, 'pair')
+    assert 'taken as one' in said
+    np.testing.assert_allclose(_found(settings, image),
+                               [parts[-1], (87.0, 60.0), (200.0, 127.0)], atol=0.3)
+    settings, _ = teach.unlike(settings, image, *parts[-1])
+    np.testing.assert_allclose(_found(settings, image), [(87.0, 60.0), (200.0, 127.0)], atol=0.3)
+    settings, said = teach.like(TrackerSettings(), image, *parts[0])
+    assert 'taken as one' not in said
+    assert len(_found(settings, image)) == 5
+
+
+def test_a_point_between_the_links_of_a_chain_means_the_chain() -> None:
+    links = [(100.0 + 10 * k, 60.0 + 10 * k) for k in range(4)]
+    image = _picture(*((place, 5.0, -70.0) for place in links))
+    settings, _ = teach.like(TrackerSettings(), image, 115.0, 75.0, 'chain')
+    np.testing.assert_allclose(_found(settings, image), [(115.0, 75.0)], atol=0.3)
+
+
+def test_what_is_rounder_than_its_example_is_not_odd_for_that() -> None:
+    kind = with_examples(Kind(), [(64.0, 12.3, 2.1, 1.018, 0.99, 0.05)], [], 0.0)
+    bodies = replace(_bodies(np.zeros((2, 2))), height=np.full(2, 64.0), width=np.full(2, 31.7),
+                     edge=np.full(2, 2.1), length=np.array([1.018, 1.0]), halo=np.full(2, 0.06))
+    assert kind.members(bodies, np.zeros(2, bool)).all()

@@ -170,13 +170,13 @@ def test_assignment_is_the_best_of_all() -> None:
     ones, looks = np.ones(5), np.zeros((5, 1))
     for _ in range(20):
         there, found = rng.uniform(0, 6, (5, 2)), rng.uniform(0, 6, (5, 2))
-        track, detection = assign(
-            there, ones, 100 * ones, looks, found, ones, looks, 1.0, 1e-12)
+        pairs = assign(
+            there, ones, 100 * ones, looks, 0 * ones, found, ones, looks, 1.0, 1e-12)
         square = np.sum((there[:, None] - found) ** 2, axis=2)
         cost = 5 * np.log(1 + square / 16)
         best = min(sum(cost[i, p[i]] for i in range(5)) for p in itertools.permutations(range(5)))
-        assert len(track) == 5
-        assert sum(cost[track, detection]) == pytest.approx(best)
+        assert len(pairs.track) == 5
+        assert sum(cost[pairs.track, pairs.detection]) == pytest.approx(best)
 
 
 def test_the_motion_of_swimmers_and_of_brownian_spheres_is_learned() -> None:

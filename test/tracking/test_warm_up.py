@@ -10,7 +10,7 @@ import importlib, pkgutil
 import numpy as np
 from bench._tracker_scenes import KINDS, draw, expose, light
 from microbot_ros import tracking
-from microbot_ros.tracking import Tracker, TrackerSettings, learn, warm_up
+from microbot_ros.tracking import Tracker, TrackerSettings, learn, teach, warm_up
 
 def compiled():
     rooms = [importlib.import_module(f'microbot_ros.tracking.{found.name}')
@@ -34,6 +34,11 @@ for count in (1, 6, 90):
             tracker.update(frame, t / 60)
         later = compiled()
         assert later == before, [key for key in later if later[key] != before[key]]
+    taught, _ = teach.like(TrackerSettings(), frames[0], *places[0])
+    tracker.teach(taught)
+    tracker.update(frames[0], 1.0)
+    later = compiled()
+    assert later == before, [key for key in later if later[key] != before[key]]
 """
 
 

@@ -26,7 +26,7 @@ function show(state) {
   setText(byId('fact-picture'), state.picture_age_ms == null ? '–' : `${age(state.picture_age_ms)} old`);
   setText(byId('fact-recording'), recording(state.recording));
   setText(byId('fact-control'), control(state.control));
-  setText(byId('fact-link'), state.link?.age_ms == null ? 'up' : `heard ${age(state.link.age_ms)} ago`);
+  setText(byId('fact-link'), state.link?.age_ms == null ? 'up' : `${age(state.link.age_ms)} ago`);
   document.title = `${CHIPS[rig]} · cockpit`;
 }
 

@@ -3,6 +3,9 @@
 import { byId, keyed, make, offer, setText } from './dom.js';
 import { order } from './messages.js';
 
+// As a limit it means none.
+const LARGEST = 2 ** 31 - 1;
+
 export class Drive {
   constructor(link) {
     this.link = link;
@@ -79,7 +82,8 @@ function field({ type, minimum, maximum, choices }) {
 
 function described(description, { minimum, maximum, read_only }) {
   const said = [description ?? ''];
-  if (minimum != null && maximum != null) said.push(`From ${minimum} to ${maximum}.`);
+  if (maximum >= LARGEST) said.push(`At least ${minimum}.`);
+  else if (minimum != null && maximum != null) said.push(`From ${minimum} to ${maximum}.`);
   if (read_only) said.push('Fixed at start-up.');
   return said.join(' ').trim();
 }

@@ -9,7 +9,7 @@ const EVERY_S = 0.25;
 export class Estimates {
   // `chosen(id)` is told when another particle is chosen.
   constructor(link, tracks, chosen) {
-    Object.assign(this, { tracks, chosen, id: null, last: 0 });
+    Object.assign(this, { tracks, chosen, id: null, heard: [], last: 0 });
     this.v = new Curve(byId('plot-v'), '--blue');
     this.phi = new Curve(byId('plot-phi'), '--orange');
     byId('particle').onchange = () => this.choose(Number(byId('particle').value));
@@ -23,10 +23,12 @@ export class Estimates {
     this.phi.clear();
     byId('particle').value = String(id);
     setText(byId('goal-particle'), String(id));
+    this.#show();
     this.chosen(id);
   }
 
   #hear(estimates) {
+    this.heard = estimates;
     const ids = [...new Set([...this.tracks.newest, ...estimates].map(({ id }) => id))]
       .sort((a, b) => a - b);
     offer(byId('particle'), ids);
@@ -34,10 +36,12 @@ export class Estimates {
     if (ids.includes(this.id)) byId('particle').value = String(this.id);
     const kind = this.tracks.newest.find(({ id }) => id === this.id)?.kind;
     setText(byId('particle-kind'), kind || '');
-    this.#show(estimates.find(({ id }) => id === this.id) ?? {});
+    this.#show();
   }
 
-  #show(one) {
+  // At once where another is chosen: its numbers are not to be those of the one before.
+  #show() {
+    const one = this.heard.find(({ id }) => id === this.id) ?? {};
     const v = measured(one.v_um_s, one.v_std_um_s, 'µm/s');
     const phi = measured(one.phi_deg, one.phi_std_deg, '°');
     readings(byId('readings'), [['speed v', v], ['offset φ', phi],

@@ -41,7 +41,6 @@ discoveryPanel(link);
 healthPanel(link);
 stateBar(link);
 
-
 const control = new Control(link);
 new Pointing({ link, control, view, overlay, picture, choose: (id) => estimates.choose(id) });
 armButton(link);
@@ -52,7 +51,7 @@ new Touch(byId('stick'), sticks);
 new Gamepads(sticks, stop);
 
 link.on('hello', ({ camera, kinds }) => {
-  view.use(camera);
+  if (view.use(camera)) tracks.clear();
   byId('kinds').replaceChildren(...(kinds ?? []).map((value) => make('option', { value })));
 });
 link.on('particles', (message) => {
@@ -60,6 +59,6 @@ link.on('particles', (message) => {
   overlay.show(view.camera ? picture.stamp : message.stamp);
 });
 link.on('state', (state) => overlay.hear(state));
-link.on('lost', () => say('refused', 'The link to the cockpit’s node is lost.'));
+link.on('lost', () => say('refused', 'The link to the cockpit’s node is lost.', 'link'));
 link.on('refused', (reason) => say('refused', reason));
-link.on('up', () => say('note', 'Linked to the cockpit’s node.'));
+link.on('up', () => say('note', 'Linked to the cockpit’s node.', 'link'));

@@ -5,10 +5,12 @@ import { byId, make } from './dom.js';
 const KEPT = 4;
 const MARKS = { ok: '✓', refused: '✕', note: '·' };
 
-export function say(level, text) {
+// Of those about one `topic` only the last stays.
+export function say(level, text, topic = null) {
   const list = byId('messages');
+  if (topic) list.querySelector(`[data-topic=${topic}]`)?.remove();
   const time = new Date().toTimeString().slice(0, 8);
-  list.prepend(make('li', { class: level },
+  list.prepend(make('li', { class: level, ...(topic && { 'data-topic': topic }) },
     make('span', { class: 'mark', 'aria-hidden': 'true' }, MARKS[level]),
     make('span', {}, text), make('time', {}, time)));
   while (list.children.length > KEPT) list.lastChild.remove();

@@ -6,6 +6,8 @@ import { known } from './numbers.js';
 const RING = 11;
 const HEADING = 24;
 const ARROW = 26;
+// So much room a name beside a ring takes.
+const LABEL = 36;
 
 export class Overlay {
   constructor(view, tracks) {
@@ -71,6 +73,7 @@ export class Overlay {
       const [x, y] = this.view.toPage(particle.x_px, particle.y_px);
       node.setAttribute('transform', `translate(${x.toFixed(2)} ${y.toFixed(2)})`);
       node.classList.toggle('chosen', particle.id === this.chosen);
+      this.#label(node.querySelector('text'), particle, x, y);
       const line = node.querySelector('.heading');
       line.toggleAttribute('hidden', !known(particle.heading_rad));
       if (!known(particle.heading_rad)) return;
@@ -82,6 +85,15 @@ export class Overlay {
       node.setAttribute('points',
         trail.map(({ x, y }) => this.view.toPage(x, y).map((v) => v.toFixed(1)).join()).join(' '));
     });
+  }
+
+  // Beside a ring at x, y, up and to the right; on the other side where the picture ends.
+  #label(text, { id, kind }, x, y) {
+    setText(text, kind ? `${id} ${kind}` : String(id));
+    const left = x + LABEL > this.view.width * this.view.scale;
+    text.setAttribute('text-anchor', left ? 'end' : 'start');
+    text.setAttribute('x', left ? -RING - 3 : RING + 3);
+    text.setAttribute('y', y < LABEL ? RING + 9 : -RING + 2);
   }
 
   #drawPlan() {
@@ -113,7 +125,7 @@ export class Overlay {
 function ring({ id }) {
   return makeSvg('g', { 'data-id': id }, makeSvg('circle', { r: RING, class: 'halo' }),
     makeSvg('path', { class: 'heading' }), makeSvg('circle', { r: RING, class: 'ring' }),
-    makeSvg('text', { x: RING + 3, y: -RING + 2 }, String(id)));
+    makeSvg('text'));
 }
 
 function goalMark() {

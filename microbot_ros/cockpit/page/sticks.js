@@ -4,6 +4,8 @@
 // A source has `value()` → [right, up] on the screen, each −1…1, and `forget()`, after which its
 // value is 0, 0 until it was let go and is pressed anew.
 
+import { byId } from './dom.js';
+
 const PERIOD_MS = 50;
 // A page that was frozen wakes up with what was held then. Sooner than `joy_timeout_ms` (250): what
 // was frozen for so long that the coils went to zero must not go on.
@@ -65,12 +67,19 @@ export class Sticks {
   #send([right, up]) {
     const [x, y] = this.view.direction(right, up);
     this.held = true;
+    drawKnob(right, up);
     this.link.tell('stick', { x, y });
   }
 
   #end() {
+    drawKnob(0, 0);
     if (!this.held) return;
     this.held = false;
     this.link.tell('stick', { x: 0, y: 0 });
   }
+}
+
+// The page's stick shows what is sent, whichever source it is from.
+function drawKnob(right, up) {
+  byId('knob').setAttribute('transform', `translate(${right * 66} ${-up * 66})`);
 }

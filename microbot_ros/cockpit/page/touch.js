@@ -1,7 +1,5 @@
 // Steering by finger or mouse: dragging the knob of the page's stick.
 
-import { byId } from './dom.js';
-
 // Of the stick's half width: where the knob is all the way out.
 const REACH = 0.7;
 
@@ -37,7 +35,6 @@ export class Touch {
   forget() {
     this.pointer = null;
     this.at = [0, 0];
-    this.#draw();
   }
 
   #follow({ clientX, clientY }) {
@@ -47,11 +44,5 @@ export class Touch {
     const up = -(clientY - box.top - box.height / 2) / half;
     const length = Math.max(Math.hypot(right, up), 1);
     this.at = [right / length, up / length];
-    this.#draw();
-  }
-
-  #draw() {
-    const [right, up] = this.at;
-    byId('knob').setAttribute('transform', `translate(${right * 66} ${-up * 66})`);
   }
 }

@@ -17,6 +17,11 @@ export class Tracks {
     this.waiting = null;
   }
 
+  clear() {
+    this.readings = [];
+    this.trails.clear();
+  }
+
   // Resolves once the particles of `stamp` are here, or are not worth waiting for.
   async found(stamp) {
     const silent = performance.now() - this.heard > SILENT_MS;
@@ -30,10 +35,7 @@ export class Tracks {
   take({ stamp, particles }) {
     const reading = { stamp: BigInt(stamp), particles };
     // A stamp that goes back is another run, or a recording that begins anew.
-    if (this.readings.length && reading.stamp <= this.readings.at(-1).stamp) {
-      this.readings = [];
-      this.trails.clear();
-    }
+    if (this.readings.length && reading.stamp <= this.readings.at(-1).stamp) this.clear();
     this.readings.push(reading);
     if (this.readings.length > KEPT) this.readings.shift();
     this.#extendTrails(reading);

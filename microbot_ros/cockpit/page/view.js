@@ -12,20 +12,24 @@ export class View {
     new ResizeObserver(() => this.#fit()).observe(frame.parentElement);
   }
 
-  // Take over the camera of the node's `hello`; null where it has none yet.
+  // Take over the camera of the node's `hello`, null where it has none yet. Says whether places
+  // from before are nowhere now.
   use(camera) {
-    if (!camera) return;
+    if (!camera) return false;
+    const other = JSON.stringify(camera) !== JSON.stringify(this.camera);
     this.camera = camera;
     this.width = camera.width_px;
     this.height = camera.height_px;
     this.matrix = camera.to_um ?? upright(camera);
     this.#fit();
+    return other;
   }
 
   // Without a camera: an empty ground, doubled until it holds all `particles`, and their places
   // on it.
   place(particles) {
-    if (this.camera) return particles;
+    // Those that came before the node knew the camera lie nowhere in its picture.
+    if (this.camera) return particles.filter(({ x_px }) => x_px !== null);
     const half = Math.max(this.matrix ? -this.matrix[0][2] : 50,
       ...particles.map(({ x_um, y_um }) => Math.max(Math.abs(x_um), Math.abs(y_um) * 4 / 3)));
     const pixel_size_um = 50 * 2 ** Math.ceil(Math.log2(half / 50) - 1e-9) / ((this.width - 1) / 2);

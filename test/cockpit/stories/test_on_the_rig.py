@@ -10,15 +10,17 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
 import psutil
 import pytest
 from cockpit.virtual import VirtualRig
+from hands import HEIGHT, PIXEL_UM, WIDTH, arm, mode, on_page, switch, take_control
+from lines import farthest
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(240)]
 STOP_S, VANISHED_S, TOPIC_S = 0.1, 0.4, 0.2
 """Asked for: from STOP, or from letting go, to zero; from a page's end while it steers to zero;
 from a click to its topic."""
-PIXEL_UM, WIDTH, HEIGHT = 0.45, 640, 480
 
 # Where the rings are, in pixels of the camera, and of which picture.
 _RINGS = """() => {
@@ -69,46 +71,17 @@ def visit(browser: Any, virtual: VirtualRig) -> Iterator[Any]:
         page = contexts[-1].new_page()
         page.goto(virtual.address)
         page.wait_for_selector('#overlay .rings g', state='attached', timeout=60_000)
-        return _in_control(page)
+        return take_control(page)
 
     yield one
     for context in contexts:
         context.close()
 
 
-def _in_control(page: Any) -> Any:
-    page.wait_for_selector('#fact-control:not(:text-is("–"))')
-    if page.is_visible('#take-control'):
-        page.click('#take-control')
-    page.wait_for_selector('#arm:enabled')
-    return page
-
-
 @pytest.fixture
 def page(visit: Any) -> Any:
     """A page in control."""
     return visit()
-
-
-def _arm(page: Any) -> None:
-    """By holding the button; a busy machine may need a second try."""
-    for _ in range(3):
-        page.hover('#arm')
-        page.mouse.down()
-        page.wait_for_selector('#messages li:first-child:has-text("Arm:")', timeout=20_000)
-        page.mouse.up()
-        try:
-            page.wait_for_selector('#rig-chip[data-state=armed]', timeout=2000)
-        except Exception:
-            continue
-        return
-    raise AssertionError(page.inner_text('#messages'))
-
-
-def _switch(page: Any, name: str) -> None:
-    page.select_option('#controller', name)
-    page.click('#controller-form button')
-    page.wait_for_selector(f'#controller-now:has-text("At work: {name}.")')
 
 
 def _steer(page: Any, virtual: VirtualRig, *keys: str) -> None:
@@ -121,6 +94,37 @@ def _steer(page: Any, virtual: VirtualRig, *keys: str) -> None:
     virtual.until(lambda: not virtual.zero)
     page.wait_for_timeout(500)
     assert not virtual.zero
+
+
+@pytest.mark.clocked
+def test_v_and_phi_are_the_truth(page, truth) -> None:
+    """As they are read on the page, of each particle, once it was steered every way: first of all
+    stories, while none is at a wall."""
+    true = [(3.71, -1.09), (4.38, 3.82), (4.98, 2.64)]
+    switch(page, 'teleop')
+    arm(page)
+    page.focus('#stick')
+    for keys in [['KeyD'], ['KeyW'], ['KeyA'], ['KeyS'], ['KeyD', 'KeyW'], ['KeyA', 'KeyS']]:
+        for key in keys:
+            page.keyboard.down(key)
+        page.wait_for_timeout(1200)
+        for key in keys:
+            page.keyboard.up(key)
+    places = truth()
+    rings = page.evaluate(_RINGS)[1]
+    for number, (v_true, phi_true) in enumerate(true):
+        name, _, _ = min(rings, key=lambda ring, at=places[number]: math.dist(ring[1:], at))
+        page.select_option('#particle', str(name))
+        page.wait_for_selector('#readings dd:has-text("±")')
+        v, phi = (_measured(text) for text in page.locator('#readings dd').all_inner_texts()[:2])
+        assert abs(v[0] - v_true) <= 3 * v[1], number
+        assert abs(math.remainder(phi[0] - math.degrees(phi_true), 360)) <= 3 * phi[1], number
+
+
+def _measured(text: str) -> tuple[float, float]:
+    """Value and standard deviation of what reads `3.71 ± 0.05 µm/s`."""
+    value, _, rest = text.replace('\u2212', '-').replace('\xa0', ' ').partition(' ± ')
+    return float(value), float(rest.rstrip('°').split()[0])
 
 
 def test_rings_are_where_the_tracker_has_particles_at_the_stamp_shown(page, listener) -> None:
@@ -159,11 +163,10 @@ def test_a_goal_arrives_in_time_and_is_marked_once_it_was_taken(page, listener) 
         PoseArray, 'goals',
         lambda message: heard.append((time.monotonic(), message.poses[0].position)), 10)
     listener.spin(1.0)
-    page.click('#modes label:has(input[value=goal])')
-    box = page.locator('#frame').bounding_box()
-    scale = box['width'] / WIDTH
+    mode(page, 'goal')
+    place = on_page(page, 400, 150)
     began = time.monotonic()
-    page.mouse.click(box['x'] + 400.5 * scale, box['y'] + 150.5 * scale)
+    page.mouse.click(*place)
     end = began + 5
     while not heard and time.monotonic() < end:
         listener.spin(0.01)
@@ -174,6 +177,153 @@ def test_a_goal_arrives_in_time_and_is_marked_once_it_was_taken(page, listener) 
     page.wait_for_selector('#overlay .goals g', state='attached')
     page.click('#clear-goals')
     page.wait_for_selector('#overlay .goals:not(:has(g))', state='attached')
+
+
+def _um(x_px: float, y_px: float) -> tuple[float, float]:
+    return (x_px - (WIDTH - 1) / 2) * PIXEL_UM, ((HEIGHT - 1) / 2 - y_px) * PIXEL_UM
+
+
+def test_a_path_arrives_as_it_was_drawn_and_is_shown_once_it_was_taken(page, listener) -> None:
+    from nav_msgs.msg import Path
+
+    heard = []
+    listener.node.create_subscription(Path, 'path', lambda message: heard.append(
+        [(p.pose.position.x * 1e6, p.pose.position.y * 1e6) for p in message.poses]), 10)
+    listener.spin(1.0)
+    mode(page, 'path')
+    angles = np.linspace(0, 1.5 * math.pi, 40)
+    drawn = np.column_stack([320 + 120 * np.cos(angles), 240 + 120 * np.sin(angles)])
+    page.mouse.move(*on_page(page, *drawn[0]))
+    page.mouse.down()
+    for place in drawn[1:]:
+        page.mouse.move(*on_page(page, *place))
+    page.mouse.up()
+    assert listener.until(lambda: heard, 5.0)
+    expected = np.array([_um(*place) for place in drawn])
+    assert farthest(np.array(heard[0]), expected) < 2 * PIXEL_UM
+    assert farthest(expected, np.array(heard[0])) < 2 * PIXEL_UM
+    page.wait_for_selector('#overlay .path polyline[points*=" "]', state='attached')
+    mode(page, 'goal')
+    page.click('#clear-goals')
+    page.wait_for_selector('#overlay .path polyline[points=""]', state='attached')
+
+
+def test_goals_from_before_the_page_are_shown(visit, listener) -> None:
+    """Whoever sent them, and however."""
+    from geometry_msgs.msg import PoseStamped
+
+    from microbot_ros.nodes import messages
+
+    message = PoseStamped()
+    message.pose.position.x, message.pose.position.y = 20e-6, -10e-6
+    message.header.stamp = listener.node.get_clock().now().to_msg()
+    out = listener.node.create_publisher(PoseStamped, 'goal_pose', 10)
+    heard: list[dict[str, str]] = []
+    listener.watch_progress(lambda *said: heard.append(said[2]))
+    sent = messages.to_seconds(message.header.stamp)
+    for _ in range(50):  # the first subscriber that is matched may be a recorder
+        out.publish(message)
+        if listener.until(lambda: any(
+                float(one.get('goals_stamp_s', 'nan')) == sent for one in heard), 0.2):
+            break
+    else:
+        raise AssertionError('the controller did not take the goal')
+    page = visit()
+    page.wait_for_selector('#overlay .goals g', state='attached')
+    x, y = page.evaluate(_PLACE_OF, '#overlay .goals g')
+    assert math.dist((x, y), (319.5 + 20 / PIXEL_UM, 239.5 + 10 / PIXEL_UM)) < 1
+    mode(page, 'goal')
+    page.click('#clear-goals')
+    page.wait_for_selector('#overlay .goals:not(:has(g))', state='attached')
+
+
+_PLACE_OF = """(selector) => {
+  const scale = document.querySelector('#frame').getBoundingClientRect().width / 640;
+  const { e, f } = document.querySelector(selector).getCTM();
+  return [e / scale - 0.5, f / scale - 0.5];
+}"""
+
+
+@pytest.fixture
+def truth(listener: Any) -> Any:
+    """Where the particles really are: () → {number: (x, y)} [px], by the virtual rig."""
+    from sensor_msgs.msg import PointCloud2
+
+    from microbot_ros.nodes import messages
+
+    heard: list[PointCloud2] = []
+    listener.node.create_subscription(PointCloud2, 'virtual_rig/truth', heard.append, 1)
+
+    def now() -> dict[int, tuple[float, float]]:
+        heard.clear()
+        assert listener.until(lambda: heard, 10.0)
+        points = messages.points(heard[-1], np.dtype([('id', '<u4'), ('x', '<f4'), ('y', '<f4')]))
+        return {int(one['id']): (float(319.5 + one['x'] * 1e6 / PIXEL_UM),
+                                 float(239.5 - one['y'] * 1e6 / PIXEL_UM)) for one in points}
+    return now
+
+
+def _ringed(page: Any, place: tuple[float, float], within_px: float) -> bool:
+    return any(math.dist((x, y), place) < within_px for _, x, y in page.evaluate(_RINGS)[1])
+
+
+def _until(page: Any, true: Any, seconds: float = 20.0) -> None:
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end, page.inner_text('#messages')
+        page.wait_for_timeout(50)
+
+
+def test_what_is_pointed_at_is_tracked_from_then_on(page, truth, listener) -> None:
+    from diagnostic_msgs.srv import AddDiagnostics
+
+    assert 'swimmer' not in page.inner_html('#overlay .rings')
+    try:
+        mode(page, 'like')
+        page.fill('#teach-kind', 'swimmer')
+        page.mouse.click(*on_page(page, *truth()[0]))
+        page.wait_for_selector('#messages li.ok:has-text("Teach: this")')
+        page.wait_for_selector('#overlay .rings text:has-text("swimmer")', state='attached')
+        _until(page, lambda: _ringed(page, truth()[0], 6))
+        for _ in range(20):  # truth and picture are not of the same moment
+            page.wait_for_timeout(100)
+            assert _ringed(page, truth()[0], 6)
+        assert page.locator('#kinds option').get_attribute('value') == 'swimmer'
+    finally:
+        forget = listener.node.create_client(AddDiagnostics, 'tracker/teach')
+        forget.wait_for_service()
+        done = forget.call_async(AddDiagnostics.Request(load_namespace='forget'))
+        assert listener.until(done.done, 10.0)
+
+
+def test_a_node_that_stands_still_is_lost_and_does_nothing_late(page, virtual, listener) -> None:
+    from geometry_msgs.msg import PoseArray
+
+    heard = []
+    listener.node.create_subscription(PoseArray, 'goals', heard.append, 10)
+    switch(page, 'teleop')
+    arm(page)
+    _steer(page, virtual, 'ArrowRight')
+    mode(page, 'goal')
+    virtual.signal('cockpit', signal.SIGSTOP)
+    try:
+        began = time.monotonic()
+        page.focus('#stick')
+        page.keyboard.down('ArrowUp')
+        page.mouse.click(*on_page(page, 200, 200))
+        page.wait_for_selector('body.lost', timeout=5000)
+        assert time.monotonic() - began <= 1.0
+        assert page.is_disabled('#arm')
+        assert page.is_disabled('#stick')
+        virtual.until(lambda: virtual.zero)
+        page.wait_for_timeout(1000)
+    finally:
+        virtual.signal('cockpit', signal.SIGCONT)
+    woke = time.monotonic()
+    page.wait_for_selector('body:not(.lost)', timeout=10_000)
+    listener.spin(1.5)
+    assert not heard
+    assert virtual.zero_since(woke) == 0
 
 
 _NOTE = """(type) => addEventListener(
@@ -196,8 +346,8 @@ _WAYS = {'click': lambda page: page.click('#stop'),
 @pytest.mark.clocked
 @pytest.mark.parametrize('way', _WAYS)
 def test_stop_is_zero(page, virtual, way) -> None:
-    _switch(page, 'teleop')
-    _arm(page)
+    switch(page, 'teleop')
+    arm(page)
     _steer(page, virtual, 'ArrowRight')
     page.evaluate(_NOTE, _TYPES[way])
     began = time.monotonic()
@@ -210,10 +360,10 @@ def test_stop_is_zero(page, virtual, way) -> None:
 
 @pytest.mark.clocked
 def test_a_viewer_stops_a_rig_whose_controller_hangs(page, visit, virtual) -> None:
-    _switch(page, 'teleop')
-    _arm(page)
+    switch(page, 'teleop')
+    arm(page)
     other = visit()
-    _in_control(page)
+    take_control(page)
     _steer(page, virtual, 'ArrowUp')
     try:
         virtual.signal('controller', signal.SIGSTOP)
@@ -228,8 +378,8 @@ def test_a_viewer_stops_a_rig_whose_controller_hangs(page, visit, virtual) -> No
 @pytest.mark.clocked
 @pytest.mark.parametrize(('keys', 'angle'), [(['ArrowRight'], 0), (['KeyW', 'KeyA'], 135)])
 def test_keys_steer_and_letting_go_is_zero(page, virtual, keys, angle) -> None:
-    _switch(page, 'teleop')
-    _arm(page)
+    switch(page, 'teleop')
+    arm(page)
     _steer(page, virtual, *keys)
     angle_told = '#field-table .applied td:last-child'
     page.wait_for_selector(f'{angle_told}:not(:text-is("–"))')
@@ -258,8 +408,8 @@ def _renderer(page: Any) -> psutil.Process:
 @pytest.mark.clocked
 @pytest.mark.parametrize('way', ['killed', 'frozen', 'hidden'])
 def test_a_page_that_vanishes_steers_no_more(page, virtual, way) -> None:
-    _switch(page, 'teleop')
-    _arm(page)
+    switch(page, 'teleop')
+    arm(page)
     renderer = _renderer(page)
     _steer(page, virtual, 'ArrowRight')
     began = time.monotonic()
@@ -288,7 +438,7 @@ def test_notes_are_in_the_recording(page, virtual) -> None:
     page.wait_for_function('() => document.querySelector("#note").value === ""')
     page.reload()
     page.wait_for_selector('#recording-now:has-text("“batch 7”")')
-    _in_control(page).click('#record')
+    take_control(page).click('#record')
     page.wait_for_selector('#recording-now:has-text("Not recording")')
     said = subprocess.run([sys.executable, '-m', 'microbot_ros.cli', 'info',
                            str(virtual.folder / 'recording')], capture_output=True, text=True)
@@ -297,12 +447,12 @@ def test_notes_are_in_the_recording(page, virtual) -> None:
 
 
 def test_a_refused_swap_leaves_the_old_one_and_says_why(page) -> None:
-    _switch(page, 'teleop')
-    _arm(page)
+    switch(page, 'teleop')
+    arm(page)
     page.locator('.parameter:has(label[title="teleop.particle"]) input').fill('77')
     page.locator('.parameter:has(label[title="teleop.particle"]) button').click()
     page.wait_for_selector('#messages li:has-text("Set teleop.particle")')
-    _switch(page, 'hold')
+    switch(page, 'hold')
     page.select_option('#controller', 'teleop')
     page.click('#controller-form button')
     page.wait_for_selector('#messages li.refused:has-text("77")')

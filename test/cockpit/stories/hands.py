@@ -1,0 +1,51 @@
+"""What an operator's hands do on the page before the virtual rig."""
+
+from __future__ import annotations
+
+from typing import Any
+
+PIXEL_UM, WIDTH, HEIGHT = 0.45, 640, 480
+"""Of the virtual microscope."""
+
+
+def take_control(page: Any) -> Any:
+    """The `page`, once it has control."""
+    page.wait_for_selector('#fact-control:not(:text-is("–"))')
+    if page.is_visible('#take-control'):
+        page.click('#take-control')
+    page.wait_for_selector('#arm:enabled')
+    return page
+
+
+def arm(page: Any) -> None:
+    """By holding the button; a busy machine may need a second try."""
+    for _ in range(3):
+        page.hover('#arm')
+        page.mouse.down()
+        page.wait_for_selector('#messages li:first-child:has-text("Arm:")', timeout=20_000)
+        page.mouse.up()
+        try:
+            page.wait_for_selector('#rig-chip[data-state=armed]', timeout=2000)
+        except Exception:
+            continue
+        return
+    raise AssertionError(page.inner_text('#messages'))
+
+
+def switch(page: Any, name: str) -> None:
+    """Let the controller of that `name` drive."""
+    page.select_option('#controller', name)
+    page.click('#controller-form button')
+    page.wait_for_selector(f'#controller-now:has-text("At work: {name}.")')
+
+
+def mode(page: Any, name: str) -> None:
+    """What a click on the picture does from now on."""
+    page.click(f'#modes label:has(input[value={name}])')
+
+
+def on_page(page: Any, x_px: float, y_px: float) -> tuple[float, float]:
+    """The point of the page over a pixel of the camera."""
+    box = page.locator('#frame').bounding_box()
+    scale = box['width'] / WIDTH
+    return box['x'] + (x_px + 0.5) * scale, box['y'] + (y_px + 0.5) * scale

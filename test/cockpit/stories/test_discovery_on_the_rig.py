@@ -1,0 +1,53 @@
+"""A lag hidden in the virtual rig is found from the page, without a terminal.
+
+Takes some six minutes, and two cores for the rig, the browser and the search are too few: played
+where MICROBOT_LONG_STORIES is set.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cockpit.virtual import VirtualRig
+from hands import arm, take_control
+
+pytestmark = [
+    pytest.mark.graph, pytest.mark.timeout(900),
+    pytest.mark.skipif('MICROBOT_LONG_STORIES' not in os.environ,
+                       reason='takes six minutes: set MICROBOT_LONG_STORIES')]
+
+
+@pytest.mark.clocked
+def test_a_hidden_lag_is_found(browser: Any, tmp_path: Path) -> None:
+    with VirtualRig(
+            tmp_path, controller={'deadline_ms': 100.0},
+            coil_driver={'command_timeout_ms': 400.0, 'max_command_age_ms': 400.0},
+            # Slow enough that the search has processors left: the lag is of many frames even so.
+            virtual_rig={'effect': 'alignment_lag', 'effect_parameters': ['tau_s=0.4'],
+                         'frame_rate_hz': 10.0},
+    ) as rig, browser.new_context(viewport={'width': 1440, 'height': 900}) as context:
+        page = context.new_page()
+        page.goto(rig.address)
+        page.wait_for_selector('#overlay .rings g', state='attached', timeout=60_000)
+        arm(take_control(page))
+        page.fill('#minutes', '2')
+        page.click('#discover')
+        page.wait_for_selector('#discover:has-text("Stop")')
+        page.wait_for_selector('#discover:has-text("Start")', timeout=720_000)
+        found, = (json.loads(file.read_text())
+                  for file in (tmp_path / 'discoveries').glob('*/result.json'))
+        assert found['verdict'] == 'named'
+        assert found['effects'][0]['id'] == 'alignment_lag'
+        assert page.get_attribute('#verdict', 'data-verdict') == found['verdict']
+        told = dict(zip(page.locator('#findings dt').all_inner_texts(),
+                        page.locator('#findings dd').all_inner_texts(), strict=True))
+        assert told['effect'] == 'alignment lag'
+        assert told['decided'] == found['decided'].replace('_', ' ')
+        assert float(told['gap'].split()[0].replace('\u2212', '-')) == pytest.approx(
+            found['gap']['after_um'], abs=1e-3)
+        likeliest = max(found['experiments'][-1]['odds'].items(), key=lambda one: one[1])[0]
+        assert page.inner_text('#odds .odds span').strip() == likeliest.replace('_', ' ')
