@@ -12,7 +12,7 @@ from pathlib import Path
 from types import FrameType
 
 from microbot_ros.drive.real_time import set_realtime_priority
-from microbot_ros.lost_signals import sent_again
+from microbot_ros.lost_signals import SentAgain
 
 PARENT = 'MICROBOT_PARENT'
 """Environment variable with the process id that a node must not outlive; 0 for none."""
@@ -68,7 +68,7 @@ class Ending:
         self._interruptible = False
         self._over = False
         self._done_at_once = threading.Event()
-        self._sent_again = sent_again(self._number_of)
+        self._again = SentAgain()
 
     def __enter__(self) -> Ending:
         self._reader, self._writer = os.pipe()
@@ -78,13 +78,13 @@ class Ending:
             number: signal.signal(number, self._handle)
             for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
             if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN}
-        self._sent_again.__enter__()
+        self._again.__enter__()
         self._thread = threading.Thread(target=self._watch, name='ending', daemon=True)
         self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._sent_again.__exit__(None, None, None)
+        self._again.__exit__()
         for number, handler in self._handlers_before.items():
             signal.signal(number, handler)
         signal.set_wakeup_fd(self._wakeup_before)
@@ -100,7 +100,7 @@ class Ending:
         try:
             self._interruptible = True
             if self._received is not None:
-                raise Stopped(self._received)
+                raise self._again.watched(self._received, Stopped(self._received))
             yield
         finally:
             self._interruptible = False
@@ -108,15 +108,9 @@ class Ending:
     def _handle(self, number: int, _: FrameType | None) -> None:
         if self._received is None:
             self._received = number
-            if self._interruptible:
-                self._done_at_once.wait(_HEAD_START_S)
-                raise Stopped(number)
-
-    def _number_of(self, lost: BaseException | None) -> int | None:
-        if not isinstance(lost, Stopped):
-            return None
-        self._received = None
-        return lost.status - 128
+        if self._interruptible and not self._again.on_its_way:
+            self._done_at_once.wait(_HEAD_START_S)
+            raise self._again.watched(number, Stopped(self._received))
 
     def _watch(self) -> None:
         """In a thread: wait for the byte that the interpreter writes for a signal, or the end of

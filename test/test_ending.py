@@ -48,18 +48,26 @@ def test_a_lock_that_the_interrupted_holds_keeps_nobody_from_the_end() -> None:
 
 
 LOST = """
-import os, signal, time
+import ctypes, os, signal, time
 from microbot_ros.ending import Ending, Stopped
 
+def signalled(*_):
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(10)
+
 class Collected:
-    def __del__(self):
-        os.kill(os.getpid(), signal.SIGTERM)
-        time.sleep(10)
+    __del__ = signalled
+
+class Looked:
+    attribute = property(signalled)
+
+def cleared():
+    ctypes.pythonapi.PyObject_HasAttrString(ctypes.py_object(Looked()), b'attribute')
 
 try:
     with Ending() as ending, ending.interrupts():
         for _ in range({times}):
-            Collected()
+            {where}()
         time.sleep(10)
 except Stopped as stopped:
     print(stopped)
@@ -67,7 +75,8 @@ except Stopped as stopped:
 
 
 @pytest.mark.parametrize('times', [1, 3])
-def test_an_interruption_that_a_collected_object_swallows_comes_again(times: int) -> None:
-    done = subprocess.run([sys.executable, '-c', LOST.format(times=times)], capture_output=True,
-                          text=True, timeout=9, check=True)
+@pytest.mark.parametrize('where', ['Collected', 'cleared'])
+def test_an_interruption_that_is_lost_comes_again(where: str, times: int) -> None:
+    done = subprocess.run([sys.executable, '-c', LOST.format(where=where, times=times)],
+                          capture_output=True, text=True, timeout=9, check=True)
     assert (done.stdout.strip(), done.stderr) == ('SIGTERM', '')

@@ -16,7 +16,7 @@ import click
 
 from microbot_ros import __version__
 from microbot_ros.errors import InputError, RigError, one_line
-from microbot_ros.lost_signals import sent_again
+from microbot_ros.lost_signals import SentAgain
 
 # What the system says of a place that somebody named, and of a disk that nobody can help.
 _WRONG_PLACE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOENT, errno.ENOTDIR, errno.EISDIR,
@@ -113,35 +113,39 @@ def _failed(who: str, sentence: str, status: int) -> int:
     return status
 
 
+class _Ended(SystemExit):
+    """SIGTERM or SIGHUP came; of this class so that it can be watched."""
+
+
+class _Interrupted(KeyboardInterrupt):
+    """Ctrl-C; of this class so that it can be watched."""
+
+
 @contextmanager
 def _cleaned_up_on(*signals: int) -> Iterator[None]:
     """Leave by way of what cleans up when the first of the `signals` comes, so that no folder
-    stays half filled. Workers that were forked end at once, as ever.
+    stays half filled; at every Ctrl-C too. Workers that were forked end at once, as ever.
     """
     ours = os.getpid()
+    again = SentAgain()
 
     def end(number: int, _: FrameType | None) -> None:
-        here = os.getpid() == ours
-        for one in signals:
-            signal.signal(one, signal.SIG_IGN if here else signal.SIG_DFL)
-        if here:
-            raise SystemExit(128 + number)
-        os.kill(os.getpid(), number)
+        if os.getpid() != ours:
+            signal.signal(number, signal.SIG_DFL)
+            os.kill(os.getpid(), number)
+        elif not again.on_its_way:
+            raise again.watched(number, _Ended(128 + number))
 
-    def number_of(lost: BaseException | None) -> int | None:
-        if isinstance(lost, KeyboardInterrupt):
-            return signal.SIGINT
-        if not isinstance(lost, SystemExit) or lost.code not in [128 + one for one in before]:
-            return None
-        for one in before:
-            signal.signal(one, end)
-        return int(lost.code) - 128
+    def interrupt(number: int, _: FrameType | None) -> None:
+        raise again.watched(number, _Interrupted())
 
-    # `nohup` has one of them ignored.
+    # `nohup` has one of them ignored; a shell has Ctrl-C, for what it runs in the background.
     before = {one: signal.signal(one, end) for one in signals
               if signal.getsignal(one) == signal.SIG_DFL}
+    if signal.getsignal(signal.SIGINT) == signal.default_int_handler:
+        before[signal.SIGINT] = signal.signal(signal.SIGINT, interrupt)
     try:
-        with sent_again(number_of):
+        with again:
             yield
     finally:
         for one, handler in before.items():

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
-import signal
 import tempfile
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,7 +38,7 @@ def run_check(session: Path, nodes: Collection[str], end: float, tolerance: floa
     console = Console(highlight=False, width=None if Console().is_terminal else 150)
     if session.exists() and not is_recording(session):
         raise InputError(session, 'expected a recording to check, found a folder of CSV files')
-    with ends_tidily(), tempfile.TemporaryDirectory() as name:
+    with tempfile.TemporaryDirectory() as name:
         found, failure = _replay(session, nodes, end, tolerance, config,
                                  out or Path(name) / 'replayed', Path(name))
     if failure:
@@ -67,22 +65,6 @@ def _verdict(found: list[TopicDifference]) -> tuple[bool, str]:
         return False, f'no answer on {blind[0]} can be judged'
     doubtful = any(topic.unjudged for topic in found)
     return True, 'every answer is the same' + (', where it can be judged' if doubtful else '')
-
-
-@contextlib.contextmanager
-def ends_tidily() -> Iterator[None]:
-    """SIGTERM and SIGHUP end this as Ctrl-C does, so that nothing of ours is left."""
-    def end(number: int, _: object) -> None:
-        raise SystemExit(128 + number)
-
-    numbers = [number for number in (signal.SIGTERM, signal.SIGHUP)
-               if signal.getsignal(number) is not signal.SIG_IGN]
-    before = {number: signal.signal(number, end) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _replay(session: Path, nodes: Collection[str], end: float, tolerance: float,
