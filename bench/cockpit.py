@@ -25,11 +25,12 @@ from microbot_ros.nodes.graph import Graph
 from microbot_ros.nodes.graph_client import GraphClient
 from microbot_ros.nodes.lifecycle import IMAGES_IN
 from microbot_ros.session import open_recording
+from microbot_ros.session.lockstep import header_stamp_ns
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 
 _ISSUE = 21
 _WIDTH, _HEIGHT, _RATE_HZ, _FILMED = 1280, 1024, 100.0, 60
-_ROUNDS, _PHASE_S, _RECORDED_S, _SETTLED_S = 4, 10.0, 6.0, 2.0
+_ROUNDS, _PHASE_S, _RECORDED_S, _SETTLED_S = 4, 10.0, 15.0, 2.0
 _LOOKED_S, _SLOWED_S, _SLOWER = 12.0, 18.0, 6.0
 _PREVIEW_S = 1 / 30
 _STOPS, _PATIENCE_S, _TRIES = 15, 3.0, 10
@@ -119,9 +120,10 @@ class _Bench:
         self._client.spin(_RECORDED_S)
         self._end_recording()
         with open_recording(folder) as recording:
-            stamps = sorted(message.t_ns for message in recording.messages()
-                            if message.topic == '/camera/image_raw')
-        return len(stamps) / (1 + (stamps[-1] - stamps[0]) * 1e-9 * _RATE_HZ)
+            stamps = [header_stamp_ns(message.data)
+                      for message in recording.messages(['/camera/image_raw'])]
+        # By exposure: when a frame was received depends on who else wanted the processor.
+        return len(stamps) / (1 + (max(stamps) - min(stamps)) * 1e-9 * _RATE_HZ)
 
     def _end_recording(self) -> None:
         """It writes all that waits before it answers, and that may take longer than is waited."""
@@ -203,7 +205,6 @@ class _Bench:
         ours, theirs = float(np.median(took['page'])), float(np.median(took['service']))
         return _figure('STOP to zero over a direct call of the service', ours / theirs, 2.0,
                        f'the service: {1e3 * theirs:.1f} ms, median of {_STOPS}')
-
 
     def _let_flow(self, board: Emulator) -> None:
         """Armed, and currents there, whatever a busy machine cuts."""
