@@ -56,7 +56,8 @@ def command(
     What the particles look like is learned from the first frames; settings.png shows what was
     chosen. Where that misses what moves, or where you point at something (--like), the kinds that
     are followed stand in learned.yaml, for --settings, and learned.png. tracks.csv has a row for
-    every particle in every frame in which it was seen.
+    every particle in every frame in which it was seen: with --pixel-size-um in micrometres, too,
+    with its heading and σ.
 
     \b
     Examples:

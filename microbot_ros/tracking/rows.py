@@ -17,9 +17,10 @@ from microbot_ros.units import from_si
 class Rows:
     """Writes rows frame by frame to a `file`, as late as a particle may still be named in them.
 
-    Frames have the `size` (height, width); with a `pixel_size` [m] rows are in metres, too, and
-    with names of `kinds` they end with that of the particle. `frames` were tracked; `seen` counts
-    the rows of each particle.
+    Frames have the `size` (height, width); with a `pixel_size` [m] rows have times, too, and
+    places, headings and σ in the workspace; with names of `kinds` they end with that of the
+    particle. Cells of what is not known are empty: a heading, and both of who had no name yet.
+    `frames` were tracked; `seen` counts the rows of each particle.
     """
 
     def __init__(self, file: TextIO, size: tuple[int, int], pixel_size: float | None,
@@ -28,11 +29,13 @@ class Rows:
         self.seen: Counter[int] = Counter()
         self._file = file
         height, width = size
-        self._camera = pixel_size and ImageToWorkspace(pixel_size, width, height)
+        self._in_metres = pixel_size is not None
+        self._camera = ImageToWorkspace(pixel_size or 1.0, width, height)
         self._names = kinds
         self._kinds: dict[int, int] = {}
         self._open: deque[tuple[int, float, list[tuple[int, np.ndarray]]]] = deque()
-        file.write('frame,particle,x_px,y_px' + (',t_s,x_um,y_um' if self._camera else '')
+        file.write('frame,particle,x_px,y_px'
+                   + (',t_s,x_um,y_um,theta_rad,sigma_um' if self._in_metres else '')
                    + (',kind\n' if kinds else '\n'))
 
     def add(self, frame: int, poses: Poses, names: np.ndarray, before: np.ndarray) -> None:
@@ -42,11 +45,15 @@ class Rows:
         """
         self.frames += 1
         self._kinds.update(zip(poses.id.tolist(), poses.kind.tolist(), strict=True))
+        known = np.column_stack([
+            poses.xy, poses.sigma_px, self._camera.angle(poses.theta_rad + np.pi)])
         self._open.append((frame, poses.t, list(zip(
-            poses.id[poses.seen].tolist(), poses.xy[poses.seen], strict=True))))
+            poses.id[poses.seen].tolist(), known[poses.seen], strict=True))))
         early = before.shape[1]
+        unknown = np.full((len(names), 2), np.nan)
         for k in range(early if len(names) else 0):
-            self._open[k - early - 1][2].extend(zip(names.tolist(), before[:, k], strict=True))
+            self._open[k - early - 1][2].extend(zip(
+                names.tolist(), np.column_stack([before[:, k], unknown]), strict=True))
         while len(self._open) > early + 1:
             self._write(*self._open.popleft())
 
@@ -56,15 +63,20 @@ class Rows:
             self._write(*self._open.popleft())
 
     def _write(self, frame: int, t: float, rows: list[tuple[int, np.ndarray]]) -> None:
-        for name, place in sorted(rows, key=lambda row: row[0]):
-            line = f'{frame},{name},{place[0]:.4f},{place[1]:.4f}'
-            if self._camera:
-                x, y = from_si('_um', self._camera.position(place[None]))[0]
-                line += f',{t:.6f},{x:.5f},{y:.5f}'
+        for name, (x, y, sigma, theta) in sorted(rows, key=lambda row: row[0]):
+            cells = [f'{frame},{name},{x:.4f},{y:.4f}']
+            if self._in_metres:
+                x, y = from_si('_um', self._camera.position(np.array([x, y])))
+                sigma *= from_si('_um', self._camera.pixel_size)
+                cells += [f'{t:.6f},{x:.5f},{y:.5f}', _known(theta, 4), _known(sigma, 5)]
             if self._names:
-                line += f',{self._names[self._kinds[name]]}'
-            self._file.write(line + '\n')
+                cells.append(self._names[self._kinds[name]])
+            self._file.write(','.join(cells) + '\n')
             self.seen[name] += 1
+
+
+def _known(value: float, digits: int) -> str:
+    return '' if np.isnan(value) else f'{value:.{digits}f}'
 
 
 class Remarks:

@@ -12,6 +12,7 @@ import pytest
 from command_line import microbot
 
 from bench._tracker_scenes import KINDS, draw, expose, light, scene
+from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 
 
 def _run(*arguments: object) -> int:
@@ -32,7 +33,8 @@ def test_tracks_in_pixels_and_micrometres(images: Path, tmp_path: Path) -> None:
                 '--frame-rate-hz', 20, '--json', result) == 0
     with (tmp_path / 'out' / 'tracks.csv').open() as stream:
         rows = list(csv.DictReader(stream))
-    assert list(rows[0]) == ['frame', 'particle', 'x_px', 'y_px', 't_s', 'x_um', 'y_um']
+    assert list(rows[0]) == ['frame', 'particle', 'x_px', 'y_px', 't_s', 'x_um', 'y_um',
+                             'theta_rad', 'sigma_um']
     for row in rows:
         assert float(row['t_s']) == pytest.approx(int(row['frame']) / 20, abs=1e-6)
         assert float(row['x_um']) == pytest.approx(0.5 * (float(row['x_px']) - 159.5), abs=1e-3)
@@ -47,6 +49,31 @@ def test_tracks_in_pixels_and_micrometres(images: Path, tmp_path: Path) -> None:
         'overlay.mp4', 'settings.png', 'tracks.csv']
     film = cv2.VideoCapture(str(tmp_path / 'out' / 'overlay.mp4'))
     assert sum(1 for _ in iter(lambda: film.read()[0], False)) == 8
+
+
+def test_headings_and_sigma_are_the_particles_in_the_workspace(tmp_path: Path) -> None:
+    scope = Microscope(MicroscopeSettings(width_px=320, height_px=240, pixel_size_um=0.45), seed=5)
+    place = 1e-6 * np.array([[-40.0, 20.0], [35.0, 25.0], [0.0, -30.0]])
+    heading = np.array([0.4, 2.2, -1.5])
+    rng = np.random.default_rng(5)
+    there = [place + 1e-7 * rng.standard_normal(place.shape) for _ in range(40)]
+    for k, now in enumerate(there):
+        cv2.imwrite(str(tmp_path / f'{k:02}.png'), scope.render(now, heading, k / 20))
+    assert _run(tmp_path / '*.png', '--out', tmp_path / 'out', '--pixel-size-um', 0.45,
+                '--frame-rate-hz', 20, '--no-overlay') == 0
+    with (tmp_path / 'out' / 'tracks.csv').open() as stream:
+        rows = list(csv.DictReader(stream))
+    known = [row for row in rows if row['sigma_um']]
+    assert len(known) > 0.9 * 40 * len(place)
+    errors, turned = [], []
+    for row in known:
+        off = there[int(row['frame'])] * 1e6 - [float(row['x_um']), float(row['y_um'])]
+        nearest = np.hypot(*off.T).argmin()
+        errors.append(off[nearest] / float(row['sigma_um']))
+        turned.append(np.exp(1j * (float(row['theta_rad']) - heading[nearest])))
+    assert abs(np.angle(np.mean(turned))) < 0.05
+    assert np.abs(np.angle(turned)).max() < 0.5
+    assert 0.5 < np.sqrt(np.mean(np.square(errors))) < 2
 
 
 def test_frames_before_an_identity_are_not_lost(images: Path, tmp_path: Path) -> None:
