@@ -30,6 +30,8 @@ default_role = 'code'
 html_theme = 'furo'
 html_title = f'microbot_ros {release}'
 html_copy_source = False
+html_static_path = ['_static']
+html_css_files = ['width.css']
 
 autodoc_member_order = 'bysource'
 autodoc_default_options = {'members': True, 'ignore-module-all': True}
