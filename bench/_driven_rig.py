@@ -48,7 +48,9 @@ class SimulatedRig:
         whole = plan
         if begin > 0:
             most = None if self.limits.frequency is None else self.limits.frequency[1]
-            whole = marking_time(self.limits.field, most).lasting(PAUSE).then(plan)
+            y, x = self._past.field[-1, ::-1]
+            whole = marking_time(math.atan2(y, x), self.limits.field, most).lasting(
+                PAUSE).then(plan)
         told = whole.commands(begin)
         self._past = _after(self._past, told, begin - _KEPT)
         tracks = self._film(begin, whole.duration, FieldHistory.uniform(self._past))

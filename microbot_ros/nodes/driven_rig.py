@@ -105,7 +105,7 @@ class DrivenRig:
         if stopped := self._trouble():
             return Played(self._recorded(), stopped)
         rolling = self.limits.frequency
-        after = marking_time(self.limits.field, rolling and rolling[1])
+        after = marking_time(float(plan.angle[-1]), self.limits.field, rolling and rolling[1])
         self._seen = self._heard = time.monotonic()
         self._client.send_plan(_ended(plan.then(after)))
         deadline = time.monotonic() + plan.duration

@@ -9,7 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bench import _driven_rig
 from bench._asks_worlds import hidden_world
+from bench._hidden_suite import FLUID
 from bench.asks import _twin
 from microbot_ros.control.contract import Workspace
 from microbot_ros.discovery.driven.conclusion import as_json, discovered
@@ -32,7 +34,10 @@ from microbot_ros.discovery.stepwise_selection import without
 from microbot_ros.estimation.model_fit import fit_sessions
 from microbot_ros.estimation.prepared_session import prepare
 from microbot_ros.model.model import Model
-from microbot_ros.records import Commands, Session, Tracks
+from microbot_ros.records import Commands, Conditions, Session, Tracks
+from microbot_ros.virtual_rig.injected_effects import inject_effect
+from microbot_ros.virtual_rig.record_session import Camera, draw_swarm
+from microbot_ros.virtual_rig.world import World
 
 FIELD = 5e-3
 VIEW = Workspace(np.array([-140e-6, -104e-6]), np.array([140e-6, 104e-6]))
@@ -73,12 +78,14 @@ def test_a_plan_has_no_negative_fields_and_takes_time(strength, hold):
         Plan(np.zeros(1), np.array([strength]), np.array([hold]))
 
 
-def test_who_marks_time_stays():
-    plan = marking_time(FIELD)
+@pytest.mark.parametrize('last', [-3.0, 0.0, 0.7])
+def test_who_marks_time_stays_and_never_turns_back(last):
+    plan = marking_time(last, FIELD)
     field = plan.commands().field
     walked = np.cumsum(field / FIELD * plan.hold[:, None], axis=0)
     assert np.abs(walked[3::4]).max() < 1e-9
-    assert np.abs(walked).max() < 1.6
+    assert np.hypot(*walked.T).max() < 2.2
+    assert np.allclose(np.diff(plan.angle, prepend=last), np.pi / 2)
 
 
 @settings(max_examples=20)
@@ -315,6 +322,24 @@ class _Broken:
         if self._count == 1:
             return self._rig.play(plan)
         return Played(self._rig.play(plan.lasting(5.0)).session, 'the gate is disarmed')
+
+
+def test_long_thoughts_leave_nothing_to_chance(monkeypatch):
+    """A heading that lags far behind is opposite to the field after a half turn, and then thermal
+    noise decides which way it comes round: to and fro while it is thought named a second effect
+    in most such worlds.
+    """
+    monkeypatch.setattr(_driven_rig, 'PAUSE', 25.0)
+    rng = np.random.default_rng(7)
+    swarm = draw_swarm(rng, 3, FLUID, FIELD, radius=2.3e-6, half_extent=50e-6, spacing=20e-6,
+                       aligns_in=5e-5)
+    inject_effect(swarm, 'alignment_lag', {'tau_s': 0.4}, FIELD)
+    rig = _driven_rig.SimulatedRig(
+        World(swarm, rng), Camera(10.0, 0.5, 0.05e-6),
+        Conditions(radius=2.3e-6, viscosity=FLUID.viscosity, reference_field=FIELD), FIELD, rng)
+    found = drive(rig, 1.2, seed=7)
+    assert found.insight.judgement.named == ('alignment_lag',)
+    assert found.insight.judgement.left == ()
 
 
 def test_what_stops_a_rig_ends_it_with_what_was_learned():

@@ -10,7 +10,7 @@ import numpy as np
 from microbot_ros.records import Commands
 
 MARKING, STEP = 60.0, 1.5
-"""Seconds for which particles are kept where they are at most, and of a leg to and fro."""
+"""Seconds for which particles are kept where they are at most, and of a side of the square."""
 
 
 @dataclass(frozen=True)
@@ -94,12 +94,15 @@ class Plan:
         return f'{said}, for {self.duration:.0f} s'
 
 
-def marking_time(strength: float, frequency: float | None = None) -> Plan:
-    """To and fro along two lines at a `strength` [T], and a `frequency` [Hz] of rollers.
+def marking_time(last: float, strength: float, frequency: float | None = None) -> Plan:
+    """Round a small square, on from the direction `last` [rad], at a `strength` [T], and a
+    `frequency` [Hz] of rollers.
 
     Swimmers that are left alone swim away: this keeps them where they are, for MARKING seconds at
-    most, while it is thought what to play next.
+    most, while it is thought what to play next. It never turns back: a heading that lags behind
+    the field is in balance opposite to it, and which way it then comes round is left to chance,
+    of which no model can say anything.
     """
     count = round(MARKING / STEP)
-    return Plan(np.resize([0.0, np.pi, np.pi / 2, -np.pi / 2], count), np.full(count, strength),
+    return Plan(last + np.pi / 2 * (1 + np.arange(count)), np.full(count, strength),
                 np.full(count, STEP), None if frequency is None else np.full(count, frequency))
