@@ -241,34 +241,48 @@ def predictable_part(
     so near 180° that Brownian motion chooses the way round. Never less than half the time.
     """
     tau = model.alignment_time
-    start = model.delay + FORGOTTEN * tau
-    half = float(np.ptp(session.times)) / 2
-    kept = session.after_first_field(min(start, half)) if start > 0 else session
     if tau == 0:
-        return kept
-    lost = _lost(kept, model, assumed)
+        return session.after_first_field(model.delay) if model.delay > 0 else session
+    began = first_field(session.commands)
+    start = model.delay + _aligned(session.commands, tau * model.reference_field)
+    lost = _lost(session, model, assumed) | (session.times < began + start)
     if lost.mean() > 0.5:
-        return kept
-    return kept.split_tracks(np.broadcast_to(lost[:, None], kept.seen.shape))
+        return session.after_first_field(min(start, float(np.ptp(session.times)) / 2))
+    first = int(np.argmin(lost))
+    kept = session.after_first_field(session.times[first] - began)
+    return kept.split_tracks(np.broadcast_to(lost[first:, None], kept.seen.shape))
+
+
+def _aligned(commands: Commands, slowness: float) -> float:
+    """Seconds from the first field until it has lasted FORGOTTEN alignment times, of which each is
+    `slowness` [T s] over its strength; infinity where it never does.
+    """
+    strength = np.hypot(*commands.field.T)
+    lasted = np.append(0.0, np.cumsum(np.diff(commands.t) * strength[:-1] / slowness))
+    k = int(np.searchsorted(lasted, FORGOTTEN)) - 1  # the command under which it has
+    if strength[k] == 0:
+        return np.inf
+    missing = (FORGOTTEN - lasted[k]) * slowness / strength[k]
+    return float(commands.t[k] + missing) - first_field(commands)
 
 
 def _lost(session: PreparedSession, model: Model, assumed: float) -> np.ndarray:
     """Frames (T,) in which headings may be far from where the model has them.
 
-    From when Brownian turning, amplified by every turn of nearly 180°, spreads them wider than a
-    linear filter can follow, until the field has gathered them again.
+    From the beginning, and from when Brownian turning, amplified by every turn of nearly 180°,
+    spreads them wider than a linear filter can follow, until the field has gathered them again.
     """
     nobody = ParticleParameters.from_velocity_phasor(np.zeros(1, int), np.ones(1, complex))
     response = heading_response(model, nobody, session.timeline)
     retention = response.heading_retention[:, 0]
     kick = 2 * (session.rotational_diffusion or assumed) * np.diff(session.times)
-    variance = np.zeros(len(session.times))
+    variance = np.full(len(session.times), np.pi**2)
     for k in range(len(retention)):
         variance[k + 1] = min(retention[k] ** 2 * variance[k] + kick[k], np.pi**2)
     # Where it is large at all times, the filter does what it can with it.
     usual = USUAL * float(np.median(variance))
     spread, gathered = max(SPREAD**2, 2 * usual), max(GATHERED**2, usual)
-    lost = np.zeros(len(variance), bool)
+    lost = np.ones(len(variance), bool)
     for k in range(1, len(variance)):
         lost[k] = variance[k] > (gathered if lost[k - 1] else spread)
     return lost

@@ -240,7 +240,8 @@ class _Trial:
            limits: Range) -> _Trial:
         present = fit.session_fits[0].session
         recent = present.times > present.times[-1] - RECENT
-        seen = np.where(present.seen[recent], present.z[recent], np.nan)
+        # Where it is counts, though chance may have turned it in a way that nothing foretells.
+        seen = np.where(present.z[recent] != 0, present.z[recent], np.nan)
         tracks = np.flatnonzero(np.isfinite(seen).any(axis=0))
         if not tracks.size:
             raise ValueError('no particle is in view')
