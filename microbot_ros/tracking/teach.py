@@ -47,6 +47,13 @@ class _Meant:
     body: Bodies
 
 
+class NothingError(InputError):
+    """A point at (`x`, `y`) [px] where nothing stands out; `what` was to be learned."""
+
+    def __init__(self, what: str, x: float, y: float) -> None:
+        super().__init__(what, f'expected something at {x:g},{y:g}: nothing stands out there')
+
+
 class _TwoError(InputError):
     """A point between `two` bodies (2,)."""
 
@@ -171,14 +178,14 @@ def _looked_at(image: np.ndarray, kind: Kind) -> Bodies:
 def _pointed(what: str, bodies: Bodies, x: float, y: float) -> int:
     """The body at a point; InputError where there is none, or where it may be either of two."""
     if len(bodies) == 0:
-        raise InputError(what, f'expected something at {x:g},{y:g}: nothing stands out there')
+        raise NothingError(what, x, y)
     within = np.all((bodies.lower - 1 <= [x, y]) & ([x, y] <= bodies.upper + 1), axis=1)
     away = np.hypot(bodies.xy[:, 0] - x, bodies.xy[:, 1] - y)
     near = np.flatnonzero(within | (away < bodies.width / 2 + _SLOPPY))
     # Specks of noise beside a body are not meant.
     near = near[bodies.height[near] > 0.3 * np.max(bodies.height[near], initial=0.0)]
     if len(near) == 0:
-        raise InputError(what, f'expected something at {x:g},{y:g}: nothing stands out there')
+        raise NothingError(what, x, y)
     order = near[np.argsort(away[near])]
     first = order[0]
     if len(order) > 1 and away[first] > bodies.width[first] / 2:
@@ -203,7 +210,7 @@ def _way_to_look(what: str, image: np.ndarray, x: float, y: float) -> Kind:
         assert problem is not None
         if isinstance(problem, _TwoError):
             raise _TwoError(what, x, y, problem.two)
-        raise InputError(what, f'expected something at {x:g},{y:g}: nothing stands out there')
+        raise NothingError(what, x, y)
     # What is meant is the stronger, unless the point is beside it.
     off = [np.hypot(body.xy[0, 0] - x + left, body.xy[0, 1] - y + top) / body.width[0]
            for _, _, body in ways]
@@ -254,7 +261,7 @@ def _by_parts(
     if best is not None:
         return best[1], dark, best[2]
     if whole is None:
-        raise problem or InputError(what, 'expected something there: nothing stands out')
+        raise problem or NothingError(what, x, y)
     return whole
 
 
