@@ -128,12 +128,14 @@ def chosen(settings: TrackerSettings, samples: list[np.ndarray], length: int) ->
         return settings
     appearance = learn(samples, settings)
     usual = None
+    fitted = False
     if appearance is not None:
+        fitted = appearance.round
         detector = make_detector(appearance, settings)
 
         def usual(image: np.ndarray) -> np.ndarray:
             return np.asarray(detector.detect(image, np.empty((0, 2))).xy)
-    return found if needed(samples, found, usual) else settings
+    return found if needed(samples, found, usual, fitted) else settings
 
 
 @dataclass(frozen=True)
