@@ -102,7 +102,8 @@ def find_bodies(
 
     The picture is shrunk by `shrink`; bodies are at most `widest_px` wide, what is wider is light.
     Maxima nearer than `nearest_px` belong to one body. Where several are `known` to be (M, 2) [px]
-    in one outline, each with a maximum of its own, they are parted at the neck.
+    in one outline, each with a maximum of its own, they are parted at the neck; one that is known
+    and touches a higher one is no part of that one's body.
     """
     import cv2
 
@@ -156,7 +157,13 @@ def _bodies(picture, least, most, known):  # type: ignore[no-untyped-def]
     rows = np.empty((len(places), 16))
     count = 0
     for k in range(len(places)):
-        area = _flood(picture, owner, places[k, 0], places[k, 1], k + 1, stack, most)
+        area = _flood(picture, owner, places[k], k + 1, stack, most, False)
+        if area < 0 and len(known) > 0:
+            for n in range(-area):
+                owner[stack[n, 0], stack[n, 1]] = 0
+            area = _flood(picture, owner, places[k], k + 1, stack, most, True)
+            if len(_inside(owner, k + 1, known)) == 0:
+                area = 0
         if area < _LEAST_AREA:
             continue
         level = _HALF * picture[places[k, 0], places[k, 1]]
@@ -179,13 +186,10 @@ def _seeds(owner, name, places, known):  # type: ignore[no-untyped-def]
 
     The highest first; only that of the body where fewer than two are known to be in it.
     """
-    seeds, inside = [], []
-    for n in range(len(known)):
-        x, y = round(known[n, 0]), round(known[n, 1])
-        if 0 <= y < owner.shape[0] and 0 <= x < owner.shape[1] and owner[y, x] == name:
-            inside.append(n)
+    inside = _inside(owner, name, known)
     if len(inside) < 2:
         return np.array([name - 1])
+    seeds = []
     for n in inside:
         best, nearest = -1, np.inf
         for k in range(len(places)):
@@ -195,6 +199,17 @@ def _seeds(owner, name, places, known):  # type: ignore[no-untyped-def]
         if best not in seeds:
             seeds.append(best)
     return np.sort(np.array(seeds))
+
+
+@numba.njit(cache=True, nogil=True)
+def _inside(owner, name, known):  # type: ignore[no-untyped-def]
+    """Which of those `known` (M, 2) are in the body `name`."""
+    inside = np.zeros(len(known), np.bool_)
+    for n in range(len(known)):
+        x, y = round(known[n, 0]), round(known[n, 1])
+        if 0 <= y < owner.shape[0] and 0 <= x < owner.shape[1]:
+            inside[n] = owner[y, x] == name
+    return np.flatnonzero(inside)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -284,11 +299,14 @@ def _maxima(picture, least):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _flood(picture, owner, y, x, name, stack, most):  # type: ignore[no-untyped-def]
-    """The pixels connected to a maximum at more than half its height, in `stack`; how many.
+def _flood(picture, owner, place, name, stack, most, walled):  # type: ignore[no-untyped-def]
+    """The pixels connected to a maximum at `place` at more than half its height, in `stack`; how
+    many.
 
-    0 where it reaches the body of another, or a higher pixel, or more than `most`.
+    0 where it reaches a higher pixel, or more than `most`. What belongs to another body is left
+    out where that is `walled` off; where it is not, minus their number as soon as it is reached.
     """
+    y, x = place
     if owner[y, x] > 0:
         return 0
     height, width = picture.shape
@@ -306,7 +324,11 @@ def _flood(picture, owner, y, x, name, stack, most):  # type: ignore[no-untyped-
             value = picture[b, a]
             if value <= level:
                 continue
-            if value > top or owner[b, a] > 0 or count >= most:
+            if owner[b, a] > 0:
+                if walled:
+                    continue
+                return -count
+            if value > top or count >= most:
                 return 0
             owner[b, a] = name
             stack[count, 0], stack[count, 1] = b, a

@@ -35,8 +35,12 @@ _AS_GOOD = 0.6
 _LONE = 0.6
 """Share of a body's weight that lies around it, from which on it is taken to be a part."""
 
-_ACROSS = 7.5
-"""Looked-at pixels across a usual body: enough for its shape."""
+_FEWER = 0.7
+"""Share of what lies around a body that parts taken together must leave: else they are others."""
+
+_ACROSS, _PLAIN = 7.5, 0.9
+"""Looked-at pixels across a usual body, enough for its shape: the short way where that is a plain
+one, by its share of the ellipse around it. What is ragged would fall into its parts."""
 
 
 @dataclass(frozen=True)
@@ -218,8 +222,10 @@ def _way_to_look(what: str, image: np.ndarray, x: float, y: float) -> Kind:
                           for (_, _, body), away in zip(ways, off, strict=True)]))
     parts, dark, body = ways[best]
     width = float(body.width[0])
+    plain = body.fill[0] > _PLAIN
+    across = width / float(np.sqrt(body.length[0])) if plain else width
     return Kind(contrast='dark' if dark else 'bright', parts_px=parts,
-                shrink=int(np.clip(width / _ACROSS, 1, 8)),
+                shrink=int(np.clip(across / _ACROSS, 1, 8)),
                 height_grey=(float(body.height[0]), 1e6), width_px=(width, width))
 
 
@@ -254,7 +260,7 @@ def _by_parts(
         around = _around(bodies, k)
         if bodies.height[k] < _AS_GOOD * first:
             break
-        if best is None or around < best[0]:
+        if best is None or around < _FEWER * best[0]:
             best = around, parts, bodies[np.array([k])]
         if best[0] < _LONE:
             break
