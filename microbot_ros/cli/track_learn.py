@@ -101,10 +101,10 @@ def pointed(
     for point in unlike:
         try:
             settings, sentence = teach.unlike(settings, named[point.frame], point.x, point.y)
-        except teach.NothingError:
+        except (teach.NothingError, teach.TwoError):
             if settings.colour is None:
                 raise
-            sentence = f'unlike: at {point.x:g},{point.y:g} nothing stands out any more, by colour'
+            sentence = f'unlike: at {point.x:g},{point.y:g} nothing like it is left, by colour'
         said.append(sentence)
     if len(samples) >= 3:
         meant = np.array([(point.x, point.y) for point in like]).reshape(-1, 2)

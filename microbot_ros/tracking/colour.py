@@ -12,6 +12,9 @@ from microbot_ros.errors import InputError
 _TELLS = 2.0
 """How much better than brightness colour must separate, to be used: codecs blur and coarsen it."""
 
+_CLEAR = 3.0
+"""Standard deviations from which on two spots are told apart by their colour."""
+
 _SPOT, _AROUND = 5, 201
 """Pixels across what is taken as a body's colour, and as that of the light around it."""
 
@@ -69,16 +72,19 @@ def telling_weights(spots: Sequence[Spot]) -> tuple[Weights, float] | None:
         if picture.ndim != 3 or not all(_inside(spot) for spot in mine):
             return None
         local = _local(picture)
-        scatter = scatter + np.cov(local[::3, ::3].reshape(-1, 3).T)
-        apart.append(_differences(mine, local))
+        shown = _spots(mine, local)
+        scatter = scatter + _scatter(local, shown[[spot.kind is not None for spot in mine]])
+        apart.append(_differences(mine, shown))
     differences = np.vstack(apart)
     values, axes = np.linalg.eigh(scatter)
     whiten = axes / np.sqrt(values)
     directions = _half_sphere() @ whiten.T
-    bits = _information(directions, differences, scatter)
-    best = directions[np.argmax(bits)]
-    gain = float(np.exp((bits.max() - _information(_BRIGHTNESS[None], differences, scatter)[0])
-                        / len(differences)))
+    best = directions[np.argmax(np.sum(_information(directions, differences, scatter), axis=1))]
+    by_colour, usual = _information(np.array([best, _BRIGHTNESS]), differences, scatter)
+    told = by_colour > np.log1p(_CLEAR**2) / 2
+    if not told.any():
+        return None
+    gain = float(np.exp(np.mean((by_colour - usual)[told])))
     if gain < _TELLS:
         return None
     best = best / np.sum(np.abs(best)) * np.sign(best[np.argmax(np.abs(best))])
@@ -92,16 +98,34 @@ def _inside(spot: Spot) -> bool:
 
 
 def _local(picture: np.ndarray) -> np.ndarray:
-    """How the colours (H, W, 3) of spots differ from the light around them."""
+    """How the colours (H, W, 3) of pixels differ from the light around them."""
     import cv2
 
     colours = picture[..., :3].astype(np.float32)
-    return np.asarray(cv2.blur(colours, (_SPOT, _SPOT)) - cv2.blur(colours, (_AROUND, _AROUND)))
+    return np.asarray(colours - cv2.blur(colours, (_AROUND, _AROUND)))
 
 
-def _differences(spots: list[Spot], local: np.ndarray) -> np.ndarray:
+def _spots(spots: list[Spot], local: np.ndarray) -> np.ndarray:
+    """The colours (S, 3) of some `spots`."""
+    import cv2
+
+    smooth = cv2.blur(local, (_SPOT, _SPOT))
+    return np.array([smooth[round(spot.y), round(spot.x)] for spot in spots])
+
+
+def _scatter(local: np.ndarray, shown: np.ndarray) -> np.ndarray:
+    """Covariance (3, 3) of all pixels but those that are more like what is `shown` (S, 3) than
+    like the light: to be told is what others show.
+    """
+    pixels = local[::3, ::3].reshape(-1, 3)
+    alike = np.zeros(len(pixels), bool)
+    for colour in shown:
+        alike |= np.sum((pixels - colour) ** 2, axis=1) < np.sum(colour**2) / 4
+    return np.asarray(np.cov(pixels[~alike].T))
+
+
+def _differences(spots: list[Spot], shown: np.ndarray) -> np.ndarray:
     """Colours (P, 3) from which those of the kinds in one picture are to be told: pairwise."""
-    shown = [local[round(spot.y), round(spot.x)] for spot in spots]
     kinds = [spot.kind for spot in spots]
     pairs = [shown[j] for j, kind in enumerate(kinds) if kind is not None]
     pairs += [shown[j] - shown[k] for j in range(len(spots)) for k in range(j)
@@ -111,10 +135,9 @@ def _differences(spots: list[Spot], local: np.ndarray) -> np.ndarray:
 
 def _information(directions: np.ndarray, differences: np.ndarray, scatter: np.ndarray
                  ) -> np.ndarray:
-    """How much (D,) is told in all by each of the `directions` (D, 3): Σ ½ ln(1 + d′²)."""
+    """How much (D, P) each of the `directions` (D, 3) tells of each difference: ½ ln(1 + d′²)."""
     spread = np.einsum('di,ij,dj->d', directions, scatter, directions)
-    square = (directions @ differences.T) ** 2 / spread[:, None]
-    return np.asarray(np.sum(np.log1p(square), axis=1) / 2)
+    return np.asarray(np.log1p((directions @ differences.T) ** 2 / spread[:, None]) / 2)
 
 
 def _half_sphere() -> np.ndarray:

@@ -58,8 +58,8 @@ class NothingError(InputError):
         super().__init__(what, f'expected something at {x:g},{y:g}: nothing stands out there')
 
 
-class _TwoError(InputError):
-    """A point between `two` bodies (2,)."""
+class TwoError(InputError):
+    """A point at (`x`, `y`) [px] between `two` bodies (2,); `what` was to be learned."""
 
     def __init__(self, what: str, x: float, y: float, two: Bodies) -> None:
         super().__init__(what, f'expected one thing at {x:g},{y:g}: two are as near to it')
@@ -195,7 +195,7 @@ def _pointed(what: str, bodies: Bodies, x: float, y: float) -> int:
     if len(order) > 1 and away[first] > bodies.width[first] / 2:
         second = order[1]
         if away[second] < 1.5 * away[first] + 1:
-            raise _TwoError(what, x, y, bodies[order[:2]])
+            raise TwoError(what, x, y, bodies[order[:2]])
     return int(first)
 
 
@@ -212,8 +212,8 @@ def _way_to_look(what: str, image: np.ndarray, x: float, y: float) -> Kind:
             problem = problem or error
     if not ways:
         assert problem is not None
-        if isinstance(problem, _TwoError):
-            raise _TwoError(what, x, y, problem.two)
+        if isinstance(problem, TwoError):
+            raise TwoError(what, x, y, problem.two)
         raise NothingError(what, x, y)
     # What is meant is the stronger, unless the point is beside it.
     off = [np.hypot(body.xy[0, 0] - x + left, body.xy[0, 1] - y + top) / body.width[0]
@@ -249,7 +249,7 @@ def _by_parts(
             k = _pointed(what, bodies, x, y)
         except InputError as error:
             problem = problem or error
-            if two is None and isinstance(error, _TwoError):
+            if two is None and isinstance(error, TwoError):
                 two = error.two
             if first == 0 and len(bodies):
                 first = float(bodies.height[np.argmin(np.hypot(*(bodies.xy - [x, y]).T))])
