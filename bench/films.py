@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import time
 from collections import defaultdict
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,8 +20,8 @@ from scipy.optimize import linear_sum_assignment
 from bench._film_scenes import SIZES_NOISE, among_cells, disc_bound, of_sizes
 from bench._kept import run_kept
 from bench.figure import Figure
-from microbot_ros.cameras.source import open_source
-from microbot_ros.cli.track_learn import Point, chosen, pictures, pointed
+from microbot_ros.cameras.source import Source, open_source
+from microbot_ros.cli.track_learn import Look, Point, look
 from microbot_ros.tracking import Tracker, TrackerSettings, learn, teach
 from microbot_ros.tracking.kinds_detector import KindsDetector
 
@@ -75,9 +76,13 @@ def marks(film: str) -> dict[int, list[Mark]]:
     return dict(by_frame)
 
 
-def _open(film: str):  # type: ignore[no-untyped-def]
+def _file(film: str) -> tuple[Path, Callable[[str], None], float | None]:
     path = _DATA / film if (_DATA / film).is_dir() else _DATA / f'{film}.mp4'
-    return open_source(path, print, 24.0 if path.is_dir() else None)
+    return path, lambda _: None, 24.0 if path.is_dir() else None
+
+
+def _open(film: str) -> Source:
+    return open_source(*_file(film))
 
 
 @dataclass(frozen=True)
@@ -97,9 +102,8 @@ class Outcome:
 def _judged(film: str) -> Outcome:
     known, example = marks(film), Point(0, *_EXAMPLE[film])
     held = set(known) - _TUNED[film]
-    free = _followed(film, chosen(TrackerSettings(), _open(film)))
-    named, samples = pictures(_open(film), [example])
-    seen = _followed(film, pointed(TrackerSettings(), [example], [], named, samples)[0])
+    free = _followed(look(*_file(film), TrackerSettings()))
+    seen = _followed(look(*_file(film), TrackerSettings(), [example]))
     robots = {name: ids for name, ids in _identities(known, seen).items() if len(ids) > 1}
     return Outcome(
         score(film, known, free, held), score(film, known, seen, held),
@@ -135,12 +139,12 @@ def _beats(name: str, ours: float, theirs: float) -> Figure:
                   ours > theirs or ours == 1.0)
 
 
-def _followed(film: str, settings: TrackerSettings) -> Seen:
-    source = _open(film)
-    images = [frame.image for frame, _ in zip(source.frames(), range(10), strict=False)]
+def _followed(film: Look) -> Seen:
+    settings = film.settings
+    images = [frame.image for frame, _ in zip(film.recording.frames(), range(10), strict=False)]
     tracker = Tracker(settings, None if settings.kinds else learn(images, settings))
     seen: Seen = {}
-    for frame in _open(film).frames():
+    for frame in film.recording.frames():
         poses = tracker.update(frame.image, frame.t)
         seen[frame.index] = poses.id[poses.seen], poses.xy[poses.seen]
         names, before = tracker.before_named

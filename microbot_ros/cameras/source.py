@@ -25,11 +25,18 @@ _MISCOUNT = 2
 
 @dataclass(frozen=True)
 class Frame:
-    """One picture: its `index` in the source, its time `t` [s], `image` (H, W) uint8 or uint16."""
+    """One picture: its `index` in the source, its time `t` [s], `image` (H, W) uint8 or uint16.
+
+    Of another shape where the source was told to see pictures otherwise than as grey.
+    """
 
     index: int
     t: float
     image: np.ndarray
+
+
+See = Callable[[Any], np.ndarray | None]
+"""What a decoded picture, an array, is seen as; None where it can't be."""
 
 
 class Source(Protocol):
@@ -53,18 +60,21 @@ def open_source(
     source: str | Path,
     report: Callable[[str], None],
     frame_rate: float | None = None,
+    see: See | None = None,
 ) -> Source:
     """A video file, a folder of images or a glob of images.
 
     `report` gets one line for everything that had to be left out. `frame_rate` [Hz] overrides
     what a video says of itself; images without one are timed one per second, so that t counts
-    frames. Raises InputError for what is missing, empty, or not decodable.
+    frames. `see` makes of a decoded picture what frames hold, `grey` if not said.
+    Raises InputError for what is missing, empty, or not decodable.
     """
+    see = see or grey
     if frame_rate is not None and not 0 < frame_rate < float('inf'):
         raise InputError('frame rate', f'expected a positive number of hertz, got {frame_rate}')
     path = Path(source)
     if path.is_file():
-        return VideoSource(path, report, frame_rate)
+        return VideoSource(path, report, frame_rate, see)
     if path.is_dir():
         found = [p for p in path.iterdir() if p.suffix.lower() in _IMAGES]
         expected = f'expected images ({", ".join(_IMAGES)}) in this folder'
@@ -75,39 +85,48 @@ def open_source(
         raise InputError(source, 'expected a video, a folder of images or a glob; not found')
     if not found:
         raise InputError(source, expected)
-    return ImageSource(str(source), sorted(found, key=natural_order), report, frame_rate)
+    return ImageSource(str(source), sorted(found, key=natural_order), report, frame_rate, see)
 
 
 def grey(image: Any) -> np.ndarray | None:
     """A decoded `image`, an array, as (H, W) grey of its own depth; None if not 8 or 16 bit."""
     import cv2
 
-    if image.dtype not in (np.uint8, np.uint16):
-        return None
-    if image.ndim == 2:
-        return image
-    codes = {3: cv2.COLOR_BGR2GRAY, 4: cv2.COLOR_BGRA2GRAY}
-    code = codes.get(image.shape[2])
-    return None if code is None else cv2.cvtColor(image, code)
+    picture = decoded(image)
+    if picture is None or picture.ndim == 2:
+        return picture
+    return cv2.cvtColor(
+        picture, cv2.COLOR_BGR2GRAY if picture.shape[2] == 3 else cv2.COLOR_BGRA2GRAY)
+
+
+def decoded(image: Any) -> np.ndarray | None:
+    """A decoded `image`, an array, as it is, (H, W) or (H, W, 3 or 4) with blue first; None if not
+    8 or 16 bit.
+    """
+    usual = image.ndim == 2 or image.shape[2] in (3, 4)
+    return image if usual and image.dtype in (np.uint8, np.uint16) else None
 
 
 class VideoSource:
     """A video file, decoded once from start to end.
 
-    `report` is given sentences about what is odd; `frame_rate` [Hz] overrules the source's own.
+    `report` is given sentences about what is odd; `frame_rate` [Hz] overrules the source's own;
+    `see` as for `open_source`.
     """
 
     def __init__(
-        self, path: Path, report: Callable[[str], None], frame_rate: float | None = None
+        self, path: Path, report: Callable[[str], None], frame_rate: float | None = None,
+        see: See = grey,
     ) -> None:
         import cv2
 
         self.name = str(path)
         self._report = report
+        self._see = see
         self._forced_rate = frame_rate
         self._capture = cv2.VideoCapture(self.name, cv2.CAP_FFMPEG)
         got, picture = self._capture.read() if self._capture.isOpened() else (False, None)
-        first = grey(picture) if got else None
+        first = see(picture) if got else None
         if first is None:
             raise InputError(path, 'expected a video; no frame of it can be decoded')
         stated_rate = self._capture.get(cv2.CAP_PROP_FPS)
@@ -115,7 +134,7 @@ class VideoSource:
         self._stated_rate = stated_rate if 0 < stated_rate < 1e6 else None
         self.frame_rate = frame_rate or self._stated_rate
         self.length = int(stated_length) if 0 < stated_length < 1e9 else None
-        self.size = first.shape
+        self.size = first.shape[:2]
         self._first: np.ndarray | None = first
 
     def frames(self) -> Iterator[Frame]:
@@ -131,10 +150,10 @@ class VideoSource:
                 got, picture = self._capture.read()
                 if not got:
                     break
-                image = grey(picture)
+                image = self._see(picture)
             stamp = self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
             t = self._time(index, t, stamp)
-            if image is None or image.shape != self.size:
+            if image is None or image.shape[:2] != self.size:
                 size = _size(self.size)
                 self._report(f'{self.name}: frame {index} is not {size}; left out')
             else:
@@ -160,7 +179,8 @@ class VideoSource:
 class ImageSource:
     """Images as frames, in natural order of their names (2 before 10).
 
-    `report` is given sentences about what is odd; `frame_rate` [Hz] overrules the source's own.
+    `report` is given sentences about what is odd; `frame_rate` [Hz] overrules the source's own;
+    `see` as for `open_source`.
     """
 
     def __init__(
@@ -169,24 +189,27 @@ class ImageSource:
         paths: list[Path],
         report: Callable[[str], None],
         frame_rate: float | None = None,
+        see: See = grey,
     ) -> None:
         self.name = name
         self.frame_rate = frame_rate
         self.length: int | None = len(paths)
         self._paths = paths
         self._report = report
-        first = next((image for image in map(_read_image, paths) if image is not None), None)
+        self._see = see
+        first = next((image for path in paths if (image := _read_image(path, see)) is not None),
+                     None)
         if first is None:
             raise InputError(name, f'expected images; none of the {len(paths)} can be decoded')
-        self.size = first.shape
+        self.size = first.shape[:2]
 
     def frames(self) -> Iterator[Frame]:
         """See `Source.frames`; a second call starts again."""
         for index, path in enumerate(self._paths):
-            image = _read_image(path)
+            image = _read_image(path, self._see)
             if image is None:
                 self._report(f'{path}: frame {index} can not be decoded; left out')
-            elif image.shape != self.size:
+            elif image.shape[:2] != self.size:
                 found = _size(image.shape)
                 self._report(
                     f'{path}: frame {index} is {found}, expected {_size(self.size)}; left out'
@@ -197,13 +220,13 @@ class ImageSource:
 
 def read_picture(path: Path) -> np.ndarray:
     """One image file as (H, W) grey uint8 or uint16; InputError where it can't be decoded."""
-    image = _read_image(path)
+    image = _read_image(path, grey)
     if image is None:
         raise InputError(path, 'expected a picture of 8 or 16 bit; it can not be decoded')
     return image
 
 
-def _read_image(path: Path) -> np.ndarray | None:
+def _read_image(path: Path, see: See) -> np.ndarray | None:
     import cv2
 
     try:
@@ -211,7 +234,7 @@ def _read_image(path: Path) -> np.ndarray | None:
         image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if len(content) else None
     except (OSError, cv2.error):
         return None
-    return None if image is None else grey(image)
+    return None if image is None else see(image)
 
 
 def natural_order(path: Path) -> list[str | tuple[int, str]]:

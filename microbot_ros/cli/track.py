@@ -11,7 +11,7 @@ import click
 import numpy as np
 
 from microbot_ros.cli.options import plausible_number
-from microbot_ros.cli.track_learn import Point, PointType, chosen, pictures, pointed, write_learned
+from microbot_ros.cli.track_learn import Point, PointType, look, write_learned
 from microbot_ros.units import to_si
 
 if TYPE_CHECKING:
@@ -69,7 +69,6 @@ def command(
     """
     from rich.console import Console
 
-    from microbot_ros.cameras.source import open_source
     from microbot_ros.files import output_folder, read_yaml, write_text
     from microbot_ros.tracking import TrackerSettings
 
@@ -77,11 +76,13 @@ def command(
     commanded = _Commanded(commands_path) if commands_path else None
     console = Console(stderr=True, highlight=False, soft_wrap=True)
     problems: list[str] = []
-    recording = open_source(source, problems.append, frame_rate_hz)
+    with console.status('looking at the film'):
+        film = look(source, problems.append, frame_rate_hz, settings, like, unlike)
+    recording, settings = film.recording, film.settings
+    for sentence in film.said:
+        console.print(f'microbot track: {sentence}', markup=False)
     if recording.frame_rate is None and pixel_size_um is not None:
         problems.append(f'{source}: no frame rate is known (--frame-rate-hz); t_s counts frames')
-    with console.status('looking at the film'):
-        settings = _settings(recording, settings, like, unlike, console)
     with output_folder(out) as folder:
         if settings.kinds:
             write_learned(folder, settings, next(recording.frames()).image)
@@ -100,20 +101,6 @@ def command(
     console.print(
         f'{out}: {result["frames"]} frames, {result["tracks"]} particles, '
         f'{result["whole_clip"]} of them from start to end')
-
-
-def _settings(
-    recording: Source, settings: TrackerSettings, like: tuple[Point, ...],
-    unlike: tuple[Point, ...], console: Any,
-) -> TrackerSettings:
-    """The settings with what was pointed at or chosen."""
-    if like or unlike:
-        named, samples = pictures(recording, (*like, *unlike))
-        settings, said = pointed(settings, like, unlike, named, samples)
-        for sentence in said:
-            console.print(f'microbot track: {sentence}', markup=False)
-        return settings
-    return chosen(settings, recording)
 
 
 def _track(

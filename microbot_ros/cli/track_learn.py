@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
+from microbot_ros.cli.track_view import View, telling_colour
 from microbot_ros.errors import InputError
 
 if TYPE_CHECKING:
@@ -56,10 +57,12 @@ class PointType(click.ParamType):
 
 def pictures(recording: Source, points: Sequence[Point]) -> tuple[dict[int, np.ndarray],
                                                                   list[np.ndarray]]:
-    """The frames that were pointed into, by number, and some from all over the `recording`.
+    """The frames that were pointed into, by number, and some from all over the `recording`, grey.
 
     Raises InputError for a frame that it doesn't have.
     """
+    from microbot_ros.cameras.source import grey
+
     step = max(1, (recording.length or 10 * _SAMPLES) // _SAMPLES)
     wanted = {point.frame for point in points}
     named: dict[int, np.ndarray] = {}
@@ -70,7 +73,7 @@ def pictures(recording: Source, points: Sequence[Point]) -> tuple[dict[int, np.n
         if frame.index in wanted:
             named[frame.index] = frame.image
         if frame.index % step == 0:
-            samples.append(frame.image)
+            samples.append(np.asarray(grey(frame.image)))
         if len(samples) > 2 * _SAMPLES:  # longer than it said: every second is enough
             samples, step = samples[::2], 2 * step
     if missing := sorted(wanted - set(named)):
@@ -96,7 +99,12 @@ def pointed(
             settings, named[point.frame], point.x, point.y, point.kind)
         said.append(sentence)
     for point in unlike:
-        settings, sentence = teach.unlike(settings, named[point.frame], point.x, point.y)
+        try:
+            settings, sentence = teach.unlike(settings, named[point.frame], point.x, point.y)
+        except (teach.NothingError, teach.TwoError):
+            if settings.colour is None:
+                raise
+            sentence = f'unlike: at {point.x:g},{point.y:g} nothing like it is left, by colour'
         said.append(sentence)
     if len(samples) >= 3:
         meant = np.array([(point.x, point.y) for point in like]).reshape(-1, 2)
@@ -104,31 +112,75 @@ def pointed(
     return settings, said
 
 
-def chosen(settings: TrackerSettings, recording: Source) -> TrackerSettings:
-    """The `settings`, with a kind for what moves in a `recording` where the usual way would miss
-    much of it.
+def chosen(settings: TrackerSettings, samples: list[np.ndarray], length: int) -> TrackerSettings:
+    """The `settings`, with a kind for what moves in `samples` from all over a film where the usual
+    way would miss much of it; as they are for a film of few frames, of which `length` says.
     """
     from microbot_ros.tracking import learn
     from microbot_ros.tracking.tracker import make_detector
     from microbot_ros.tracking.unprompted import choose, needed
 
     told = (settings.contrast, settings.shape, settings.diameter_px) != (None, None, None)
-    if told or settings.kinds or (recording.length or 0) < _LEAST_FRAMES:
-        return settings
-    _, samples = pictures(recording, ())
-    if len(samples) < 3:
+    if told or settings.kinds or length < _LEAST_FRAMES or len(samples) < 3:
         return settings
     found = choose(samples, settings)
     if found is None:
         return settings
     appearance = learn(samples, settings)
     usual = None
+    fitted = False
     if appearance is not None:
+        fitted = appearance.round
         detector = make_detector(appearance, settings)
 
         def usual(image: np.ndarray) -> np.ndarray:
             return np.asarray(detector.detect(image, np.empty((0, 2))).xy)
-    return found if needed(samples, found, usual) else settings
+    return found if needed(samples, found, usual, fitted) else settings
+
+
+@dataclass(frozen=True)
+class Look:
+    """A film as it is tracked: the `recording` as it is seen, the `settings`, and what was `said`
+    of the examples.
+    """
+
+    recording: Source
+    settings: TrackerSettings
+    said: list[str]
+
+
+def look(
+    source: str | Path, report: Callable[[str], None], frame_rate_hz: float | None,
+    settings: TrackerSettings, like: Sequence[Point] = (), unlike: Sequence[Point] = (),
+) -> Look:
+    """Look at the film `source` and learn what to follow: by points, or what it chooses.
+
+    `report` and `frame_rate_hz` as for `open_source`; `settings` are what is known before. Raises
+    InputError for points that mean nothing.
+    """
+    from microbot_ros.cameras.interlaced import interlaced, one_field
+    from microbot_ros.cameras.source import decoded, open_source
+
+    film = open_source(source, report, frame_rate_hz, decoded)
+    named, samples = pictures(film, (*like, *unlike))
+    colour = settings.colour
+    said: list[str] = []
+    if like and colour is None and not settings.kinds:
+        colour, said = telling_colour(like, unlike, named)
+        settings = settings.model_copy(update={'colour': colour})
+    view = View(colour, interlaced(samples))
+    if view.interlaced:
+        report(f'{source}: its pictures are interlaced, every other row shows another moment; '
+               'only the even rows are used')
+        samples = [one_field(sample) for sample in samples]
+    recording = open_source(source, report, frame_rate_hz, view)
+    if colour is not None:
+        samples = pictures(recording, ())[1]
+    if like or unlike:
+        seen = {frame: np.asarray(view(picture)) for frame, picture in named.items()}
+        settings, more = pointed(settings, like, unlike, seen, samples)
+        return Look(recording, settings, said + more)
+    return Look(recording, chosen(settings, samples, recording.length or 0), said)
 
 
 def write_learned(folder: Path, settings: TrackerSettings, image: np.ndarray) -> None:

@@ -25,6 +25,7 @@ from microbot_ros.tracking import (
     warm_up,
 )
 from microbot_ros.tracking.burnt_in import LEAST_FRAMES, burnt_in
+from microbot_ros.tracking.colour import Weights
 from microbot_ros.tracking.doubt import together
 
 _HELD, _HELD_EVERY = 40, 0.1
@@ -116,6 +117,11 @@ class TrackerStage:
         self.frames += 1
         self._hold(image, t)
         return _particles(self.poses, self._camera)
+
+    @property
+    def colour(self) -> Weights | None:
+        """The weights of red, green and blue by which frames are to be seen; None: brightness."""
+        return self._tracker.settings.colour
 
     @property
     def kinds(self) -> tuple[str, ...]:

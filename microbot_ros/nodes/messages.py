@@ -26,6 +26,7 @@ from microbot_ros.cameras.camera import CameraFormat
 from microbot_ros.errors import clipped
 from microbot_ros.loop.points import ESTIMATE
 from microbot_ros.records import Commands
+from microbot_ros.tracking.colour import Weights, weighted
 
 WORKSPACE = 'workspace'
 """Frame of every position and every field: x right, y up."""
@@ -158,11 +159,19 @@ _TO_GRAY = {
     'bayer_gbrg8': cv2.COLOR_BayerGR2GRAY, 'bayer_grbg8': cv2.COLOR_BayerGB2GRAY,
 }
 
+_TO_BGR = {
+    'rgb8': cv2.COLOR_RGB2BGR, 'rgba8': cv2.COLOR_RGBA2BGR,
+    'bayer_rggb8': cv2.COLOR_BayerBG2BGR, 'bayer_bggr8': cv2.COLOR_BayerRG2BGR,
+    'bayer_gbrg8': cv2.COLOR_BayerGR2BGR, 'bayer_grbg8': cv2.COLOR_BayerGB2BGR,
+}
 
-def gray(message: Image) -> np.ndarray:
+
+def gray(message: Image, colour: Weights | None = None) -> np.ndarray:
     """The picture in a `message` as (H, W) grey values, uint8 or (mono16) uint16.
 
-    Raises MessageError for an encoding that is not known or data that do not fill the picture.
+    By the weights of a `colour`, or by brightness where that is None. Raises MessageError for an
+    encoding that is not known, or that has no colours where they are asked for, or data that do
+    not fill the picture.
     """
     kinds: dict[str, tuple[str, int]] = {
         'mono8': ('u1', 1), '8UC1': ('u1', 1), 'mono16': ('u2', 1), '16UC1': ('u2', 1),
@@ -182,6 +191,12 @@ def gray(message: Image) -> np.ndarray:
     rows = np.frombuffer(message.data, np.uint8, message.step * message.height)
     rows = rows.reshape(message.height, message.step)[:, :width]
     pixels = np.ascontiguousarray(rows).view(depth).reshape(message.height, message.width, -1)
+    if colour is not None:
+        if message.encoding not in _TO_GRAY:
+            raise MessageError(f'expected colours, by which the kinds are told; received '
+                               f'{message.encoding}')
+        code = _TO_BGR.get(message.encoding)
+        return weighted(pixels if code is None else cv2.cvtColor(pixels, code), colour)
     if message.encoding in _TO_GRAY:
         return np.asarray(cv2.cvtColor(pixels, _TO_GRAY[message.encoding]))
     return pixels[..., 0]

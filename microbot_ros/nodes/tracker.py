@@ -95,7 +95,7 @@ class TrackerNode(RigNode):
         return OK, f'tracking {count} particles', values
 
     def _on_image(self, message: Image) -> None:
-        image = messages.gray(message)
+        image = messages.gray(message, self.stage.colour)
         stamp = message.header.stamp
         try:
             particles = self.stage.step(image, messages.to_seconds(stamp))

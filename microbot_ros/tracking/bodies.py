@@ -18,6 +18,9 @@ from microbot_ros.tracking.search import block_mean, pixel_noise
 _HALF = 0.5
 """Share of a body's height at which its outline runs."""
 
+_NECK = 0.85
+"""Share of the height of the lower of two known bodies that touch up to which they are two."""
+
 _LEAST_AREA = 6
 """Shrunk pixels: what is smaller has no shape."""
 
@@ -93,12 +96,14 @@ def contrast(image: np.ndarray, shrink: int, widest_px: float, dark: bool) -> np
 
 def find_bodies(
     image: np.ndarray, dark: bool, least_height: float, shrink: int, widest_px: float,
-    nearest_px: float = 0.0,
+    nearest_px: float = 0.0, known: np.ndarray | None = None,
 ) -> Bodies:
     """The bodies of an `image` (H, W), `dark` or bright by at least `least_height` [grey].
 
     The picture is shrunk by `shrink`; bodies are at most `widest_px` wide, what is wider is light.
-    Maxima nearer than `nearest_px` belong to one body.
+    Maxima nearer than `nearest_px` belong to one body. Where several are `known` to be (M, 2) [px]
+    in one outline, each with a maximum of its own, they are parted at the neck; one that is known
+    and touches a higher one is no part of that one's body.
     """
     import cv2
 
@@ -106,7 +111,8 @@ def find_bodies(
     if nearest_px / shrink > 2:
         picture = cv2.GaussianBlur(picture, (0, 0), nearest_px / shrink / 2)
     least = max(least_height, 4 * pixel_noise(image) / shrink)
-    rows = _bodies(picture, least, int((widest_px / shrink) ** 2 * 1.5))
+    places = np.empty((0, 2)) if known is None else (known + 0.5) / shrink - 0.5
+    rows = _bodies(picture, least, int((widest_px / shrink) ** 2 * 1.5), places)
     return _described(rows, shrink, picture.shape)
 
 
@@ -140,20 +146,129 @@ def _described(rows: np.ndarray, shrink: int, shape: tuple[int, ...]) -> Bodies:
 
 
 @numba.njit(cache=True, nogil=True)
-def _bodies(picture, least, most):  # type: ignore[no-untyped-def]
-    """Rows of sums (N, 16), in order of the names above, for bodies of at most `most` pixels."""
+def _bodies(picture, least, most, known):  # type: ignore[no-untyped-def]
+    """Rows of sums (N, 16), in order of the names above, for bodies of at most `most` pixels.
+
+    Those `known` (M, 2) that share an outline are bodies of their own.
+    """
     places = _maxima(picture, least)
     owner = np.zeros(picture.shape, np.int32)
     stack = np.empty((most + 8, 2), np.int32)
     rows = np.empty((len(places), 16))
     count = 0
     for k in range(len(places)):
-        area = _flood(picture, owner, places[k, 0], places[k, 1], k + 1, stack, most)
-        if area >= _LEAST_AREA:
-            _sum(picture, stack, area, rows[count])
-            rows[count, _HALO] = _halo(picture, rows[count])
-            count += 1
+        area = _flood(picture, owner, places[k], k + 1, stack, most, False)
+        if area < 0 and len(known) > 0:
+            for n in range(-area):
+                owner[stack[n, 0], stack[n, 1]] = 0
+            area = _flood(picture, owner, places[k], k + 1, stack, most, True)
+            if len(_inside(owner, k + 1, known)) == 0:
+                area = 0
+        if area < _LEAST_AREA:
+            continue
+        level = _HALF * picture[places[k, 0], places[k, 1]]
+        seeds = _seeds(owner, k + 1, places, known)
+        parts = np.zeros(area, np.int64)
+        if len(seeds) > 1:
+            parts = _parted(owner, picture, k + 1, stack[:area], places[seeds])
+        for part in range(parts.max() + 1):
+            mine = stack[:area][parts == part]
+            if len(mine) >= _LEAST_AREA:
+                _sum(picture, mine, level, rows[count])
+                rows[count, _HALO] = _halo(picture, rows[count])
+                count += 1
     return rows[:count]
+
+
+@numba.njit(cache=True, nogil=True)
+def _seeds(owner, name, places, known):  # type: ignore[no-untyped-def]
+    """Which of the maxima at `places` (N, 2) in the body `name` are nearest to those `known`.
+
+    The highest first; only that of the body where fewer than two are known to be in it.
+    """
+    inside = _inside(owner, name, known)
+    if len(inside) < 2:
+        return np.array([name - 1])
+    seeds = []
+    for n in inside:
+        best, nearest = -1, np.inf
+        for k in range(len(places)):
+            away = (places[k, 1] - known[n, 0]) ** 2 + (places[k, 0] - known[n, 1]) ** 2
+            if away < nearest and owner[places[k, 0], places[k, 1]] == name:
+                best, nearest = k, away
+        if best not in seeds:
+            seeds.append(best)
+    return np.sort(np.array(seeds))
+
+
+@numba.njit(cache=True, nogil=True)
+def _inside(owner, name, known):  # type: ignore[no-untyped-def]
+    """Which of those `known` (M, 2) are in the body `name`."""
+    inside = np.zeros(len(known), np.bool_)
+    for n in range(len(known)):
+        x, y = round(known[n, 0]), round(known[n, 1])
+        if 0 <= y < owner.shape[0] and 0 <= x < owner.shape[1]:
+            inside[n] = owner[y, x] == name
+    return np.flatnonzero(inside)
+
+
+@numba.njit(cache=True, nogil=True)
+def _parted(owner, picture, name, pixels, seeds):  # type: ignore[no-untyped-def]
+    """The part (n,), from 0, to which each of the `pixels` (n, 2) of the body `name` belongs.
+
+    Each of the `seeds` (K, 2), the highest first, begins a part with what is above its neck, and
+    the rest goes to the part from which it is reached first. Meanwhile `owner` says −1 − part.
+    """
+    queue, count, parts = np.empty(pixels.shape, np.int64), 0, 0
+    for k in range(len(seeds)):
+        more = _core(picture, owner, name, -1 - parts, seeds[k], queue, count)
+        parts += more > count
+        count = more
+    done = 0
+    while done < count:
+        y, x = queue[done]
+        done += 1
+        for dy, dx in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+            b, a = y + dy, x + dx
+            if 0 <= b < owner.shape[0] and 0 <= a < owner.shape[1] and owner[b, a] == name:
+                owner[b, a] = owner[y, x]
+                queue[count, 0], queue[count, 1] = b, a
+                count += 1
+    part = np.empty(len(pixels), np.int64)
+    for n in range(len(pixels)):
+        part[n] = -1 - owner[pixels[n, 0], pixels[n, 1]]
+        owner[pixels[n, 0], pixels[n, 1]] = name
+    return part
+
+
+@numba.njit(cache=True, nogil=True)
+def _core(picture, owner, name, label, seed, queue, start):  # type: ignore[no-untyped-def]
+    """Where the `queue` ends that had `start` rows, with what is above the neck of a `seed`.
+
+    As it was where that is a part of another: then there is no neck between them.
+    """
+    level = _NECK * picture[seed[0], seed[1]]
+    if owner[seed[0], seed[1]] != name:
+        return start
+    queue[start], count, done = seed, start + 1, start
+    owner[seed[0], seed[1]] = label
+    while done < count:
+        y, x = queue[done]
+        done += 1
+        for dy, dx in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+            b, a = y + dy, x + dx
+            if not (0 <= b < owner.shape[0] and 0 <= a < owner.shape[1]):
+                continue
+            if picture[b, a] <= level or owner[b, a] == label:
+                continue
+            if owner[b, a] != name:
+                for n in range(start, count):
+                    owner[queue[n, 0], queue[n, 1]] = name
+                return start
+            owner[b, a] = label
+            queue[count, 0], queue[count, 1] = b, a
+            count += 1
+    return count
 
 
 @numba.njit(cache=True, fastmath=FAST)
@@ -184,11 +299,14 @@ def _maxima(picture, least):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _flood(picture, owner, y, x, name, stack, most):  # type: ignore[no-untyped-def]
-    """The pixels connected to a maximum at more than half its height, in `stack`; how many.
+def _flood(picture, owner, place, name, stack, most, walled):  # type: ignore[no-untyped-def]
+    """The pixels connected to a maximum at `place` at more than half its height, in `stack`; how
+    many.
 
-    0 where it reaches the body of another, or a higher pixel, or more than `most`.
+    0 where it reaches a higher pixel, or more than `most`. What belongs to another body is left
+    out where that is `walled` off; where it is not, minus their number as soon as it is reached.
     """
+    y, x = place
     if owner[y, x] > 0:
         return 0
     height, width = picture.shape
@@ -206,7 +324,11 @@ def _flood(picture, owner, y, x, name, stack, most):  # type: ignore[no-untyped-
             value = picture[b, a]
             if value <= level:
                 continue
-            if value > top or owner[b, a] > 0 or count >= most:
+            if owner[b, a] > 0:
+                if walled:
+                    continue
+                return -count
+            if value > top or count >= most:
                 return 0
             owner[b, a] = name
             stack[count, 0], stack[count, 1] = b, a
@@ -215,11 +337,12 @@ def _flood(picture, owner, y, x, name, stack, most):  # type: ignore[no-untyped-
 
 
 @numba.njit(cache=True)
-def _sum(picture, stack, count, row):  # type: ignore[no-untyped-def]
-    """Sums over the pixels of one body; see the names above."""
+def _sum(picture, stack, level, row):  # type: ignore[no-untyped-def]
+    """Sums over the pixels `stack` (n, 2) of one body, above a `level`; see the names above."""
     height, width = picture.shape
-    top = picture[stack[0, 0], stack[0, 1]]
-    level = _HALF * top
+    count, top = len(stack), np.float32(0.0)
+    for k in range(count):
+        top = max(top, picture[stack[k, 0], stack[k, 1]])
     row[:] = 0
     row[_HEIGHT], row[_AREA] = top, count
     row[_X0], row[_Y0], row[_X1], row[_Y1] = width, height, -1, -1

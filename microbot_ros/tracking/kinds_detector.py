@@ -70,7 +70,7 @@ class KindsDetector:
         kinds = [self.kinds[k] for k in chosen]
         least = min(kind.height_grey[0] for kind in kinds)
         widest = max(kind.width_px[1] for kind in kinds)
-        bodies = find_bodies(image, dark, 0.6 * least, shrink, widest, parts_px)
+        bodies = find_bodies(image, dark, 0.6 * least, shrink, widest, parts_px, expected)
         bodies = bodies[~self._stands(bodies)]
         lenient = _near(bodies, expected)
         strange = np.array([

@@ -33,6 +33,8 @@ def write_kinds_figure(path: Path, image: np.ndarray, settings: TrackerSettings)
     left = np.array([body for kind in settings.kinds for body in find_bodies(
         image, kind.dark, 0.6 * kind.height_grey[0], kind.shrink, kind.width_px[1],
         kind.parts_px).xy]).reshape(-1, 2)
+    away = np.linalg.norm(left[:, None] - found.xy, axis=2)
+    left = left[np.all(away > found.radius, axis=1)]
     frame.plot(*left.T, 'x', color='0.6', markersize=4, label='left out')
     for k, kind in enumerate(settings.kinds):
         of_kind = found.kind == k
@@ -63,6 +65,8 @@ def _cut_out(axes: np.ndarray, image: np.ndarray, places: np.ndarray, width: flo
 
 def _explained(settings: TrackerSettings) -> list[str]:
     lines = []
+    if settings.colour is not None:
+        lines = ['seen as {:+g} red {:+g} green {:+g} blue'.format(*settings.colour)]
     for kind in settings.kinds:
         lines += [f'{kind.name}: {kind.contrast}, {len(kind.like)} examples, '
                   f'{len(kind.unlike)} counter-examples']

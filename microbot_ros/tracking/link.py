@@ -163,7 +163,9 @@ class Linker:
         # In an outline that it shares, it is not known to be in the middle.
         states.correct(track, found.xy[detection], np.where(
             alone, noise[detection], np.maximum(noise, found.radius**2)[detection]))
+        states.outline[track] = found.radius[detection]
         if self._merging:
+            states.keep_within(track[~alone], found.xy[detection[~alone]])
             self._follow_hosts()
         settle_doubt(states, self._settings.coast_frames)
         self._delete_tracks()
@@ -224,7 +226,7 @@ class Linker:
     ) -> Pairs:
         states = self.states
         variance, reach = _search(
-            states.covariance, states.missed, states.host, states.id, states.radius,
+            states.covariance, states.missed, states.host, states.id, states.outline,
             self.max_step_px)
         return assign(
             states.xy + offset, variance, reach,
@@ -244,7 +246,7 @@ class Linker:
 
         The older of the two keeps the outline. Returns the tracks of the detections.
         """
-        states, track = self.states, track.copy()
+        states, track = self.states, self._hosts_first(track)
         lost = np.setdiff1d(np.flatnonzero((states.id != UNNAMED) & (states.host < 0)), track)
         for i in lost[np.argsort(-states.hits[lost])]:
             offset = np.linalg.norm(found.xy[detection] - states.xy[i], axis=1)
@@ -260,11 +262,23 @@ class Linker:
             states.host[i] = states.id[other]
         return track
 
+    def _hosts_first(self, track: np.ndarray) -> np.ndarray:
+        """The tracks of the detections, with the host in place of who goes with it unseen.
+
+        As long as there is one outline for both, it goes on as that of the host, whatever the
+        looks that each had on its own.
+        """
+        states, track, row = self.states, track.copy(), self._row_of_name()
+        for k in np.flatnonzero(states.host[track] >= 0):
+            host = row.get(int(states.host[track[k]]))
+            if host is not None and host not in track:
+                track[k] = host
+        return track
+
     def _follow_hosts(self) -> None:
         """Merged particles are where their host is, give or take its radius."""
-        states = self.states
+        states, row = self.states, self._row_of_name()
         states.host[states.missed == 0] = -1
-        row = {int(name): k for k, name in enumerate(states.id) if name != UNNAMED}
         for i in np.flatnonzero(states.host >= 0):
             host = row.get(int(states.host[i]))
             while host is not None and states.host[host] >= 0 and host != i:
@@ -277,6 +291,9 @@ class Linker:
             states.motion[i, :VELOCITY_PHASOR] = states.motion[host, :VELOCITY_PHASOR]
             states.covariance[i, PLACE] = states.covariance[i, :, PLACE] = 0.0
             states.covariance[i, PLACE, PLACE] = states.radius[host] ** 2
+
+    def _row_of_name(self) -> dict[int, int]:
+        return {int(name): k for k, name in enumerate(self.states.id) if name != UNNAMED}
 
     def _delete_tracks(self) -> None:
         states = self.states
@@ -335,7 +352,7 @@ def _goes_on(before: np.ndarray, now: np.ndarray) -> bool:
 
 
 @numba.njit(cache=True)
-def _search(covariance, missed, host, ids, radius, max_step):  # type: ignore[no-untyped-def]
+def _search(covariance, missed, host, ids, outline, max_step):  # type: ignore[no-untyped-def]
     """Variance [px²] of every particle's place, and how far [px] it is looked for: (N,).
 
     Where two go in one outline, neither is known to be in the middle of it.
@@ -347,7 +364,7 @@ def _search(covariance, missed, host, ids, radius, max_step):  # type: ignore[no
     for part in np.flatnonzero(host >= 0):
         reach[part] = max_step + math.sqrt(variance[part])
         for k in np.flatnonzero(ids == host[part]):
-            variance[k] = max(variance[k], radius[k] ** 2)
+            variance[k] = max(variance[k], outline[k] ** 2)
             reach[k] = max(reach[k], max_step + math.sqrt(variance[k]))
     return variance, reach
 

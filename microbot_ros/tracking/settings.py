@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from microbot_ros.files import Settings
+from microbot_ros.tracking.colour import Weights
 from microbot_ros.tracking.kinds import Kind
 from microbot_ros.tracking.standing import Place
 
@@ -38,7 +39,17 @@ class TrackerSettings(Settings):
         20, ge=0, le=1000, description='frames that an unseen particle is carried on')
     learning_frames: int = Field(
         10, ge=1, le=200, description='frames from which appearance is learned')
+    colour: Weights | None = Field(
+        None, description='weights of red, green and blue in what is looked at; brightness if not '
+        'said')
     kinds: tuple[Kind, ...] = Field(
         (), description='kinds that were pointed at: these are followed, and nothing else')
     standing: tuple[Place, ...] = Field(
         (), description='places at which nothing of these kinds is a particle')
+
+    @field_validator('colour')
+    @classmethod
+    def _of_some(cls, colour: Weights | None) -> Weights | None:
+        if colour is not None and not any(colour):
+            raise ValueError('expected a weight other than 0')
+        return colour

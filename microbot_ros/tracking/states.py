@@ -35,7 +35,8 @@ class TrackStates:
     last measurement, with its `sigma`, `theta`, `contrast` and `radius`; `step` (N, 2) the
     displacement to it that neither drive nor jump explains, NaN after a gap; `hits` the frames
     seen, `missed` the frames since; `host` the identity of the particle that it has merged with,
-    −1 where it is on its own; `early` (N, K, 2) the first K measurements; `kind` the number of its
+    −1 where it is on its own; `outline` [px] the radius of the last outline, of both where two are
+    in one; `early` (N, K, 2) the first K measurements; `kind` the number of its
     kind when it was first seen. `doubt` the probability that it is another than its identity says,
     0 where that is sure; `unsure` [s] for how long it has been so; `astray` [px²] the variance per
     coordinate of where it would be then, about where it is seen. Of what is longer than wide:
@@ -55,6 +56,7 @@ class TrackStates:
     hits: np.ndarray
     missed: np.ndarray
     host: np.ndarray
+    outline: np.ndarray
     early: np.ndarray
     kind: np.ndarray
     doubt: np.ndarray
@@ -111,6 +113,14 @@ class TrackStates:
         In Joseph's form: the short one lets rounding errors of a covariance grow.
         """
         _correct(self.motion, self.covariance, rows, found, noise)
+
+    def keep_within(self, rows: np.ndarray, middle: np.ndarray) -> None:
+        """Move those `rows` (K,) that have fallen behind back into their outlines, about the
+        `middle` (K, 2) [px] of each.
+        """
+        behind = self.motion[rows, PLACE] - phasor(middle)
+        away = np.maximum(np.abs(behind), 1e-9)
+        self.motion[rows, PLACE] -= behind * np.maximum(1 - self.outline[rows] / away, 0)
 
 
 @numba.njit(cache=True)
@@ -181,8 +191,8 @@ def initiate_tracks(
         id=np.full(count, UNNAMED), motion=motion, covariance=covariance, measured=xy.copy(),
         step=np.full((count, 2), np.nan), sigma=sigma.copy(), theta=theta.copy(),
         contrast=contrast.copy(), radius=radius.copy(), hits=np.ones(count, int),
-        missed=np.zeros(count, int), host=np.full(count, -1), early=early, kind=kind.copy(),
-        doubt=np.zeros(count), unsure=np.zeros(count), astray=np.zeros(count),
+        missed=np.zeros(count, int), host=np.full(count, -1), outline=radius.copy(), early=early,
+        kind=kind.copy(), doubt=np.zeros(count), unsure=np.zeros(count), astray=np.zeros(count),
         tail=np.full(count, np.nan), along=np.zeros(count))
 
 

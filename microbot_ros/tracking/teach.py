@@ -35,8 +35,12 @@ _AS_GOOD = 0.6
 _LONE = 0.6
 """Share of a body's weight that lies around it, from which on it is taken to be a part."""
 
-_ACROSS = 7.5
-"""Looked-at pixels across a usual body: enough for its shape."""
+_FEWER = 0.7
+"""Share of what lies around a body that parts taken together must leave: else they are others."""
+
+_ACROSS, _PLAIN = 7.5, 0.9
+"""Looked-at pixels across a usual body, enough for its shape: the short way where that is a plain
+one, by its share of the ellipse around it. What is ragged would fall into its parts."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +51,15 @@ class _Meant:
     body: Bodies
 
 
-class _TwoError(InputError):
-    """A point between `two` bodies (2,)."""
+class NothingError(InputError):
+    """A point at (`x`, `y`) [px] where nothing stands out; `what` was to be learned."""
+
+    def __init__(self, what: str, x: float, y: float) -> None:
+        super().__init__(what, f'expected something at {x:g},{y:g}: nothing stands out there')
+
+
+class TwoError(InputError):
+    """A point at (`x`, `y`) [px] between `two` bodies (2,); `what` was to be learned."""
 
     def __init__(self, what: str, x: float, y: float, two: Bodies) -> None:
         super().__init__(what, f'expected one thing at {x:g},{y:g}: two are as near to it')
@@ -171,20 +182,20 @@ def _looked_at(image: np.ndarray, kind: Kind) -> Bodies:
 def _pointed(what: str, bodies: Bodies, x: float, y: float) -> int:
     """The body at a point; InputError where there is none, or where it may be either of two."""
     if len(bodies) == 0:
-        raise InputError(what, f'expected something at {x:g},{y:g}: nothing stands out there')
+        raise NothingError(what, x, y)
     within = np.all((bodies.lower - 1 <= [x, y]) & ([x, y] <= bodies.upper + 1), axis=1)
     away = np.hypot(bodies.xy[:, 0] - x, bodies.xy[:, 1] - y)
     near = np.flatnonzero(within | (away < bodies.width / 2 + _SLOPPY))
     # Specks of noise beside a body are not meant.
     near = near[bodies.height[near] > 0.3 * np.max(bodies.height[near], initial=0.0)]
     if len(near) == 0:
-        raise InputError(what, f'expected something at {x:g},{y:g}: nothing stands out there')
+        raise NothingError(what, x, y)
     order = near[np.argsort(away[near])]
     first = order[0]
     if len(order) > 1 and away[first] > bodies.width[first] / 2:
         second = order[1]
         if away[second] < 1.5 * away[first] + 1:
-            raise _TwoError(what, x, y, bodies[order[:2]])
+            raise TwoError(what, x, y, bodies[order[:2]])
     return int(first)
 
 
@@ -201,9 +212,9 @@ def _way_to_look(what: str, image: np.ndarray, x: float, y: float) -> Kind:
             problem = problem or error
     if not ways:
         assert problem is not None
-        if isinstance(problem, _TwoError):
-            raise _TwoError(what, x, y, problem.two)
-        raise InputError(what, f'expected something at {x:g},{y:g}: nothing stands out there')
+        if isinstance(problem, TwoError):
+            raise TwoError(what, x, y, problem.two)
+        raise NothingError(what, x, y)
     # What is meant is the stronger, unless the point is beside it.
     off = [np.hypot(body.xy[0, 0] - x + left, body.xy[0, 1] - y + top) / body.width[0]
            for _, _, body in ways]
@@ -211,8 +222,10 @@ def _way_to_look(what: str, image: np.ndarray, x: float, y: float) -> Kind:
                           for (_, _, body), away in zip(ways, off, strict=True)]))
     parts, dark, body = ways[best]
     width = float(body.width[0])
+    plain = body.fill[0] > _PLAIN
+    across = width / float(np.sqrt(body.length[0])) if plain else width
     return Kind(contrast='dark' if dark else 'bright', parts_px=parts,
-                shrink=int(np.clip(width / _ACROSS, 1, 8)),
+                shrink=int(np.clip(across / _ACROSS, 1, 8)),
                 height_grey=(float(body.height[0]), 1e6), width_px=(width, width))
 
 
@@ -236,7 +249,7 @@ def _by_parts(
             k = _pointed(what, bodies, x, y)
         except InputError as error:
             problem = problem or error
-            if two is None and isinstance(error, _TwoError):
+            if two is None and isinstance(error, TwoError):
                 two = error.two
             if first == 0 and len(bodies):
                 first = float(bodies.height[np.argmin(np.hypot(*(bodies.xy - [x, y]).T))])
@@ -247,14 +260,14 @@ def _by_parts(
         around = _around(bodies, k)
         if bodies.height[k] < _AS_GOOD * first:
             break
-        if best is None or around < best[0]:
+        if best is None or around < _FEWER * best[0]:
             best = around, parts, bodies[np.array([k])]
         if best[0] < _LONE:
             break
     if best is not None:
         return best[1], dark, best[2]
     if whole is None:
-        raise problem or InputError(what, 'expected something there: nothing stands out')
+        raise problem or NothingError(what, x, y)
     return whole
 
 

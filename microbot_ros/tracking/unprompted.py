@@ -33,7 +33,7 @@ _AS_DARK = 0.5
 """Least contrast of an example over that of the first."""
 
 _AGREED = 0.7
-"""Share of what moves that the usual way must find, to be kept."""
+"""Share of what moves that the usual way must find, to be kept, where it is more exact."""
 
 Finder = Callable[[np.ndarray], np.ndarray]
 """Places (N, 2) [px] of the particles in a picture (H, W)."""
@@ -122,19 +122,24 @@ def _energy(seen: list[Bodies]) -> float:
     return float(sum(np.sum((bodies.height * bodies.width) ** 2) for bodies in seen))
 
 
-def needed(frames: list[np.ndarray], chosen: TrackerSettings, find: Finder | None) -> bool:
-    """Whether the usual way to `find` particles in `frames` misses much of what was `chosen`.
+def needed(
+    frames: list[np.ndarray], chosen: TrackerSettings, find: Finder | None, fitted: bool
+) -> bool:
+    """Whether what was `chosen` follows more in `frames` than the usual way to `find` particles.
 
-    None stands for a usual way that has learned nothing.
+    None stands for a usual way that has learned nothing. Where it has a picture that is `fitted`
+    to each particle it is more exact, and kept unless it misses much; outlines are no more exact
+    than those of a kind, which knows them better, and are kept only where they find more.
     """
     if find is None:
         return True
     detector = KindsDetector(chosen.kinds, chosen.standing)
-    found = missed = 0
+    both = missed = more = 0
     for frame in frames:
         bodies = detector.detect(frame, np.empty((0, 2)))
         places = find(frame)
-        away = np.linalg.norm(bodies.xy[:, None] - places, axis=2)
-        near = away.min(axis=1, initial=np.inf) < 2 * bodies.radius
-        found, missed = found + int(near.sum()), missed + int((~near).sum())
-    return found < _AGREED * (found + missed)
+        near = np.linalg.norm(bodies.xy[:, None] - places, axis=2) < 2 * bodies.radius[:, None]
+        both += int(near.any(axis=1).sum())
+        missed += int((~near.any(axis=1)).sum())
+        more += int((~near.any(axis=0)).sum())
+    return both < _AGREED * (both + missed) if fitted else missed >= more

@@ -234,7 +234,8 @@ def test_nobody_to_ask_is_said(late):
     _, (delay, lag) = late
     fit = delay.session_fits[0]
     gone = fit.session.times > fit.session.times[-1] - 5.0
-    session = replace(fit.session, pieces=np.where(gone[:, None], 0, fit.session.pieces))
+    session = replace(fit.session, pieces=np.where(gone[:, None], 0, fit.session.pieces),
+                      z=np.where(gone[:, None], 0, fit.session.z))
     unseen = replace(delay, session_fits=(replace(fit, session=session),))
     with pytest.raises(ValueError, match='no particle is in view'):
         _design((late[0], (unseen, lag)))

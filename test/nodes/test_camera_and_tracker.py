@@ -11,6 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from command_line import microbot
 from diagnostic_msgs.srv import AddDiagnostics
 from geometry_msgs.msg import Vector3Stamped
 from sensor_msgs.msg import Image, MagneticField, PointCloud2
@@ -75,6 +76,41 @@ def test_what_is_pointed_at_is_followed_and_its_name_reaches_who_comes_later(
     points = messages.points(particles[-1], np.dtype([('kind', '<f4')]))
     assert [json.loads(kinds[-1].data)[int(kind)] for kind in points['kind']] == (
         ['swimmer'] * particles[-1].width)
+
+
+def _beads(seed: int) -> np.ndarray:
+    """Red and green discs, as bright as the light around them: (200, 320, 3), red first."""
+    v, u = np.mgrid[:200, :320]
+    picture = np.tile([145.0, 150.0, 140.0], (200, 320, 1))
+    for x, y, colour in ((60, 50, (197, 130, 107)), (250, 150, (99, 177, 118))):
+        covered = 1 / (1 + np.exp((np.hypot(u - x, v - y) - 7) / 0.8))
+        picture += covered[..., None] * (np.array(colour) - picture)
+    noise = np.random.default_rng(seed).normal(0, 2, picture.shape)
+    return np.clip(np.rint(picture + noise), 0, 255).astype(np.uint8)
+
+
+def test_kinds_that_were_learned_by_colour_are_followed_in_colour(
+        ros: Any, tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / 'beads.png'), _beads(0)[..., ::-1])
+    assert microbot('track', tmp_path / 'beads.png', '--out', tmp_path / 'out', '--no-overlay',
+                    '--like', '0,60,50,red', '--like', '0,250,150,green') == 0
+    graph = ros({'tracker': {'settings_file': str(tmp_path / 'out' / 'learned.yaml')}})
+    tracker = graph.add('tracker')
+    assert tracker.active, tracker.fault
+    publisher = graph.probe.create_publisher(Image, 'camera/image_raw', 10)
+    graph.until(lambda: publisher.get_subscription_count() == 1)
+    particles, begin = graph.hear(PointCloud2, 'particles'), tracker.seconds()
+
+    def came(count: int) -> bool:
+        return len(particles) == count
+
+    for k in range(1, 6):
+        stamp = messages.to_stamp(begin + k / 30)
+        publisher.publish(messages.image(_beads(k), stamp, encoding='rgb8'))
+        graph.until(partial(came, k), 30)
+    seen = messages.points(particles[-1], np.dtype([('x', '<f4'), ('kind', '<f4')]))
+    names = {tracker.stage.kinds[int(kind)]: x for x, kind in seen.tolist()}
+    assert names == pytest.approx({'red': -49.75e-6, 'green': 45.25e-6}, abs=0.1e-6)
 
 
 def test_frames_go_on_while_the_tracker_is_taught(

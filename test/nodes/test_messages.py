@@ -81,7 +81,9 @@ def test_sixteen_bits_are_kept_in_either_byte_order(order: str) -> None:
     ('rgb8', (250, 10, 20)), ('bgr8', (250, 10, 20)), ('bayer_rggb8', (250, 10, 20)),
     ('bayer_bggr8', (10, 20, 250)), ('bayer_gbrg8', (10, 250, 20)), ('bayer_grbg8', (10, 250, 20)),
 ])
-def test_colour_is_weighed_as_the_eye_does(encoding: str, colour: tuple[int, int, int]) -> None:
+def test_colour_is_weighed_as_the_eye_does_or_as_was_learned(
+    encoding: str, colour: tuple[int, int, int]
+) -> None:
     """A uniformly coloured scene, made into each mosaic by hand, gives the grey of its colour."""
     red, green, blue = colour
     channels = {'r': red, 'g': green, 'b': blue}
@@ -99,6 +101,14 @@ def test_colour_is_weighed_as_the_eye_does(encoding: str, colour: tuple[int, int
     inside = messages.gray(message)[3:-3, 3:-3]
     assert inside.shape == (10, 10)
     assert np.abs(inside.astype(float) - expected).max() <= 2
+    learned = messages.gray(message, (-0.5, 0.3, 0.2))[3:-3, 3:-3]
+    expected = 127.5 - 0.5 * (red - 127.5) + 0.3 * (green - 127.5) + 0.2 * (blue - 127.5)
+    assert np.abs(learned.astype(float) - expected).max() <= 2
+
+
+def test_a_grey_picture_has_no_colours_to_tell_by() -> None:
+    with pytest.raises(messages.MessageError, match='expected colours'):
+        messages.gray(messages.image(np.zeros((4, 6), np.uint8), STAMP), (1.0, 0.0, 0.0))
 
 
 @pytest.mark.parametrize('broken', [

@@ -17,10 +17,11 @@ from microbot_ros.tracking.rows import Remarks
 _SIDE = 600
 
 
-def _linker() -> Linker:
+def _linker(merging: bool = False) -> Linker:
+    """One for round particles, or for outlines that run into one."""
     looks = Appearance(
         table=np.zeros((1, 9)), reach_px=8.0, diameter_px=10.0, contrast_grey=60.0,
-        min_contrast_grey=20.0, round=True)
+        min_contrast_grey=20.0, round=not merging)
     return Linker(TrackerSettings(), looks, (_SIDE, _SIDE))
 
 
@@ -39,7 +40,7 @@ def _walk(frames: int, count: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def _name_at(linker: Linker, place: np.ndarray) -> int:
-    away = np.linalg.norm(linker.states.xy - place, axis=1)
+    away = np.linalg.norm(linker.states.measured - place, axis=1)
     return int(linker.states.id[np.argmin(away)]) if away.min(initial=np.inf) < 5 else -1
 
 
@@ -200,3 +201,19 @@ def test_what_is_said_of_many_is_one_sentence() -> None:
     assert remarks.sentences() == [
         'frame 1: each of the particles 0, 1, 2, 3, 4 and 3 more may be two: so it is; '
         '8 frames like it']
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_two_that_go_on_in_one_outline_keep_the_name_of_the_older(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    path = np.full((160, 3, 2), 300.0)
+    path[:, 0, 0] -= np.maximum(60 - np.arange(160), 0) + 8.0
+    path[:, 1, 0] += np.maximum(60 - np.arange(160), 0) + 8.0
+    # Together they rest, then roll off another way, and look more like the younger.
+    path[:, 2, 1] += np.cumsum(np.clip(np.arange(160) - 100, 0, 8) * 0.75)
+    there = np.zeros((160, 3), bool)
+    there[:62, 0], there[10:62, 1], there[62:, 2] = True, True, True
+    linker = _linker(merging=True)
+    names = _follow(linker, path, there, np.array([5.0, 11.0, 12.0]), rng)
+    assert names[61][:2] == [0, 1]
+    assert {name[2] for name in names[62:]} == {0}
