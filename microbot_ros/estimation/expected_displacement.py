@@ -40,8 +40,9 @@ class ExpectedDisplacement:
 
     def at(self, velocity_phasor: np.ndarray) -> np.ndarray:
         """Displacements (T, N) [m] of particles with `velocity_phasor` v e^{iφ} (N,)."""
-        moved: np.ndarray = (
-            self.offset + self.along * velocity_phasor.real + self.across * velocity_phasor.imag)
+        own = self.along * velocity_phasor if self.isotropic else (
+            self.along * velocity_phasor.real + self.across * velocity_phasor.imag)
+        moved: np.ndarray = self.offset + own
         return moved
 
 
