@@ -87,9 +87,8 @@ class ModelFit:
         keys = [_constant(self.model, *of) for of in self.model.parameters]
         white = []
         for p in self.session_fits:
-            here = p.expected.at(p.velocity_phasor)
             columns = p.white_columns([
-                (key, partial(_derivative, p, here, model, step))
+                (key, partial(_derivative, p, model, step))
                 for model, step, key in zip(changed, steps, keys, strict=True)])
             columns /= np.sqrt(p.diffusion)
             white.append(columns)
@@ -147,10 +146,13 @@ class ModelFit:
         return result
 
 
-def _derivative(fit: SessionFit, here: np.ndarray, model: Model, step: float) -> np.ndarray:
-    """What a `model` that is a `step` away moves the tracks further than `here`, (T, N) [m]."""
+def _derivative(fit: SessionFit, model: Model, step: float) -> np.ndarray:
+    """What a `model` that is a `step` away moves the tracks further than that of a `fit`.
+
+    (T, N) [m], by the step.
+    """
     moved = ExpectedDisplacement.of(model, fit.session.timeline)
-    return (moved.at(fit.velocity_phasor) - here) / step
+    return moved.beyond(fit.expected, fit.velocity_phasor) / step
 
 
 def _constant(model: Model, name: str, parameter: Parameter) -> Hashable:
