@@ -38,7 +38,7 @@ SURE = 0.1
 """Part of what is enough by which a gain may differ from the one foretold, to be the last."""
 
 NEGLIGIBLE = 1e-4
-"""Gain in −2 log likelihood for which no step is tried: a hundredth of a standard deviation."""
+"""Gain in −2 log likelihood that no step is tried for: a hundredth of a standard deviation."""
 
 TURNING = math.log(1e-5), math.log(10.0)
 """Between what rotational diffusion [rad²/s] is looked for where nothing tells it, logarithms."""
@@ -189,9 +189,9 @@ def maximise(fit: ModelFit, iterations: int = 20, held: int | None = None,
     """Improve a `fit` in its effects' parameters, by Levenberg and Marquardt's method.
 
     Within their bounds, in at most that many `iterations`, until one gains less than `enough` in
-    −2 log likelihood, or so much of what the parabola foretold, so that as little is left; a step
-    that foretells less than is NEGLIGIBLE is not tried. The noise filters stay as they are, and so
-    does the parameter `held`, by its place in the vector.
+    −2 log likelihood, or so much of what the parabola foretold, so that as little is left. Where
+    its vertex is within bounds and gains less than is NEGLIGIBLE, nothing is tried. The noise
+    filters stay as they are, and so does the parameter `held`, by its place in the vector.
     """
     if not fit.model.effects:
         return fit
@@ -235,14 +235,17 @@ def _improve(fit: ModelFit, low: np.ndarray, high: np.ndarray, angle: np.ndarray
         return fit.under(fit.model.with_vector(there))
 
     step = np.zeros(len(x))
+    step[free] = np.linalg.lstsq(information[chosen], slope[free], rcond=1e-14)[0]
+    # At a bound there may be a kink, which no parabola tells of.
+    inside = ((x + step > low) & (x + step < high)).all()
+    if inside and foretold(step) < NEGLIGIBLE:
+        return None, 0.0, damping
     for _ in range(8):
         damped = information[chosen] + damping * np.diag(np.diag(information)[free])
         step[free] = np.linalg.lstsq(damped, slope[free], rcond=1e-14)[0]
-        gain = foretold(step)
-        if gain < NEGLIGIBLE:
-            break
         tried = stepped(step)
         if tried.cost < fit.cost:
+            gain = foretold(step)
             if abs(fit.cost - tried.cost - gain) > ENOUGH:
                 further = stepped(2 * step)
                 if further.cost < tried.cost:
