@@ -46,6 +46,9 @@ TURNING = math.log(1e-5), math.log(10.0)
 COLLINEAR = 1e-7
 """Part of a column's power below which v and φ absorb it."""
 
+NOTHING = 1e-30
+"""Information about a parameter, in fit coordinates, that is none."""
+
 
 @dataclass(frozen=True)
 class ModelFit:
@@ -129,7 +132,7 @@ class ModelFit:
         for gram in self._grams:
             total += eliminate(gram).sum(axis=0)
             raw[1:] += np.diagonal(gram, axis1=1, axis2=2)[:, 3:].sum(axis=0)
-        visible = np.diag(total)[1:] > COLLINEAR * raw[1:]
+        visible = np.diag(total)[1:] > np.maximum(COLLINEAR * raw[1:], NOTHING)
         return total[1:, 1:], total[1:, 0], visible
 
     @cached_property
