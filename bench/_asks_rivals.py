@@ -1,29 +1,47 @@
 """What is asked and when it ends by the rules of the literature, on the same worlds and fits.
 
-Box and Hill (Technometrics 9, 57, 1967) choose what makes the expected divergence between models,
-weighted by how likely they are, largest; Akaike weights (Buzzi-Ferraris and Forzatti's order of
-models by χ² is no other for equal numbers of parameters) end when one model holds 0.999 of the
-weight, as in GPdoemd (Olofsson and others, Comput. Chem. Eng. 125, 54, 2019), which measured them
-best. Without refitting the other model, and without a price for looking again.
+- Box and Hill (Technometrics 9, 57, 1967): what makes the expected divergence between models,
+  weighted by the probabilities π of both, largest; ends when one has a π of 0.999. Predictive
+  densities, and with them π, are those of our own Bayes factors.
+- Buzzi-Ferraris and Forzatti (Chem. Eng. Sci. 38, 225, 1983): what sets that pair of models
+  furthest apart that it sets apart at all, models that χ² refuses left out; ends when one is left.
+- Michalik, Stuckert and Marquardt (Ind. Eng. Chem. Res. 49, 913, 2010): what makes the Akaike
+  weight largest that the right model is expected to have then; ends when one weight is 0.999.
+
+Olofsson and others (GPdoemd, Comput. Chem. Eng. 125, 54, 2019) measured the three. Plans are of
+the kinds that ours are chosen from, and pay as ours for particles astray. Models are no effect
+and one of each, fitted to all that was seen; there is no price for looking again, and none for
+what is in no list.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
+from scipy.special import softmax
+from scipy.stats import chi2
 
 from bench._driven_rig import SimulatedRig
 from microbot_ros.discovery.driven.design import (
-    Design,
+    IMPROVED,
+    PROPOSED,
+    RANDOM,
+    STRAY,
     Question,
     Range,
     Search,
-    choose_plan,
+    _change,
+    _draw,
+    _Trial,
     random_steps,
 )
-from microbot_ros.discovery.driven.drive import EXPERIMENT, SHORTEST
+from microbot_ros.discovery.driven.drive import EXPERIMENT, SHORTEST, THOUGHT
+from microbot_ros.discovery.driven.hypotheses import log_bayes_factor
 from microbot_ros.discovery.driven.joined import join
+from microbot_ros.discovery.driven.plan import Plan
 from microbot_ros.discovery.search import CandidateFit
 from microbot_ros.discovery.stepwise_selection import search
 from microbot_ros.estimation.model_fit import ModelFit, fit_sessions
@@ -32,10 +50,27 @@ from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model
 
 DECIDED = 0.999
-"""Akaike weight at which a model is taken."""
+"""Weight at which a model is taken."""
+
+REFUSED = 0.01
+"""Chance of a χ² as large, below which a model is left out."""
 
 ASKED = 5
 """The likeliest models, between which divergence is counted."""
+
+Weigh = Callable[[Sequence[CandidateFit]], np.ndarray]
+Worth = Callable[[np.ndarray, np.ndarray], float]
+
+
+@dataclass(frozen=True)
+class Rule:
+    """`weigh` (M,) no effect and those found; `worth` of a plan by weights and divergences.
+
+    Divergences (M, M), by how much log likelihood it is expected to set two models further apart.
+    """
+
+    weigh: Weigh
+    worth: Worth
 
 
 @dataclass(frozen=True)
@@ -46,8 +81,8 @@ class Taken:
     seconds: float
 
 
-def by_akaike_weights(rig: SimulatedRig, minutes: float, seed: int) -> Taken:
-    """Drive a `rig` by those rules for as many `minutes` at most; `seed` draws the plans."""
+def by_rule(rule: Rule, rig: SimulatedRig, minutes: float, seed: int) -> Taken:
+    """Drive a `rig` by a `rule` for as many `minutes` at most; `seed` draws the plans."""
     rng, sessions = np.random.default_rng(seed), []
     plan = random_steps(rng, EXPERIMENT, rig.limits)
     while True:
@@ -55,28 +90,99 @@ def by_akaike_weights(rig: SimulatedRig, minutes: float, seed: int) -> Taken:
         session = prepare(join(sessions))
         plain = fit_sessions(Model.baseline(session.conditions, session.commands), [session])
         found = search(plain, EFFECTS)
-        weights = _weights(found)
+        weights = rule.weigh(found)
         best = int(np.argmax(weights))
         if weights[best] > DECIDED:
             return Taken(found[best - 1].id if best else '', rig.seconds)
-        if 60 * minutes - rig.seconds < SHORTEST:
+        left = 60 * minutes - rig.seconds
+        if left < SHORTEST:
             return Taken(None, rig.seconds)
-        plan = _diverging(plain, found, weights, float(session.times[-1]) + 2.0, rig.limits,
-                          rng).plan
+        trial, shares = _trial([plain, *(c.fit for c in found)], weights, rig.limits)
+        plan = _most_telling(lambda gains, shares=shares: rule.worth(shares, gains), trial,
+                             min(EXPERIMENT, left), rng)
 
 
-def _weights(found: list[CandidateFit]) -> np.ndarray:
-    """Of no effect, and of each: exp(−AIC/2), made to add up to 1."""
-    logs = np.array([0.0, *(c.likelihood_ratio / 2 - c.dof for c in found)])
-    share = np.exp(logs - logs.max())
-    return np.asarray(share / share.sum())
+def _trial(fits: Sequence[ModelFit], weights: np.ndarray,
+           limits: Range) -> tuple[_Trial, np.ndarray]:
+    """Where plans are tried on all pairs of the likeliest of `fits`, and the weights of these."""
+    likely = [k for k in np.argsort(-weights, kind='stable')[:ASKED] if weights[k] > 0]
+    pairs = [Question(fits[i], fits[j], 1.0) for i, j in combinations(likely, 2)]
+    begin = float(fits[0].session_fits[0].session.times[-1]) + THOUGHT
+    return _Trial.of(fits[0], pairs, Search({}, 1.0), begin, limits), weights[likely]
 
 
-def _diverging(plain: ModelFit, found: list[CandidateFit], weights: np.ndarray, begin: float,
-               limits: Range, rng: np.random.Generator) -> Design:
-    fits = [plain, *(c.fit for c in found)]
-    likely = np.argsort(-weights)[:ASKED]
-    # A large sum of weighted divergences is a short weighted mean of times to a far goal.
-    pairs = [Question(fits[i], fits[j], 1e3, float(weights[i] * weights[j]) / 2)
-             for i in likely for j in likely if i < j]
-    return choose_plan(plain, pairs, Search({}, 1.0), begin, EXPERIMENT, limits, rng)
+def _most_telling(worth: Callable[[np.ndarray], float], trial: _Trial, duration: float,
+                  rng: np.random.Generator) -> Plan:
+    """The plan of the most `worth` by its divergences, of as many as we try for ours."""
+    def value(plan: Plan) -> float:
+        outcome = trial.score(plan)
+        return worth(_square(outcome.gains)) / (1 + STRAY * outcome.astray)
+
+    limits = trial.limits
+    drawn = [random_steps(rng, duration, limits) for _ in range(RANDOM)]
+    drawn += [_draw(rng, duration, limits) for _ in range(PROPOSED)]
+    values = [value(plan) for plan in drawn]
+    best = int(np.argmax(values))
+    plan, most = drawn[best], values[best]
+    for k in range(IMPROVED):
+        other = _change(rng, plan, drawn[int(rng.integers(len(drawn)))], limits, k)
+        if (now := value(other)) > most:
+            plan, most = other, now
+    return plan
+
+
+def _square(pairs: np.ndarray) -> np.ndarray:
+    """A symmetric matrix (M, M) from what is above its diagonal, row by row."""
+    count = round((1 + np.sqrt(1 + 8 * len(pairs))) / 2)
+    square = np.zeros((count, count))
+    square[np.triu_indices(count, 1)] = pairs
+    return square + square.T
+
+
+# The rules --------------------------------------------------------------------------------------
+
+def probabilities(found: Sequence[CandidateFit]) -> np.ndarray:
+    """π (M,) of no effect and of each of those `found`, alike before anything was seen."""
+    return np.asarray(softmax([0.0, *map(log_bayes_factor, found)]))
+
+
+def divergence(weights: np.ndarray, gains: np.ndarray) -> float:
+    """Box and Hill's Σ πᵢ πⱼ over pairs of models times what sets them apart (M, M)."""
+    return float(weights @ gains @ weights) / 2
+
+
+def adequate(found: Sequence[CandidateFit]) -> np.ndarray:
+    """The same weight (M,) for all models that χ² does not refuse, and none for the others.
+
+    Counted from the least χ² of all, with as many degrees of freedom as that model has more than
+    none: absolute χ² of 10⁴ rows spreads more than anything that is hidden here.
+    """
+    ratios = np.array([0.0, *(c.likelihood_ratio for c in found)])
+    dof = [1, *(max(c.dof, 1) for c in found)]
+    best = int(np.argmax(ratios))
+    kept = ratios[best] - ratios <= chi2.isf(REFUSED, dof[best])
+    return np.asarray(kept / kept.sum())
+
+
+def furthest(weights: np.ndarray, gains: np.ndarray) -> float:
+    """Buzzi-Ferraris and Forzatti's largest divergence (M, M) of two models with any weight."""
+    return float((gains * np.outer(weights > 0, weights > 0)).max())
+
+
+def akaike_weights(found: Sequence[CandidateFit]) -> np.ndarray:
+    """Of no effect, and of each of those `found` (M,): exp(−AIC/2), made to add up to 1."""
+    return np.asarray(softmax([0.0, *(c.likelihood_ratio / 2 - c.dof for c in found)]))
+
+
+def expected_weight(weights: np.ndarray, gains: np.ndarray) -> float:
+    """Michalik and others' Σ wᵢ times the weight that i has, if it is right, after `gains` (M, M).
+    """
+    after = weights[:, None] / (weights[None, :] * np.exp(-gains)).sum(axis=1, keepdims=True)
+    return float((weights * after[:, 0]).sum())
+
+
+RULES = {
+    'box_hill': Rule(probabilities, divergence),
+    'buzzi_ferraris': Rule(adequate, furthest),
+    'akaike_weights': Rule(akaike_weights, expected_weight)}
+"""By the names that runs have."""

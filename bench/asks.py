@@ -3,7 +3,7 @@
 Worlds of the fine physics, a camera, a view with edges; the loop without a graph. Every effect is
 hidden so that a minute of random steps would hold λ = 10 of evidence. The rivals are random steps
 judged by the same rules, and the rules of the literature. The worlds are drawn by seed, and what
-came of each is in `out/asks.jsonl`.
+came of each is in `out/asks.jsonl`: of every kind of run as many as of any other at any time.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from bench._asks_rivals import by_akaike_weights
+from bench._asks_rivals import RULES, by_rule
 from bench._asks_worlds import hidden_world
 from bench._hidden_effects import LISTED, UNLISTED
 from bench._kept import run_kept
@@ -48,6 +48,10 @@ COVARIATES = {
     'settling_flow': 'time', 'stage_jump': 'step time', 'repulsion': 'neighbours',
     'swimmer_flow': 'neighbours'}
 """Words of which one must be in the name of a map that shows what is in no list."""
+
+
+Case = tuple[str, tuple[str, ...], int]
+"""How it is asked, what is hidden, and the seed."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,9 +85,15 @@ class Run:
 
 def figures() -> list[Figure]:
     """Every figure of the issue."""
-    cases = [*_effects('asks'), *_twins(), *_unlisted(), *_pairs(), *_nulls(), *_effects('random'),
-             *_effects('literature')]
-    return [*score(run_kept(Path('out/asks.jsonl'), cases, run, _again)), _design_seconds()]
+    runs = run_kept(Path('out/asks.jsonl'), every_case(), run, _again)
+    return [*score(runs), _design_seconds()]
+
+
+def every_case() -> list[Case]:
+    """All that is run, kind by kind in turns."""
+    kinds = [_effects('asks'), _nulls(), _unlisted(), _pairs(), _twins(),
+             *(_effects(asked) for asked in ('random', *RULES))]
+    return [case for turn in itertools.zip_longest(*kinds) for case in turn if case]
 
 
 def _again(told: dict[str, Any]) -> Run:
@@ -96,7 +106,7 @@ def _again(told: dict[str, Any]) -> Run:
 def score(runs: Sequence[Run]) -> list[Figure]:
     """The figures of `runs`, each with its 95 % interval as the peer."""
     of = {kind: [one for one in runs if one.asked == kind] for kind in (
-        'asks', 'random', 'literature', 'nothing', 'twins', 'pairs', 'unlisted')}
+        'asks', 'random', *RULES, 'nothing', 'twins', 'pairs', 'unlisted')}
     share = _share
     names = [one for kind in ('asks', 'twins', 'pairs', 'unlisted') for one in of[kind]]
     result = [
@@ -108,7 +118,7 @@ def score(runs: Sequence[Run]) -> list[Figure]:
         share('two at once, right within 10 min', of['pairs'], lambda r: r.right, 0.90),
         share('in no list: told so, covariate right', of['unlisted'], told_unlisted, 0.95)]
     own = _median_minutes(of['asks'])
-    for peer, target in (('random', 0.5), ('literature', 1 / 1.5)):
+    for peer, target in (('random', 0.5), *((rule, 1 / 1.5) for rule in RULES)):
         other = _median_minutes(of[peer])
         wrong = sum(r.wrong for r in of[peer])
         result.append(Figure(
@@ -151,32 +161,32 @@ def wilson(count: int, total: int) -> tuple[float, float]:
 
 # What is run ------------------------------------------------------------------------------------
 
-def _effects(asked: str) -> list[tuple[str, tuple[str, ...], int]]:
+def _effects(asked: str) -> list[Case]:
     return [(asked, (effect,), seed) for seed in range(SEEDS) for effect in LISTED]
 
 
-def _nulls() -> list[tuple[str, tuple[str, ...], int]]:
+def _nulls() -> list[Case]:
     return [('nothing', (), 1000 + seed) for seed in range(NULLS)]
 
 
-def _twins() -> list[tuple[str, tuple[str, ...], int]]:
+def _twins() -> list[Case]:
     return [('twins', (effect,), 2000) for effect in LISTED]
 
 
-def _pairs() -> list[tuple[str, tuple[str, ...], int]]:
+def _pairs() -> list[Case]:
     return [('pairs', pair, 3000 + seed) for seed in range(SEEDS) for pair in PAIRS]
 
 
-def _unlisted() -> list[tuple[str, tuple[str, ...], int]]:
+def _unlisted() -> list[Case]:
     return [('unlisted', (effect,), 4000 + seed) for seed in range(SEEDS) for effect in UNLISTED]
 
 
-def run(case: tuple[str, tuple[str, ...], int]) -> Run:
+def run(case: Case) -> Run:
     """One world, asked in one way."""
     asked, hidden, seed = case
     rig, _ = hidden_world(seed, hidden)
-    if asked == 'literature':
-        taken = by_akaike_weights(rig, MINUTES, seed)
+    if asked in RULES:
+        taken = by_rule(RULES[asked], rig, MINUTES, seed)
         names = (taken.name,) if taken.name else ()
         return Run(asked, hidden, seed, 'out_of_time' if taken.name is None else 'settled',
                    taken.seconds / 60, names, (), (), ())

@@ -20,9 +20,9 @@ RELAXATION = (0.1, 0.3, 1.0, 3.0)
 class Group:
     """Velocity fields of one covariate, named `against`.
 
-    `fields` (T−1, N, M) complex: the mean velocity of each over every frame interval; `value`
-    (T−1, N): the covariate in the unit of `label`; `frame` (T−1, N) complex: the direction in
-    which the residual is drawn, 1 in the laboratory.
+    `fields` (T−1, N, M) complex: the mean velocity of each over every frame interval, to which
+    belongs the same turned by 90°; `value` (T−1, N): the covariate in the unit of `label`; `frame`
+    (T−1, N) complex: the direction in which the residual is drawn, 1 in the laboratory.
     """
 
     against: str
@@ -72,9 +72,8 @@ class Covariates:
 
     def _group(self, against: str, label: str, factors: list[np.ndarray], frame: np.ndarray,
                value: np.ndarray) -> Group:
-        """Real factors times the frame, along it and across."""
+        """Real factors times the frame."""
         fields = np.stack([np.broadcast_to(f * frame, self.shape) for f in factors], axis=-1)
-        fields = np.concatenate([fields, 1j * fields], axis=-1)
         return Group(against, label, fields, np.broadcast_to(value, self.shape),
                      np.broadcast_to(frame, self.shape))
 
@@ -148,11 +147,10 @@ class Covariates:
             facing = (away * np.conj(direction)).real
             fields += [(away * facing**2 * f).sum(axis=2) for f in fall[1:]]
         fields += [self.body * f.sum(axis=2) for f in fall[:2]]
-        both = np.stack(fields, axis=-1)
         nearest = np.where(near, r, np.inf).min(axis=2) * 1e6
         direction = (away * (r == np.where(near, r, np.inf).min(axis=2)[:, :, None])).sum(axis=2)
         return Group('neighbours', 'distance of the nearest neighbour [µm]',
-                     np.concatenate([both, 1j * both], axis=-1), nearest, direction)
+                     np.stack(fields, axis=-1), nearest, direction)
 
     def _particles(self) -> Group:
         """Each particle's own drift, and its own change of speed and angle."""
@@ -162,7 +160,7 @@ class Covariates:
         own = np.eye(N)[None]
         drift = np.broadcast_to(own, (T, *own.shape[1:])).astype(complex)
         change = (t * self.body)[:, :, None] * own
-        fields = np.concatenate([drift, 1j * drift, change, 1j * change], axis=-1)
+        fields = np.concatenate([drift, change], axis=-1)
         number = np.broadcast_to(self.session.ids.astype(float), (T, N))
         return Group('particle', 'particle', fields, number, np.ones((T, N), complex))
 

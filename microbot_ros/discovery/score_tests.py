@@ -67,12 +67,13 @@ def _tested(fit: ModelFit, jacobian: Sequence[np.ndarray],
 
 
 def _score(p: SessionFit, jacobian: np.ndarray, fields: np.ndarray) -> tuple[float, int]:
-    """T and its degrees of freedom for velocity fields (T−1, N, M)."""
+    """T and its degrees of freedom for velocity fields (T−1, N, M), along them and across."""
+    columns = np.zeros((len(p.session.times), *fields.shape[1:]), complex)
     moved = np.nan_to_num(fields) * np.diff(p.session.times)[:, None, None]
-    columns = np.concatenate([np.zeros((1, *moved.shape[1:]), complex), moved.cumsum(axis=0)])
-    white = p.whiten(columns)
-    together = np.concatenate([p.white / np.sqrt(p.diffusion), jacobian, white], axis=-1)
-    gram = inner(together)
+    np.cumsum(moved, axis=0, out=columns[1:])
+    known = np.concatenate([p.white / np.sqrt(p.diffusion), jacobian], axis=-1)
+    gram = along_and_across(known, p.whiten(columns)) if p.whitening.is_plain else inner(
+        np.concatenate([known, p.whiten(np.concatenate([columns, 1j * columns], -1))], axis=-1))
     raw = np.diagonal(gram, axis1=1, axis2=2)[:, 3:].sum(axis=0)
     count = jacobian.shape[-1]
     total = eliminate_shared(eliminate(gram).sum(axis=0), count)
@@ -82,6 +83,18 @@ def _score(p: SessionFit, jacobian: np.ndarray, fields: np.ndarray) -> tuple[flo
     kept = values > RANK
     found = vectors[:, kept].T @ (total[1:, 0] / size)
     return float((found**2 / values[kept]).sum()), int(kept.sum())
+
+
+def along_and_across(known: np.ndarray, white: np.ndarray) -> np.ndarray:
+    """Real inner products (N, L + 2M, L + 2M) of `known` (T, N, L), `white` (T, N, M), i·`white`.
+
+    All are parts of the complex ones, of which there are half as many.
+    """
+    every = np.ascontiguousarray(np.concatenate([known, white], axis=-1).transpose(1, 2, 0))
+    product = every.conj() @ every.transpose(0, 2, 1)
+    first = known.shape[-1]
+    same, turned = product.real, -product.imag[:, :, first:]
+    return np.block([[same, turned], [np.swapaxes(turned, 1, 2), same[:, first:, first:]]])
 
 
 def _rhythm(fit: ModelFit, covariates: list[Covariates] | None = None) -> ResidualMap:

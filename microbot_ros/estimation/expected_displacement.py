@@ -9,6 +9,7 @@ import numpy as np
 from microbot_ros.model.increments import respond
 from microbot_ros.model.model import Model
 from microbot_ros.model.timeline import Timeline
+from microbot_ros.model.vectors import as_complex
 
 
 @dataclass(frozen=True)
@@ -32,26 +33,33 @@ class ExpectedDisplacement:
         if not any(effect.stage == 'observation' for effect in model.effects):
             along = _accumulate(response.propulsion)
             still = model.is_first_order
-            offset = np.zeros_like(along) if still else _accumulate(_complex(response.drift))
+            offset = np.zeros_like(along) if still else _accumulate(as_complex(response.drift))
             return cls(offset, along, 1j * along, True)
         columns = response.columns()
-        along, across = (_accumulate(_complex(columns[..., k])) for k in (0, 1))
-        return cls(_accumulate(_complex(response.offset())), along, across, False)
+        along, across = (_accumulate(as_complex(columns[..., k])) for k in (0, 1))
+        return cls(_accumulate(as_complex(response.offset())), along, across, False)
 
     def at(self, velocity_phasor: np.ndarray) -> np.ndarray:
         """Displacements (T, N) [m] of particles with `velocity_phasor` v e^{iφ} (N,)."""
-        moved: np.ndarray = (
-            self.offset + self.along * velocity_phasor.real + self.across * velocity_phasor.imag)
+        own = self.along * velocity_phasor if self.isotropic else (
+            self.along * velocity_phasor.real + self.across * velocity_phasor.imag)
+        moved: np.ndarray = self.offset + own
         return moved
 
-
-def _complex(vectors: np.ndarray) -> np.ndarray:
-    return vectors[..., 0] + 1j * vectors[..., 1]
+    def beyond(self, other: ExpectedDisplacement, velocity_phasor: np.ndarray) -> np.ndarray:
+        """How much further (T, N) [m] particles of that `velocity_phasor` are than by an `other`.
+        """
+        if not (self.isotropic and other.isotropic):
+            return self.at(velocity_phasor) - other.at(velocity_phasor)
+        # What all particles share is compared once.
+        further: np.ndarray = (self.offset - other.offset) + (
+            self.along - other.along) * velocity_phasor
+        return further
 
 
 def _accumulate(steps: np.ndarray) -> np.ndarray:
     """Sums (T, N) of steps (T−1, N); a particle that is not in view makes none."""
     sums = np.zeros((len(steps) + 1, steps.shape[1]), complex)
-    known = steps if np.isfinite(steps).all() else np.nan_to_num(steps)
-    np.cumsum(known, axis=0, out=sums[1:])
+    known = np.isfinite(steps)
+    np.cumsum(steps if known.all() else np.where(known, steps, 0), axis=0, out=sums[1:])
     return sums

@@ -131,6 +131,91 @@ def joint_products(white, others, scale):  # type: ignore[no-untyped-def]
     return out
 
 
+FOLLOWED = 1e-12
+"""Part of the largest step below which what a filter has not yet followed of one is nothing."""
+
+
+@numba.njit(cache=True)
+def _steps_of_row(left, active, number, knots, moved):  # type: ignore[no-untyped-def]
+    """Add to what is `left` of each knot what the next interval has `moved`; how many are active.
+    """
+    for j in range(len(knots)):
+        m = knots[j]
+        if moved[j] != 0:
+            known = False
+            for a in range(number):
+                known = known or active[a] == m
+            if not known:
+                active[number] = m
+                number += 1
+            left[m] += moved[j]
+    return number
+
+
+@numba.njit(cache=True)
+def _add_products(gram, known, left, active, scale):  # type: ignore[no-untyped-def]
+    """Add the products of one row, below the diagonal: what is `known`, then `active` knots."""
+    first = len(known)
+    for a in range(first):
+        for b in range(a + 1):
+            gram[a, b] += known[a].real * known[b].real + known[a].imag * known[b].imag
+    for a in range(len(active)):
+        m = active[a]
+        x, y = left[m].real * scale, left[m].imag * scale
+        for b in range(first):
+            gram[first + m, b] += x * known[b].real + y * known[b].imag
+        for b in range(a + 1):
+            other = active[b]
+            product = (x * left[other].real + y * left[other].imag) * scale
+            gram[first + max(m, other), first + min(m, other)] += product
+
+
+@numba.njit(cache=True)
+def knot_products(  # type: ignore[no-untyped-def]
+        times, pieces, known, starts, knots, moved, count, folds, parts, noise_ratio):
+    """Real inner products (`parts`, L + `count`, L + `count`) of `known` and knots, white.
+
+    Of one track: `times` and `pieces` (T,) and `noise_ratio` as in `whiten_columns`; `known`
+    (T, L) is white already. The interval after row k has `moved` `knots` as told from
+    `starts`[k] to `starts`[k + 1]. Rows go to one of the `parts` by `folds` (T,).
+    """
+    first = known.shape[1]
+    out = np.zeros((parts, first + count, first + count))
+    left, active, number = np.zeros(count, np.complex128), np.zeros(count, np.int64), 0
+    least = FOLLOWED * np.abs(moved).max() if len(moved) else 0.0
+    last, piece, variance = -1, 0, noise_ratio
+    for k in range(len(times)):
+        if k:
+            told = slice(starts[k - 1], starts[k])
+            number = _steps_of_row(left, active, number, knots[told], moved[told])
+        if not pieces[k]:
+            continue
+        kept = 0.0
+        if pieces[k] != piece:
+            piece, variance = pieces[k], noise_ratio
+        else:
+            ahead = variance + 2.0 * (times[k] - times[last])
+            total = ahead + noise_ratio
+            kept = noise_ratio / total
+            _add_products(out[folds[k]], known[k], left, active[:number], 1.0 / math.sqrt(total))
+            variance = noise_ratio * ahead / total
+        last, held = k, 0
+        for a in range(number):
+            m = active[a]
+            left[m] *= kept
+            if abs(left[m]) > least:
+                active[held] = m
+                held += 1
+            else:
+                left[m] = 0j
+        number = held
+    for gram in out:
+        for a in range(len(gram)):
+            for b in range(a):
+                gram[b, a] = gram[a, b]
+    return out
+
+
 @numba.njit(cache=True)
 def filter_positions(times, pieces, positions, noise_ratio):  # type: ignore[no-untyped-def]
     """Means (T, N) of the local-level filter of `positions` (T, N) complex after every frame.

@@ -37,11 +37,17 @@ ENOUGH = 0.01
 SURE = 0.1
 """Part of what is enough by which a gain may differ from the one foretold, to be the last."""
 
+NEGLIGIBLE = 1e-4
+"""Gain in −2 log likelihood that no step is tried for: a hundredth of a standard deviation."""
+
 TURNING = math.log(1e-5), math.log(10.0)
 """Between what rotational diffusion [rad²/s] is looked for where nothing tells it, logarithms."""
 
 COLLINEAR = 1e-7
 """Part of a column's power below which v and φ absorb it."""
+
+NOTHING = 1e-30
+"""Information about a parameter, in fit coordinates, that is none."""
 
 
 @dataclass(frozen=True)
@@ -84,9 +90,8 @@ class ModelFit:
         keys = [_constant(self.model, *of) for of in self.model.parameters]
         white = []
         for p in self.session_fits:
-            here = p.expected.at(p.velocity_phasor)
             columns = p.white_columns([
-                (key, partial(_derivative, p, here, model, step))
+                (key, partial(_derivative, p, model, step))
                 for model, step, key in zip(changed, steps, keys, strict=True)])
             columns /= np.sqrt(p.diffusion)
             white.append(columns)
@@ -127,7 +132,7 @@ class ModelFit:
         for gram in self._grams:
             total += eliminate(gram).sum(axis=0)
             raw[1:] += np.diagonal(gram, axis1=1, axis2=2)[:, 3:].sum(axis=0)
-        visible = np.diag(total)[1:] > COLLINEAR * raw[1:]
+        visible = np.diag(total)[1:] > np.maximum(COLLINEAR * raw[1:], NOTHING)
         return total[1:, 1:], total[1:, 0], visible
 
     @cached_property
@@ -144,10 +149,13 @@ class ModelFit:
         return result
 
 
-def _derivative(fit: SessionFit, here: np.ndarray, model: Model, step: float) -> np.ndarray:
-    """What a `model` that is a `step` away moves the tracks further than `here`, (T, N) [m]."""
+def _derivative(fit: SessionFit, model: Model, step: float) -> np.ndarray:
+    """What a `model` that is a `step` away moves the tracks further than that of a `fit`.
+
+    (T, N) [m], by the step.
+    """
     moved = ExpectedDisplacement.of(model, fit.session.timeline)
-    return (moved.at(fit.velocity_phasor) - here) / step
+    return moved.beyond(fit.expected, fit.velocity_phasor) / step
 
 
 def _constant(model: Model, name: str, parameter: Parameter) -> Hashable:
@@ -184,9 +192,9 @@ def maximise(fit: ModelFit, iterations: int = 20, held: int | None = None,
     """Improve a `fit` in its effects' parameters, by Levenberg and Marquardt's method.
 
     Within their bounds, in at most that many `iterations`, until one gains less than `enough` in
-    −2 log likelihood, or so much of what the parabola foretold, so that as little is left. The
-    noise filters stay as they are, and so does the parameter `held`, by
-    its place in the vector.
+    −2 log likelihood, or so much of what the parabola foretold, so that as little is left. Where
+    its vertex is within bounds and gains less than is NEGLIGIBLE, nothing is tried. The noise
+    filters stay as they are, and so does the parameter `held`, by its place in the vector.
     """
     if not fit.model.effects:
         return fit
@@ -230,6 +238,11 @@ def _improve(fit: ModelFit, low: np.ndarray, high: np.ndarray, angle: np.ndarray
         return fit.under(fit.model.with_vector(there))
 
     step = np.zeros(len(x))
+    step[free] = np.linalg.lstsq(information[chosen], slope[free], rcond=1e-14)[0]
+    # At a bound there may be a kink, which no parabola tells of.
+    inside = ((x + step > low) & (x + step < high)).all()
+    if inside and foretold(step) < NEGLIGIBLE:
+        return None, 0.0, damping
     for _ in range(8):
         damped = information[chosen] + damping * np.diag(np.diag(information)[free])
         step[free] = np.linalg.lstsq(damped, slope[free], rcond=1e-14)[0]

@@ -139,26 +139,20 @@ class LearnedTerm:
 
     # Where the covariate is among the knots -----------------------------------------------------
 
-    def basis(self, context: EffectContext) -> np.ndarray:
-        """What the value of every knot weighs (..., 1 or N, K), complex in the frame `radial`.
+    def knots(self, context: EffectContext) -> tuple[np.ndarray, np.ndarray]:
+        """The knots (..., 1 or N, k) that are felt, as rows of `values`, and what each weighs.
 
-        There, of a velocity, summed over neighbours with the direction away from each.
+        In the frame `radial` every neighbour feels its own, and of a velocity they weigh complex,
+        with the direction away from it. Where a knot comes more than once its weights add up.
         """
         if self.frame != 'radial':
-            return self._dense(*self._corners(coordinate(self.against, context)))
+            return self._corners(coordinate(self.against, context))
         distance, direction = self._pairs(context)
-        hats = self._dense(*self._corners(distance))
-        if self.acts_on == 'speed':
-            return np.asarray(hats.sum(axis=-2))
-        return np.einsum('...j,...jk->...k', direction, hats)
-
-    def _dense(self, where: np.ndarray, weight: np.ndarray) -> np.ndarray:
-        full = np.zeros((*where.shape[:-1], len(self.values)))
-        for k in range(where.shape[-1]):
-            np.put_along_axis(
-                full, where[..., k:k + 1],
-                np.take_along_axis(full, where[..., k:k + 1], -1) + weight[..., k:k + 1], -1)
-        return full
+        where, weight = self._corners(distance)
+        if self.acts_on == 'velocity':
+            weight = weight * direction[..., None]
+        flat = *where.shape[:-2], -1
+        return where.reshape(flat), weight.reshape(flat)
 
     def _corners(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Which knots (..., 2 or 4) are about the covariate `x`, and their weights, 0 beyond."""

@@ -151,22 +151,22 @@ class Model:
 
     # What its effects need ----------------------------------------------------------------------
 
-    @property
+    @cached_property
     def needs_position(self) -> bool:
         """Whether a particle's velocity depends on where it or others are."""
         return any(one.needs_position for one in self._terms)
 
-    @property
+    @cached_property
     def turns_by_place(self) -> bool:
         """Whether headings depend on where particles are, or on which they are."""
         return any(term.needs_position and term.acts_on == 'heading' for term in self.learned)
 
-    @property
+    @cached_property
     def time_invariant(self) -> bool:
         """Whether nothing changes while the command stays."""
         return all(one.time_invariant for one in self._terms)
 
-    @property
+    @cached_property
     def lags(self) -> bool:
         """Whether headings turn at a finite rate, however fast: they remember then."""
         return any(effect.overrides('alignment_rate') for effect in self.effects)
@@ -184,7 +184,7 @@ class Model:
 
     # The four stages ----------------------------------------------------------------------------
 
-    @property
+    @cached_property
     def delay(self) -> float:
         """Seconds by which the field follows the command late."""
         return sum(effect.latency() for effect in self.effects)

@@ -20,7 +20,7 @@ from microbot_ros.discovery.learned.learn import (
     told,
     with_terms,
 )
-from microbot_ros.discovery.learned.moments import Moments
+from microbot_ros.discovery.learned.moments import FOLDS, Moments, _folds, whiten_track
 from microbot_ros.discovery.result import Learned
 from microbot_ros.discovery.stepwise_selection import StepwiseSelection
 from microbot_ros.estimation.model_fit import fit_sessions
@@ -28,6 +28,7 @@ from microbot_ros.model.learned_term import LearnedTerm
 from microbot_ros.model.model import Model
 from microbot_ros.model.model_file import read_model, write_model
 from microbot_ros.records import Session
+from microbot_ros.virtual_rig.record_session import Camera
 
 CHANNEL = {'poiseuille_flow': {'speed_um_s': 3.0, 'half_width_um': 120.0}}
 
@@ -143,6 +144,25 @@ def test_columns_are_what_the_term_does(channel):
             np.testing.assert_allclose(
                 np.diff(column[:, k]), np.diff(expected[:, n]),
                 atol=1e-12 + 2e-3 * np.abs(np.diff(expected, axis=0)).max())
+
+
+def test_products_are_those_of_all_columns_whitened(film):
+    """Row by row and knot by knot, as if every knot were felt at every frame."""
+    session, _ = film(5, count=3, camera=Camera(20.0, 0.5, 0.1e-6, missed=0.1, run=3.0))
+    known = told(baseline(session))
+    (p,) = known.session_fits
+    noise = p.diffusion
+    for table in candidates(known):
+        found = Moments.of(known, table, [noise]).grams
+        fold = _folds(p.session.times)
+        for n, moved in enumerate(columns(known, p, table)):
+            white = np.concatenate(
+                [p.white[:, n], whiten_track(p, n, moved)], axis=1) / np.sqrt(noise)
+            for k in range(FOLDS):
+                rows = np.concatenate([white[fold == k].real, white[fold == k].imag])
+                expected = rows.T @ rows
+                np.testing.assert_allclose(
+                    found[k, n], expected, rtol=1e-9, atol=1e-10 * np.abs(expected).max())
 
 
 # Formula ----------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.optimize import minimize
 
 from microbot_ros.estimation.kernels import (
     filter_positions,
@@ -288,6 +289,20 @@ def test_fit_stays_within_bounds_and_never_gets_worse(film):
     best = maximise(start)
     assert best.cost <= start.cost
     assert 0 <= best.model.effect('command_delay').delay < 0.05
+
+
+@pytest.mark.parametrize(
+    'name', ['uniform_drift', 'background_field', 'heading_slip', 'coil_gain_mismatch'])
+def test_no_step_that_is_left_out_would_gain_anything(film, name):
+    """Against a search by another method, from where the first one ended."""
+    session, _ = film(5)
+    e = PreparedSession.of(session)
+    model = Model.baseline(session.conditions, session.commands)
+    base = fit_noise(evaluate(model, [e], [Whitening(0.05)]))
+    best = maximise(base.under(model.with_effect(EFFECTS[name].null())))
+    again = minimize(lambda x: base.under(best.model.with_vector(x)).cost, best.model.vector(),
+                     method='Nelder-Mead', options={'xatol': 1e-4, 'fatol': 1e-6})
+    assert best.cost < again.fun + 2e-3
 
 
 def test_parameter_that_v_absorbs_is_not_visible(film):

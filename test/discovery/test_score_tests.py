@@ -2,11 +2,14 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy import stats
 
 from microbot_ros.discovery.input_checks import check_sessions
-from microbot_ros.discovery.score_tests import _holm, residual_maps
+from microbot_ros.discovery.score_tests import _holm, along_and_across, residual_maps
 from microbot_ros.discovery.stepwise_selection import StepwiseSelection
+from microbot_ros.estimation.likelihood import Whitening
 from microbot_ros.virtual_rig.record_session import Camera
 
 
@@ -30,6 +33,26 @@ def test_statistics_are_chi_square_where_nothing_is_left(film):
                 values.append(stats.chi2.sf(m.statistic, m.dof))
     assert len(values) > 50
     assert stats.kstest(values, 'uniform').pvalue > 1e-3
+
+
+@given(st.integers(0, 10**6), st.integers(1, 4), st.integers(1, 5))
+def test_products_along_and_across_are_those_of_both(seed, first, more):
+    draws = np.random.default_rng(seed).normal(size=(2, 30, 3, first + more))
+    every = draws[0] + 1j * draws[1]
+    known, white = every[..., :first], every[..., first:]
+    written_out = np.concatenate([known, white, 1j * white], axis=-1)
+    expected = np.einsum('tna,tnb->nab', written_out.conj(), written_out).real
+    np.testing.assert_allclose(along_and_across(known, white), expected, atol=1e-12)
+
+
+def test_maps_are_the_same_without_the_short_cut(film, monkeypatch):
+    """Whitening what goes across as well, as where headings are noisy."""
+    session, _ = film(3, count=3)
+    short = maps_of(session)
+    monkeypatch.setattr(Whitening, 'is_plain', False)
+    for name, one in maps_of(session).items():
+        assert one.dof == short[name].dof
+        assert one.statistic == pytest.approx(short[name].statistic, rel=1e-7)
 
 
 @pytest.mark.parametrize(('effect', 'parameters', 'against'), [

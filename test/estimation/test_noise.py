@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from microbot_ros.estimation.expected_displacement import ExpectedDisplacement
-from microbot_ros.estimation.kernels import whiten_columns
+from microbot_ros.estimation.kernels import knot_products, whiten_columns
 from microbot_ros.estimation.likelihood import SessionFit, Whitening, search_noise_ratio
 from microbot_ros.estimation.noise import Noise, whiten
 from microbot_ros.estimation.prepared_session import PreparedSession
@@ -84,6 +86,29 @@ def test_rows_that_are_missing_are_rows_not_used():
     of_all = whiten_columns(times, seen.astype(int), z, noise.ratio)
     of_kept = whiten_columns(times[kept], np.ones((kept.sum(), 1), int), z[kept], noise.ratio)
     assert of_all[1:] == pytest.approx(of_kept[1:])
+
+
+@given(st.integers(0, 10**6), st.floats(-0.01, 3.0))
+def test_knots_that_few_rows_feel_have_the_products_of_all_columns(seed, ratio):
+    rng = np.random.default_rng(seed)
+    frames, count = 40, 7
+    times = np.cumsum(rng.uniform(0.03, 0.2, frames))
+    pieces = np.sort(rng.integers(0, 4, frames)) * (rng.random(frames) < 0.8)
+    starts = np.append(0, np.cumsum(rng.integers(0, 4, frames - 1)))
+    knots = rng.integers(0, count, starts[-1])
+    moved = (rng.normal(size=(starts[-1], 2)) @ [1, 1j]) * (rng.random(starts[-1]) < 0.9)
+    places = rng.normal(size=(frames, 3, 2)) @ [1, 1j]
+    np.add.at(steps := np.zeros((frames, count), complex),
+              (1 + np.repeat(np.arange(frames - 1), np.diff(starts)), knots), moved)
+    every = np.concatenate([places, steps.cumsum(axis=0)], axis=1)[:, None]
+    white = whiten_columns(times, pieces[:, None], every, ratio)[0][:, 0]
+    folds = rng.integers(0, 2, frames)
+    found = knot_products(times, pieces, np.ascontiguousarray(white[:, :3]), starts, knots, moved,
+                          count, folds, 2, ratio)
+    for fold in range(2):
+        rows = white[folds == fold]
+        np.testing.assert_allclose(
+            found[fold], rows.real.T @ rows.real + rows.imag.T @ rows.imag, rtol=1e-9, atol=1e-9)
 
 
 def test_times_must_ascend():

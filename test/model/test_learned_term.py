@@ -116,10 +116,11 @@ def test_it_says_where_it_was_learned():
     np.testing.assert_array_equal(inside, [[True, False, False]])
 
 
-def test_the_basis_is_what_the_values_weigh():
+def test_the_knots_weigh_what_the_values_do():
     for one, at in ((OF_TIME, context([0.3, 7.7])),
                     (OF_PLACE, context(place=[[[1.3e-5, -2.2e-5], [0, 0]]]))):
-        weighed = np.einsum('...k,kc->...c', one.basis(at), one.values)
+        where, weight = one.knots(at)
+        weighed = np.einsum('...k,...kc->...c', weight, one.values[where])
         np.testing.assert_allclose(weighed, one.drift(at), atol=1e-18)
 
 

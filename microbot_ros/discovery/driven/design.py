@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -274,8 +275,9 @@ class _Trial:
             known.session, ids=known.session.ids[self.tracks], times=times, z=z,
             pieces=np.ones(z.shape, int), causal_positions=places, commands=commands,
             jumps=np.zeros(len(self.tracks), int))
-        gains = [self._gain(question, past, trial)
-                 for question, past in zip(self.questions, self.past, strict=True)]
+        gains = [max(self._separation(question, past, trial) - before, 0.0)
+                 for question, past, before in zip(
+                     self.questions, self.past, self._apart_before, strict=True)]
         astray = 1 - float(self.limits.workspace.holds(places, MARGIN).mean())
         return _Outcome(np.array(gains), self._sought(trial), self._shown(trial), astray)
 
@@ -286,9 +288,12 @@ class _Trial:
         """
         total = self.known.copy()
         total[self.tracks] += _covered(self.fit, trial, self.tracks, self.limits.workspace)
-        before, after = (np.maximum(_power(gram), SHOWN) for gram in (self.known, total))
-        ends = np.cumsum(COVARIATES)[:-1]
-        return np.array([part.sum() for part in np.split(np.log(after / before), ends)])
+        more = np.log(_power(total) / self._power_before)
+        return np.add.reduceat(more, np.cumsum((0, *COVARIATES[:-1])))
+
+    @cached_property
+    def _power_before(self) -> np.ndarray:
+        return _power(self.known)
 
     def _sought(self, trial: PreparedSession) -> np.ndarray:
         """Information (E,) that a trial adds about the effects in search, what v and φ leave."""
@@ -296,16 +301,25 @@ class _Trial:
         total = self.seen.copy()
         total[self.tracks] += _gram(
             fit, trial, _strengths(self.fit, self.little, trial, self.tracks))
-        added = np.diagonal(eliminate(total).sum(0) - eliminate(self.seen).sum(0))[1:]
+        added = (np.diagonal(eliminate(total).sum(axis=0)) - self._sought_before)[1:]
         result = np.zeros(len(self.search.odds))
         np.add.at(result, [place for place, _ in self.little], np.maximum(added, 0.0))
         return result
 
-    def _gain(self, question: Question, past: np.ndarray, trial: PreparedSession) -> float:
+    @cached_property
+    def _sought_before(self) -> np.ndarray:
+        return np.diagonal(eliminate(self.seen).sum(axis=0))
+
+    def _separation(self, question: Question, past: np.ndarray, trial: PreparedSession) -> float:
+        """S of a question at the end of a trial."""
         fit = question.second.session_fits[0]
         total = past.copy()
         total[self.tracks] += _gram(fit, trial, _columns(question, trial, self.tracks))
-        return max(_separation(total) - _separation(past), 0.0)
+        return _separation(total)
+
+    @cached_property
+    def _apart_before(self) -> list[float]:
+        return [_separation(past) for past in self.past]
 
 
 def _seen(question: Question) -> PreparedSession:
@@ -411,8 +425,8 @@ def _across(view: Workspace, places: np.ndarray) -> np.ndarray:
 
 
 def _power(gram: np.ndarray) -> np.ndarray:
-    """What v, φ and a drift leave of each of the columns after them, of `_covered`."""
-    return np.maximum(np.diagonal(eliminate_shared(eliminate(gram).sum(axis=0), 2))[1:], 0.0)
+    """What v, φ and a drift leave of each of the columns after them; SHOWN at least."""
+    return np.maximum(np.diagonal(eliminate_shared(eliminate(gram).sum(axis=0), 2))[1:], SHOWN)
 
 
 # Drawing plans ----------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,6 +23,9 @@ from microbot_ros.model.learned_term import (
 from microbot_ros.model.model import Model
 from microbot_ros.model.timeline import Segments
 from microbot_ros.model.vectors import as_complex, as_vectors
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 FINEST = 0.4
 """Seconds between knots in time, at least: what is faster has no room in a table."""
@@ -157,29 +161,39 @@ def _grid(z: np.ndarray) -> tuple[np.ndarray, ...] | None:
 
 # What each knot does ----------------------------------------------------------------------------
 
-def columns(fit: ModelFit, p: SessionFit, term: LearnedTerm) -> Iterator[np.ndarray]:
-    """What the value of every knot displaces one track of a session, (T, K·C) complex [m] each.
+def steps(fit: ModelFit, p: SessionFit, term: LearnedTerm) -> Iterator[csr_array]:
+    """What the value of every knot moves one track of a session in each frame interval [m].
 
-    Knots of the first component first. Of `p`, a session of a `fit`, at its v and φ.
+    (T − 1, K·C) complex each, knots of the first component first: of most knots nothing. Of `p`,
+    a session of a `fit`, at its v and φ.
     """
+    from scipy.sparse import csr_array
+
     segments, course, context = spans(fit.model, term.against, p)
-    basis = term.basis(context)
+    where, weight = term.knots(context)
     driven = course.path * fit.model.speed_factor(context)
+    count, components = term.values.shape
     for n, c in enumerate(p.velocity_phasor):
-        own = basis[:, min(n, basis.shape[1] - 1)]
+        knot, part = (one[:, min(n, one.shape[1] - 1)] for one in (where, weight))
         if term.acts_on == 'velocity':
-            moved = own * context.span
-            both = [moved, 1j * moved]
+            moved = np.concatenate([part, 1j * part], axis=1) * context.span
+            knot = np.concatenate([knot, count + knot], axis=1)
         else:
             way = driven[:, min(n, driven.shape[1] - 1), None] * c
-            both = [own * way * (1j if term.acts_on == 'heading' else 1.0)]
-        steps = segments.sum(np.concatenate(both, axis=1).astype(complex))
-        if not fit.model.effects:
-            yield _accumulated(steps)
-            continue
-        yield _accumulated(as_complex(fit.model.observe(as_vectors(steps))))
+            moved = part * way * (1j if term.acts_on == 'heading' else 1.0)
+        if fit.model.effects:
+            moved = as_complex(fit.model.observe(as_vectors(moved)))
+        yield csr_array(
+            (np.nan_to_num(moved).ravel(), knot.ravel(), segments.frames * knot.shape[1]),
+            shape=(len(segments.frames) - 1, count * components))
 
 
-def _accumulated(steps: np.ndarray) -> np.ndarray:
-    return np.concatenate([np.zeros((1, steps.shape[1]), complex),
-                           np.nan_to_num(steps).cumsum(axis=0)])
+def columns(fit: ModelFit, p: SessionFit, term: LearnedTerm) -> Iterator[np.ndarray]:
+    """The sums (T, K·C) of the `steps` of one track after the other, of `fit`, `p` and `term`."""
+    return map(accumulated, steps(fit, p, term))
+
+
+def accumulated(moved: csr_array) -> np.ndarray:
+    """Displacements (T, M) [m] since the first frame by what is `moved` (T − 1, M) from then on.
+    """
+    return np.concatenate([np.zeros((1, moved.shape[1]), complex), moved.toarray().cumsum(axis=0)])

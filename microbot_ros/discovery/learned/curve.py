@@ -82,8 +82,18 @@ def _kernels(term: LearnedTerm) -> Iterator[Kernel]:
     if term.against == 'time':
         frequencies = np.arange(1.5, 0.4 * len(x), 0.5) / (high - low)
         for f in frequencies:
-            yield Kernel('swing', _spread(
-                np.cos(2 * np.pi * f * apart), free, components), 6.0 / len(frequencies))
+            yield Kernel('swing', np.kron(np.eye(components), _swing(f, x, free)),
+                         6.0 / len(frequencies))
+
+
+def _swing(frequency: float, x: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """What `_spread` makes of cos 2πf(x − x') for one component, whose rank is two."""
+    phase = 2 * np.pi * frequency * x
+    waves = np.stack([np.cos(phase), np.sin(phase)], axis=1) * free[:, None]
+    vectors, sizes, _ = np.linalg.svd(waves, full_matrices=False)
+    kept = sizes**2 > KEPT * sizes[0] ** 2
+    scaled: np.ndarray = vectors[:, kept] * sizes[kept]
+    return scaled
 
 
 def _along_a_line(term: LearnedTerm, covariance: np.ndarray,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from microbot_ros.discovery.learned.candidates import candidates
-from microbot_ros.discovery.learned.curve import Curve, curve_of, kernels
+from microbot_ros.discovery.learned.curve import Curve, Kernel, curve_of, kernels
 from microbot_ros.discovery.learned.grammar import FittedFormula, grammar
 from microbot_ros.discovery.learned.grammar import fit as refit
 from microbot_ros.discovery.learned.moments import FOLDS, Moments
@@ -113,7 +113,7 @@ def learn_term(fit: ModelFit, report: Callable[[str], None] = lambda _: None) ->
     `report` is told what is being done.
     """
     known = told(fit)
-    tables = candidates(known)
+    tables = [(table, kernels(table)) for table in candidates(known)]
     report(f'looking for a term, against {len(tables)} pairs of covariate and frame')
     first = _best(known, tables, _noise(known))
     if first is None:
@@ -171,13 +171,16 @@ def _beside(fit: ModelFit, term: LearnedTerm) -> tuple[ModelFit, list[float]]:
     return ModelFit(fit.model, tuple(parts)), _noise(better)
 
 
-def _best(known: ModelFit, tables: Sequence[LearnedTerm],
+def _best(known: ModelFit, tables: Sequence[tuple[LearnedTerm, list[Kernel]]],
           noise: Sequence[float]) -> Finding | None:
-    """The candidate of the largest evidence that foretells rows it was not learned from."""
+    """The candidate of the largest evidence that foretells rows it was not learned from.
+
+    Of `tables` with the kernels to be tried on each.
+    """
     found = []
-    for table in tables:
+    for table, tried in tables:
         moments = Moments.of(known, table, noise)
-        found.append((moments, curve_of(moments)))
+        found.append((moments, Curve.of(tried, *moments.total)))
     found.sort(key=lambda one: -one[1].log_evidence)
     total = float(np.logaddexp.reduce([curve.log_evidence for _, curve in found]))
     odds: dict[tuple[str, str, str], float] = {

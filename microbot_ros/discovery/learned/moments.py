@@ -9,13 +9,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from microbot_ros.discovery.learned.candidates import columns
+from microbot_ros.discovery.learned.candidates import accumulated, steps
 from microbot_ros.estimation.likelihood import SessionFit, eliminate, eliminate_shared, inner
 from microbot_ros.estimation.model_fit import ModelFit
 from microbot_ros.model.learned_term import LearnedTerm
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 FOLDS = 5
 SHORTEST = 2.0
@@ -43,11 +47,8 @@ class Moments:
             known = np.concatenate(
                 [p.white / scale, jacobian * np.sqrt(p.diffusion) / scale], axis=-1)
             fold = _folds(p.session.times)
-            for n, moved in enumerate(columns(fit, p, term)):
-                white = np.concatenate(
-                    [known[:, n], whiten_track(p, n, moved) / scale], axis=-1)
-                folds.append(np.concatenate([
-                    inner(white[fold == k][:, None]) for k in range(FOLDS)]))
+            for n, moved in enumerate(steps(fit, p, term)):
+                folds.append(_products(p, n, known[:, n], moved / scale, fold))
         return cls(term, np.stack(folds, axis=1), fit.jacobian[0].shape[-1])
 
     @cached_property
@@ -102,6 +103,24 @@ class Moments:
             np.trace(gram[:, 1:3, 1:3], axis1=1, axis2=2), 1e-300)[:, None, None]
         weights[:, 1:3] = -np.linalg.solve(square, target[..., None])[..., 0]
         return weights
+
+
+def _products(p: SessionFit, n: int, known: np.ndarray, moved: csr_array,
+              fold: np.ndarray) -> np.ndarray:
+    """Inner products (F, M, M) by `fold` of the rows of the n-th track of a session.
+
+    Of what is `known`, white, and of what is `moved` (T − 1, K), whitened. Where noise is plain
+    this takes the time of the few knots that are felt at a time.
+    """
+    if p.whitening.is_plain:
+        from microbot_ros.estimation.kernels import knot_products
+
+        track = np.ascontiguousarray(p.session.pieces[:, n])
+        return np.asarray(knot_products(
+            p.session.times, track, np.ascontiguousarray(known), moved.indptr, moved.indices,
+            moved.data, moved.shape[1], fold, FOLDS, p.whitening.noise_ratio))
+    white = np.concatenate([known, whiten_track(p, n, accumulated(moved))], axis=1)
+    return np.concatenate([inner(white[fold == k][:, None]) for k in range(FOLDS)])
 
 
 def whiten_track(p: SessionFit, n: int, moved: np.ndarray) -> np.ndarray:

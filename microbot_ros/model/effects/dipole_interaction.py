@@ -10,6 +10,7 @@ from microbot_ros.model.effect import Effect
 from microbot_ros.model.effect_context import EffectContext
 from microbot_ros.model.evidence import Evidence
 from microbot_ros.model.parameter import parameter
+from microbot_ros.model.vectors import as_vectors
 
 
 @dataclass(frozen=True)
@@ -40,9 +41,9 @@ class DipoleInteraction(Effect):
         strength = context.strength
         field = context.field[..., 0] + 1j * context.field[..., 1]
         turn = (field / np.where(strength > 0, strength, 1.0)) ** 2
-        push = 0.5 * first + 0.25 * turn * first.conj() + 1.25 * turn.conj() * third
-        push *= -self.strength * (strength > 0)
-        return np.stack([push.real, push.imag], axis=-1)
+        k = -self.strength * (strength > 0)
+        return as_vectors(0.5 * k * first + 0.25 * k * turn * first.conj()
+                          + 1.25 * k * turn.conj() * third)
 
     @classmethod
     def applies(cls, evidence: Evidence) -> bool:

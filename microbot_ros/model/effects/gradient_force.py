@@ -33,10 +33,12 @@ class GradientForce(Effect):
     rate: float = parameter('rate_per_s_mT', 'k', -1e3, 1e3, 1.0)
 
     def drift(self, context: EffectContext) -> np.ndarray:
-        p, strength = context.position, context.strength[..., None]
-        u = context.field / np.maximum(strength, np.finfo(float).tiny)
-        pulled = 5 * u**2 * p - 2 * u * (u * p).sum(axis=-1, keepdims=True) - p
-        return np.asarray(self.rate * strength * pulled)
+        x, y = np.moveaxis(context.position, -1, 0)
+        c, s = np.moveaxis(context.field, -1, 0) / np.maximum(
+            context.strength, np.finfo(float).tiny)
+        k = self.rate * context.strength
+        xx, xy, yy = k * (2 * c**2 - s**2), -2 * k * c * s, k * (2 * s**2 - c**2)
+        return np.stack([xx * x + xy * y, xy * x + yy * y], axis=-1)
 
     @classmethod
     def applies(cls, evidence: Evidence) -> bool:

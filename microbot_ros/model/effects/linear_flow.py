@@ -29,4 +29,6 @@ class LinearFlow(Effect):
     gyy: float = parameter('gyy_per_s', 'd v_y / d y', -1.0, 1.0, 1e-2)
 
     def drift(self, context: EffectContext) -> np.ndarray:
-        return context.position @ np.array([[self.gxx, self.gyx], [self.gxy, self.gyy]])
+        place, flow = context.position, np.array([[self.gxx, self.gyx], [self.gxy, self.gyy]])
+        # As one product: stacks of rows are multiplied one by one.
+        return (place.reshape(-1, 2) @ flow).reshape(place.shape)

@@ -1,0 +1,78 @@
+"""The rules of the literature that asking is measured against, and the order of the runs."""
+
+from collections import Counter
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from bench._asks_rivals import (
+    RULES,
+    _square,
+    adequate,
+    akaike_weights,
+    by_rule,
+    divergence,
+    expected_weight,
+    furthest,
+)
+from bench._asks_worlds import hidden_world
+from bench.asks import every_case
+
+SHARES = arrays(float, 4, elements=st.floats(0.01, 1.0)).map(lambda w: w / w.sum())
+APART = arrays(float, 6, elements=st.floats(0.0, 50.0)).map(_square)
+
+
+def found(*pairs):
+    return [SimpleNamespace(likelihood_ratio=ratio, dof=dof) for ratio, dof in pairs]
+
+
+@given(SHARES, APART)
+def test_box_and_hill_count_every_pair_once(weights, gains):
+    pairs = [(i, j) for i in range(4) for j in range(i)]
+    expected = sum(weights[i] * weights[j] * gains[i, j] for i, j in pairs)
+    assert divergence(weights, gains) == pytest.approx(expected)
+
+
+def test_the_furthest_pair_is_one_of_those_that_are_left():
+    gains = _square(np.array([9.0, 1.0, 2.0]))
+    assert furthest(np.array([0.5, 0.0, 0.5]), gains) == 1.0
+    assert furthest(np.full(3, 1 / 3), gains) == 9.0
+
+
+def test_chi_square_refuses_what_lies_far_behind_the_best():
+    # 6.63 is the 99th percentile of χ² of one degree of freedom.
+    np.testing.assert_allclose(adequate(found((20.0, 1), (13.5, 1), (13.0, 1))), [0, .5, .5, 0])
+    np.testing.assert_allclose(adequate(found((6.0, 1), (1.0, 2))), 1 / 3)
+
+
+def test_akaike_weights_are_those_of_the_definition():
+    weights = akaike_weights(found((10.0, 1), (12.0, 3)))
+    np.testing.assert_allclose(np.log(weights / weights[0]), [0.0, 4.0, 3.0])
+
+
+@given(SHARES, APART)
+def test_more_divergence_leaves_more_weight_to_who_is_right(weights, gains):
+    now = expected_weight(weights, np.zeros((4, 4)))
+    assert now == pytest.approx((weights**2).sum())
+    assert now - 1e-12 <= expected_weight(weights, gains) <= expected_weight(
+        weights, 2 * gains) + 1e-12 <= 1 + 1e-9
+
+
+@pytest.mark.parametrize('name', RULES)
+def test_a_rule_names_what_shows_plainly_and_soon(name):
+    rig, _ = hidden_world(1, ('coil_gain_mismatch',), 60.0)
+    taken = by_rule(RULES[name], rig, 3.0, 0)
+    assert taken.name == 'coil_gain_mismatch'
+    assert taken.seconds <= 120
+
+
+def test_every_kind_has_had_its_turn_whenever_it_is_stopped():
+    cases = every_case()
+    assert len(set(cases)) == len(cases)
+    kinds = {asked for asked, *_ in cases}
+    for count in (len(kinds), 3 * len(kinds), 19 * len(kinds)):
+        assert set(Counter(asked for asked, *_ in cases[:count]).values()) == {count // len(kinds)}
