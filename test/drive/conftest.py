@@ -13,6 +13,8 @@ from bench._served import FULL_SCALE_A, LIMITS, Served
 from microbot_ros.drive.amplifier import amplifier_class
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.gate import Limits
+from microbot_ros.drive.polled import PolledAmplifier
+from microbot_ros.drive.scpi.driver import ScpiAmplifier
 
 DEADLINE_S = 20.0
 
@@ -129,6 +131,10 @@ def scripted(monkeypatch):
     def install(exchanges: list[tuple[str, bytes, bytes]]) -> Script:
         scripts.append(Script(list(exchanges)))
         monkeypatch.setattr('microbot_ros.drive.polled.Port', scripts[-1].port)
+        # What is due again is no part of a script, though a busy machine takes long over it.
+        monkeypatch.setattr('microbot_ros.drive.polled._INSPECT_S', 60.0)
+        for kind in (PolledAmplifier, ScpiAmplifier):
+            monkeypatch.setattr(kind, 'period_s', 0.3)
         return scripts[-1]
 
     yield install
