@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -132,11 +133,18 @@ def goals_reached(path: np.ndarray, goals: np.ndarray) -> int:
 
 
 def _estimates(run: DemoRun) -> Iterator[tuple[str, dict[str, float]]]:
-    stamp = max(set(run.truth) & set(run.estimates))
-    true = {int(point['id']): point for point in run.truth[stamp]}
-    for point in run.estimates[stamp]:
-        truth = true[run.matches[int(point['id'])]]
-        yield str(point['id']), {
+    """Of every particle that is there at the end what was known of it when it was known best.
+
+    Who comes to rest tells nothing of its speed, and may leave the model in doubt.
+    """
+    true = {int(point['id']): point for point in run.truth[max(run.truth)]}
+    for name, match in run.matches.items():
+        known = [point for points in run.estimates.values()
+                 for point in points[(points['id'] == name) & np.isfinite(points['speed_std'])]]
+        if not known:
+            continue
+        point, truth = min(known, key=itemgetter('speed_std')), true[match]
+        yield str(name), {
             'speed_um_s': round(float(point['speed'] * 1e6), 4),
             'speed_std_um_s': round(float(point['speed_std'] * 1e6), 4),
             'phi_rad': round(float(point['phi']), 4),
