@@ -8,7 +8,7 @@ from scipy.stats import multivariate_normal
 
 from microbot_ros.discovery.discover import conclude, discover
 from microbot_ros.discovery.input_checks import check_sessions
-from microbot_ros.discovery.learned.candidates import candidates, columns
+from microbot_ros.discovery.learned.candidates import accumulated, candidates, steps
 from microbot_ros.discovery.learned.curve import Curve, Kernel, kernels
 from microbot_ros.discovery.learned.grammar import fit as fit_formula
 from microbot_ros.discovery.learned.grammar import grammar
@@ -140,7 +140,7 @@ def test_columns_are_what_the_term_does(channel):
         moved = [known.under(replace(known.model, learned=learned)).session_fits[0].expected.at(
             p.velocity_phasor) for learned in ((term,), ())]
         expected = (moved[0] - moved[1]) / little
-        for n, column in enumerate(columns(known, p, table)):
+        for n, column in enumerate(map(accumulated, steps(known, p, table))):
             np.testing.assert_allclose(
                 np.diff(column[:, k]), np.diff(expected[:, n]),
                 atol=1e-12 + 2e-3 * np.abs(np.diff(expected, axis=0)).max())
@@ -155,7 +155,7 @@ def test_products_are_those_of_all_columns_whitened(film):
     for table in candidates(known):
         found = Moments.of(known, table, [noise]).grams
         fold = _folds(p.session.times)
-        for n, moved in enumerate(columns(known, p, table)):
+        for n, moved in enumerate(map(accumulated, steps(known, p, table))):
             white = np.concatenate(
                 [p.white[:, n], whiten_track(p, n, moved)], axis=1) / np.sqrt(noise)
             for k in range(FOLDS):

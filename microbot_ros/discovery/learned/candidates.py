@@ -188,11 +188,6 @@ def steps(fit: ModelFit, p: SessionFit, term: LearnedTerm) -> Iterator[csr_array
             shape=(len(segments.frames) - 1, count * components))
 
 
-def columns(fit: ModelFit, p: SessionFit, term: LearnedTerm) -> Iterator[np.ndarray]:
-    """The sums (T, K·C) of the `steps` of one track after the other, of `fit`, `p` and `term`."""
-    return map(accumulated, steps(fit, p, term))
-
-
 def accumulated(moved: csr_array) -> np.ndarray:
     """Displacements (T, M) [m] since the first frame by what is `moved` (T − 1, M) from then on.
     """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 PIXEL_UM, WIDTH, HEIGHT = 0.45, 640, 480
@@ -44,8 +45,17 @@ def mode(page: Any, name: str) -> None:
     page.click(f'#modes label:has(input[value={name}])')
 
 
-def on_page(page: Any, x_px: float, y_px: float) -> tuple[float, float]:
-    """The point of the page over a pixel of the camera."""
+def on_page(page: Any, x_px: float, y_px: float, width_px: int = WIDTH) -> tuple[float, float]:
+    """The point of the page over a pixel of the camera, whose pictures are `width_px` wide."""
     box = page.locator('#frame').bounding_box()
-    scale = box['width'] / WIDTH
+    scale = box['width'] / width_px
     return box['x'] + (x_px + 0.5) * scale, box['y'] + (y_px + 0.5) * scale
+
+
+def draw(page: Any, places: Sequence[tuple[float, float]]) -> None:
+    """Drag over `places` of the page, from the first to the last."""
+    page.mouse.move(*places[0])
+    page.mouse.down()
+    for place in places[1:]:
+        page.mouse.move(*place)
+    page.mouse.up()

@@ -14,7 +14,7 @@ import numpy as np
 import psutil
 import pytest
 from cockpit.virtual import VirtualRig
-from hands import HEIGHT, PIXEL_UM, WIDTH, arm, mode, on_page, switch, take_control
+from hands import HEIGHT, PIXEL_UM, WIDTH, arm, draw, mode, on_page, switch, take_control
 from lines import farthest
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(240)]
@@ -193,11 +193,7 @@ def test_a_path_arrives_as_it_was_drawn_and_is_shown_once_it_was_taken(page, lis
     mode(page, 'path')
     angles = np.linspace(0, 1.5 * math.pi, 40)
     drawn = np.column_stack([320 + 120 * np.cos(angles), 240 + 120 * np.sin(angles)])
-    page.mouse.move(*on_page(page, *drawn[0]))
-    page.mouse.down()
-    for place in drawn[1:]:
-        page.mouse.move(*on_page(page, *place))
-    page.mouse.up()
+    draw(page, [on_page(page, *place) for place in drawn])
     assert listener.until(lambda: heard, 5.0)
     expected = np.array([_um(*place) for place in drawn])
     assert farthest(np.array(heard[0]), expected) < 2 * PIXEL_UM

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hands import draw, mode, on_page
 from lines import farthest
 from stand_in import HEIGHT, PIXEL_UM, WIDTH
 
@@ -41,18 +42,11 @@ _DARK = """([x, y]) => {
 
 
 def _on_page(page: Any, x_px: float, y_px: float) -> tuple[float, float]:
-    """The point of the page over a pixel of the camera."""
-    box = page.locator('#frame').bounding_box()
-    scale = box['width'] / WIDTH
-    return box['x'] + (x_px + 0.5) * scale, box['y'] + (y_px + 0.5) * scale
+    return on_page(page, x_px, y_px, WIDTH)
 
 
 def _um(x_px: float, y_px: float) -> tuple[float, float]:
     return (x_px - (WIDTH - 1) / 2) * PIXEL_UM, ((HEIGHT - 1) / 2 - y_px) * PIXEL_UM
-
-
-def _choose(page: Any, mode: str) -> None:
-    page.click(f'#modes label:has(input[value={mode}])')
 
 
 def test_another_that_is_chosen_shows_its_own_numbers_at_once(page) -> None:
@@ -122,7 +116,7 @@ def test_an_old_picture_is_said_to_be_old(page, rig) -> None:
 
 
 def test_a_goal_is_sent_where_it_was_clicked_and_marked_once_it_was_taken(page, rig) -> None:
-    _choose(page, 'goal')
+    mode(page, 'goal')
     page.mouse.click(*_on_page(page, 400, 200))
     x_um, y_um, particle = rig.wait_for('goal')
     assert math.dist((x_um, y_um), _um(400, 200)) < PIXEL_UM
@@ -139,7 +133,7 @@ def test_a_goal_is_sent_where_it_was_clicked_and_marked_once_it_was_taken(page, 
 
 def test_a_goal_for_the_chosen_particle_only(page, rig) -> None:
     page.select_option('#particle', '2')
-    _choose(page, 'goal')
+    mode(page, 'goal')
     page.check('#goal-only')
     page.mouse.click(*_on_page(page, 640, 300))
     assert rig.wait_for('goal')[2] == 2
@@ -159,14 +153,10 @@ def test_clicking_a_particle_chooses_it(page) -> None:
 
 
 def test_a_path_is_the_one_that_was_drawn(page, rig) -> None:
-    _choose(page, 'path')
+    mode(page, 'path')
     angles = np.linspace(0, 1.5 * math.pi, 60)
     drawn = np.column_stack([640 + 250 * np.cos(angles), 480 + 250 * np.sin(angles)])
-    page.mouse.move(*_on_page(page, *drawn[0]))
-    page.mouse.down()
-    for place in drawn[1:]:
-        page.mouse.move(*_on_page(page, *place))
-    page.mouse.up()
+    draw(page, [_on_page(page, *place) for place in drawn])
     sent = np.array(rig.wait_for('path'))
     expected = np.array([_um(*place) for place in drawn])
     assert farthest(sent, expected) < 2 * PIXEL_UM
@@ -174,7 +164,7 @@ def test_a_path_is_the_one_that_was_drawn(page, rig) -> None:
 
 
 def test_a_path_of_corners_can_be_taken_back_and_is_sent_when_asked(page, rig) -> None:
-    _choose(page, 'path')
+    mode(page, 'path')
     corners = [(300, 300), (900, 300), (1000, 100), (900, 700)]
     for place in corners[:3]:
         page.mouse.click(*_on_page(page, *place))
@@ -201,7 +191,7 @@ def test_pointing_by_keyboard(page, rig) -> None:
 
 @pytest.mark.parametrize('example', ['like', 'unlike'])
 def test_teaching_names_the_place_and_the_picture(page, rig, example) -> None:
-    _choose(page, example)
+    mode(page, example)
     page.fill('#teach-kind', 'small one')
     page.mouse.click(*_on_page(page, 500, 600))
     order, what = rig.wait_for('teach').split()
@@ -215,6 +205,6 @@ def test_teaching_names_the_place_and_the_picture(page, rig, example) -> None:
 
 def test_what_was_refused_is_told_in_the_rig_s_words(page, rig) -> None:
     rig.refusals['teach'] = 'there are two things at once there'
-    _choose(page, 'like')
+    mode(page, 'like')
     page.mouse.click(*_on_page(page, 500, 600))
     page.wait_for_selector('#messages li:has-text("there are two things at once there")')
