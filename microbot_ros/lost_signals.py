@@ -36,8 +36,9 @@ class SentAgain:
         return self
 
     def __exit__(self, *_: object) -> None:
-        with self._gate:
-            self._over.set()
+        self._over.set()
+        with self._gate:  # whoever is sending has done so
+            pass
         sys.unraisablehook = self._hook_before
 
     @property
@@ -60,9 +61,11 @@ class SentAgain:
         return error
 
     def _send(self, number: int) -> None:
-        self._over.wait(_AGAIN_S)
+        # One after the other, so that the next sees what came of the one before: a second
+        # Ctrl-C that nobody pressed would end the clean-up.
         with self._gate:
-            if not self._over.is_set():
+            self._over.wait(_AGAIN_S)
+            if not self._over.is_set() and not self.on_its_way:
                 signal.pthread_kill(threading.main_thread().ident or 0, number)
 
     def _hook(self, lost: sys.UnraisableHookArgs) -> None:

@@ -37,6 +37,7 @@ def command():
             {where}()
         time.sleep(10)
     finally:
+        time.sleep(0.05)
         print('cleaned up')
 
 sys.modules['microbot_ros.cli.info'] = types.SimpleNamespace(command=command)
@@ -58,9 +59,8 @@ def test_a_signal_that_is_lost_comes_again(name, status, where, times):
 
 def test_a_second_signal_does_not_disturb_the_clean_up():
     code = _COMMAND.format(name='SIGTERM', where='Collected', times=1).replace(
-        "        print('cleaned up')", """
+        '        time.sleep(0.05)', """
         os.kill(os.getpid(), signal.SIGTERM)
-        time.sleep(0.1)
-        print('cleaned up')""")
+        time.sleep(0.1)""")
     done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, timeout=25)
     assert (done.returncode, done.stdout, done.stderr) == (143, 'cleaned up\n', '')
