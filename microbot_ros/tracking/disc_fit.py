@@ -29,35 +29,37 @@ _STEPS = 12
 _SETTLED = 2e-3
 """Pixels: a smaller step is the last."""
 
-_ASTRAY = 0.3
-"""Radii by which a fit may go from the centroid."""
+_ASTRAY, _ASTRAY_CUT = 0.3, 1.0
+"""Radii by which a fit may go from the centroid, and from that of the part in view."""
 
 
 def refine(
     image: np.ndarray, xy: np.ndarray, radius: np.ndarray, edge: np.ndarray, height: np.ndarray,
-    length: np.ndarray, noise: float,
+    length: np.ndarray, cut: np.ndarray, noise: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Places (N, 2) [px] and σ (N,) of bodies in an `image` (H, W), and whether (N,) they are new.
 
     They are about `xy` (N, 2), of `radius` and `edge` width [px], of signed `height` [grey] and
-    `length` over width; `noise` [grey] is that of a pixel. Where no disc fits, `xy` comes back
-    with σ NaN.
+    `length` over width; `cut` (N,) says of which the edge of the picture leaves a part only, so
+    that neither place nor length are the disc's; `noise` [grey] is that of a pixel. Where no disc
+    fits, `xy` comes back with σ NaN.
     """
-    return _refine(image, xy, radius, edge, height, length, noise)
+    return _refine(image, xy, radius, edge, height, length, cut, noise)
 
 
 @numba.njit(cache=True, nogil=True)
-def _refine(image, xy, radius, edge, height, length, noise):  # type: ignore[no-untyped-def]
+def _refine(image, xy, radius, edge, height, length, cut, noise):  # type: ignore[no-untyped-def]
     places, sigma = xy.copy(), np.full(len(xy), np.nan)
     fitted = np.zeros(len(xy), np.bool_)
     row = np.empty(6)
     for n in range(len(xy)):
-        if length[n] > _ROUND:
+        if length[n] > _ROUND and not cut[n]:
             continue
         row[:] = (xy[n, 0], xy[n, 1], height[n], 0.0, radius[n], max(edge[n] / 2, 0.3))
         error = _fit(image, row, noise)
         off = math.hypot(row[0] - xy[n, 0], row[1] - xy[n, 1])
-        if error > 0 and off < _ASTRAY * radius[n] and row[2] * height[n] > 0:
+        near = off < (_ASTRAY_CUT if cut[n] else _ASTRAY) * radius[n]
+        if error > 0 and near and row[2] * height[n] > 0:
             places[n, 0], places[n, 1], sigma[n], fitted[n] = row[0], row[1], error, True
     return places, sigma, fitted
 
@@ -66,12 +68,13 @@ def _refine(image, xy, radius, edge, height, length, noise):  # type: ignore[no-
 def _fit(image, row, noise):  # type: ignore[no-untyped-def]
     """Fit `row` = x, y, h, b, R, s in place; σ of x and y [px], or −1 where it does not fit."""
     normal, gradient, slopes = np.empty((6, 6)), np.empty(6), np.empty(6)
-    box = _window(image.shape, row)
+    reach = row[4] + _REACH * row[5] + 1.5
+    box = _window(image.shape, row, reach)
     if box[1] - box[0] < 5 or box[3] - box[2] < 5:
         return -1.0
     row[3] = _rim(image, row, box)
     for _ in range(_STEPS):
-        count, squares, energy = _accumulate(image, row, box, normal, gradient, slopes)
+        count, squares, energy = _accumulate(image, row, box, reach, normal, gradient, slopes)
         if not math.isfinite(squares + energy):
             return -1.0
         step = np.linalg.solve(normal, gradient)
@@ -83,7 +86,7 @@ def _fit(image, row, noise):  # type: ignore[no-untyped-def]
             return -1.0
         if size < _SETTLED and share == 1.0:
             break
-    count, squares, energy = _accumulate(image, row, box, normal, gradient, slopes)
+    count, squares, energy = _accumulate(image, row, box, reach, normal, gradient, slopes)
     left = max(squares - count * noise * noise, 0.0)
     if count < 12 or energy < (_CLEAR * noise) ** 2:
         return -1.0
@@ -95,9 +98,8 @@ def _fit(image, row, noise):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _window(shape, row):  # type: ignore[no-untyped-def]
-    """Rows from, to and columns from, to around a body that reach beyond its edge."""
-    reach = row[4] + _REACH * row[5] + 1.5
+def _window(shape, row, reach):  # type: ignore[no-untyped-def]
+    """Rows from, to and columns from, to within `reach` [px] of a body, beyond its edge."""
     return (max(int(row[1] - reach), 0), min(int(row[1] + reach) + 2, shape[0]),
             max(int(row[0] - reach), 0), min(int(row[0] + reach) + 2, shape[1]))
 
@@ -117,7 +119,7 @@ def _rim(image, row, box):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _accumulate(image, row, box, normal, gradient, slopes):  # type: ignore[no-untyped-def]
+def _accumulate(image, row, box, reach, normal, gradient, slopes):  # type: ignore[no-untyped-def]
     """Normal equations about `row`, in place; pixels, squared residual, and squares of the disc.
 
     The latter about their own mean: what there is to explain. The matrix is never singular.
@@ -125,7 +127,6 @@ def _accumulate(image, row, box, normal, gradient, slopes):  # type: ignore[no-u
     normal[:] = 0
     gradient[:] = 0
     x0, y0, height, light, radius, soft = row
-    reach = 0.5 * min(box[1] - box[0], box[3] - box[2])
     count, squares, total, energy = 0, 0.0, 0.0, 0.0
     slopes[3] = 1.0
     for y in range(box[0], box[1]):

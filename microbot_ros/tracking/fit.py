@@ -171,6 +171,22 @@ def _solve(factor, free, vector):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, fastmath=FAST)
+def invert(normal):  # type: ignore[no-untyped-def]
+    """Invert a symmetric positive `normal` (n, n) in place, of which the lower half is read.
+
+    False, and nothing of use in it, where the picture does not determine the parameters.
+    """
+    factor = normal.copy()
+    if not _factor(factor, len(normal)):
+        return False
+    for m in range(len(normal)):
+        normal[m] = 0.0
+        normal[m, m] = 1.0
+        _solve(factor, len(normal), normal[m])
+    return True
+
+
+@numba.njit(cache=True, fastmath=FAST)
 def _point_cap(row, table, pixels, count):  # type: ignore[no-untyped-def]
     """A first cap direction: where the residual of the round part leans."""
     along, across = 0.0, 0.0

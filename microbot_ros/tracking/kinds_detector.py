@@ -25,6 +25,9 @@ _SAME = 0.5
 _LEAST_SIGMA = 0.02
 """Pixels: of a shape that changes, no centroid is more exact."""
 
+_CUT = 0.2
+"""Widths: how uncertain is the place of what the edge of the picture cuts anywhere."""
+
 _HEADED = 1.6
 """Length over width from which a body has a direction."""
 
@@ -99,8 +102,9 @@ def _near(bodies: Bodies, expected: np.ndarray) -> np.ndarray:
 
 def _detections(bodies: Bodies, kind: np.ndarray, noise: float, shrink: int) -> Detections:
     sigma = noise / bodies.height * np.sqrt(bodies.spread / 2) / bodies.weight * shrink
+    least = np.where(bodies.cut, _CUT * bodies.width, _LEAST_SIGMA)
     return Detections(
-        xy=bodies.xy, sigma=np.maximum(sigma, _LEAST_SIGMA),
+        xy=bodies.xy, sigma=np.maximum(sigma, least),
         theta=np.where(bodies.length > _HEADED, bodies.angle, np.nan),
         contrast=bodies.height, radius=bodies.width / 2, quality=bodies.fill, kind=kind)
 
@@ -111,7 +115,7 @@ def _refined(
     """What was `found`, with the precise place of what is round."""
     places, sigma, fitted = refine(
         image, bodies.xy, bodies.width / 2, bodies.edge, (-1.0 if dark else 1.0) * bodies.height,
-        bodies.length, noise)
+        bodies.length, bodies.cut, noise)
     return replace(found, xy=places, sigma=np.where(fitted, sigma, found.sigma))
 
 

@@ -3,7 +3,8 @@
 For a particle near the centre of one cell of a sub-pixel lattice, the picture is linear in
 contrast, offset and small changes of position and size. The least-squares solution is then a
 fixed set of overlaps per cell, computed once. Each turn moves a particle to its nearest cell;
-when that step is so short that the picture is linear over it, the fit is done.
+when that step is so short that the picture is linear over it, the fit is done. What the edge of
+the picture cuts has other overlaps for each place; they are computed there.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from microbot_ros.tracking.fit import (
     X,
     Y,
     background_at,
+    invert,
 )
 from microbot_ros.tracking.neighbours import neighbours
 
@@ -37,9 +39,12 @@ _EXACT = 0.0005
 _SETTLED_AMONG_OTHERS = 0.04
 """Pixels: after a smaller move another turn would give the same, neighbours included."""
 
-_TURNS, _TURNS_AMONG_OTHERS = 2, 6
+_TURNS, _TURNS_CUT, _TURNS_AMONG_OTHERS = 2, 6, 6
 
 _LARGEST_CHANGE = 0.75
+
+_LEAST_IN_VIEW = 0.4
+"""Share of the fitted disc that the edge of the picture must leave."""
 
 
 class _Tables(NamedTuple):
@@ -79,7 +84,7 @@ class LookupFit:
         """Fit particles of an `image` in place: `grid`, `spacing`, `parameters`, `active` as in
         `fit.fit`.
 
-        Returns what that returns. Beyond the edge of the picture its last pixels are repeated.
+        Returns what that returns.
         """
         return _fit(
             image, grid, spacing, parameters, active, self._near, self._settled, self._tables)
@@ -133,7 +138,10 @@ def _place(row):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, fastmath=FAST)
 def _gather(image, grid, spacing, x, y, window):  # type: ignore[no-untyped-def]
-    """Fill a window, its middle at the pixel (x, y), with what the light leaves."""
+    """Fill a window, its middle at the pixel (x, y), with what the light leaves.
+
+    Beyond the edge of the picture there is nothing, NaN; returns whether that is so anywhere.
+    """
     rows, columns = window.shape
     half = rows // 2
     height, width = image.shape
@@ -152,12 +160,15 @@ def _gather(image, grid, spacing, x, y, window):  # type: ignore[no-untyped-def]
             for k in range(numba.uintp(columns)):
                 grey = np.float32(image[py, from_x + k])
                 window[wy, k] = grey - light - step_x * np.float32(k)
-        return
+        return False
     for dy in range(rows):
-        py = min(max(y - half + dy, 0), height - 1)
+        py = y - half + dy
         for k in range(columns):
-            grey = image[py, min(max(x - half + k, 0), width - 1)]
-            window[dy, k] = grey - start - step_y * dy - step_x * k
+            px = x - half + k
+            window[dy, k] = np.nan
+            if 0 <= py < height and 0 <= px < width:
+                window[dy, k] = image[py, px] - start - step_y * dy - step_x * k
+    return True
 
 
 @numba.njit(cache=True, fastmath=FAST)
@@ -192,6 +203,27 @@ def _project(window, design, overlap):  # type: ignore[no-untyped-def]
         squares += value * value
     overlap[0], overlap[1], overlap[2], overlap[3], overlap[4] = a, b, c, d, e
     return squares
+
+
+@numba.njit(cache=True, fastmath=FAST)
+def _project_part(window, design, overlap, covariance):  # type: ignore[no-untyped-def]
+    """As `_project`, over what is no NaN, with the covariance (5, 5) that this leaves.
+
+    Returns the number of pixels too, 0 where they are too few.
+    """
+    overlap[:], covariance[:], squares, pixels = 0.0, 0.0, 0.0, 0.0
+    for m in range(window.size):
+        value = window[m]
+        if design[4, m] == 0 or math.isnan(value):
+            continue
+        squares += value * value
+        pixels += 1
+        for k in range(5):
+            overlap[k] += design[k, m] * value
+            for n in range(k + 1):
+                covariance[k, n] += design[k, m] * design[n, m]
+    enough = pixels >= _LEAST_IN_VIEW * np.sum(design[4]) and invert(covariance)
+    return squares, pixels if enough else 0.0
 
 
 @numba.njit(cache=True, fastmath=FAST)
@@ -238,64 +270,68 @@ def _conclude(row, squares, pixels, covariance, errors):  # type: ignore[no-unty
 
 
 @numba.njit(cache=True, inline='always')
-def _turn(row, flat, tables, overlap, solution):  # type: ignore[no-untyped-def]
-    """Fit a particle to a window about its present cell.
+def _turn(row, flat, cut, tables, overlap, solution, covariance):  # type: ignore[no-untyped-def]
+    """Fit a particle to a window about its present cell; `covariance` (5, 5) receives its own.
 
-    Returns the residual sum of squares and how far from the middle of that cell it is.
+    Returns the residual sum of squares, the number of pixels, 0 where they are too few, and how
+    far from the middle of that cell it is.
     """
     x, y, i, j = _place(row)
-    total = _project(flat, tables.design[j, i], overlap)
-    squares = max(total - _solve(tables.covariance[j, i], overlap, solution), 0.0)
+    if cut:
+        total, pixels = _project_part(flat, tables.design[j, i], overlap, covariance)
+        if pixels == 0:
+            return -1.0, 0.0, 0.0
+    else:
+        total, pixels = _project(flat, tables.design[j, i], overlap), tables.pixels[j, i]
+        covariance[:] = tables.covariance[j, i]
+    squares = max(total - _solve(covariance, overlap, solution), 0.0)
     _update(row, solution, i, j, x, y)
     off_x, off_y = row[X] - x - (i + 0.5) / _CELLS + 0.5, row[Y] - y - (j + 0.5) / _CELLS + 0.5
-    return squares, max(abs(off_x), abs(off_y))
+    return squares, pixels, max(abs(off_x), abs(off_y))
 
 
 @numba.njit(cache=True)
-def _sweep(image, grid, spacing, parameters, waiting, first, other, settled, tables, squares):  # type: ignore[no-untyped-def]
+def _sweep(image, grid, spacing, parameters, waiting, first, other, settled, tables, errors):  # type: ignore[no-untyped-def]
     """Refit each particle that waits. One on its own is done then; others, once they hold still.
 
-    `squares` (N,) receives the residual sums of squares, −1 for what has left the picture.
+    `errors` (N, 8) as of `fit.fit`; NaN, and no contrast, for what is not in the picture enough.
     """
     height, width = image.shape
-    window = np.empty(tables.window, np.float32)
+    window, covariance = np.empty(tables.window, np.float32), np.empty((5, 5))
     flat, overlap, solution = window.reshape(-1), np.empty(5), np.empty(5)
     for n in range(len(parameters)):
         if not waiting[n]:
             continue
         row = parameters[n]
-        alone = first[n] == first[n + 1]
+        alone, cut = first[n] == first[n + 1], False
         before_x, before_y = row[X], row[Y]
-        at_x, at_y = -1, -1
-        for _ in range(_TURNS if alone else 1):
+        at_x, at_y, turns = -1, -1, 0
+        while turns < (_TURNS_CUT if cut else _TURNS if alone else 1):
+            turns += 1
             x, y, _, _ = _place(row)
             if x != at_x or y != at_y:
                 at_x, at_y = x, y
-                _gather(image, grid, spacing, x, y, window)
+                cut = _gather(image, grid, spacing, x, y, window)
                 for k in range(first[n], first[n + 1]):
                     _take_away(window, x, y, parameters[other[k]], tables.picture)
-            squares[n], off = _turn(row, flat, tables, overlap, solution)
-            if not (-0.5 <= row[X] < width - 0.5 and -0.5 <= row[Y] < height - 0.5):
+            squares, pixels, off = _turn(row, flat, cut, tables, overlap, solution, covariance)
+            if pixels == 0 or not (
+                    -0.5 <= row[X] < width - 0.5 and -0.5 <= row[Y] < height - 0.5):
                 row[X], row[Y], row[CONTRAST] = x, y, 0.0
-                squares[n] = -1.0
+                errors[n] = np.nan
                 break
+            _conclude(row, squares, pixels, covariance, errors[n])
             if off <= settled:
                 break
         moved = max(abs(row[X] - before_x), abs(row[Y] - before_y))
-        waiting[n] = not alone and squares[n] >= 0 and moved > _SETTLED_AMONG_OTHERS
+        waiting[n] = not alone and row[CONTRAST] != 0 and moved > _SETTLED_AMONG_OTHERS
 
 
 @numba.njit(cache=True)
 def _fit(image, grid, spacing, parameters, active, near, settled, tables):  # type: ignore[no-untyped-def]
-    count = parameters.shape[0]
-    errors = np.full((count, PARAMETERS + 2), np.nan)
-    squares, waiting = np.full(count, -1.0), active.copy()
+    errors = np.full((len(parameters), PARAMETERS + 2), np.nan)
+    waiting = active.copy()
     first, other = neighbours(parameters, near)
     for _ in range(_TURNS_AMONG_OTHERS):
-        _sweep(image, grid, spacing, parameters, waiting, first, other, settled, tables, squares)
-    for n in range(count):
-        if squares[n] >= 0:
-            _, _, i, j = _place(parameters[n])
-            _conclude(parameters[n], squares[n], tables.pixels[j, i], tables.covariance[j, i],
-                      errors[n])
+        _sweep(image, grid, spacing, parameters, waiting, first, other, settled, tables, errors)
     return errors

@@ -15,10 +15,10 @@ def disc(x, y, height=-60.0, light=120.0, radius=7.0, soft=0.9, size=40):
     return light + height / (1 + np.exp((r - radius) / soft))
 
 
-def refined(image, x, y, height=-50.0, radius=6.0, edge=2.0, length=1.0, noise=3.0):
+def refined(image, x, y, height=-50.0, radius=6.0, edge=2.0, length=1.0, cut=False, noise=3.0):
     places, sigma, fitted = refine(
         image, np.array([[x, y]]), np.array([radius]), np.array([edge]), np.array([height]),
-        np.array([length]), noise)
+        np.array([length]), np.array([cut]), noise)
     return places[0], sigma[0], fitted[0]
 
 
@@ -68,8 +68,8 @@ def test_what_is_no_disc_keeps_its_place():
 @given(arrays.arrays(np.float64, (24, 24), elements=st.sampled_from(
            [0.0, 1.0, 120.0, 255.0, 65535.0, -1e9, 1e300, np.nan, np.inf])),
        st.floats(-5, 30), st.floats(-5, 30), st.floats(0.1, 40), st.floats(0.0, 20),
-       st.sampled_from([-1e12, -50.0, 0.0, 50.0]))
-def test_no_picture_breaks_it(image, x, y, radius, edge, height):
-    place, sigma, fitted = refined(image, x, y, height=height, radius=radius, edge=edge)
+       st.sampled_from([-1e12, -50.0, 0.0, 50.0]), st.booleans())
+def test_no_picture_breaks_it(image, x, y, radius, edge, height, cut):
+    place, sigma, fitted = refined(image, x, y, height=height, radius=radius, edge=edge, cut=cut)
     assert np.isfinite(place).all()
     assert fitted == np.isfinite(sigma)

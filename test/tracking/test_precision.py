@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 from bench._tracker_scenes import KINDS, draw, expose, light, scene
 from microbot_ros.tracking import TrackerSettings, learn
 from microbot_ros.tracking.tracker import make_detector
+from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 
 NOWHERE = np.empty((0, 2))
 
@@ -34,6 +35,40 @@ def test_positions_reach_the_bound_and_say_so(kind: str, contrast: float, snr: f
     assert 0.9 < rms / pictures.bound < 1.15
     assert np.abs(np.concatenate(error).mean(axis=0)).max() < 0.02
     assert 0.9 < np.sqrt(np.mean(np.concatenate(sigma) ** 2)) / rms < 1.1
+
+
+@pytest.mark.parametrize('absorption', [0.0, 0.75])
+def test_the_edge_of_the_picture_pulls_at_nobody(absorption: float) -> None:
+    scope = Microscope(MicroscopeSettings(cap_absorption=absorption), 1)
+    rng = np.random.default_rng(2)
+    width, height = scope.settings.width_px, scope.settings.height_px
+
+    def picture(places: np.ndarray) -> np.ndarray:
+        across = places - (np.array([width, height]) - 1) / 2
+        metres = across * [1, -1] * scope.settings.pixel_size
+        np.testing.assert_allclose(scope.pixels(metres), places, atol=1e-6)
+        return scope.render(metres, rng.uniform(-3, 3, len(places)), 0.0)
+
+    inside = np.stack(np.meshgrid([100.0, 300, 500], [100.0, 250, 400]), axis=-1).reshape(-1, 2)
+    appearance = learn([picture(inside + rng.normal(0, 0.7, inside.shape)) for _ in range(12)],
+                       TrackerSettings())
+    assert appearance is not None
+    assert appearance.capped == (absorption > 0)
+    detector, off, told = make_detector(appearance, TrackerSettings()), [], []
+    for away in np.linspace(3.5, 9, 45).tolist():
+        along = rng.uniform(-1, 1, (4, 2)) + 200
+        places = np.array([(away, along[0, 0]), (width - 1 - away, along[1, 0]),
+                           (along[2, 0], away), (along[3, 0], height - 1 - away)])
+        found = detector.detect(picture(places), NOWHERE)
+        inward = np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])
+        distance, which = cKDTree(places).query(found.xy)
+        assert distance.max(initial=0.0) < 1
+        off.append(np.sum((found.xy - places[which]) * inward[which], axis=1))
+        told.append(found.sigma)
+    z = np.concatenate(off) / np.concatenate(told)
+    assert len(z) > 100
+    assert abs(np.mean(np.concatenate(off))) < 0.005
+    assert np.sqrt(np.mean(z**2)) < 1.2
 
 
 def _frames(particles: np.ndarray, rng: np.random.Generator, **debris: bool) -> list[np.ndarray]:

@@ -198,6 +198,36 @@ def test_what_the_edge_cuts_is_followed_only_where_it_is_known() -> None:
     assert len(detector.detect(image, np.array([[4.0, 100.0]]))) == 1
 
 
+@pytest.mark.parametrize('radius', [5.0, 9.0])
+def test_the_edge_pulls_at_no_disc_that_it_cuts(radius: float) -> None:
+    settings, _ = teach.like(TrackerSettings(), _picture((_SMALL, radius, -70.0)), *_SMALL)
+    detector, rng, off, told = KindsDetector(settings.kinds), np.random.default_rng(6), [], []
+    for seed, x in enumerate(np.linspace(-1, radius + 2, 60).tolist()):
+        place = (x, 100 + rng.uniform(-0.5, 0.5))
+        found = detector.detect(
+            _picture((place, radius, -70.0), seed=seed), np.array([[max(x, 2.0), 100.0]]))
+        off.append(found.xy[0] - place)
+        told.append(found.sigma[0])
+    assert np.abs(np.mean(off, axis=0)).max() < 0.01
+    assert 0.7 < np.sqrt(np.mean((off / np.array(told)[:, None]) ** 2)) < 1.5
+
+
+def test_the_place_of_a_rod_that_the_edge_cuts_is_in_doubt() -> None:
+    def rod(x: float) -> np.ndarray:
+        v, u = np.mgrid[:200, :300]
+        along = np.clip(u, x - 9, x + 9)
+        drawn = 120 - 70 / (1 + np.exp(1.6 * (np.hypot(u - along, v - 100.0) - 4)))
+        noise = np.random.default_rng(int(x)).normal(0, 1.5, drawn.shape)
+        return np.clip(np.rint(drawn + noise), 0, 255).astype(np.uint8)
+
+    settings, _ = teach.like(TrackerSettings(), rod(150.0), 150.0, 100.0)
+    detector = KindsDetector(settings.kinds)
+    for x in (3.0, 6.0, 9.0):
+        found = detector.detect(rod(x), np.array([[x, 100.0]]))
+        assert abs(found.xy[0, 0] - x) < 2.5 * found.sigma[0]
+    assert detector.detect(rod(15.0), _NOWHERE).sigma[0] < 0.1
+
+
 def test_what_hardly_diffuses_is_no_dirt() -> None:
     rng = np.random.default_rng(5)
     slow = np.array([50.0, 50.0]) + np.cumsum(rng.normal(0, 0.5, (12, 2)), axis=0)
