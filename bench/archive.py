@@ -97,32 +97,33 @@ def _speed(place: Path, folder: Path) -> list[Figure]:
     return [
         Figure(ISSUE, f'2 workers over 1, discover, {SESSIONS} sessions', gain, '×', '≥ 1.8', '',
                gain >= 1.8),
-        Figure(ISSUE, 'overhead of one worker, its start included', more, '%', '≤ 5',
+        Figure(ISSUE, 'overhead of one worker, starts included', more, '%', '≤ 5',
                'the same calls in a plain loop', more <= 5),
         Figure(ISSUE, f'memory of a worker after {SESSIONS} sessions over the most in the first '
                f'{first}', grown, '%', '≤ 5', '', grown <= 5)]
 
 
+_PLAIN_LOOP = """
+import sys
+from pathlib import Path
+from microbot_ros.archive.measure import measure
+from microbot_ros.discovery.discover import discover
+from microbot_ros.model.effect_table import write_effects
+from microbot_ros.session import read_session
+
+for path in sorted(Path(sys.argv[1]).rglob('tracks.csv')):
+    found = discover([read_session(path.parent)])
+    found.as_json()
+    measure(read_session(path.parent), ['alignment_lag'], write_effects(found.model.effects),
+            found.model.reference_field)
+"""
+"""Each session of a folder is read, searched and measured."""
+
+
 def _plain_loop(folder: Path) -> float:
-    """Seconds of the same calls without all else, in a process of their own."""
-    program = ('import sys; from pathlib import Path; from bench.archive import plain_loop; '
-               'print(plain_loop(Path(sys.argv[1])))')
-    done = subprocess.run([sys.executable, '-c', program, str(folder)], check=True, text=True,
-                          stdout=subprocess.PIPE)
-    return float(done.stdout)
-
-
-def plain_loop(folder: Path) -> float:
-    """Seconds in which each session of a `folder` is read, searched and measured."""
-    from microbot_ros.model.effect_table import write_effects
-
-    began = time.perf_counter()
-    for path in sorted(folder.rglob('tracks.csv')):
-        found = discover([read_session(path.parent)])
-        found.as_json()
-        measure(read_session(path.parent), ['alignment_lag'], write_effects(found.model.effects),
-                found.model.reference_field)
-    return time.perf_counter() - began
+    """Seconds of the same calls without all else, with the start of a process of their own."""
+    return _seconds(
+        lambda: subprocess.run([sys.executable, '-c', _PLAIN_LOOP, str(folder)], check=True))
 
 
 def _films(place: Path) -> list[Figure]:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
+import threading
 import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -87,6 +89,7 @@ def run_batch(task: Task, folders: Sequence[Path], out: Path, settings: dict[str
         def client() -> Client:
             report(Progress('starting workers' if scheduler is None else f'asking {scheduler}'))
             started = stack.enter_context(cluster(workers, scheduler))
+            threading.Thread(target=_load_ahead, name='load ahead').start()
             report(Progress(note=introduced(started)))
             return started
 
@@ -113,6 +116,13 @@ def run_batch(task: Task, folders: Sequence[Path], out: Path, settings: dict[str
         if stopped:
             raise stopped
     return summary, found
+
+
+def _load_ahead() -> None:
+    """Load what `_conclude` needs while the workers work: figures and tables take seconds."""
+    with suppress(ImportError):  # said where it is used
+        importlib.import_module('microbot_ros.archive.report')
+        importlib.import_module('pyarrow')
 
 
 def _conclude(archive: Archive) -> dict[str, Any]:

@@ -47,11 +47,14 @@ def cluster(workers: int | None = None, scheduler: str | None = None) -> Iterato
 
 @contextmanager
 def _local(workers: int | None) -> Iterator[Client]:
+    import dask
     from distributed import Client, LocalCluster
 
+    # Dask's profile of a worker grows with every job, and takes a thirtieth of the processor.
+    unprofiled = dask.config.set({'distributed.worker.profile.enabled': False})
     # The port is another one where somebody else has it, and Dask says so.
     with _quietly():
-        with _interrupts_ignored():
+        with unprofiled, _interrupts_ignored():
             local = LocalCluster(
                 n_workers=workers, threads_per_worker=1, processes=True, host='127.0.0.1',
                 dashboard_address=DASHBOARD, silence_logs=logging.CRITICAL)

@@ -78,7 +78,7 @@ class Refused:
 class FileCards:
     """What files are and what they hold, asked of a file again only when it has changed.
 
-    `known`: {path: [bytes, time of change [ns], what it is, SHA-256 or '']}, as it is kept.
+    `known`: {path: [bytes, time of change [ns], what it is or '', SHA-256 or '']}, as it is kept.
     """
 
     def __init__(self, known: dict[str, list[Any]]) -> None:
@@ -88,7 +88,10 @@ class FileCards:
         """'mcap', 'sqlite', 'image', 'film', 'positions', 'commands', 'spreadsheet', 'empty' or
         'other', or a sentence on why a `file` is no table.
         """
-        return str(self._card(file)[2])
+        card = self._card(file)
+        if not card[2]:
+            card[2] = _what(file, card[0])
+        return str(card[2])
 
     def digest(self, file: Path) -> str:
         """SHA-256 of the content of a `file`; OSError where it can't be read."""
@@ -102,7 +105,7 @@ class FileCards:
         state = file.stat()
         card = self.known.get(str(file))
         if card is None or card[:2] != [state.st_size, state.st_mtime_ns]:
-            card = [state.st_size, state.st_mtime_ns, _what(file, state.st_size), '']
+            card = [state.st_size, state.st_mtime_ns, '', '']
             self.known[str(file)] = card
         return card
 

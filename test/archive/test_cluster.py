@@ -6,6 +6,7 @@ import subprocess
 import sys
 from unittest import mock
 
+import dask
 import psutil
 import pytest
 from laboratories import fill
@@ -55,6 +56,12 @@ def test_workers_here_say_how_far_they_are_and_listen_to_nobody_else(here):
     assert (last.done, last.total) == (30, 30)
     assert last.rate > 0
     assert last.seconds_left == 0
+
+
+def test_workers_here_keep_no_profile_that_grows_with_every_job():
+    with cluster.cluster(1) as client:
+        kept = client.run(dask.config.get, 'distributed.worker.profile.enabled')
+    assert [*kept.values()] == [False]
 
 
 def test_the_same_by_workers_by_hand_whoever_is_killed(many, here):
