@@ -35,17 +35,17 @@ _SMOOTH = 0.8
 class Bodies:
     """Bodies of one picture, arrays of equal length N.
 
-    `xy` (N, 2) [px] the centroid of the contrast within the outline; `height` the largest contrast
+    `xy` (N, 2) [px] the centroid of the contrast above the outline's; `height` the largest contrast
     [grey]; `width` the diameter of a disc of equal area [px]; `edge` the width of the edge [px]:
     half the height over its slope at the outline, small in focus; `length` the ratio of length to
     width of the ellipse with the same second moments; `fill` the area over that of this ellipse:
     1 for a disc or a rod, less for what is bent or branched; `halo` how far the picture beside it
     goes to the other side of the light, as a share of the height; `angle` the direction of its
     length [rad, image sense], between 0 and π; `cut` whether it touches the edge of the picture;
-    `lower`
-    (N, 2) and `upper` (N, 2) the corners of the box around it [px]; `weight` the sum of the
-    contrast over the largest, and `spread` the sum of the squared distances of the outline's
-    inside from the centroid, both in shrunk pixels: they tell how well the centroid is known.
+    `lower` (N, 2) and `upper` (N, 2) the corners of the box around it [px]; `weight` the sum of
+    the contrast above the outline's over the largest, and `spread` the sum of the squared
+    distances of the outline's inside from the centroid, both in shrunk pixels: they tell how well
+    the centroid is known.
     """
 
     xy: np.ndarray
@@ -338,7 +338,10 @@ def _flood(picture, owner, place, name, stack, most, walled):  # type: ignore[no
 
 @numba.njit(cache=True)
 def _sum(picture, stack, level, row):  # type: ignore[no-untyped-def]
-    """Sums over the pixels `stack` (n, 2) of one body, above a `level`; see the names above."""
+    """Sums over the pixels `stack` (n, 2) of one body, above a `level`; see the names above.
+
+    Pixels weigh by what they are above it: one that noise takes in or leaves out changes nothing.
+    """
     height, width = picture.shape
     count, top = len(stack), np.float32(0.0)
     for k in range(count):
@@ -348,7 +351,7 @@ def _sum(picture, stack, level, row):  # type: ignore[no-untyped-def]
     row[_X0], row[_Y0], row[_X1], row[_Y1] = width, height, -1, -1
     for k in range(count):
         y, x = stack[k, 0], stack[k, 1]
-        w = picture[y, x] / top
+        w = (picture[y, x] - level) / top
         row[_WEIGHT] += w
         row[_X] += w * x
         row[_Y] += w * y

@@ -283,7 +283,7 @@ class Linker:
             host = row.get(int(states.host[i]))
             while host is not None and states.host[host] >= 0 and host != i:
                 host = row.get(int(states.host[host]))
-            if host is None or host == i or states.missed[host] > 0:
+            if host is None or host == i:
                 states.host[i] = -1
                 states.missed[i] = 1
                 continue

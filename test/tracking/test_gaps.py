@@ -167,16 +167,26 @@ def _slides_past(t: int) -> tuple[float, float]:
     return 104.0, 20 + 1.6 * t
 
 
-@pytest.mark.parametrize('way', [_comes_and_goes, _turns_back, _passes, _slides_past])
+def _passes_nearer(t: int) -> tuple[float, float]:
+    return 60.0 + 2 * t, 74.0
+
+
+def _passes_farther(t: int) -> tuple[float, float]:
+    return 60.0 + 2 * t, 80.0
+
+
+@pytest.mark.parametrize('pale', [50, 60])
+@pytest.mark.parametrize('way', [
+    _comes_and_goes, _turns_back, _passes_nearer, _passes, _passes_farther, _slides_past])
 def test_one_that_rests_keeps_its_name_when_a_larger_one_touches_it(
-    way: Callable[[int], tuple[float, float]]
+    way: Callable[[int], tuple[float, float]], pale: int,
 ) -> None:
     v, u = np.mgrid[:140, :240]
     rng = np.random.default_rng(1)
 
     def picture(t: int) -> np.ndarray:
         light = 150 + rng.normal(0, 1.5, u.shape)
-        for x, y, radius, contrast in ((120.0, 70.0, 5, 70), (*way(t), 10, 50)):
+        for x, y, radius, contrast in ((120.0, 70.0, 5, 70), (*way(t), 10, pale)):
             light -= contrast / (1 + np.exp(np.hypot(u - x, v - y) - radius))
         return np.clip(np.rint(light), 0, 255).astype(np.uint8)
 

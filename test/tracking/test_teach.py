@@ -212,18 +212,43 @@ def test_the_edge_pulls_at_no_disc_that_it_cuts(radius: float) -> None:
     assert 0.7 < np.sqrt(np.mean((off / np.array(told)[:, None]) ** 2)) < 1.5
 
 
+def _rod(place: tuple[float, float], half: float, radius: float, angle: float, noise: float,
+         rng: np.random.Generator) -> np.ndarray:
+    v, u = np.mgrid[:120, :160].astype(float) - np.array(place)[::-1, None, None]
+    along = np.clip(u * math.cos(angle) + v * math.sin(angle), -half, half)
+    away = np.hypot(u - along * math.cos(angle), v - along * math.sin(angle))
+    drawn = 120 - 70 / (1 + np.exp(1.6 * (away - radius))) + rng.normal(0, noise, away.shape)
+    return np.clip(np.rint(drawn), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize('angle', [0.0, 0.4, 1.2])
+@pytest.mark.parametrize(('half', 'radius', 'noise'), [
+    (9, 4, 1.5), (14, 5, 4.0), (7, 2.5, 2.0), (20, 8, 3.0)])
+def test_the_place_of_a_rod_is_as_exact_as_it_says(
+    half: float, radius: float, noise: float, angle: float,
+) -> None:
+    rng, off, told = np.random.default_rng(3), [], []
+    settings, _ = teach.like(
+        TrackerSettings(), _rod((80, 60), half, radius, angle, noise, rng), 80.0, 60.0)
+    detector = KindsDetector(settings.kinds)
+    for _ in range(60):
+        place = (80 + rng.uniform(-0.5, 0.5), 60 + rng.uniform(-0.5, 0.5))
+        found = detector.detect(_rod(place, half, radius, angle, noise, rng), _NOWHERE)
+        off.append(found.xy[0] - place)
+        told.append(found.sigma[0])
+    error = float(np.sqrt(np.mean(np.square(off))))
+    assert np.abs(np.mean(off, axis=0)).max() < float(np.mean(told))
+    assert 0.7 < error / float(np.mean(told)) < 1.25
+
+
 def test_the_place_of_a_rod_that_the_edge_cuts_is_in_doubt() -> None:
     def rod(x: float) -> np.ndarray:
-        v, u = np.mgrid[:200, :300]
-        along = np.clip(u, x - 9, x + 9)
-        drawn = 120 - 70 / (1 + np.exp(1.6 * (np.hypot(u - along, v - 100.0) - 4)))
-        noise = np.random.default_rng(int(x)).normal(0, 1.5, drawn.shape)
-        return np.clip(np.rint(drawn + noise), 0, 255).astype(np.uint8)
+        return _rod((x, 60.0), 9, 4, 0.0, 1.5, np.random.default_rng(4))
 
-    settings, _ = teach.like(TrackerSettings(), rod(150.0), 150.0, 100.0)
+    settings, _ = teach.like(TrackerSettings(), rod(80.0), 80.0, 60.0)
     detector = KindsDetector(settings.kinds)
     for x in (3.0, 6.0, 9.0):
-        found = detector.detect(rod(x), np.array([[x, 100.0]]))
+        found = detector.detect(rod(x), np.array([[x, 60.0]]))
         assert abs(found.xy[0, 0] - x) < 2.5 * found.sigma[0]
     assert detector.detect(rod(15.0), _NOWHERE).sigma[0] < 0.1
 
