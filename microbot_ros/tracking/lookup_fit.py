@@ -305,7 +305,7 @@ def _sweep(image, grid, spacing, parameters, waiting, first, other, settled, tab
         row = parameters[n]
         alone, cut = first[n] == first[n + 1], False
         before_x, before_y = row[X], row[Y]
-        at_x, at_y, turns = -1, -1, 0
+        at_x, at_y, turns, there, squares, pixels = -1, -1, 0, False, 0.0, 0.0
         while turns < (_TURNS_CUT if cut else _TURNS if alone else 1):
             turns += 1
             x, y, _, _ = _place(row)
@@ -315,16 +315,17 @@ def _sweep(image, grid, spacing, parameters, waiting, first, other, settled, tab
                 for k in range(first[n], first[n + 1]):
                     _take_away(window, x, y, parameters[other[k]], tables.picture)
             squares, pixels, off = _turn(row, flat, cut, tables, overlap, solution, covariance)
-            if pixels == 0 or not (
-                    -0.5 <= row[X] < width - 0.5 and -0.5 <= row[Y] < height - 0.5):
-                row[X], row[Y], row[CONTRAST] = x, y, 0.0
-                errors[n] = np.nan
+            there = pixels > 0 and (
+                -0.5 <= row[X] < width - 0.5 and -0.5 <= row[Y] < height - 0.5)
+            if off <= settled or not there:
                 break
+        if there:
             _conclude(row, squares, pixels, covariance, errors[n])
-            if off <= settled:
-                break
+        else:
+            row[X], row[Y], row[CONTRAST] = at_x, at_y, 0.0
+            errors[n] = np.nan
         moved = max(abs(row[X] - before_x), abs(row[Y] - before_y))
-        waiting[n] = not alone and row[CONTRAST] != 0 and moved > _SETTLED_AMONG_OTHERS
+        waiting[n] = not alone and there and moved > _SETTLED_AMONG_OTHERS
 
 
 @numba.njit(cache=True)
