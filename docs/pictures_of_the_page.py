@@ -78,7 +78,7 @@ class Film:
         """Write it to `path`, VP9 in WebM, each frame at its time."""
         with av.open(str(path), 'w') as file:
             stream = file.add_stream('libvpx-vp9', rate=10, options={
-                'crf': '50', 'b': '0', 'deadline': 'realtime', 'cpu-used': '8'})
+                'crf': '54', 'b': '0', 'deadline': 'good', 'cpu-used': '3'})
             stream.width, stream.height = FILM['maxWidth'], FILM['maxHeight']
             stream.pix_fmt, stream.time_base = 'yuv420p', _TICK
             begin, last = self._frames[0][0], -1
