@@ -39,7 +39,7 @@ from microbot_ros.discovery.driven.design import (
     _Trial,
     random_steps,
 )
-from microbot_ros.discovery.driven.drive import EXPERIMENT, SHORTEST, THOUGHT
+from microbot_ros.discovery.driven.drive import BRIEF, SHORTEST, THOUGHT, lasting
 from microbot_ros.discovery.driven.hypotheses import log_bayes_factor
 from microbot_ros.discovery.driven.joined import join
 from microbot_ros.discovery.driven.plan import Plan
@@ -94,7 +94,7 @@ class Said:
 def by_rule(rule: Rule, rig: SimulatedRig, minutes: float, seed: int) -> list[Said]:
     """Drive a `rig` by a `rule` for as many `minutes` at most; `seed` draws the plans."""
     rng, sessions, said = np.random.default_rng(seed), [], list[Said]()
-    plan = random_steps(rng, EXPERIMENT, rig.limits)
+    plan = random_steps(rng, BRIEF, rig.limits)
     while True:
         sessions.append(rig.play(plan).session)
         session = prepare(join(sessions))
@@ -108,7 +108,7 @@ def by_rule(rule: Rule, rig: SimulatedRig, minutes: float, seed: int) -> list[Sa
             return said
         trial, shares = _trial([plain, *(c.fit for c in found)], weights, rig.limits)
         plan = _most_telling(lambda gains, shares=shares: rule.worth(shares, gains), trial,
-                             min(EXPERIMENT, left), rng)
+                             min(lasting(rig.seconds), left), rng)
 
 
 def _trial(fits: Sequence[ModelFit], weights: np.ndarray,

@@ -23,16 +23,24 @@ from microbot_ros.discovery.driven.design import (
     choose_plan,
     random_steps,
 )
-from microbot_ros.discovery.driven.drive import Driven, Played, drive
+from microbot_ros.discovery.driven.drive import (
+    Driven,
+    Look,
+    Played,
+    _unexplained,
+    drive,
+    lasting,
+)
 from microbot_ros.discovery.driven.hypotheses import SCALES, consider, log_bayes_factor
 from microbot_ros.discovery.driven.joined import PAUSE, SETTLING, join
 from microbot_ros.discovery.driven.page import section
 from microbot_ros.discovery.driven.plan import Plan, marking_time
-from microbot_ros.discovery.driven.verdict import enough, judge, questions
+from microbot_ros.discovery.driven.verdict import Judgement, enough, judge, questions
 from microbot_ros.discovery.search import compare, fit_candidate
 from microbot_ros.discovery.stepwise_selection import without
 from microbot_ros.estimation.model_fit import fit_sessions
 from microbot_ros.estimation.prepared_session import prepare
+from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model
 from microbot_ros.records import Commands, Conditions, Session, Tracks
 from microbot_ros.virtual_rig.injected_effects import inject_effect
@@ -196,6 +204,18 @@ def test_where_nothing_is_hidden_nothing_is_likelier():
     assert not judge(known).named
 
 
+def test_a_hint_that_is_rather_chance_keeps_no_name_open():
+    _, played, _ = _asked(1, ('coil_gain_mismatch',), 60.0)
+    known = consider(prepare(join(played)))
+    hint = known.more[0]
+    at = {evidence: judge(replace(known, more=(replace(hint, evidence=evidence),)))
+          for evidence in (2.9, 3.0)}
+    assert np.log(len(EFFECTS)) == pytest.approx(2.94, abs=0.01)
+    assert at[2.9].settled
+    assert not at[3.0].settled
+    assert at[3.0].pending == (hint.id,)
+
+
 # Design -----------------------------------------------------------------------------------------
 
 @pytest.fixture(name='late', scope='module')
@@ -305,6 +325,27 @@ def test_what_is_in_no_list_is_told_with_what_it_depends_on_and_learned():
     assert found.model.learned
     assert 'to confirm what was learned' in found.next_experiment.sentence
     assert 'in no list. It depends on heading' in section(driven)
+
+
+@given(st.floats(0.0, 3600.0))
+def test_an_experiment_is_brief_while_there_is_little_to_look_at(seconds):
+    assert 10.0 <= lasting(seconds) <= 20.0
+    assert lasting(seconds) <= max(10.0, seconds / 8)
+    assert lasting(seconds) <= lasting(seconds + 1.0)
+
+
+def test_it_looks_after_ten_seconds_and_again_and_again():
+    rig, _ = hidden_world(2, (), 10.0)
+    looks = drive(rig, 1.0).looks
+    assert [look.seconds for look in looks] == pytest.approx([10, 22, 34, 46, 58])
+
+
+@pytest.mark.parametrize(('fired', 'unexplained'), [
+    ('11111', True), ('1111', False), ('111011111', True), ('1110111', False), ('11111n', False)])
+def test_what_is_left_for_long_at_every_look_is_in_no_list(fired, unexplained):
+    judged = {'1': Judgement((), {}, (), (None,)), '0': Judgement((), {}, (), ()), 'n': None}
+    looks = [Look('', '', 10.0 + 12.0 * k, judged[one], {}) for k, one in enumerate(fired)]
+    assert _unexplained(Driven(looks=looks)) == unexplained
 
 
 class _Broken:

@@ -33,9 +33,6 @@ RIVAL = float(np.log(1 / FALSE))
 CREDIBLE = 1.0
 """Log evidence from which what could be there, beside or in place, is asked for."""
 
-PENDING = 1.5
-"""Log evidence from which something more may be there, and the end is not yet."""
-
 HOPELESS = 0.5
 """Log odds that all the minutes left must bring at least, for a question to be worth asking."""
 
@@ -49,6 +46,11 @@ BETTER = 2.0
 def enough() -> float:
     """Log evidence from which an effect is named: the chance FALSE, over the whole library."""
     return float(np.log(len(EFFECTS) / FALSE))
+
+
+def likelier_than_not() -> float:
+    """Log evidence from which an effect, any of the library, is rather there than not."""
+    return float(np.log(len(EFFECTS)))
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,7 @@ def judge(known: Hypotheses) -> Judgement:
     open_ = {slot.own.id: tuple(r.id for r in slot.rivals if slot.behind(r) < RIVAL)
              for slot in known.slots if slot.own.id in named}
     pending = [slot.own.id for slot in known.slots if slot.own.id not in named]
-    pending += [one.id for one in known.more if one.evidence > PENDING]
+    pending += [one.id for one in known.more if one.evidence > likelier_than_not()]
     return Judgement(named, open_, tuple(pending), _left(known))
 
 
