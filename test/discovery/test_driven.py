@@ -31,11 +31,22 @@ from microbot_ros.discovery.driven.drive import (
     drive,
     lasting,
 )
-from microbot_ros.discovery.driven.hypotheses import SCALES, consider, log_bayes_factor
+from microbot_ros.discovery.driven.hypotheses import (
+    SCALES,
+    Candidate,
+    consider,
+    log_bayes_factor,
+)
 from microbot_ros.discovery.driven.joined import PAUSE, SETTLING, join
 from microbot_ros.discovery.driven.page import section
 from microbot_ros.discovery.driven.plan import Plan, marking_time
-from microbot_ros.discovery.driven.verdict import Judgement, enough, judge, questions
+from microbot_ros.discovery.driven.verdict import (
+    Judgement,
+    enough,
+    judge,
+    questions,
+    scrutinised,
+)
 from microbot_ros.discovery.search import compare, fit_candidate
 from microbot_ros.discovery.stepwise_selection import without
 from microbot_ros.estimation.model_fit import fit_sessions
@@ -214,6 +225,19 @@ def test_a_hint_that_is_rather_chance_keeps_no_name_open():
     assert at[2.9].settled
     assert not at[3.0].settled
     assert at[3.0].pending == (hint.id,)
+
+
+def test_what_is_surely_there_in_a_shape_that_was_not_seen_vouches_for_no_name():
+    _, played, _ = _asked(1, ('coil_gain_mismatch',), 60.0)
+    known = consider(prepare(join(played)))
+    spot = fit_candidate(known.fit, 'hot_spot')
+    for seen, evidence, left in ((False, 33.0, ['position']), (False, 5.0, []), (True, 33.0, [])):
+        own = Candidate(replace(spot, shape_seen=seen), evidence)
+        beside = replace(known, slots=(*known.slots, replace(known.slots[0], own=own)))
+        told = scrutinised(beside, Judgement(known.names, {}, ('hot_spot',), ()))
+        assert [one.against for one in told.left] == left
+        assert all(one.fires for one in told.left)
+        assert not told.unlisted
 
 
 # Design -----------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from microbot_ros.discovery.driven.design import Design, Question, Search
-from microbot_ros.discovery.driven.hypotheses import Hypotheses, Slot
+from microbot_ros.discovery.driven.hypotheses import Candidate, Hypotheses, Slot
 from microbot_ros.discovery.learned.learn import Finding, learn_term
 from microbot_ros.discovery.result import FRAMES, ResidualMap
 from microbot_ros.discovery.score_tests import residual_maps
@@ -110,12 +110,23 @@ def scrutinised(known: Hypotheses, judgement: Judgement) -> Judgement:
 
     Beside the model, and in place of its fields of place together. The evidence of a term is a
     Bayes factor like that of a name, and pays for all that were looked at; maps see less of what
-    is spread over time and place.
+    is spread over time and place. What is surely there, but in a shape that was not seen, has no
+    name either: the flank of a spot beside a flow may be any field of place.
     """
     series = series_for_a_field(known.fit)
     found = learn_term(known.fit if series is None else series.rest)
-    return judgement if found is None else replace(
-        judgement, left=(_as_map(found), *judgement.left), unlisted=True)
+    if found is not None:
+        return replace(judgement, left=(_as_map(found), *judgement.left), unlisted=True)
+    unseen = [_in_no_shape(slot.own) for slot in known.slots
+              if slot.own.evidence >= enough() and not slot.own.found.shape_seen]
+    return replace(judgement, left=(*judgement.left, *unseen))
+
+
+def _in_no_shape(one: Candidate) -> ResidualMap:
+    """What an effect explains whose shape was not seen, as something that is left."""
+    against = 'position' if EFFECTS[one.id].needs_position else 'time'
+    return ResidualMap(against, against, one.found.likelihood_ratio, one.found.dof,
+                       len(EFFECTS) * float(np.exp(-one.evidence)), np.empty(0), {})
 
 
 def _as_map(found: Finding) -> ResidualMap:
