@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -34,6 +35,7 @@ from microbot_ros.discovery.driven.drive import (
 from microbot_ros.discovery.driven.hypotheses import (
     SCALES,
     Candidate,
+    Slot,
     consider,
     log_bayes_factor,
 )
@@ -225,6 +227,17 @@ def test_a_hint_that_is_rather_chance_keeps_no_name_open():
     assert at[2.9].settled
     assert not at[3.0].settled
     assert at[3.0].pending == (hint.id,)
+
+
+@pytest.mark.parametrize(('own', 'seen', 'behind'), [
+    ('uniform_drift', True, 2.2), ('uniform_drift', False, np.inf),
+    ('linear_flow', True, 2.2), ('linear_flow', False, 2.2)])
+def test_a_flow_has_to_be_told_from_the_flank_of_a_spot_and_a_drift_can_not_be(own, seen, behind):
+    one, spot = (Candidate(SimpleNamespace(id=name, shape_seen=shown), evidence)
+                 for name, shown, evidence in ((own, True, 8.6), ('hot_spot', seen, 6.4)))
+    assert Slot(None, one, (spot,)).behind(spot) == pytest.approx(behind)
+    ahead = replace(spot, evidence=9.0)
+    assert Slot(None, one, (ahead,)).behind(ahead) == pytest.approx(-0.4)
 
 
 def test_what_is_surely_there_in_a_shape_that_was_not_seen_vouches_for_no_name():
