@@ -285,8 +285,9 @@ def _told(asked: str, hidden: tuple[str, ...], seed: int, driven: Driven) -> Run
                    for look in driven.looks if look.judgement and look.judgement.settled))
 
 
-def _at_random(fit: ModelFit, questions: Sequence[Question], search: Search, begin: float,  # noqa: ARG001
-               duration: float, limits: Range, rng: np.random.Generator) -> Design:
+def _at_random(fit: ModelFit, questions: Sequence[Question],  # noqa: ARG001
+               search: Search | None, begin: float, duration: float,  # noqa: ARG001
+               limits: Range, rng: np.random.Generator) -> Design:
     return Design(random_steps(rng, duration, limits), np.full(len(questions), np.inf))
 
 

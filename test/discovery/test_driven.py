@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.special import softmax
 
 from bench import _driven_rig
 from bench._asks_worlds import hidden_world
@@ -46,6 +47,7 @@ from microbot_ros.discovery.driven.verdict import (
     Judgement,
     enough,
     judge,
+    likeliest,
     questions,
     scrutinised,
 )
@@ -314,6 +316,40 @@ def test_what_is_the_same_can_not_be_told_apart(late):
     _, (delay, _) = late
     design = _design(late, questions_=[Question(delay, delay, 5.0)])
     assert design.best[0] < 1e-6
+
+
+def test_before_a_name_the_likeliest_are_set_apart_by_the_odds_of_both():
+    _, played, _ = _asked(0, ('command_delay',), 25.0, experiments=1)
+    known = consider(prepare(join(played)))
+    assert not known.slots
+    asked = likeliest(known)
+    assert len(asked) == 10
+    shares = softmax([0.0, *(one.evidence for one in known.more)])
+    top = np.sort(shares)[::-1][:5]
+    pairs = [top[i] * top[j] for i in range(5) for j in range(i + 1, 5)]
+    assert sorted(one.weight for one in asked) == pytest.approx(sorted(pairs))
+    assert any(known.fit in (one.first, one.second) for one in asked)
+
+
+def test_a_hint_is_followed_where_one_plan_would_settle_it(late):
+    rig, (delay, lag) = late
+    begin = float(delay.session_fits[0].session.times[-1]) + 1.0
+    asked = [Question(delay, lag, 5.0, 1.0)]
+    design = choose_plan(delay, asked, None, begin, 10.0, rig.limits, np.random.default_rng(1))
+    trial = _Trial.of(delay, asked, Search({}, 1.0), begin, rig.limits)
+    rng = np.random.default_rng(2)
+    usual = np.median([trial.score(random_steps(rng, 10.0, rig.limits)).gains for _ in range(9)])
+    chosen = trial.score(design.plan)
+    assert chosen.gains[0] > 2 * usual
+    assert chosen.gains[0] <= design.best[0] * (1 + 1e-9)
+    assert chosen.astray < 0.2
+
+
+def test_rollers_that_step_out_are_named_within_two_minutes():
+    rig, _ = hidden_world(3, ('drive_response',))
+    driven = drive(rig, 2.0, seed=3)
+    assert driven.insight.judgement.named == ('drive_response',)
+    assert driven.named_after < 90
 
 
 # The loop ---------------------------------------------------------------------------------------

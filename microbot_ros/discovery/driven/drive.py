@@ -16,6 +16,7 @@ from microbot_ros.discovery.driven.verdict import (
     Judgement,
     hopeless,
     judge,
+    likeliest,
     questions,
     scrutinised,
     search,
@@ -36,6 +37,10 @@ SHORTEST = 10.0
 
 THOUGHT = 2.0
 """Seconds from the end of one experiment to the beginning of the next, about."""
+
+HINTS = 120.0
+"""Seconds in which, until there is a name, plans only follow what is likeliest; then they go for
+what has not shown, too."""
 
 SCRUTINY = 240.0
 """Seconds before which no name is final: what is in no list needs time to show beside it."""
@@ -218,10 +223,13 @@ def _next(result: Driven, insight: Insight | None, left: float, limits: Range,
     duration = min(lasting(result.seconds), left)
     if insight is None:
         return random_steps(rng, duration, limits), 0.0
-    known, asked = insight.known, questions(insight.known)
+    known = insight.known
+    hints = result.seconds < HINTS and not insight.judgement.named
+    asked = likeliest(known) if hints else questions(known)
     begin = float(known.fit.session_fits[0].session.times[-1]) + THOUGHT
     try:
-        design = designer(known.fit, asked, search(known), begin, duration, limits, rng)
+        design = designer(known.fit, asked, None if hints else search(known), begin, duration,
+                          limits, rng)
     except ValueError as error:
         result.decided, result.reason = 'stopped', str(error)
         return None, 0.0

@@ -13,8 +13,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
+from scipy.special import softmax
 
 from microbot_ros.discovery.driven.design import Design, Question, Search
 from microbot_ros.discovery.driven.hypotheses import Candidate, Hypotheses, Slot
@@ -38,6 +40,9 @@ HOPELESS = 0.5
 
 ASKED = 4
 """Rivals of an effect, and effects beside, that are asked for at a time."""
+
+LIKELIEST = 5
+"""Explanations, nothing among them, that are told apart before anything is named."""
 
 BETTER = 2.0
 """Log p by which a map has to explain more than an effect, to put it in doubt."""
@@ -151,6 +156,21 @@ def questions(known: Hypotheses) -> list[Question]:
                            max(RIVAL - first.evidence + second.evidence, 1.0), odds[second.id])
                   for k, first in enumerate(shown) for second in shown[k + 1:]]
     return asked
+
+
+def likeliest(known: Hypotheses) -> list[Question]:
+    """What is to be told apart before anything is named: the likeliest that may be in the place
+    that is open, nothing among them, pair by pair, weighed by the odds of both.
+
+    At the strength that each would have if it were there, however weak the sign of it is.
+    """
+    slot = known.slots[-1] if known.slots else None
+    some = (slot.own, *slot.rivals) if slot else known.more
+    fits = [slot.rest if slot else known.fit, *(one.found.fit for one in some)]
+    odds = softmax([0.0, *(one.evidence for one in some)])
+    best = np.argsort(-odds, kind='stable')[:LIKELIEST]
+    return [Question(fits[i], fits[j], RIVAL, float(odds[i] * odds[j]))
+            for i, j in combinations(best, 2)]
 
 
 def search(known: Hypotheses) -> Search:
