@@ -1,17 +1,18 @@
 """What is asked and when it ends by the rules of the literature, on the same worlds and fits.
 
 - Box and Hill (Technometrics 9, 57, 1967): what makes the expected divergence between models,
-  weighted by the probabilities π of both, largest; ends when one has a π of 0.999. Predictive
+  weighted by the probabilities π of both, largest; takes one that has a π of 0.999. Predictive
   densities, and with them π, are those of our own Bayes factors.
 - Buzzi-Ferraris and Forzatti (Chem. Eng. Sci. 38, 225, 1983): what sets that pair of models
-  furthest apart that it sets apart at all, models that χ² refuses left out; ends when one is left.
+  furthest apart that it sets apart at all, models that χ² refuses left out; takes the last one.
 - Michalik, Stuckert and Marquardt (Ind. Eng. Chem. Res. 49, 913, 2010): what makes the Akaike
-  weight largest that the right model is expected to have then; ends when one weight is 0.999.
+  weight largest that the right model is expected to have then; takes one that has 0.999.
 
 Olofsson and others (GPdoemd, Comput. Chem. Eng. 125, 54, 2019) measured the three. Plans are of
 the kinds that ours are chosen from, and pay as ours for particles astray. Models are no effect
 and one of each, fitted to all that was seen; there is no price for looking again, and none for
-what is in no list.
+what is in no list. Each goes on after it would have taken a model, so that it can be seen when it
+would have, had it asked for more.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from microbot_ros.discovery.driven.design import (
     _Trial,
     random_steps,
 )
-from microbot_ros.discovery.driven.drive import EXPERIMENT, SHORTEST, THOUGHT
+from microbot_ros.discovery.driven.drive import BRIEF, SHORTEST, THOUGHT, lasting
 from microbot_ros.discovery.driven.hypotheses import log_bayes_factor
 from microbot_ros.discovery.driven.joined import join
 from microbot_ros.discovery.driven.plan import Plan
@@ -52,6 +53,9 @@ from microbot_ros.model.model import Model
 DECIDED = 0.999
 """Weight at which a model is taken."""
 
+CERTAIN = 50.0
+"""How sure it is of a model [log odds] when it need not go on."""
+
 REFUSED = 0.01
 """Chance of a χ² as large, below which a model is left out."""
 
@@ -59,6 +63,7 @@ ASKED = 5
 """The likeliest models, between which divergence is counted."""
 
 Weigh = Callable[[Sequence[CandidateFit]], np.ndarray]
+Sure = Callable[[Sequence[CandidateFit]], float]
 Worth = Callable[[np.ndarray, np.ndarray], float]
 
 
@@ -67,24 +72,29 @@ class Rule:
     """`weigh` (M,) no effect and those found; `worth` of a plan by weights and divergences.
 
     Divergences (M, M), by how much log likelihood it is expected to set two models further apart.
+    `sure`: the log odds of the best model against all others, which is taken above `decided`.
     """
 
     weigh: Weigh
+    sure: Sure
+    decided: float
     worth: Worth
 
 
 @dataclass(frozen=True)
-class Taken:
-    """The `name` that was taken, '' for none, after so many `seconds`; None: time was out."""
+class Said:
+    """The `name` of the best model at a look, '' for none, after `seconds`, and how `sure` it is.
+    """
 
-    name: str | None
     seconds: float
+    name: str
+    sure: float
 
 
-def by_rule(rule: Rule, rig: SimulatedRig, minutes: float, seed: int) -> Taken:
+def by_rule(rule: Rule, rig: SimulatedRig, minutes: float, seed: int) -> list[Said]:
     """Drive a `rig` by a `rule` for as many `minutes` at most; `seed` draws the plans."""
-    rng, sessions = np.random.default_rng(seed), []
-    plan = random_steps(rng, EXPERIMENT, rig.limits)
+    rng, sessions, said = np.random.default_rng(seed), [], list[Said]()
+    plan = random_steps(rng, BRIEF, rig.limits)
     while True:
         sessions.append(rig.play(plan).session)
         session = prepare(join(sessions))
@@ -92,14 +102,13 @@ def by_rule(rule: Rule, rig: SimulatedRig, minutes: float, seed: int) -> Taken:
         found = search(plain, EFFECTS)
         weights = rule.weigh(found)
         best = int(np.argmax(weights))
-        if weights[best] > DECIDED:
-            return Taken(found[best - 1].id if best else '', rig.seconds)
+        said.append(Said(rig.seconds, found[best - 1].id if best else '', rule.sure(found)))
         left = 60 * minutes - rig.seconds
-        if left < SHORTEST:
-            return Taken(None, rig.seconds)
+        if left < SHORTEST or said[-1].sure > CERTAIN:
+            return said
         trial, shares = _trial([plain, *(c.fit for c in found)], weights, rig.limits)
         plan = _most_telling(lambda gains, shares=shares: rule.worth(shares, gains), trial,
-                             min(EXPERIMENT, left), rng)
+                             min(lasting(rig.seconds), left), rng)
 
 
 def _trial(fits: Sequence[ModelFit], weights: np.ndarray,
@@ -146,6 +155,14 @@ def probabilities(found: Sequence[CandidateFit]) -> np.ndarray:
     return np.asarray(softmax([0.0, *map(log_bayes_factor, found)]))
 
 
+def odds(weigh: Weigh) -> Sure:
+    """How sure those weights are: the log odds of the largest against all others together."""
+    def sure(found: Sequence[CandidateFit]) -> float:
+        weights = np.sort(weigh(found))
+        return float(np.log(weights[-1]) - np.log(max(weights[:-1].sum(), 1e-300)))
+    return sure
+
+
 def divergence(weights: np.ndarray, gains: np.ndarray) -> float:
     """Box and Hill's Σ πᵢ πⱼ over pairs of models times what sets them apart (M, M)."""
     return float(weights @ gains @ weights) / 2
@@ -157,11 +174,22 @@ def adequate(found: Sequence[CandidateFit]) -> np.ndarray:
     Counted from the least χ² of all, with as many degrees of freedom as that model has more than
     none: absolute χ² of 10⁴ rows spreads more than anything that is hidden here.
     """
+    chance = np.exp(_log_chance(found))
+    kept = chance >= REFUSED
+    return np.asarray(kept / kept.sum())
+
+
+def second_refused(found: Sequence[CandidateFit]) -> float:
+    """How sure χ² is: the inverse of the chance of the second best, as log odds."""
+    return float(-np.sort(_log_chance(found))[-2])
+
+
+def _log_chance(found: Sequence[CandidateFit]) -> np.ndarray:
+    """Of a χ² as much above that of the best, no effect and each of those `found` (M,)."""
     ratios = np.array([0.0, *(c.likelihood_ratio for c in found)])
     dof = [1, *(max(c.dof, 1) for c in found)]
     best = int(np.argmax(ratios))
-    kept = ratios[best] - ratios <= chi2.isf(REFUSED, dof[best])
-    return np.asarray(kept / kept.sum())
+    return np.asarray(chi2.logsf(ratios[best] - ratios, dof[best]))
 
 
 def furthest(weights: np.ndarray, gains: np.ndarray) -> float:
@@ -181,8 +209,10 @@ def expected_weight(weights: np.ndarray, gains: np.ndarray) -> float:
     return float((weights * after[:, 0]).sum())
 
 
+ODDS = float(np.log(DECIDED / (1 - DECIDED)))
+
 RULES = {
-    'box_hill': Rule(probabilities, divergence),
-    'buzzi_ferraris': Rule(adequate, furthest),
-    'akaike_weights': Rule(akaike_weights, expected_weight)}
+    'box_hill': Rule(probabilities, odds(probabilities), ODDS, divergence),
+    'buzzi_ferraris': Rule(adequate, second_refused, float(-np.log(REFUSED)), furthest),
+    'akaike_weights': Rule(akaike_weights, odds(akaike_weights), ODDS, expected_weight)}
 """By the names that runs have."""

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.special import softmax
 
 from bench import _driven_rig
 from bench._asks_worlds import hidden_world
@@ -23,16 +25,37 @@ from microbot_ros.discovery.driven.design import (
     choose_plan,
     random_steps,
 )
-from microbot_ros.discovery.driven.drive import Driven, Played, drive
-from microbot_ros.discovery.driven.hypotheses import SCALES, consider, log_bayes_factor
+from microbot_ros.discovery.driven.drive import (
+    Driven,
+    Look,
+    Played,
+    _unexplained,
+    drive,
+    lasting,
+)
+from microbot_ros.discovery.driven.hypotheses import (
+    SCALES,
+    Candidate,
+    Slot,
+    consider,
+    log_bayes_factor,
+)
 from microbot_ros.discovery.driven.joined import PAUSE, SETTLING, join
 from microbot_ros.discovery.driven.page import section
 from microbot_ros.discovery.driven.plan import Plan, marking_time
-from microbot_ros.discovery.driven.verdict import enough, judge, questions
+from microbot_ros.discovery.driven.verdict import (
+    Judgement,
+    enough,
+    judge,
+    likeliest,
+    questions,
+    scrutinised,
+)
 from microbot_ros.discovery.search import compare, fit_candidate
 from microbot_ros.discovery.stepwise_selection import without
 from microbot_ros.estimation.model_fit import fit_sessions
 from microbot_ros.estimation.prepared_session import prepare
+from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model
 from microbot_ros.records import Commands, Conditions, Session, Tracks
 from microbot_ros.virtual_rig.injected_effects import inject_effect
@@ -196,6 +219,42 @@ def test_where_nothing_is_hidden_nothing_is_likelier():
     assert not judge(known).named
 
 
+def test_a_hint_that_is_rather_chance_keeps_no_name_open():
+    _, played, _ = _asked(1, ('coil_gain_mismatch',), 60.0)
+    known = consider(prepare(join(played)))
+    hint = known.more[0]
+    at = {evidence: judge(replace(known, more=(replace(hint, evidence=evidence),)))
+          for evidence in (2.9, 3.0)}
+    assert np.log(len(EFFECTS)) == pytest.approx(2.94, abs=0.01)
+    assert at[2.9].settled
+    assert not at[3.0].settled
+    assert at[3.0].pending == (hint.id,)
+
+
+@pytest.mark.parametrize(('own', 'seen', 'behind'), [
+    ('uniform_drift', True, 2.2), ('uniform_drift', False, np.inf),
+    ('linear_flow', True, 2.2), ('linear_flow', False, 2.2)])
+def test_a_flow_has_to_be_told_from_the_flank_of_a_spot_and_a_drift_can_not_be(own, seen, behind):
+    one, spot = (Candidate(SimpleNamespace(id=name, shape_seen=shown), evidence)
+                 for name, shown, evidence in ((own, True, 8.6), ('hot_spot', seen, 6.4)))
+    assert Slot(None, one, (spot,)).behind(spot) == pytest.approx(behind)
+    ahead = replace(spot, evidence=9.0)
+    assert Slot(None, one, (ahead,)).behind(ahead) == pytest.approx(-0.4)
+
+
+def test_what_is_surely_there_in_a_shape_that_was_not_seen_vouches_for_no_name():
+    _, played, _ = _asked(1, ('coil_gain_mismatch',), 60.0)
+    known = consider(prepare(join(played)))
+    spot = fit_candidate(known.fit, 'hot_spot')
+    for seen, evidence, left in ((False, 33.0, ['position']), (False, 5.0, []), (True, 33.0, [])):
+        own = Candidate(replace(spot, shape_seen=seen), evidence)
+        beside = replace(known, slots=(*known.slots, replace(known.slots[0], own=own)))
+        told = scrutinised(beside, Judgement(known.names, {}, ('hot_spot',), ()))
+        assert [one.against for one in told.left] == left
+        assert all(one.fires for one in told.left)
+        assert not told.unlisted
+
+
 # Design -----------------------------------------------------------------------------------------
 
 @pytest.fixture(name='late', scope='module')
@@ -259,6 +318,40 @@ def test_what_is_the_same_can_not_be_told_apart(late):
     assert design.best[0] < 1e-6
 
 
+def test_before_a_name_the_likeliest_are_set_apart_by_the_odds_of_both():
+    _, played, _ = _asked(0, ('command_delay',), 25.0, experiments=1)
+    known = consider(prepare(join(played)))
+    assert not known.slots
+    asked = likeliest(known)
+    assert len(asked) == 10
+    shares = softmax([0.0, *(one.evidence for one in known.more)])
+    top = np.sort(shares)[::-1][:5]
+    pairs = [top[i] * top[j] for i in range(5) for j in range(i + 1, 5)]
+    assert sorted(one.weight for one in asked) == pytest.approx(sorted(pairs))
+    assert any(known.fit in (one.first, one.second) for one in asked)
+
+
+def test_a_hint_is_followed_where_one_plan_would_settle_it(late):
+    rig, (delay, lag) = late
+    begin = float(delay.session_fits[0].session.times[-1]) + 1.0
+    asked = [Question(delay, lag, 5.0, 1.0)]
+    design = choose_plan(delay, asked, None, begin, 10.0, rig.limits, np.random.default_rng(1))
+    trial = _Trial.of(delay, asked, Search({}, 1.0), begin, rig.limits)
+    rng = np.random.default_rng(2)
+    usual = np.median([trial.score(random_steps(rng, 10.0, rig.limits)).gains for _ in range(9)])
+    chosen = trial.score(design.plan)
+    assert chosen.gains[0] > 2 * usual
+    assert chosen.gains[0] <= design.best[0] * (1 + 1e-9)
+    assert chosen.astray < 0.2
+
+
+def test_rollers_that_step_out_are_named_within_two_minutes():
+    rig, _ = hidden_world(3, ('drive_response',))
+    driven = drive(rig, 2.0, seed=3)
+    assert driven.insight.judgement.named == ('drive_response',)
+    assert driven.named_after < 90
+
+
 # The loop ---------------------------------------------------------------------------------------
 
 def test_it_ends_when_it_is_settled_and_says_how_it_came_to_that():
@@ -305,6 +398,27 @@ def test_what_is_in_no_list_is_told_with_what_it_depends_on_and_learned():
     assert found.model.learned
     assert 'to confirm what was learned' in found.next_experiment.sentence
     assert 'in no list. It depends on heading' in section(driven)
+
+
+@given(st.floats(0.0, 3600.0))
+def test_an_experiment_is_brief_while_there_is_little_to_look_at(seconds):
+    assert 10.0 <= lasting(seconds) <= 20.0
+    assert lasting(seconds) <= max(10.0, seconds / 8)
+    assert lasting(seconds) <= lasting(seconds + 1.0)
+
+
+def test_it_looks_after_ten_seconds_and_again_and_again():
+    rig, _ = hidden_world(2, (), 10.0)
+    looks = drive(rig, 1.0).looks
+    assert [look.seconds for look in looks] == pytest.approx([10, 22, 34, 46, 58])
+
+
+@pytest.mark.parametrize(('fired', 'unexplained'), [
+    ('11111', True), ('1111', False), ('111011111', True), ('1110111', False), ('11111n', False)])
+def test_what_is_left_for_long_at_every_look_is_in_no_list(fired, unexplained):
+    judged = {'1': Judgement((), {}, (), (None,)), '0': Judgement((), {}, (), ()), 'n': None}
+    looks = [Look('', '', 10.0 + 12.0 * k, judged[one], {}) for k, one in enumerate(fired)]
+    assert _unexplained(Driven(looks=looks)) == unexplained
 
 
 class _Broken:

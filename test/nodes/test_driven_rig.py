@@ -164,7 +164,7 @@ def test_a_rig_that_is_not_ours_is_asked_until_it_is_settled(
     assert played[-1]['odds']['coil_gain_mismatch'] > 0.98
     assert found['minutes'] < 2.2
     sessions = [read_session(here.out / one['session']) for one in played]
-    again = discover(sessions[:2])
+    again = discover(sessions[:4])
     assert 'coil_gain_mismatch' in [e.id for e in again.effects]
     here.until(lambda: emulator.zero, 10.0)
     with_model = {here.client.get(node, 'model_file')['model_file']

@@ -135,19 +135,21 @@ def random_steps(rng: np.random.Generator, duration: float, limits: Range) -> Pl
         hold, _frequencies(rng, count, limits)).lasting(duration)
 
 
-def choose_plan(fit: ModelFit, questions: Sequence[Question], search: Search, begin: float,
-                duration: float, limits: Range, rng: np.random.Generator) -> Design:
+def choose_plan(fit: ModelFit, questions: Sequence[Question], search: Search | None,
+                begin: float, duration: float, limits: Range, rng: np.random.Generator) -> Design:
     """The plan of `duration` [s] that answers `questions` soonest, from `begin` [s] on.
 
     On the clock of the session of a `fit`, the present explanation of it. What is still in
-    `search` of counts by its odds. Plans of several kinds are drawn by `rng`; the best is then
-    changed as long as that makes it better. ValueError where no particle is in view.
+    `search` of counts by its odds; None: it is only asked what gains most, by weight. Plans of
+    several kinds are drawn by `rng`; the best is then changed as long as that makes it better.
+    ValueError where no particle is in view.
     """
-    trial = _Trial.of(fit, questions, search, begin, limits)
+    trial = _Trial.of(fit, questions, search or Search({}, 1.0), begin, limits)
     drawn = [random_steps(rng, duration, limits) for _ in range(RANDOM)]
     drawn += [_draw(rng, duration, limits) for _ in range(PROPOSED)]
     tried = [trial.score(plan) for plan in drawn]
-    price = _Price.of(trial, tried, duration)
+    price: _Price | _Divergence = _Price.of(trial, tried, duration) if search else (
+        _Divergence(trial))
     costs = [price(one) for one in tried]
     best = int(np.argmin(costs))
     plan, cost = drawn[best], costs[best]
@@ -209,6 +211,18 @@ class _Price:
         share = (np.min(shown / STARVED, initial=1.0) if trial.questions else
                  np.exp(np.log(np.maximum(shown, 1e-3)).mean()))
         return spent * (1 + STRAY * outcome.astray) / max(float(share), 1e-3)
+
+
+@dataclass(frozen=True)
+class _Divergence:
+    """What a plan costs where all that counts is how far apart it sets what may be true: the
+    inverse of its gains by weight (Box and Hill 1967); more for particles astray."""
+
+    trial: _Trial
+
+    def __call__(self, outcome: _Outcome) -> float:
+        apart = float(self.trial.weight @ outcome.gains)
+        return (1 + STRAY * outcome.astray) / max(apart, 1e-9)
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from microbot_ros.discovery.driven.verdict import (
     Judgement,
     hopeless,
     judge,
+    likeliest,
     questions,
     scrutinised,
     search,
@@ -27,8 +28,9 @@ from microbot_ros.records import Session
 
 Decided = Literal['settled', 'undecidable', 'out_of_time', 'stopped']
 
-EXPERIMENT = 20.0
-"""Seconds that an experiment takes."""
+BRIEF, LONG, GROWTH = 10.0, 20.0, 8.0
+"""Seconds that an experiment takes at first and at most, and how many times as long as one all
+before it have lasted: a look tells as much more as there is more to look at."""
 
 SHORTEST = 10.0
 """Seconds left for which another one is not begun."""
@@ -36,11 +38,15 @@ SHORTEST = 10.0
 THOUGHT = 2.0
 """Seconds from the end of one experiment to the beginning of the next, about."""
 
+HINTS = 120.0
+"""Seconds in which, until there is a name, plans only follow what is likeliest; then they go for
+what has not shown, too."""
+
 SCRUTINY = 240.0
 """Seconds before which no name is final: what is in no list needs time to show beside it."""
 
-UNEXPLAINED = 3
-"""Looks in a row at which something is left, for it to be in no list."""
+UNEXPLAINED = 44.0
+"""Seconds for which something is left at every look, for it to be in no list."""
 
 
 @dataclass(frozen=True)
@@ -147,6 +153,11 @@ class Driven:
 Designer = Callable[..., Design]
 
 
+def lasting(seconds: float) -> float:
+    """How long the next experiment takes [s], so many `seconds` after the first began."""
+    return min(max(seconds / GROWTH, BRIEF), LONG)
+
+
 def drive(rig: Rig, minutes: float, report: Callable[[str], None] = lambda _: None,
           seed: int = 0, designer: Designer = choose_plan) -> Driven:
     """Drive a `rig` for as many `minutes` at most, until what is missing is settled.
@@ -155,7 +166,7 @@ def drive(rig: Rig, minutes: float, report: Callable[[str], None] = lambda _: No
     signature of `choose_plan`. What stops a rig ends it with what was learned so far.
     """
     result, rng = Driven(), np.random.default_rng(seed)
-    plan: Plan | None = random_steps(rng, min(EXPERIMENT, 60 * minutes), rig.limits)
+    plan: Plan | None = random_steps(rng, min(BRIEF, 60 * minutes), rig.limits)
     question, saved = 'looking around:', 0.0
     while plan is not None:
         report(f'{question} {plan.sentence()}')
@@ -197,21 +208,28 @@ def _look(result: Driven) -> Insight | None:
 
 def _unexplained(result: Driven) -> bool:
     """Whether something has been left for so long that it is in no list."""
-    recent = [look.judgement for look in result.looks[-UNEXPLAINED:]]
-    return len(recent) == UNEXPLAINED and all(one and one.left for one in recent)
+    since = result.seconds
+    for look in reversed(result.looks):
+        if not (look.judgement and look.judgement.left):
+            break
+        since = look.seconds
+    return result.seconds - since >= UNEXPLAINED
 
 
 def _next(result: Driven, insight: Insight | None, left: float, limits: Range,
           rng: np.random.Generator, designer: Designer) -> tuple[Plan | None, float]:
-    """The next plan for the seconds that are `left`, None where there is no use in one; and the
+    """The next plan while so many seconds are `left`, None where there is no use in one; and the
     seconds that it saves."""
-    duration = min(EXPERIMENT, left)
+    duration = min(lasting(result.seconds), left)
     if insight is None:
         return random_steps(rng, duration, limits), 0.0
-    known, asked = insight.known, questions(insight.known)
+    known = insight.known
+    hints = result.seconds < HINTS and not insight.judgement.named
+    asked = likeliest(known) if hints else questions(known)
     begin = float(known.fit.session_fits[0].session.times[-1]) + THOUGHT
     try:
-        design = designer(known.fit, asked, search(known), begin, duration, limits, rng)
+        design = designer(known.fit, asked, None if hints else search(known), begin, duration,
+                          limits, rng)
     except ValueError as error:
         result.decided, result.reason = 'stopped', str(error)
         return None, 0.0

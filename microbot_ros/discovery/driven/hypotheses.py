@@ -96,10 +96,11 @@ class Slot:
         """By how much log evidence a `rival` is behind; infinite if it is none.
 
         The flank of a wide spot explains whatever a drift does: what shows no shape is a rival
-        only where it explains more.
+        only where it explains more, or of what depends on place itself.
         """
         behind = self.own.evidence - rival.evidence
-        return behind if behind < 0 or rival.found.shape_seen else np.inf
+        told = rival.found.shape_seen or EFFECTS[self.own.id].needs_position
+        return behind if behind < 0 or told else np.inf
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
+from scipy.special import softmax
 
 from microbot_ros.discovery.driven.design import Design, Question, Search
-from microbot_ros.discovery.driven.hypotheses import Hypotheses, Slot
+from microbot_ros.discovery.driven.hypotheses import Candidate, Hypotheses, Slot
 from microbot_ros.discovery.learned.learn import Finding, learn_term
 from microbot_ros.discovery.result import FRAMES, ResidualMap
 from microbot_ros.discovery.score_tests import residual_maps
@@ -33,14 +35,14 @@ RIVAL = float(np.log(1 / FALSE))
 CREDIBLE = 1.0
 """Log evidence from which what could be there, beside or in place, is asked for."""
 
-PENDING = 1.5
-"""Log evidence from which something more may be there, and the end is not yet."""
-
 HOPELESS = 0.5
 """Log odds that all the minutes left must bring at least, for a question to be worth asking."""
 
 ASKED = 4
 """Rivals of an effect, and effects beside, that are asked for at a time."""
+
+LIKELIEST = 5
+"""Explanations, nothing among them, that are told apart before anything is named."""
 
 BETTER = 2.0
 """Log p by which a map has to explain more than an effect, to put it in doubt."""
@@ -49,6 +51,11 @@ BETTER = 2.0
 def enough() -> float:
     """Log evidence from which an effect is named: the chance FALSE, over the whole library."""
     return float(np.log(len(EFFECTS) / FALSE))
+
+
+def likelier_than_not() -> float:
+    """Log evidence from which an effect, any of the library, is rather there than not."""
+    return float(np.log(len(EFFECTS)))
 
 
 @dataclass(frozen=True)
@@ -85,7 +92,7 @@ def judge(known: Hypotheses) -> Judgement:
     open_ = {slot.own.id: tuple(r.id for r in slot.rivals if slot.behind(r) < RIVAL)
              for slot in known.slots if slot.own.id in named}
     pending = [slot.own.id for slot in known.slots if slot.own.id not in named]
-    pending += [one.id for one in known.more if one.evidence > PENDING]
+    pending += [one.id for one in known.more if one.evidence > likelier_than_not()]
     return Judgement(named, open_, tuple(pending), _left(known))
 
 
@@ -108,12 +115,23 @@ def scrutinised(known: Hypotheses, judgement: Judgement) -> Judgement:
 
     Beside the model, and in place of its fields of place together. The evidence of a term is a
     Bayes factor like that of a name, and pays for all that were looked at; maps see less of what
-    is spread over time and place.
+    is spread over time and place. What is surely there, but in a shape that was not seen, has no
+    name either: the flank of a spot beside a flow may be any field of place.
     """
     series = series_for_a_field(known.fit)
     found = learn_term(known.fit if series is None else series.rest)
-    return judgement if found is None else replace(
-        judgement, left=(_as_map(found), *judgement.left), unlisted=True)
+    if found is not None:
+        return replace(judgement, left=(_as_map(found), *judgement.left), unlisted=True)
+    unseen = [_in_no_shape(slot.own) for slot in known.slots
+              if slot.own.evidence >= enough() and not slot.own.found.shape_seen]
+    return replace(judgement, left=(*judgement.left, *unseen))
+
+
+def _in_no_shape(one: Candidate) -> ResidualMap:
+    """What an effect explains whose shape was not seen, as something that is left."""
+    against = 'position' if EFFECTS[one.id].needs_position else 'time'
+    return ResidualMap(against, against, one.found.likelihood_ratio, one.found.dof,
+                       len(EFFECTS) * float(np.exp(-one.evidence)), np.empty(0), {})
 
 
 def _as_map(found: Finding) -> ResidualMap:
@@ -138,6 +156,21 @@ def questions(known: Hypotheses) -> list[Question]:
                            max(RIVAL - first.evidence + second.evidence, 1.0), odds[second.id])
                   for k, first in enumerate(shown) for second in shown[k + 1:]]
     return asked
+
+
+def likeliest(known: Hypotheses) -> list[Question]:
+    """What is to be told apart before anything is named: the likeliest that may be in the place
+    that is open, nothing among them, pair by pair, weighed by the odds of both.
+
+    At the strength that each would have if it were there, however weak the sign of it is.
+    """
+    slot = known.slots[-1] if known.slots else None
+    some = (slot.own, *slot.rivals) if slot else known.more
+    fits = [slot.rest if slot else known.fit, *(one.found.fit for one in some)]
+    odds = softmax([0.0, *(one.evidence for one in some)])
+    best = np.argsort(-odds, kind='stable')[:LIKELIEST]
+    return [Question(fits[i], fits[j], RIVAL, float(odds[i] * odds[j]))
+            for i, j in combinations(best, 2)]
 
 
 def search(known: Hypotheses) -> Search:
