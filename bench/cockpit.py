@@ -13,7 +13,9 @@ from typing import Any
 
 import numpy as np
 import psutil
-from sensor_msgs.msg import CompressedImage
+from builtin_interfaces.msg import Time
+from rclpy.qos import QoSProfile, QoSReliabilityPolicy
+from sensor_msgs.msg import CameraInfo, CompressedImage
 from std_srvs.srv import SetBool
 from websockets.sync.client import ClientConnection, connect
 
@@ -33,6 +35,7 @@ _WIDTH, _HEIGHT, _RATE_HZ, _FILMED = 1280, 1024, 100.0, 60
 _ROUNDS, _PHASE_S, _RECORDED_S, _SETTLED_S = 4, 10.0, 15.0, 2.0
 _LOOKED_S, _SLOWED_S, _SLOWER = 12.0, 18.0, 6.0
 _PREVIEW_S = 1 / 30
+_EVERY = QoSProfile(depth=500, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 _STOPS, _PATIENCE_S, _TRIES = 15, 3.0, 10
 
 
@@ -111,19 +114,22 @@ class _Bench:
             seen = self._recorded_share('seen')
         ratio = seen / bare
         return Figure(_ISSUE, 'frames recorded with cockpit and page over without', ratio, 'ratio',
-                      '>= 0.999', f'without: {bare:.4f} of all', ratio >= 0.999)
+                      '>= 0.999', f'without: {bare:.4f} of those published', ratio >= 0.999)
 
     def _recorded_share(self, name: str) -> float:
-        folder = self._folder / name
+        folder, published = self._folder / name, set[int]()
+        hearing = self._client.node.create_subscription(
+            CameraInfo, 'camera/camera_info',
+            lambda message: published.add(_nanoseconds(message.header.stamp)), _EVERY)
         self._client.set('recorder', folder=str(folder))
         self._client.record(True)
         self._client.spin(_RECORDED_S)
         self._end_recording()
+        self._client.node.destroy_subscription(hearing)
         with open_recording(folder) as recording:
-            stamps = [header_stamp_ns(message.data)
-                      for message in recording.messages(['/camera/image_raw'])]
-        # By exposure: when a frame was received depends on who else wanted the processor.
-        return len(stamps) / (1 + (max(stamps) - min(stamps)) * 1e-9 * _RATE_HZ)
+            held = {header_stamp_ns(message.data)
+                    for message in recording.messages(['/camera/image_raw'])}
+        return len(held) / len(held | {one for one in published if min(held) <= one <= max(held)})
 
     def _end_recording(self) -> None:
         """It writes all that waits before it answers, and that may take longer than is waited."""
@@ -141,9 +147,8 @@ class _Bench:
         """How many pictures of the preview are shown, and how old they are then."""
         published: list[int] = []
         hearing = self._client.node.create_subscription(
-            CompressedImage, 'camera/preview', lambda message: published.append(
-                message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec),
-            IMAGES_IN)
+            CompressedImage, 'camera/preview',
+            lambda message: published.append(_nanoseconds(message.header.stamp)), IMAGES_IN)
         with self._looked_at() as page:
             _browser.forget(page)
             self._client.spin(_LOOKED_S)
@@ -214,6 +219,10 @@ class _Bench:
             if not board.changes[-1][1]:
                 return
         raise RigError('coil_driver: no currents flow')
+
+
+def _nanoseconds(stamp: Time) -> int:
+    return stamp.sec * 1_000_000_000 + stamp.nanosec
 
 
 @contextmanager

@@ -206,22 +206,28 @@ def _project(window, design, overlap):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, fastmath=FAST)
+def _dot(one, weight, other):  # type: ignore[no-untyped-def]
+    total = np.float32(0.0)
+    for m in range(one.size):
+        total += one[m] * weight[m] * other[m]
+    return total
+
+
+@numba.njit(cache=True, fastmath=FAST)
 def _project_part(window, design, overlap, covariance):  # type: ignore[no-untyped-def]
     """As `_project`, over what is no NaN, with the covariance (5, 5) that this leaves.
 
     Returns the number of pixels too, 0 where they are too few.
     """
-    overlap[:], covariance[:], squares, pixels = 0.0, 0.0, 0.0, 0.0
+    disc, value = design[4].copy(), window.copy()
     for m in range(window.size):
-        value = window[m]
-        if design[4, m] == 0 or math.isnan(value):
-            continue
-        squares += value * value
-        pixels += 1
-        for k in range(5):
-            overlap[k] += design[k, m] * value
-            for n in range(k + 1):
-                covariance[k, n] += design[k, m] * design[n, m]
+        if math.isnan(window[m]):
+            disc[m], value[m] = 0, 0
+    for k in range(5):
+        overlap[k] = _dot(design[k], disc, value)
+        for n in range(k + 1):
+            covariance[k, n] = _dot(design[k], disc, design[n])
+    squares, pixels = _dot(value, disc, value), np.sum(disc)
     enough = pixels >= _LEAST_IN_VIEW * np.sum(design[4]) and invert(covariance)
     return squares, pixels if enough else 0.0
 
@@ -291,13 +297,16 @@ def _turn(row, flat, cut, tables, overlap, solution, covariance):  # type: ignor
 
 
 @numba.njit(cache=True)
-def _sweep(image, grid, spacing, parameters, waiting, first, other, settled, tables, errors):  # type: ignore[no-untyped-def]
+def _sweep(  # type: ignore[no-untyped-def]
+        image, grid, spacing, parameters, waiting, first, other, settled, tables, squares, pixels,
+        covariance):
     """Refit each particle that waits. One on its own is done then; others, once they hold still.
 
-    `errors` (N, 8) as of `fit.fit`; NaN, and no contrast, for what is not in the picture enough.
+    The last three (N, ...) receive what `_conclude` asks for: of `pixels` none for what is not in
+    the picture, or not enough of it.
     """
     height, width = image.shape
-    window, covariance = np.empty(tables.window, np.float32), np.empty((5, 5))
+    window = np.empty(tables.window, np.float32)
     flat, overlap, solution = window.reshape(-1), np.empty(5), np.empty(5)
     for n in range(len(parameters)):
         if not waiting[n]:
@@ -305,8 +314,8 @@ def _sweep(image, grid, spacing, parameters, waiting, first, other, settled, tab
         row = parameters[n]
         alone, cut = first[n] == first[n + 1], False
         before_x, before_y = row[X], row[Y]
-        at_x, at_y, turns, there, squares, pixels = -1, -1, 0, False, 0.0, 0.0
-        while turns < (_TURNS_CUT if cut else _TURNS if alone else 1):
+        at_x, at_y, turns = -1, -1, 0
+        while turns < ((_TURNS_CUT if cut else _TURNS) if alone else 1):
             turns += 1
             x, y, _, _ = _place(row)
             if x != at_x or y != at_y:
@@ -314,25 +323,30 @@ def _sweep(image, grid, spacing, parameters, waiting, first, other, settled, tab
                 cut = _gather(image, grid, spacing, x, y, window)
                 for k in range(first[n], first[n + 1]):
                     _take_away(window, x, y, parameters[other[k]], tables.picture)
-            squares, pixels, off = _turn(row, flat, cut, tables, overlap, solution, covariance)
-            there = pixels > 0 and (
-                -0.5 <= row[X] < width - 0.5 and -0.5 <= row[Y] < height - 0.5)
-            if off <= settled or not there:
+            squares[n], pixels[n], off = _turn(
+                row, flat, cut, tables, overlap, solution, covariance[n])
+            if pixels[n] == 0 or not (
+                    -0.5 <= row[X] < width - 0.5 and -0.5 <= row[Y] < height - 0.5):
+                row[X], row[Y], row[CONTRAST] = x, y, 0.0
+                pixels[n] = 0
                 break
-        if there:
-            _conclude(row, squares, pixels, covariance, errors[n])
-        else:
-            row[X], row[Y], row[CONTRAST] = at_x, at_y, 0.0
-            errors[n] = np.nan
+            if off <= settled:
+                break
         moved = max(abs(row[X] - before_x), abs(row[Y] - before_y))
-        waiting[n] = not alone and there and moved > _SETTLED_AMONG_OTHERS
+        waiting[n] = not alone and pixels[n] > 0 and moved > _SETTLED_AMONG_OTHERS
 
 
 @numba.njit(cache=True)
 def _fit(image, grid, spacing, parameters, active, near, settled, tables):  # type: ignore[no-untyped-def]
-    errors = np.full((len(parameters), PARAMETERS + 2), np.nan)
+    count = len(parameters)
+    errors = np.full((count, PARAMETERS + 2), np.nan)
+    squares, pixels, covariance = np.empty(count), np.zeros(count), np.empty((count, 5, 5))
     waiting = active.copy()
     first, other = neighbours(parameters, near)
     for _ in range(_TURNS_AMONG_OTHERS):
-        _sweep(image, grid, spacing, parameters, waiting, first, other, settled, tables, errors)
+        _sweep(image, grid, spacing, parameters, waiting, first, other, settled, tables, squares,
+               pixels, covariance)
+    for n in range(count):
+        if pixels[n] > 0:
+            _conclude(parameters[n], squares[n], pixels[n], covariance[n], errors[n])
     return errors
