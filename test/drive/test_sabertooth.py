@@ -272,8 +272,12 @@ def test_a_host_that_dies_leaves_it_to_the_timeout(device):
     amplifier = SabertoothAmplifier(device.url, FULL_SCALE_A)
     amplifier.connect()
     amplifier.poll(0.05)
-    amplifier.write(DRIVING)
-    device.eventually(DRIVING)
+
+    def driven() -> bool:  # the timeout is of 0.1 s, and others may want the processor for longer
+        amplifier.write(DRIVING)
+        return device.flows(DRIVING)
+
+    until(driven)
     amplifier._release()
     device.eventually(ZERO)
     assert device.causes[-1] == 'watchdog'
