@@ -305,7 +305,8 @@ class GraphClient:
             while not (asked and asked[-1].done()):
                 if time.monotonic() > deadline:
                     if instead is not None:
-                        client.call_async(instead)
+                        # A client that is gone sends nothing again that was lost on its way.
+                        self.until(client.call_async(instead).done, _ASK_AGAIN_SECONDS)
                     raise RigError(f'{node} did not answer within {_ANSWER_SECONDS:g} s')
                 if not any(future.done() for future in asked):
                     asked.append(client.call_async(request))
