@@ -42,9 +42,8 @@ class Bodies:
     ellipse: 1 for a disc or a rod, less for what is bent or branched; `halo` how far the picture
     beside it goes to the other side of the light, as a share of the height; `angle` the direction
     of its length [rad, image sense], between 0 and π; `cut` whether it touches the edge of the
-    picture;
-    `lower` (N, 2) and `upper` (N, 2) the corners of the box around it [px]; `weight` the sum of
-    the contrast above the outline's over the largest, and `spread` the sum of the squared
+    picture; `lower` (N, 2) and `upper` (N, 2) the corners of the box around it [px]; `weight` the
+    sum of the contrast above the outline's over the largest, and `spread` the sum of the squared
     distances of the outline's inside from the centroid, both in shrunk pixels: they tell how well
     the centroid is known.
     """

@@ -230,14 +230,12 @@ def _fit_one(  # type: ignore[no-untyped-def]
         _step(row, gradient, free)
     free = PARAMETERS if capped else THETA
     total = _accumulate(row, table, pixels, count, free, normal, gradient, columns)
-    if not _factor(normal, free):
+    covariance = normal[:free, :free].copy()
+    if not invert(covariance):
         return False
     variance = total / max(count - free, 1)
     for m in range(free):
-        gradient[:] = 0.0
-        gradient[m] = 1.0
-        _solve(normal, free, gradient)
-        errors[m] = math.sqrt(variance * gradient[m])
+        errors[m] = math.sqrt(variance * covariance[m, m])
     errors[PARAMETERS] = variance
     errors[PARAMETERS + 1] = count
     return True

@@ -214,10 +214,10 @@ def _dot(one, weight, other):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, fastmath=FAST)
-def _project_part(window, design, overlap, covariance):  # type: ignore[no-untyped-def]
+def _project_part(window, design, whole, overlap, covariance):  # type: ignore[no-untyped-def]
     """As `_project`, over what is no NaN, with the covariance (5, 5) that this leaves.
 
-    Returns the number of pixels too, 0 where they are too few.
+    Returns the number of pixels too, 0 where they are too few of the `whole`.
     """
     disc, value = design[4].copy(), window.copy()
     for m in range(window.size):
@@ -228,7 +228,7 @@ def _project_part(window, design, overlap, covariance):  # type: ignore[no-untyp
         for n in range(k + 1):
             covariance[k, n] = _dot(design[k], disc, design[n])
     squares, pixels = _dot(value, disc, value), np.sum(disc)
-    enough = pixels >= _LEAST_IN_VIEW * np.sum(design[4]) and invert(covariance)
+    enough = pixels >= _LEAST_IN_VIEW * whole and invert(covariance)
     return squares, pixels if enough else 0.0
 
 
@@ -284,7 +284,8 @@ def _turn(row, flat, cut, tables, overlap, solution, covariance):  # type: ignor
     """
     x, y, i, j = _place(row)
     if cut:
-        total, pixels = _project_part(flat, tables.design[j, i], overlap, covariance)
+        total, pixels = _project_part(
+            flat, tables.design[j, i], tables.pixels[j, i], overlap, covariance)
         if pixels == 0:
             return -1.0, 0.0, 0.0
     else:
