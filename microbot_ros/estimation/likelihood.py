@@ -37,6 +37,9 @@ from microbot_ros.estimation.prepared_session import PreparedSession
 SMALLEST, LARGEST = 0.05, 1e5
 """Bounds of (σ²/D + h/3)/h in the search; beyond them one of the two can't be seen at all."""
 
+VANISHING = 1e-200
+"""Squares of what a parameter does, in units of the noise, whose inverse would overflow."""
+
 REMEMBERED = 12
 """White columns of a session that are kept."""
 
@@ -374,14 +377,16 @@ def eliminate(gram: np.ndarray) -> np.ndarray:
 def eliminate_shared(gram: np.ndarray, count: int) -> np.ndarray:
     """What of a `gram` (M, M) is left of column 0 and those after `count` shared parameters.
 
-    These, columns 1 to `count`, are projected off: inner products (M − count, M − count).
+    These, columns 1 to `count`, are projected off: inner products (M − count, M − count). What
+    does nothing, as a spot that no particle came near, takes nothing with it.
     """
-    if not count:
-        return gram
-    own, rest = slice(1, 1 + count), [0, *range(1 + count, len(gram))]
-    mixed = gram[own][:, rest]
-    left: np.ndarray = gram[np.ix_(rest, rest)] - mixed.T @ np.linalg.pinv(
-        gram[own, own], rcond=1e-10, hermitian=True) @ mixed
+    own = 1 + np.flatnonzero(np.diagonal(gram)[1:1 + count] > VANISHING)
+    rest = [0, *range(1 + count, len(gram))]
+    left: np.ndarray = gram[np.ix_(rest, rest)]
+    if own.size:
+        mixed = gram[np.ix_(own, rest)]
+        left -= mixed.T @ np.linalg.pinv(
+            gram[np.ix_(own, own)], rcond=1e-10, hermitian=True) @ mixed
     return left
 
 

@@ -9,7 +9,7 @@ from scipy import stats
 from microbot_ros.discovery.input_checks import check_sessions
 from microbot_ros.discovery.score_tests import _holm, along_and_across, residual_maps
 from microbot_ros.discovery.stepwise_selection import StepwiseSelection
-from microbot_ros.estimation.likelihood import Whitening
+from microbot_ros.estimation.likelihood import Whitening, eliminate_shared
 from microbot_ros.virtual_rig.record_session import Camera
 
 
@@ -43,6 +43,15 @@ def test_products_along_and_across_are_those_of_both(seed, first, more):
     written_out = np.concatenate([known, white, 1j * white], axis=-1)
     expected = np.einsum('tna,tnb->nab', written_out.conj(), written_out).real
     np.testing.assert_allclose(along_and_across(known, white), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize('size', [0.0, 1e-160, 1e-120])
+def test_a_parameter_that_does_next_to_nothing_takes_nothing_with_it(size):
+    """As the place of a spot that nobody came near: squares of it can't be inverted."""
+    draws = np.random.default_rng(1).normal(size=(50, 5)) * [1.0, 1.0, size, 1.0, 1.0]
+    left = eliminate_shared(draws.T @ draws, 2)
+    np.testing.assert_allclose(left, eliminate_shared(np.delete(np.delete(
+        draws.T @ draws, 2, 0), 2, 1), 1), rtol=1e-12)
 
 
 def test_maps_are_the_same_without_the_short_cut(film, monkeypatch):
