@@ -18,14 +18,17 @@ from microbot_ros.virtual_rig.world import World
 
 MINUTE = 60.0
 FREQUENCY = (1.0, 20.0)
+PASSING, LASTING = ('lamp_change', 'stage_jump', 'settling_flow'), 6.0
+"""What happens once in the first minute, and has no more evidence after: it is given that of so
+many minutes."""
 
 
 def hidden_world(seed: int, effects: tuple[str, ...], evidence: float = 10.0,
                  ) -> tuple[SimulatedRig, dict[str, Parameters]]:
     """A rig drawn by `seed`, and what is hidden in it: `effects` of that `evidence` λ each.
 
-    A minute of random steps would hold so much. Where the strongest that a rig may have holds
-    less, another one is drawn.
+    A minute of random steps would hold so much, and of what is PASSING as much as LASTING minutes
+    of what is not. Where the strongest that a rig may have holds less, another one is drawn.
     """
     for attempt in range(200):
         rng = np.random.default_rng([seed, attempt, 18])
@@ -38,7 +41,8 @@ def hidden_world(seed: int, effects: tuple[str, ...], evidence: float = 10.0,
         hidden: dict[str, Parameters] = {}
         for effect in effects:
             shaped = KINDS[effect].shaped(Hideout(rng, extent * 1e6, MINUTE))
-            strength = yardstick.strength(effect, shaped, evidence)
+            wanted = evidence * (LASTING if effect in PASSING else 1.0)
+            strength = yardstick.strength(effect, shaped, wanted)
             if strength is None:
                 break
             hidden[effect] = shaped(strength)

@@ -229,13 +229,19 @@ class Yardstick:
     def evidence(self, effect: str, parameters: Parameters) -> float:
         """λ of one effect.
 
-        What is in no library is filmed without noise, and counted beyond drift, linear flow,
-        decay and slip, which would take most of it: the evidence that something else is there.
+        What is in no library is filmed without noise, with it and without, and counted beyond
+        drift, linear flow, decay and slip, which would take most of it: the evidence that
+        something else is there. What fine physics does besides is none of it.
         """
         if effect in LISTED:
             return self.left(self.path.t, self._caused(effect, parameters), beyond=False)
-        session, _ = self.experiment.film({effect: parameters}, quiet=self.commands)
-        return self.left(*session.tracks.grid(), beyond=True)
+        times, moved = self._filmed({effect: parameters})
+        _, without = self._filmed({})
+        return self.left(times, moved - without, beyond=True, path=without)
+
+    def _filmed(self, effects: dict[str, Parameters]) -> tuple[np.ndarray, np.ndarray]:
+        session, _ = self.experiment.film(effects, quiet=self.commands)
+        return session.tracks.grid()
 
     def _caused(self, effect: str, parameters: Parameters) -> np.ndarray:
         """The displacement (T, N, 2) [m] that an effect adds up to along the path."""

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from bench._hidden_effects import KINDS, LISTED, UNLISTED, Hideout
-from bench._hidden_suite import FIELD, blind
+from bench._hidden_suite import FIELD, Experiment, Yardstick, blind
 from bench._score_card import Case, Outcome, judge, true_model
 from bench.discovery import interval
 from microbot_ros.discovery.discover import discover
@@ -52,6 +52,17 @@ def test_evidence_of_a_drift_is_what_theory_says():
     found = discover([session.session])
     theory = drift**2 * 60.0 * 4 / (2 * found.diffusion.value)
     assert 0.8 < 100.0 / theory < 1.05
+
+
+def test_evidence_of_what_is_in_no_list_is_nothing_where_it_does_nothing():
+    hidden = blind(3, 'fast', count=2)
+    experiment = Experiment(hidden.swarm, lambda: hidden.session.commands, hidden.camera, 60.0,
+                            hidden.session.conditions, 0)
+    yardstick = Yardstick(experiment, hidden.session.commands, hidden.path)
+    weak, strong = (yardstick.evidence('speed_by_heading', {'depth': depth})
+                    for depth in (0.0, 0.05))
+    assert weak == pytest.approx(0.0, abs=1e-9)
+    assert strong > 1.0
 
 
 # The last holds a single particle in place, which is not the same as stuck.
