@@ -9,10 +9,10 @@
   weight largest that the right model is expected to have then; takes one that has 0.999.
 
 Olofsson and others (GPdoemd, Comput. Chem. Eng. 125, 54, 2019) measured the three. Plans are of
-the kinds that ours are chosen from, and pay as ours for particles astray. Models are no effect
-and one of each, fitted to all that was seen; there is no price for looking again, and none for
-what is in no list. Each goes on after it would have taken a model, so that it can be seen when it
-would have, had it asked for more.
+the kinds that ours are chosen from, and pay as ours for particles astray or touching. Models are
+no effect and one of each, fitted to all that was seen; there is no price for looking again, and
+none for what is in no list. Each goes on after it would have taken a model, so that it can be seen
+when it would have, had it asked for more.
 """
 
 from __future__ import annotations
@@ -30,7 +30,6 @@ from microbot_ros.discovery.driven.design import (
     IMPROVED,
     PROPOSED,
     RANDOM,
-    STRAY,
     Question,
     Range,
     Search,
@@ -125,7 +124,7 @@ def _most_telling(worth: Callable[[np.ndarray], float], trial: _Trial, duration:
     """The plan of the most `worth` by its divergences, of as many as we try for ours."""
     def value(plan: Plan) -> float:
         outcome = trial.score(plan)
-        return worth(_square(outcome.gains)) / (1 + STRAY * outcome.astray)
+        return worth(_square(outcome.gains)) / outcome.spoilt
 
     limits = trial.limits
     drawn = [random_steps(rng, duration, limits) for _ in range(RANDOM)]

@@ -48,7 +48,10 @@ MARGIN = 10e-6
 """Distance from the edge of the view [m] that particles should keep."""
 
 STRAY = 20.0
-"""What a plan pays for the part of its time that particles would spend out of view."""
+"""What a plan pays for the part of its time that particles would spend out of view or touching."""
+
+APART = 3.0
+"""Radii between the centres of spheres that are not to touch: what contact does is in no list."""
 
 LONGEST = 20.0
 """Times its own duration for which a plan is thought ahead."""
@@ -59,17 +62,14 @@ FAINT = 10.0 / 2 / 60
 LITTLE = 0.02
 """Strength, in fit coordinates, at which it is asked what a plan shows of an effect."""
 
-COVARIATES = (10, 3, 1, 1, 1)
-"""Smooth velocities of place, heading, strength, age and the time since a switch."""
-
 AGE, RECOVERY = 60.0, 0.5
 """Seconds in which something ages, and in which it recovers from a switch."""
 
 SHOWN = (0.1e-6) ** -2
-"""Information [s²/m²] about a velocity from which it counts as shown: 0.1 µm/s."""
+"""Information [s²/m²] about a velocity that is there before anything was seen: 0.1 µm/s."""
 
 STARVED = 0.2
-"""Part of what plans usually show of a covariate below which a plan pays for what it hides."""
+"""Part of what plans usually show of what is in no list below which a plan pays for hiding it."""
 
 
 @dataclass(frozen=True)
@@ -167,33 +167,54 @@ def choose_plan(fit: ModelFit, questions: Sequence[Question], search: Search | N
 
 @dataclass(frozen=True)
 class _Outcome:
-    """What is expected of a plan: `gains` (Q,) of the questions, the information (E,) about each
-    effect in `search`, what (C,) it adds of each covariate that it has `shown`, and which part of
-    their time particles are `astray`."""
+    """What is expected of a plan that was tried in a `trial`, and seen as a `session`.
 
-    gains: np.ndarray
-    search: np.ndarray
-    shown: np.ndarray
+    Which part of their time particles are `astray` and `touching`; the rest when it is asked for.
+    """
+
+    trial: _Trial
+    session: PreparedSession
     astray: float
+    touching: float
+
+    @cached_property
+    def gains(self) -> np.ndarray:
+        """By how much S (Q,) of every question grows."""
+        return self.trial.gains(self.session)
+
+    @cached_property
+    def search(self) -> np.ndarray:
+        """Information (E,) about each effect in search."""
+        return self.trial.sought(self.session)
+
+    @cached_property
+    def shown(self) -> float:
+        """How much it would add to what is known of what is in no list."""
+        return self.trial.shown(self.session)
+
+    @property
+    def spoilt(self) -> float:
+        """What it costs, as a factor, that particles are where nothing is to be learned."""
+        return 1 + STRAY * (self.astray + self.touching)
 
 
 @dataclass(frozen=True)
 class _Price:
     """What a plan costs: the seconds until all is answered, as far as these can be foreseen.
 
-    The longest question and the mean by weight; more for a covariate that is hidden, beside what
-    plans of that `duration` [s] usually show, and for particles astray.
+    The longest question and the mean by weight; more for hiding what is in no list, beside what
+    plans of that `duration` [s] usually show of it, and for particles astray or touching.
     """
 
     trial: _Trial
     duration: float
     usual_search: np.ndarray
-    usual_shown: np.ndarray
+    usual_shown: float
 
     @classmethod
     def of(cls, trial: _Trial, drawn: Sequence[_Outcome], duration: float) -> _Price:
         return cls(trial, duration, np.median([one.search for one in drawn], axis=0),
-                   np.median([one.shown for one in drawn], axis=0))
+                   float(np.median([one.shown for one in drawn])))
 
     def __call__(self, outcome: _Outcome) -> float:
         trial, longest = self.trial, LONGEST * self.duration
@@ -206,23 +227,22 @@ class _Price:
         weight = np.concatenate([trial.weight, odds])
         spent = self.duration + float(asked[trial.weight >= 1].max(initial=0.0))
         spent += float(weight @ np.concatenate([asked, sought]) / max(weight.sum(), 1e-9))
-        shown = outcome.shown / np.maximum(self.usual_shown, 1e-30)
+        shown = outcome.shown / max(self.usual_shown, 1e-30)
         # Where nothing is asked, what is in no list is all there is to look for.
-        share = (np.min(shown / STARVED, initial=1.0) if trial.questions else
-                 np.exp(np.log(np.maximum(shown, 1e-3)).mean()))
-        return spent * (1 + STRAY * outcome.astray) / max(float(share), 1e-3)
+        useful = min(shown / STARVED, 1.0) if trial.questions else shown
+        return spent * outcome.spoilt / max(useful, 1e-3)
 
 
 @dataclass(frozen=True)
 class _Divergence:
     """What a plan costs where all that counts is how far apart it sets what may be true: the
-    inverse of its gains by weight (Box and Hill 1967); more for particles astray."""
+    inverse of its gains by weight (Box and Hill 1967); more for particles astray or touching."""
 
     trial: _Trial
 
     def __call__(self, outcome: _Outcome) -> float:
         apart = float(self.trial.weight @ outcome.gains)
-        return (1 + STRAY * outcome.astray) / max(apart, 1e-9)
+        return outcome.spoilt / max(apart, 1e-9)
 
 
 @dataclass(frozen=True)
@@ -269,8 +289,9 @@ class _Trial:
             _gram(fit.session_fits[0], present, _strengths(fit, little, present, everywhere)),
             _covered(fit, present, everywhere, limits.workspace), tracks,
             as_vectors(seen[last, np.arange(len(tracks))]), begin, limits,
-            [_gram(q.second.session_fits[0], _seen(q), _columns(q, _seen(q), everywhere))
-             for q in questions],
+            [_gram(q.second.session_fits[0], present, columns)
+             for q, columns in zip(questions, _columns(questions, present, everywhere),
+                                   strict=True)],
             np.array([q.missing for q in questions]), np.array([q.weight for q in questions]))
 
     def score(self, plan: Plan) -> _Outcome:
@@ -289,27 +310,32 @@ class _Trial:
             known.session, ids=known.session.ids[self.tracks], times=times, z=z,
             pieces=np.ones(z.shape, int), causal_positions=places, commands=commands,
             jumps=np.zeros(len(self.tracks), int))
-        gains = [max(self._separation(question, past, trial) - before, 0.0)
-                 for question, past, before in zip(
-                     self.questions, self.past, self._apart_before, strict=True)]
         astray = 1 - float(self.limits.workspace.holds(places, MARGIN).mean())
-        return _Outcome(np.array(gains), self._sought(trial), self._shown(trial), astray)
+        return _Outcome(self, trial, astray, _touching(z, known.session.conditions.radius))
 
-    def _shown(self, trial: PreparedSession) -> np.ndarray:
-        """How much (C,) a trial would add to what is known of smooth velocities in no list.
+    def gains(self, trial: PreparedSession) -> np.ndarray:
+        """By how much S (Q,) of every question grows in a trial."""
+        gains = []
+        for question, columns, past, before in zip(
+                self.questions, _columns(self.questions, trial, self.tracks), self.past,
+                self._apart_before, strict=True):
+            total = past.copy()
+            total[self.tracks] += _gram(question.second.session_fits[0], trial, columns)
+            gains.append(max(_separation(total) - before, 0.0))
+        return np.array(gains)
 
-        Covariate by covariate; what was hardly shown before counts most.
-        """
+    def shown(self, trial: PreparedSession) -> float:
+        """How much a trial would add to what is known of smooth velocities in no list: the log
+        of the information, what was hardly known before counts most."""
         total = self.known.copy()
         total[self.tracks] += _covered(self.fit, trial, self.tracks, self.limits.workspace)
-        more = np.log(_power(total) / self._power_before)
-        return np.add.reduceat(more, np.cumsum((0, *COVARIATES[:-1])))
+        return float(np.log(_power(total) / self._power_before).sum())
 
     @cached_property
     def _power_before(self) -> np.ndarray:
         return _power(self.known)
 
-    def _sought(self, trial: PreparedSession) -> np.ndarray:
+    def sought(self, trial: PreparedSession) -> np.ndarray:
         """Information (E,) that a trial adds about the effects in search, what v and φ leave."""
         fit = self.fit.session_fits[0]
         total = self.seen.copy()
@@ -324,42 +350,41 @@ class _Trial:
     def _sought_before(self) -> np.ndarray:
         return np.diagonal(eliminate(self.seen).sum(axis=0))
 
-    def _separation(self, question: Question, past: np.ndarray, trial: PreparedSession) -> float:
-        """S of a question at the end of a trial."""
-        fit = question.second.session_fits[0]
-        total = past.copy()
-        total[self.tracks] += _gram(fit, trial, _columns(question, trial, self.tracks))
-        return _separation(total)
-
     @cached_property
     def _apart_before(self) -> list[float]:
         return [_separation(past) for past in self.past]
 
 
-def _seen(question: Question) -> PreparedSession:
-    return question.second.session_fits[0].session
+def _columns(questions: Sequence[Question], session: PreparedSession,
+             tracks: np.ndarray | slice) -> list[np.ndarray]:
+    """For each of the `questions` what tells the two apart, v and φ of the second, and its
+    parameters: (T, N, 3 + P) [m].
 
-
-def _columns(question: Question, session: PreparedSession, tracks: np.ndarray | slice,
-             ) -> np.ndarray:
-    """What tells the two apart, v and φ of the second, and its parameters: (T, N, 3 + P) [m].
-
-    In `session`, which has the `tracks` of the one that was fitted.
+    In a `session`, which has the `tracks` of the one that all were fitted to.
     """
-    own, other = (one.session_fits[0].velocity_phasor[tracks]
-                  for one in (question.first, question.second))
-    model, timeline = question.second.model, session.timeline
-    expected = ExpectedDisplacement.of(model, timeline)
-    here = expected.at(other)
-    columns = [ExpectedDisplacement.of(question.first.model, timeline).at(own) - here,
-               expected.along, expected.across]
-    x = model.vector()
-    for k, step in enumerate(difference_steps(model)):
+    fits = {id(fit): fit for q in questions for fit in (q.first, q.second)}
+    expected = {key: _expected(fit, session, tracks) for key, fit in fits.items()}
+    result = []
+    for question in questions:
+        (first, _), (second, changes) = expected[id(question.first)], expected[id(question.second)]
+        result.append(np.stack([first - second, *changes], axis=-1))
+    return result
+
+
+def _expected(fit: ModelFit, session: PreparedSession, tracks: np.ndarray | slice,
+              ) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Displacements (T, N) [m] by a `fit`, and what v, φ and each parameter change about them."""
+    own, timeline = fit.session_fits[0].velocity_phasor[tracks], session.timeline
+    expected = ExpectedDisplacement.of(fit.model, timeline)
+    here = expected.at(own)
+    changes = [np.broadcast_to(one, here.shape) for one in (expected.along, expected.across)]
+    x = fit.model.vector()
+    for k, step in enumerate(difference_steps(fit.model)):
         x[k] += step
-        moved = ExpectedDisplacement.of(model.with_vector(x), timeline)
-        columns.append((moved.at(other) - here) / step)
+        moved = ExpectedDisplacement.of(fit.model.with_vector(x), timeline)
+        changes.append((moved.at(own) - here) / step)
         x[k] -= step
-    return np.stack([np.broadcast_to(column, session.z.shape) for column in columns], axis=-1)
+    return here, changes
 
 
 def _little(model: Model, names: Iterable[str]) -> list[tuple[int, Model]]:
@@ -389,22 +414,31 @@ def _gram(fit: SessionFit, session: PreparedSession, columns: np.ndarray) -> np.
     return inner(plain.apply(session, np.ascontiguousarray(columns))[0]) / fit.diffusion
 
 
+def _touching(z: np.ndarray, radius: float | None) -> float:
+    """Part of their time that particles at places z (T, N) [m] spend nearer than APART to another.
+
+    None of it where their `radius` [m] is not known.
+    """
+    if radius is None or z.shape[1] < 2:
+        return 0.0
+    distance = np.abs(z[:, :, None] - z[:, None])
+    distance[:, np.eye(z.shape[1], dtype=bool)] = np.inf
+    return float((distance.min(axis=2) < APART * radius).mean())
+
+
 def _separation(gram: np.ndarray) -> float:
     """½ of what is left of the first column, v and φ of all and shared parameters projected off.
     """
     left = eliminate(gram).sum(axis=0)
-    if len(left) == 1:
-        return float(left[0, 0]) / 2
-    weights = np.linalg.pinv(left[1:, 1:], rcond=1e-10, hermitian=True) @ left[1:, 0]
-    return max(float(left[0, 0] - left[0, 1:] @ weights), 0.0) / 2
+    return max(float(eliminate_shared(left, len(left) - 1)[0, 0]), 0.0) / 2
 
 
 def _covered(fit: ModelFit, session: PreparedSession, tracks: np.ndarray | slice,
              view: Workspace) -> np.ndarray:
     """Inner products (N, M, M) of nothing, v and φ, a drift, and what may be in no list.
 
-    Those are smooth velocities that depend on place in the `view`, heading, strength, age or the
-    time since a switch, COVARIATES of them; what they do in a `session` that has the `tracks` of
+    Those are smooth velocities that depend on place in the `view` (10 of them), heading (3),
+    strength, age or the time since a switch; what they do in a `session` that has the `tracks` of
     the one that was fitted.
     """
     expected = ExpectedDisplacement.of(fit.model, session.timeline)
@@ -439,8 +473,8 @@ def _across(view: Workspace, places: np.ndarray) -> np.ndarray:
 
 
 def _power(gram: np.ndarray) -> np.ndarray:
-    """What v, φ and a drift leave of each of the columns after them; SHOWN at least."""
-    return np.maximum(np.diagonal(eliminate_shared(eliminate(gram).sum(axis=0), 2))[1:], SHOWN)
+    """What v, φ and a drift leave of each of the columns after them, and what was known before."""
+    return np.diagonal(eliminate_shared(eliminate(gram).sum(axis=0), 2))[1:] + SHOWN
 
 
 # Drawing plans ----------------------------------------------------------------------------------
