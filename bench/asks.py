@@ -39,7 +39,7 @@ from microbot_ros.model.effects import EFFECTS
 ISSUE = 18
 MINUTES, PAIR_MINUTES, OTHER_MINUTES = 6.0, 10.0, 6.0
 SEEDS, NULLS = 4, 200
-RIVAL_NULLS, RIVAL_UNLISTED = 20, 1
+RIVAL_NULLS, RIVAL_UNLISTED = 20, 2
 """Worlds without anything hidden, and seeds of what is in no list, that rules are tried on."""
 
 PAIRS = (
@@ -238,7 +238,7 @@ def _pairs() -> list[Case]:
 
 
 def _unlisted() -> list[Case]:
-    return [('unlisted', (effect,), 4000 + seed) for seed in range(SEEDS) for effect in UNLISTED]
+    return [('unlisted', (effect,), 5000 + seed) for seed in range(SEEDS) for effect in UNLISTED]
 
 
 def _rival(rule: str) -> list[Case]:

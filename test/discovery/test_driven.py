@@ -50,7 +50,9 @@ from microbot_ros.discovery.driven.verdict import (
     likeliest,
     questions,
     scrutinised,
+    too_early,
 )
+from microbot_ros.discovery.learned.learn import learn_term
 from microbot_ros.discovery.search import compare, fit_candidate
 from microbot_ros.discovery.stepwise_selection import without
 from microbot_ros.estimation.model_fit import fit_sessions
@@ -219,6 +221,17 @@ def test_where_nothing_is_hidden_nothing_is_likelier():
     assert not judge(known).named
 
 
+def test_a_drift_is_not_alone_before_particles_have_been_about():
+    _, played, _ = _asked(1, ('uniform_drift',), 60.0)
+    known = consider(prepare(join(played)))
+    soon = judge(known)
+    assert soon.named == soon.early == ('uniform_drift',)
+    assert not soon.settled
+    named = ('uniform_drift', 'command_delay', 'speed_decay')
+    assert [too_early(named, np.array([7.0, 7.0 + seconds])) for seconds in (50, 60, 209, 211)
+            ] == [('uniform_drift', 'speed_decay'), ('uniform_drift',), ('uniform_drift',), ()]
+
+
 def test_a_hint_that_is_rather_chance_keeps_no_name_open():
     _, played, _ = _asked(1, ('coil_gain_mismatch',), 60.0)
     known = consider(prepare(join(played)))
@@ -231,15 +244,32 @@ def test_a_hint_that_is_rather_chance_keeps_no_name_open():
     assert at[3.0].pending == (hint.id,)
 
 
-@pytest.mark.parametrize(('own', 'seen', 'behind'), [
-    ('uniform_drift', True, 2.2), ('uniform_drift', False, np.inf),
-    ('linear_flow', True, 2.2), ('linear_flow', False, 2.2)])
-def test_a_flow_has_to_be_told_from_the_flank_of_a_spot_and_a_drift_can_not_be(own, seen, behind):
-    one, spot = (Candidate(SimpleNamespace(id=name, shape_seen=shown), evidence)
-                 for name, shown, evidence in ((own, True, 8.6), ('hot_spot', seen, 6.4)))
+@pytest.mark.parametrize(('own', 'seen', 'explained', 'behind'), [
+    ('uniform_drift', True, 24.1, 2.2), ('uniform_drift', True, 23.9, np.inf),
+    ('uniform_drift', False, 24.1, np.inf),
+    ('linear_flow', True, 20.0, 2.2), ('linear_flow', False, 20.0, 2.2)])
+def test_a_flow_is_told_from_the_flank_of_a_spot_and_a_drift_from_a_spot_that_explains_more(
+        own, seen, explained, behind):
+    one, spot = (Candidate(SimpleNamespace(
+        id=name, shape_seen=shown, likelihood_ratio=ratio, dof=dof), evidence)
+        for name, shown, ratio, dof, evidence in (
+            (own, True, 20.0, 2, 8.6), ('hot_spot', seen, explained, 4, 6.4)))
     assert Slot(None, one, (spot,)).behind(spot) == pytest.approx(behind)
     ahead = replace(spot, evidence=9.0)
     assert Slot(None, one, (ahead,)).behind(ahead) == pytest.approx(-0.4)
+
+
+@pytest.mark.parametrize(('hidden', 'in_a_list'), [
+    ('poiseuille_flow', False), ('uniform_drift', True), ('linear_flow', True)])
+def test_a_field_of_place_is_asked_for_in_place_of_the_names_that_stand_in_for_it(
+        hidden, in_a_list):
+    _, played, _ = _asked(1, (hidden,), 20.0, experiments=6)
+    known = consider(prepare(join(played)))
+    assert known.names
+    assert learn_term(known.fit) is None
+    told = scrutinised(known, judge(known))
+    assert told.unlisted != in_a_list
+    assert in_a_list or told.left[0].against == 'position'
 
 
 def test_what_is_surely_there_in_a_shape_that_was_not_seen_vouches_for_no_name():
@@ -308,8 +338,44 @@ def test_what_was_seen_for_long_is_worth_less_to_see_again():
         fit = fit_sessions(Model.baseline(session.conditions, session.commands), [session])
         trial = _Trial.of(fit, [], Search({}, 1.0), session.times[-1] + 1.0, rig.limits)
         shown.append(trial.score(random_steps(np.random.default_rng(1), 20.0, rig.limits)).shown)
-    assert (shown[1] >= 0).all()
-    assert shown[1].sum() < 0.8 * shown[0].sum()
+    assert 0 < shown[1] < 0.8 * shown[0]
+
+
+def test_where_nothing_is_asked_particles_go_where_they_have_not_been():
+    rig, _ = hidden_world(1, ('uniform_drift',), 30.0)
+    hover = Plan(np.resize([0.0, np.pi], 40), np.full(40, FIELD), np.full(40, 0.5))
+    session = prepare(join([rig.play(hover).session for _ in range(4)]))
+    plain = fit_sessions(Model.baseline(session.conditions, session.commands), [session])
+    fit = fit_candidate(plain, 'uniform_drift').fit
+    nothing, begin = Search({}, enough()), session.times[-1] + 1.0
+    design = choose_plan(fit, [], nothing, begin, 20.0, rig.limits, np.random.default_rng(0))
+    trial, rng = _Trial.of(fit, [], nothing, begin, rig.limits), np.random.default_rng(3)
+    usual = [trial.score(random_steps(rng, 20.0, rig.limits)) for _ in range(9)]
+    chosen = trial.score(design.plan)
+    assert chosen.shown > 1.25 * np.median([one.shown for one in usual])
+    assert _away(chosen, trial) > 40e-6 > 4 * _away(trial.score(hover), trial)
+
+
+def _away(outcome, trial):
+    """How far [m] the particle that goes furthest gets."""
+    return np.hypot(*(outcome.session.causal_positions - trial.start).T).max()
+
+
+def test_particles_that_would_touch_are_out_of_place(late):
+    rig, (delay, _) = late
+    begin = float(delay.session_fits[0].session.times[-1]) + 1.0
+    trial = _Trial.of(delay, [], Search({}, 1.0), begin, rig.limits)
+    assert len(trial.start) == 4
+    still = Plan(np.zeros(1), np.zeros(1), np.ones(1))
+    apart, near = (np.array([[0, 0], [0, 40e-6], [30e-6, 0], [x, 40e-6]])
+                   for x in (30e-6, 7e-6))
+    assert replace(trial, start=apart).score(still).touching == 0
+    assert replace(trial, start=near).score(still).touching == pytest.approx(0.5)
+    assert replace(trial, start=near).score(still).spoilt == pytest.approx(11.0)
+    nobody = replace(trial.fit.session_fits[0].session, conditions=Conditions())
+    fits = (replace(trial.fit.session_fits[0], session=nobody),)
+    unknown = replace(trial, start=near, fit=replace(trial.fit, session_fits=fits))
+    assert unknown.score(still).touching == 0
 
 
 def test_what_is_the_same_can_not_be_told_apart(late):

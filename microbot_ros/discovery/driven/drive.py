@@ -42,7 +42,7 @@ HINTS = 120.0
 """Seconds in which, until there is a name, plans only follow what is likeliest; then they go for
 what has not shown, too."""
 
-SCRUTINY = 240.0
+SCRUTINY = 300.0
 """Seconds before which no name is final: what is in no list needs time to show beside it."""
 
 UNEXPLAINED = 44.0
@@ -94,6 +94,8 @@ class Insight:
                 return f'{_plain(slot.own.id)} or chance?'
         if judgement.left:
             return f'something that depends on {judgement.left[0].against}?'
+        if judgement.early:
+            return f'{_plain(judgement.early[0])}, the same everywhere and all along?'
         beside = ' too' if self.known.slots else ''
         return f'{_plain(judgement.pending[0])}{beside}?' if judgement.pending else (
             'anything else?' if self.known.slots else 'anything?')
@@ -233,7 +235,8 @@ def _next(result: Driven, insight: Insight | None, left: float, limits: Range,
     except ValueError as error:
         result.decided, result.reason = 'stopped', str(error)
         return None, 0.0
-    result.twins = twins(known, insight.judgement, hopeless(asked, design, left))
+    result.twins = twins(known, insight.judgement, hopeless(
+        asked, design, result.seconds + left))
     if result.twins:
         result.decided = 'undecidable'
         return None, 0.0

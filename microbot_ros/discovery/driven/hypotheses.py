@@ -95,11 +95,15 @@ class Slot:
     def behind(self, rival: Candidate) -> float:
         """By how much log evidence a `rival` is behind; infinite if it is none.
 
-        The flank of a wide spot explains whatever a drift does: what shows no shape is a rival
-        only where it explains more, or of what depends on place itself.
+        The flank of a wide spot explains whatever a drift does: with more numbers and nothing
+        more explained, or without a shape that shows, it is a rival only where it is likelier, or
+        of what depends on place itself.
         """
         behind = self.own.evidence - rival.evidence
-        told = rival.found.shape_seen or EFFECTS[self.own.id].needs_position
+        own, other = self.own.found, rival.found
+        told = EFFECTS[self.own.id].needs_position or (
+            other.shape_seen and other.likelihood_ratio - own.likelihood_ratio
+            >= 2 * max(other.dof - own.dof, 0))
         return behind if behind < 0 or told else np.inf
 
 

@@ -23,7 +23,7 @@ from microbot_ros.discovery.driven.hypotheses import Candidate, Hypotheses, Slot
 from microbot_ros.discovery.learned.learn import Finding, learn_term
 from microbot_ros.discovery.result import FRAMES, ResidualMap
 from microbot_ros.discovery.score_tests import residual_maps
-from microbot_ros.discovery.stand_ins import series_for_a_field
+from microbot_ros.discovery.stepwise_selection import without
 from microbot_ros.model.effects import EFFECTS
 
 FALSE = 0.01
@@ -36,13 +36,18 @@ CREDIBLE = 1.0
 """Log evidence from which what could be there, beside or in place, is asked for."""
 
 HOPELESS = 0.5
-"""Log odds that all the minutes left must bring at least, for a question to be worth asking."""
+"""Log odds that a search as long as this must bring at least, for a question to be of use."""
 
 ASKED = 4
 """Rivals of an effect, and effects beside, that are asked for at a time."""
 
 LIKELIEST = 5
 """Explanations, nothing among them, that are told apart before anything is named."""
+
+LOOKALIKE = dict.fromkeys(('uniform_drift', 'linear_flow', 'hot_spot'), 210.0) | {
+    'speed_decay': 54.0}
+"""Seconds for which a field of place or a change in time that no name has may look like these:
+particles must have been elsewhere, or some time must have gone by, for the difference to show."""
 
 BETTER = 2.0
 """Log p by which a map has to explain more than an effect, to put it in doubt."""
@@ -64,7 +69,8 @@ class Judgement:
 
     `named` effects, and of these the rivals that are still open, `open`; `pending`: effects that
     are in the model or may join it, but are not named yet; `left`: what no effect explains, the
-    worst first; `unlisted`: whether a term was learned that shows it.
+    worst first; `unlisted`: whether a term was learned that shows it; `early`: names that had not
+    the time yet to show that they are the same everywhere, or all along.
     """
 
     named: tuple[str, ...]
@@ -72,12 +78,13 @@ class Judgement:
     pending: tuple[str, ...]
     left: tuple[ResidualMap, ...]
     unlisted: bool = False
+    early: tuple[str, ...] = ()
 
     @property
     def settled(self) -> bool:
         """Whether all names are alone, complete and nothing is left."""
         alone = bool(self.named) and not any(self.open.values())
-        return alone and not self.pending and not self.left
+        return alone and not self.pending and not self.left and not self.early
 
     @property
     def answered(self) -> bool:
@@ -93,7 +100,14 @@ def judge(known: Hypotheses) -> Judgement:
              for slot in known.slots if slot.own.id in named}
     pending = [slot.own.id for slot in known.slots if slot.own.id not in named]
     pending += [one.id for one in known.more if one.evidence > likelier_than_not()]
-    return Judgement(named, open_, tuple(pending), _left(known))
+    return Judgement(named, open_, tuple(pending), _left(known),
+                     early=too_early(named, known.fit.session_fits[0].session.times))
+
+
+def too_early(named: Sequence[str], times: np.ndarray) -> tuple[str, ...]:
+    """Names that what is in no list may look like for longer than the `times` [s] of all frames.
+    """
+    return tuple(name for name in named if np.ptp(times) < LOOKALIKE.get(name, 0.0))
 
 
 def _left(known: Hypotheses) -> tuple[ResidualMap, ...]:
@@ -118,13 +132,29 @@ def scrutinised(known: Hypotheses, judgement: Judgement) -> Judgement:
     is spread over time and place. What is surely there, but in a shape that was not seen, has no
     name either: the flank of a spot beside a flow may be any field of place.
     """
-    series = series_for_a_field(known.fit)
-    found = learn_term(known.fit if series is None else series.rest)
+    found = _in_place_of_fields(known) or learn_term(known.fit)
     if found is not None:
         return replace(judgement, left=(_as_map(found), *judgement.left), unlisted=True)
     unseen = [_in_no_shape(slot.own) for slot in known.slots
               if slot.own.evidence >= enough() and not slot.own.found.shape_seen]
     return replace(judgement, left=(*judgement.left, *unseen))
+
+
+def _in_place_of_fields(known: Hypotheses) -> Finding | None:
+    """A field of place in no list that is likelier than all that are in the model together.
+
+    Each of which pays for the library, as the term does for all that were looked at. A drift, a
+    flow and a spot are a series for any field, and pass one by one.
+    """
+    rest, together = known.fit, 0.0
+    for slot in known.slots:
+        kind = EFFECTS[slot.own.id]
+        if kind.overrides('drift') and kind.time_invariant:
+            rest = without(rest, slot.own.id)
+            together += slot.own.evidence - likelier_than_not()
+    found = learn_term(rest) if rest is not known.fit else None
+    likelier = found is not None and found.log_evidence > together + RIVAL
+    return found if likelier and found and found.term.against == 'position' else None
 
 
 def _in_no_shape(one: Candidate) -> ResidualMap:
@@ -192,7 +222,10 @@ def _of_slot(known: Hypotheses, slot: Slot) -> list[Question]:
 
 
 def hopeless(asked: Sequence[Question], design: Design, seconds: float) -> list[Question]:
-    """Which of the questions `asked` no plan that was tried would help in the `seconds` left."""
+    """Which of the questions `asked` no plan that was tried would help in a search of `seconds`.
+
+    Of the whole search, not of what is left of it: that time runs out is no word about a rig.
+    """
     reach = design.best * seconds / design.plan.duration
     return [question for question, gain in zip(asked, reach, strict=True) if gain < HOPELESS]
 
