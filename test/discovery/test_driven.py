@@ -27,6 +27,7 @@ from microbot_ros.discovery.driven.design import (
 )
 from microbot_ros.discovery.driven.drive import (
     Driven,
+    Insight,
     Look,
     Played,
     _unexplained,
@@ -227,6 +228,11 @@ def test_a_drift_is_not_alone_before_particles_have_been_about():
     soon = judge(known)
     assert soon.named == soon.early == ('uniform_drift',)
     assert not soon.settled
+    found, _ = discovered(Driven(played, insight=Insight(known, soon)))
+    assert [(effect.id, effect.status) for effect in found.effects] == [
+        ('uniform_drift', 'suggested')]
+    assert found.verdict == 'consistent'
+    assert any('uniform drift: seen for less than 210 s' in remark for remark in found.remarks)
     named = ('uniform_drift', 'command_delay', 'speed_decay')
     assert [too_early(named, np.array([7.0, 7.0 + seconds])) for seconds in (50, 60, 209, 211)
             ] == [('uniform_drift', 'speed_decay'), ('uniform_drift',), ('uniform_drift',), ()]

@@ -9,6 +9,7 @@ from typing import Any
 from microbot_ros.discovery.discover import conclude
 from microbot_ros.discovery.driven.drive import Driven, Insight
 from microbot_ros.discovery.driven.joined import join
+from microbot_ros.discovery.driven.verdict import LOOKALIKE
 from microbot_ros.discovery.input_checks import check_sessions
 from microbot_ros.discovery.result import Discovery, NamedEffect, Status, Verdict
 from microbot_ros.discovery.stepwise_selection import StepwiseSelection
@@ -33,7 +34,7 @@ def discovered(driven: Driven, report: Callable[[str], None] = lambda _: None,
     selection.open = [one.found for one in insight.known.more]
     left = insight.judgement.left
     verdict: Verdict = ('unnamed' if left else
-                        'named' if insight.judgement.named else 'consistent')
+                        'named' if insight.judgement.ripe else 'consistent')
     found = conclude(selection, (*_remarks(driven), *remarks), report, decided=verdict)
     effects = tuple(_judged(effect, insight) for effect in found.effects)
     return replace(found, effects=effects, unexplained=left,
@@ -43,7 +44,7 @@ def discovered(driven: Driven, report: Callable[[str], None] = lambda _: None,
 def _judged(effect: NamedEffect, insight: Insight) -> NamedEffect:
     judgement = insight.judgement
     rivals = judgement.open.get(effect.id, ())
-    status: Status = 'established' if effect.id in judgement.named else 'suggested'
+    status: Status = 'established' if effect.id in judgement.ripe else 'suggested'
     if judgement.left:
         status = 'proxy'
     return replace(effect, status=status, indistinguishable_from=rivals)
@@ -52,6 +53,10 @@ def _judged(effect: NamedEffect, insight: Insight) -> NamedEffect:
 def _remarks(driven: Driven) -> tuple[str, ...]:
     remarks = [f'{one.replace("_", " ")} and {other.replace("_", " ")}: no command of this rig '
                'tells them apart.' for one, other in driven.twins]
+    if driven.insight:
+        remarks += [f'{name.replace("_", " ")}: seen for less than {LOOKALIKE[name]:.0f} s, in '
+                    'which something else that differs from place to place, or in time, may look '
+                    'like it.' for name in driven.insight.judgement.early]
     if driven.reason:
         remarks.append(f'The experiments were stopped: {driven.reason}.')
     if driven.decided == 'out_of_time':

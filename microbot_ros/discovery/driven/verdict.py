@@ -81,6 +81,11 @@ class Judgement:
     early: tuple[str, ...] = ()
 
     @property
+    def ripe(self) -> tuple[str, ...]:
+        """The names that are not early."""
+        return tuple(name for name in self.named if name not in self.early)
+
+    @property
     def settled(self) -> bool:
         """Whether all names are alone, complete and nothing is left."""
         alone = bool(self.named) and not any(self.open.values())
