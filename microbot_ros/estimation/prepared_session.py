@@ -213,17 +213,24 @@ class PreparedSession:
     ) -> PreparedSession:
         """With `causal_positions` filtered about the `displacement` (T, N) complex [m] of a model.
 
-        `noise_ratio` [s] is that of the likelihood's `Whitening`.
+        `noise_ratio` [s] is that of the likelihood's `Whitening`. Outside a piece they stay as
+        they are: no model knows what happens in a contact, nor where one is that is lost then.
         """
         from microbot_ros.estimation.kernels import filter_positions
 
         left = filter_positions(self.times, self.pieces, self.z - displacement, noise_ratio)
-        mean = left + displacement
-        last = len(self.times) - 1 - self.seen[::-1].argmax(axis=0)
-        mean[np.arange(len(self.times))[:, None] > last] = np.nan
-        known = np.isfinite(mean)[..., None]
-        return replace(
-            self, causal_positions=np.where(known, as_vectors(mean), self.causal_positions))
+        inside = self._inside_a_piece[..., None]
+        return replace(self, causal_positions=np.where(
+            inside, as_vectors(left + displacement), self.causal_positions))
+
+    @property
+    def _inside_a_piece(self) -> np.ndarray:
+        """Which rows (T, N) are used, or lie between two of one piece that are."""
+        row = np.arange(len(self.times))[:, None]
+        before = np.maximum.accumulate(np.where(self.seen, row, 0), axis=0)
+        after = np.minimum.accumulate(np.where(self.seen, row, row[-1])[::-1], axis=0)[::-1]
+        first, last = (np.take_along_axis(self.pieces, one, axis=0) for one in (before, after))
+        return (first > 0) & (first == last)
 
 
 def prepare(session: Session) -> PreparedSession:
