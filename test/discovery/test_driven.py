@@ -147,6 +147,16 @@ def test_experiments_that_go_on_are_one_recording_without_a_break():
     assert (np.diff(prepare(joined).pieces, axis=0) == 0).all()
 
 
+def test_a_command_that_two_recordings_have_is_told_once_and_in_order():
+    first, second = _experiment(0.0, 10.0), _experiment(10.0, 10.0)
+    shared = 10.0 + 0.4 * 0.05  # after the last frame of the first, told in both
+    longer = replace(first.commands, t=np.array([0.0, shared, 11.0]))
+    began = replace(second.commands, t=np.array([5.0, shared, 20.0]))
+    joined = join([replace(first, commands=longer), replace(second, commands=began)])
+    assert (np.diff(joined.commands.t) > 0).all()
+    assert (joined.commands.t == shared).sum() == 1
+
+
 def test_a_pause_cuts_tracks_and_what_follows_it_is_left_out():
     joined = join([_experiment(0.0, 10.0), _experiment(10.0 + 2 * PAUSE, 10.0)])
     prepared = prepare(joined)

@@ -48,7 +48,7 @@ def join(experiments: Sequence[Session]) -> Session:
             breaks.append(begin)
         if len(whole.t):
             tracks.append(whole)
-            commands.append(told)
+            commands = [_rows(part, 0, told.t[0]) for part in commands] + [told]
             last = float(whole.t[-1])
     if not tracks:
         raise ValueError('expected frames under a field in one experiment at least')
@@ -80,8 +80,14 @@ def _between(tracks: Tracks, begin: float, end: float) -> Tracks:
 
 def _in_force(commands: Commands, begin: float, end: float) -> Commands:
     """The rows in force after `begin` [s], from then on, and before `end` [s]."""
-    rows = slice(max(int(commands.index_at(begin)), 0), int(np.searchsorted(commands.t, end)))
-    t = commands.t[rows].copy()
+    told = _rows(commands, max(int(commands.index_at(begin)), 0), end)
+    t = told.t.copy()
     t[:1] = np.maximum(t[:1], begin + TINY)
-    return Commands(t, commands.field[rows],
+    return replace(told, t=t)
+
+
+def _rows(commands: Commands, first: int, end: float) -> Commands:
+    """From the `first` row on, those before `end` [s]."""
+    rows = slice(first, int(np.searchsorted(commands.t, end)))
+    return Commands(commands.t[rows], commands.field[rows],
                     None if commands.frequency is None else commands.frequency[rows])
