@@ -110,8 +110,8 @@ def judge(known: Hypotheses) -> Judgement:
 
 
 def too_early(named: Sequence[str], times: np.ndarray) -> tuple[str, ...]:
-    """Names that what is in no list may look like for longer than the `times` [s] of all frames.
-    """
+    """Of the names `named` those that what is in no list may look like for longer than all frames
+    last, whose `times` (T,) [s] these are."""
     return tuple(name for name in named if np.ptp(times) < LOOKALIKE.get(name, 0.0))
 
 
