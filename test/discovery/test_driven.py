@@ -54,6 +54,7 @@ from microbot_ros.discovery.driven.verdict import (
     too_early,
 )
 from microbot_ros.discovery.learned.learn import learn_term
+from microbot_ros.discovery.report import headline
 from microbot_ros.discovery.search import compare, fit_candidate
 from microbot_ros.discovery.stepwise_selection import without
 from microbot_ros.estimation.model_fit import fit_sessions
@@ -241,7 +242,10 @@ def test_a_drift_is_not_alone_before_particles_have_been_about():
     found, _ = discovered(Driven(played, insight=Insight(known, soon)))
     assert [(effect.id, effect.status) for effect in found.effects] == [
         ('uniform_drift', 'suggested')]
-    assert found.verdict == 'consistent'
+    assert found.verdict == 'named'
+    assert headline(found) == (
+        'Missing from the first-order model: what looks like uniform drift, but was not seen for '
+        'long enough to be told from what is in no list.')
     assert any('uniform drift: seen for less than 210 s' in remark for remark in found.remarks)
     named = ('uniform_drift', 'command_delay', 'speed_decay')
     assert [too_early(named, np.array([7.0, 7.0 + seconds])) for seconds in (50, 60, 209, 211)

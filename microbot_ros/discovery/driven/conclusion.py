@@ -34,7 +34,7 @@ def discovered(driven: Driven, report: Callable[[str], None] = lambda _: None,
     selection.open = [one.found for one in insight.known.more]
     left = insight.judgement.left
     verdict: Verdict = ('unnamed' if left else
-                        'named' if insight.judgement.ripe else 'consistent')
+                        'named' if insight.judgement.named else 'consistent')
     found = conclude(selection, (*_remarks(driven), *remarks), report, decided=verdict)
     effects = tuple(_judged(effect, insight) for effect in found.effects)
     return replace(found, effects=effects, unexplained=left,

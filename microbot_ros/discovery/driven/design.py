@@ -115,7 +115,8 @@ class Design:
     """The `plan` chosen.
 
     `best` (Q,): what each question is expected to gain by the best plan for it alone of all that
-    were tried; `worth`: how many times as long random steps are expected to take.
+    were tried; `worth`: how many times as long random steps are expected to take, at most
+    LONGEST, as far as plans are thought ahead.
     """
 
     plan: Plan
@@ -160,7 +161,7 @@ def choose_plan(fit: ModelFit, questions: Sequence[Question], search: Search | N
         if price(score) < cost:
             plan, cost = other, price(score)
     return Design(plan, np.max([one.gains for one in tried], axis=0),
-                  float(np.median(costs[:RANDOM])) / cost)
+                  min(float(np.median(costs[:RANDOM])) / cost, LONGEST))
 
 
 # What a plan is worth ---------------------------------------------------------------------------
