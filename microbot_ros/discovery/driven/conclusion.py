@@ -11,6 +11,7 @@ from microbot_ros.discovery.driven.drive import Driven, Insight
 from microbot_ros.discovery.driven.joined import join
 from microbot_ros.discovery.driven.verdict import LOOKALIKE
 from microbot_ros.discovery.input_checks import check_sessions
+from microbot_ros.discovery.report_words import words
 from microbot_ros.discovery.result import Discovery, NamedEffect, Status, Verdict
 from microbot_ros.discovery.stepwise_selection import StepwiseSelection
 from microbot_ros.records import Session
@@ -44,17 +45,18 @@ def discovered(driven: Driven, report: Callable[[str], None] = lambda _: None,
 def _judged(effect: NamedEffect, insight: Insight) -> NamedEffect:
     judgement = insight.judgement
     rivals = judgement.open.get(effect.id, ())
-    status: Status = 'established' if effect.id in judgement.ripe else 'suggested'
+    sure = effect.id in judgement.named and effect.id not in judgement.early
+    status: Status = 'established' if sure else 'suggested'
     if judgement.left:
         status = 'proxy'
     return replace(effect, status=status, indistinguishable_from=rivals)
 
 
 def _remarks(driven: Driven) -> tuple[str, ...]:
-    remarks = [f'{one.replace("_", " ")} and {other.replace("_", " ")}: no command of this rig '
-               'tells them apart.' for one, other in driven.twins]
+    remarks = [f'{words(one)} and {words(other)}: no command of this rig tells them apart.'
+               for one, other in driven.twins]
     if driven.insight:
-        remarks += [f'{name.replace("_", " ")}: seen for less than {LOOKALIKE[name]:.0f} s, in '
+        remarks += [f'{words(name)}: seen for less than {LOOKALIKE[name]:.0f} s, in '
                     'which something else that differs from place to place, or in time, may look '
                     'like it.' for name in driven.insight.judgement.early]
     if driven.reason:

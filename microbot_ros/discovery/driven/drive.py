@@ -23,6 +23,7 @@ from microbot_ros.discovery.driven.verdict import (
     twins,
 )
 from microbot_ros.discovery.input_checks import check_sessions
+from microbot_ros.discovery.report_words import words
 from microbot_ros.errors import InputError
 from microbot_ros.records import Session
 
@@ -89,15 +90,15 @@ class Insight:
             rivals = judgement.open.get(slot.own.id, tuple(
                 one.id for one in slot.rivals[:2] if one.evidence > 0))
             if rivals:
-                return ' or '.join(_plain(n) for n in (slot.own.id, *rivals[:2])) + '?'
+                return ' or '.join(words(n) for n in (slot.own.id, *rivals[:2])) + '?'
             if slot.own.id not in judgement.named:
-                return f'{_plain(slot.own.id)} or chance?'
+                return f'{words(slot.own.id)} or chance?'
         if judgement.left:
             return f'something that depends on {judgement.left[0].against}?'
         if judgement.early:
-            return f'{_plain(judgement.early[0])}, the same everywhere and all along?'
+            return f'{words(judgement.early[0])}, the same everywhere and all along?'
         beside = ' too' if self.known.slots else ''
-        return f'{_plain(judgement.pending[0])}{beside}?' if judgement.pending else (
+        return f'{words(judgement.pending[0])}{beside}?' if judgement.pending else (
             'anything else?' if self.known.slots else 'anything?')
 
 
@@ -241,7 +242,3 @@ def _next(result: Driven, insight: Insight | None, left: float, limits: Range,
         result.decided = 'undecidable'
         return None, 0.0
     return design.plan, duration * (max(design.worth, 1.0) - 1)
-
-
-def _plain(name: str) -> str:
-    return name.replace('_', ' ')

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from microbot_ros.discovery.driven.drive import Driven, Look
 from microbot_ros.discovery.report_figures import FLOOR, embedded
+from microbot_ros.discovery.report_words import words
 
 _TEMPLATE = Path(__file__).with_name('page.html')
 
@@ -47,7 +48,7 @@ def _ending(driven: Driven) -> str:
 def likeliest(look: Look) -> list[tuple[str, float]]:
     """The two things that were likeliest at a `look`, in words, with their odds."""
     ranked = sorted(look.odds.items(), key=lambda one: -one[1])[:2]
-    return [(_words(name), share) for name, share in ranked]
+    return [(words(name) or 'nothing', share) for name, share in ranked]
 
 
 def draw_odds(driven: Driven) -> Figure | None:
@@ -63,7 +64,7 @@ def draw_odds(driven: Driven) -> Figure | None:
     for k, name in enumerate(names):
         axis.plot(minutes, [look.odds.get(name, 0.0) for look in looks],
                   color=f'C{k % 10}' if name else FLOOR, marker='osv^D'[k % 5], ms=4,
-                  ls='-' if name else '--', label=_words(name))
+                  ls='-' if name else '--', label=words(name) or 'nothing')
     axis.set_xlim(0, None)
     axis.set_ylim(-0.02, 1.02)
     axis.set_xlabel('minutes')
@@ -71,7 +72,3 @@ def draw_odds(driven: Driven) -> Figure | None:
     axis.spines[['top', 'right']].set_visible(False)
     figure.legend(loc='outside right upper', frameon=False)
     return figure
-
-
-def _words(name: str) -> str:
-    return name.replace('_', ' ') or 'nothing'

@@ -81,11 +81,6 @@ class Judgement:
     early: tuple[str, ...] = ()
 
     @property
-    def ripe(self) -> tuple[str, ...]:
-        """The names that are not early."""
-        return tuple(name for name in self.named if name not in self.early)
-
-    @property
     def settled(self) -> bool:
         """Whether all names are alone, complete and nothing is left."""
         alone = bool(self.named) and not any(self.open.values())
@@ -157,9 +152,10 @@ def _in_place_of_fields(known: Hypotheses) -> Finding | None:
         if kind.overrides('drift') and kind.time_invariant:
             rest = without(rest, slot.own.id)
             together += slot.own.evidence - likelier_than_not()
-    found = learn_term(rest) if rest is not known.fit else None
-    likelier = found is not None and found.log_evidence > together + RIVAL
-    return found if likelier and found and found.term.against == 'position' else None
+    found = None if rest is known.fit else learn_term(rest)
+    if found and found.term.against == 'position' and found.log_evidence > together + RIVAL:
+        return found
+    return None
 
 
 def _in_no_shape(one: Candidate) -> ResidualMap:
