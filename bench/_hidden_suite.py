@@ -12,11 +12,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from bench._hidden_effects import KINDS, LISTED, Hideout, Parameters
 from microbot_ros.estimation.noise import Noise, whiten
+from microbot_ros.estimation.prepared_session import distances
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.increments import increments, respond
 from microbot_ros.model.langevin import Path
@@ -96,9 +98,7 @@ class Experiment:
     def apart(self, path: Path) -> bool:
         """Whether no two spheres came near touching."""
         z = path.position[..., 0] + 1j * path.position[..., 1]
-        distance = np.abs(z[:, :, None] - z[:, None])
-        distance[:, np.eye(z.shape[1], dtype=bool)] = np.inf
-        return bool(distance.min() > 2.3 * self.swarm['radius'][0])
+        return bool(distances(z).min() > 2.3 * self.swarm['radius'][0])
 
 
 def blind(
@@ -236,8 +236,12 @@ class Yardstick:
         if effect in LISTED:
             return self.left(self.path.t, self._caused(effect, parameters), beyond=False)
         times, moved = self._filmed({effect: parameters})
-        _, without = self._filmed({})
-        return self.left(times, moved - without, beyond=True, path=without)
+        return self.left(times, moved - self._bare, beyond=True, path=self._bare)
+
+    @cached_property
+    def _bare(self) -> np.ndarray:
+        """Where particles are with nothing hidden and without noise (T, N, 2) [m]."""
+        return self._filmed({})[1]
 
     def _filmed(self, effects: dict[str, Parameters]) -> tuple[np.ndarray, np.ndarray]:
         session, _ = self.experiment.film(effects, quiet=self.commands)

@@ -178,16 +178,14 @@ class PreparedSession:
         Without a known radius, contact is as near as two ever came.
         """
         z = np.where(self.seen, self.z, np.nan)
-        apart = np.abs(z[:, :, None] - z[:, None, :])
-        apart[~np.isfinite(apart)] = np.inf
-        apart[:, range(z.shape[1]), range(z.shape[1])] = np.inf
+        apart = distances(z)
         radius = self.conditions.radius
         steps = np.abs(np.diff(z, axis=0))
         blur = BLUR * float(np.nanmedian(steps)) if np.isfinite(steps).any() else 0.0
         contact = 2 * radius if radius else float(apart.min(initial=np.inf)) + blur
         if contact > LARGEST_CONTACT:
             return self
-        touching = (apart < contact * CONTACT + blur).any(axis=2)
+        touching = apart.min(axis=2, initial=np.inf) < contact * CONTACT + blur
         touching[1:] |= touching[:-1].copy()
         touching[:-1] |= touching[1:].copy()
         return self.split_tracks(touching)
@@ -231,6 +229,17 @@ class PreparedSession:
         after = np.minimum.accumulate(np.where(self.seen, row, row[-1])[::-1], axis=0)[::-1]
         first, last = (np.take_along_axis(self.pieces, one, axis=0) for one in (before, after))
         return (first > 0) & (first == last)
+
+
+def distances(z: np.ndarray) -> np.ndarray:
+    """Between every two particles at places `z` (T, N) complex [m]: (T, N, N) [m].
+
+    Infinite to itself, and where either place is not finite.
+    """
+    apart = np.abs(z[:, :, None] - z[:, None, :])
+    apart[~np.isfinite(apart)] = np.inf
+    apart[:, range(z.shape[1]), range(z.shape[1])] = np.inf
+    return apart
 
 
 def prepare(session: Session) -> PreparedSession:

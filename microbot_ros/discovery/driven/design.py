@@ -29,7 +29,7 @@ from microbot_ros.estimation.likelihood import (
     inner,
 )
 from microbot_ros.estimation.model_fit import ModelFit, difference_steps
-from microbot_ros.estimation.prepared_session import PreparedSession
+from microbot_ros.estimation.prepared_session import PreparedSession, distances
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.first_order import simulate
 from microbot_ros.model.increments import as_vectors
@@ -364,28 +364,32 @@ def _columns(questions: Sequence[Question], session: PreparedSession,
     In a `session`, which has the `tracks` of the one that all were fitted to.
     """
     fits = {id(fit): fit for q in questions for fit in (q.first, q.second)}
-    expected = {key: _expected(fit, session, tracks) for key, fit in fits.items()}
-    result = []
-    for question in questions:
-        (first, _), (second, changes) = expected[id(question.first)], expected[id(question.second)]
-        result.append(np.stack([first - second, *changes], axis=-1))
-    return result
+    here = {key: _expected(fit, fit.model, session, tracks) for key, fit in fits.items()}
+    changes = {key: _changes(fits[key], here[key], session, tracks)
+               for key in {id(q.second) for q in questions}}
+    return [np.stack([here[id(q.first)] - here[id(q.second)], *changes[id(q.second)]], axis=-1)
+            for q in questions]
 
 
-def _expected(fit: ModelFit, session: PreparedSession, tracks: np.ndarray | slice,
-              ) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Displacements (T, N) [m] by a `fit`, and what v, φ and each parameter change about them."""
-    own, timeline = fit.session_fits[0].velocity_phasor[tracks], session.timeline
-    expected = ExpectedDisplacement.of(fit.model, timeline)
-    here = expected.at(own)
+def _expected(fit: ModelFit, model: Model, session: PreparedSession, tracks: np.ndarray | slice,
+              ) -> np.ndarray:
+    """Displacements (T, N) [m] by a `model`, of particles as they are by a `fit`."""
+    own = fit.session_fits[0].velocity_phasor[tracks]
+    return ExpectedDisplacement.of(model, session.timeline).at(own)
+
+
+def _changes(fit: ModelFit, here: np.ndarray, session: PreparedSession,
+             tracks: np.ndarray | slice) -> list[np.ndarray]:
+    """What v, φ and each parameter change about the displacements `here` (T, N) [m] by a `fit`."""
+    expected = ExpectedDisplacement.of(fit.model, session.timeline)
     changes = [np.broadcast_to(one, here.shape) for one in (expected.along, expected.across)]
     x = fit.model.vector()
     for k, step in enumerate(difference_steps(fit.model)):
         x[k] += step
-        moved = ExpectedDisplacement.of(fit.model.with_vector(x), timeline)
-        changes.append((moved.at(own) - here) / step)
+        moved = _expected(fit, fit.model.with_vector(x), session, tracks)
+        changes.append((moved - here) / step)
         x[k] -= step
-    return here, changes
+    return changes
 
 
 def _little(model: Model, names: Iterable[str]) -> list[tuple[int, Model]]:
@@ -420,11 +424,9 @@ def _touching(z: np.ndarray, radius: float | None) -> float:
 
     None of it where their `radius` [m] is not known.
     """
-    if radius is None or z.shape[1] < 2:
+    if radius is None:
         return 0.0
-    distance = np.abs(z[:, :, None] - z[:, None])
-    distance[:, np.eye(z.shape[1], dtype=bool)] = np.inf
-    return float((distance.min(axis=2) < APART * radius).mean())
+    return float((distances(z).min(axis=2) < APART * radius).mean())
 
 
 def _separation(gram: np.ndarray) -> float:
