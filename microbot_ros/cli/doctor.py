@@ -101,7 +101,7 @@ def _ros() -> Finding:
 
     with GraphClient('doctor') as client:
         name = client.echo()
-    reach = os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE']
+    reach = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     return Finding('ros', 'ok', f'{name} echoes; discovery range {reach}')
 
 

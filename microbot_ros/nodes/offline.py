@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import os
 import queue
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -28,9 +27,9 @@ from microbot_ros.errors import InputError
 from microbot_ros.nodes.account import Account
 from microbot_ros.nodes.lifecycle import RELIABLE, RigNode
 from microbot_ros.nodes.process import NODES
+from microbot_ros.nodes.transport import NODE, NOWHERE, transport
 from microbot_ros.session.accounts import BUSY, CHANGE, HUNG, IN_TIME, LATE
 
-_RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
 _CALL_SECONDS = 60.0
 """How long a controller may think when nothing waits for it."""
 
@@ -162,19 +161,15 @@ def alone(namespace: str, parameters: dict[str, dict[str, Any]], folder: Path) -
     file.write_text(yaml.safe_dump({f'/**/{node}': {
         'ros__parameters': {**values, 'use_sim_time': True}}
         for node, values in parameters.items()}))
-    before = os.environ.get(_RANGE)
-    os.environ[_RANGE] = 'OFF'
-    try:
-        rclpy.init(args=[
-            '--ros-args', '--params-file', str(file), '-r', f'__ns:={namespace or "/"}',
-            '--disable-stdout-logs', '--disable-rosout-logs', '--disable-external-lib-logs'],
-            signal_handler_options=SignalHandlerOptions.NO)
-        yield
-    finally:
-        rclpy.try_shutdown()
-        os.environ.pop(_RANGE)
-        if before is not None:
-            os.environ[_RANGE] = before
+    with transport(NOWHERE, NODE):
+        try:
+            rclpy.init(args=[
+                '--ros-args', '--params-file', str(file), '-r', f'__ns:={namespace or "/"}',
+                '--disable-stdout-logs', '--disable-rosout-logs', '--disable-external-lib-logs'],
+                signal_handler_options=SignalHandlerOptions.NO)
+            yield
+        finally:
+            rclpy.try_shutdown()
 
 
 def make_offline(name: str) -> Offline:

@@ -24,7 +24,17 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
-from microbot_ros.nodes.transport import remove_own_shared_memory, stay_local
+from microbot_ros.errors import InputError
+from microbot_ros.nodes.transport import (
+    BY_PROFILE,
+    CLIENT,
+    NODE,
+    RANGE,
+    asked_reach,
+    reached_sockets,
+    remove_own_shared_memory,
+    transport,
+)
 
 _PATIENCE_S = 20.0
 """How long a program that ends without `leave` may take for it."""
@@ -32,13 +42,50 @@ _PATIENCE_S = 20.0
 _KEPT: list[Node] = []
 
 
-def join(arguments: list[str] | None, context: Context | None = None) -> None:
-    """Let this process take part in the graph, until it ends.
+def join(arguments: list[str] | None) -> None:
+    """Let this process take part in the graph with nodes, until it ends.
 
-    `arguments` are those of ROS; the `context` is the default one where none is given. Call
-    `leave` at the end.
+    `arguments` are those of ROS. Call `leave` at the end. InputError where other computers could
+    reach it, unless ROS_AUTOMATIC_DISCOVERY_RANGE asks for that.
     """
-    stay_local()
+    _join(arguments, NODE, None)
+
+
+def client_context() -> Context:
+    """What all clients in this process share; one for each ROS domain that it was in.
+
+    InputError as `join`.
+    """
+    return _joined(os.environ.get('ROS_DOMAIN_ID', ''))
+
+
+@cache
+def _joined(_: str) -> Context:
+    return _join([], CLIENT, Context())
+
+
+def _join(arguments: list[str] | None, profile: str, context: Context | None) -> Context:
+    """Make the participant in a `context`: on this machine alone, unless more was asked for.
+
+    InputError where others reach it all the same, since the `profile` was not read: by another
+    version of the middleware, or after another participant in this process.
+    """
+    asked = asked_reach()
+    if asked:
+        with transport(asked):
+            return _participant(arguments, context)
+    before = reached_sockets()
+    with transport(BY_PROFILE, profile):
+        made = _participant(arguments, context)
+    if not reached_sockets() <= before:
+        _KEPT.pop().destroy_node()
+        rclpy.shutdown(context=context)
+        raise InputError(RANGE, 'other computers would reach this process, since the middleware '
+                                f'did not read {profile}; expected SUBNET where that is meant')
+    return made
+
+
+def _participant(arguments: list[str] | None, context: Context | None) -> Context:
     rclpy.init(args=arguments, context=context, signal_handler_options=SignalHandlerOptions.NO)
     if not _KEPT:
         atexit.register(_end_in_time)
@@ -47,18 +94,7 @@ def join(arguments: list[str] | None, context: Context | None = None) -> None:
         f'_microbot_{os.getpid()}', context=context, cli_args=[], use_global_arguments=False,
         enable_rosout=False, start_parameter_services=False,
         parameter_overrides=[Parameter('start_type_description_service', value=False)]))
-
-
-def client_context() -> Context:
-    """What all clients in this process share; one for each ROS domain that it was in."""
-    return _joined(os.environ.get('ROS_DOMAIN_ID', ''))
-
-
-@cache
-def _joined(_: str) -> Context:
-    context = Context()
-    join([], context)
-    return context
+    return _KEPT[-1].context
 
 
 def leave(status: int) -> NoReturn:

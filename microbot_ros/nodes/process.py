@@ -76,7 +76,10 @@ def run(names: list[str], arguments: list[str] | None = None) -> int:
         tell_of_compiling(partial(print, flush=True))
         if names == ['coil_driver']:
             set_realtime_priority_of_all(SAFETY)
-        join(arguments)
+        try:
+            join(arguments)
+        except InputError as error:
+            return _refused(error)
         executor = EventsExecutor()
         try:
             with ending.interrupts():  # the first time code is compiled, for minutes
@@ -94,8 +97,7 @@ def run(names: list[str], arguments: list[str] | None = None) -> int:
         except Stopped:
             return 0
         except InputError as error:
-            print(f'{WORD}{error}', file=sys.stderr)
-            return 2
+            return _refused(error)
         finally:
             _zero(nodes)
             if rig:
@@ -107,6 +109,12 @@ def run(names: list[str], arguments: list[str] | None = None) -> int:
                 node.destroy_node()
             executor.shutdown()
             rclpy.try_shutdown()
+
+
+def _refused(error: InputError) -> int:
+    """Say what a person must mend; the exit status."""
+    print(f'{WORD}{error}', file=sys.stderr)
+    return 2
 
 
 def _refuse_elsewhere(nodes: list[RigNode], arguments: list[str]) -> None:

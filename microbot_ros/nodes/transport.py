@@ -5,27 +5,70 @@ from __future__ import annotations
 import fcntl
 import os
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from importlib import resources
 from pathlib import Path
 
-_RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
+NODE = 'node_transport.xml'
+"""The profile of nodes, with shared memory for frames. The default segment of Fast DDS holds one
+of 640×480 and not one of 1280×1024, which then crosses by UDP in 24 ms instead of 4."""
+
+CLIENT = 'client_transport.xml'
+"""The profile of who comes and goes: UDP alone."""
+
+BY_PROFILE, NOWHERE = 'SYSTEM_DEFAULT', 'OFF'
+"""Ranges of discovery: what the profile says, and none."""
+
+RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
 _PROFILES = 'FASTRTPS_DEFAULT_PROFILES_FILE'
+_HERE = 'LOCALHOST'
+_LOOPBACK = '0100007F:'
+"""127.0.0.1 as the kernel's tables have it."""
+
 _SHARED = Path('/dev/shm')
 _LOCKS = f'fastrtps_{"[0-9a-f]" * 16}_el'
 _FRESH_SECONDS = 5.0
 """A segment this young may not have been locked yet by the process that makes it."""
 
 
-def stay_local() -> None:
-    """Keep to this machine, with shared memory for frames, unless the caller's environment asks.
+def asked_reach() -> str | None:
+    """The range of discovery that the caller's environment asks for, or that goes with a profile
+    of their own; None where ours is to do."""
+    reach = os.environ.get(RANGE, _HERE)
+    return reach if reach != _HERE or _PROFILES in os.environ else None
 
-    Call before `rclpy.init`. The default shared-memory segment of Fast DDS holds one frame of
-    640×480 and not one of 1280×1024, which then crosses by UDP in 24 ms instead of 4.
+
+@contextmanager
+def transport(reach: str, profile: str = '') -> Iterator[None]:
+    """A participant that is made meanwhile has this range of discovery, `reach`, and a `profile`,
+    where the caller has none.
+
+    Fast DDS reads the profile when the first participant of a process is made, and never again.
     """
-    if os.environ.setdefault(_RANGE, 'LOCALHOST') == 'LOCALHOST':
-        profile = resources.files('microbot_ros.nodes') / 'local_transport.xml'
-        os.environ.setdefault(_PROFILES, str(profile))
+    before = {name: os.environ.get(name) for name in (RANGE, _PROFILES)}
+    os.environ[RANGE] = reach
+    if profile:
+        file = resources.files('microbot_ros.nodes') / profile
+        os.environ.setdefault(_PROFILES, str(file))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name, None)
+            if value is not None:
+                os.environ[name] = value
+
+
+def reached_sockets() -> set[str]:
+    """The UDP sockets of this process that are bound elsewhere than to loopback, by inode."""
+    own = set()
+    for file in Path('/proc/self/fd').iterdir():
+        with suppress(OSError):  # closed meanwhile
+            own.add(os.readlink(file).removeprefix('socket:[').removesuffix(']'))
+    rows = [line.split() for table in Path('/proc/self/net').glob('udp*')
+            for line in table.read_text().splitlines()[1:]]
+    return own & {row[9] for row in rows if not row[1].startswith(_LOOPBACK)}
 
 
 def clear_shared_memory() -> None:

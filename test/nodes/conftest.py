@@ -25,7 +25,7 @@ from rclpy.signals import SignalHandlerOptions
 from microbot_ros.drive.real_time import set_realtime_priority
 from microbot_ros.nodes.lifecycle import RigNode
 from microbot_ros.nodes.process import make
-from microbot_ros.nodes.transport import stay_local
+from microbot_ros.nodes.transport import BY_PROFILE, NODE, transport
 
 FULL_SCALE_A = 2.0
 
@@ -82,16 +82,16 @@ class Ros:
     """Nodes of one test in this process, a probe that talks to them, and an executor."""
 
     def __init__(self, folder: Path, parameters: dict[str, dict[str, Any]]) -> None:
-        stay_local()
         os.environ['ROS_DOMAIN_ID'] = next(_DOMAINS)
         file = folder / 'parameters.yaml'
         file.write_text(yaml.safe_dump(
             {name: {'ros__parameters': values} for name, values in parameters.items()}))
-        rclpy.init(args=['--ros-args', '--params-file', str(file)],
-                   signal_handler_options=SignalHandlerOptions.NO)
+        with transport(BY_PROFILE, NODE):
+            rclpy.init(args=['--ros-args', '--params-file', str(file)],
+                       signal_handler_options=SignalHandlerOptions.NO)
+            self.probe = rclpy.create_node('probe')
         self._executor = EventsExecutor()
         self.nodes: dict[str, RigNode] = {}
-        self.probe = rclpy.create_node('probe')
         self._executor.add_node(self.probe)
 
     def add(self, name: str) -> RigNode:

@@ -17,6 +17,7 @@ from rclpy.parameter import Parameter
 from microbot_ros import settings
 from microbot_ros.errors import InputError
 from microbot_ros.nodes.parameters import ParameterSet, refuse_unknown
+from microbot_ros.nodes.transport import BY_PROFILE, NODE, transport
 from microbot_ros.settings import setting
 
 
@@ -64,8 +65,9 @@ def node(request: pytest.FixtureRequest) -> Iterator[rclpy.node.Node]:
     """A node with the overrides that the test asks for by indirect parametrisation."""
     overrides = [part for pair in getattr(request, 'param', []) for part in ('-p', pair)]
     context = rclpy.Context()
-    rclpy.init(args=['--ros-args', *overrides], context=context)
-    made = rclpy.create_node('sample', context=context)
+    with transport(BY_PROFILE, NODE):
+        rclpy.init(args=['--ros-args', *overrides], context=context)
+        made = rclpy.create_node('sample', context=context)
     yield made
     made.destroy_node()
     rclpy.shutdown(context=context)

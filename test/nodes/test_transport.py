@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import socket
 import subprocess
 import sys
 import time
@@ -23,16 +22,22 @@ FORGOTTEN_S = 4.0
 """A lease of 3 s, and a look around each second."""
 
 
+TALKER = """
+import rclpy
+from microbot_ros.nodes.participant import join
+from std_msgs.msg import String
+join([])
+node = rclpy.create_node("talker")
+publisher = node.create_publisher(String, "chat", 1)
+print("up", flush=True)
+while True:
+    rclpy.spin_once(node)
+"""
+
 @pytest.fixture
 def node() -> Iterator[subprocess.Popen[str]]:
     """A process that publishes on the topic `chat`."""
-    program = ('from microbot_ros.nodes.graph_client import GraphClient\n'
-               'from std_msgs.msg import String\n'
-               'with GraphClient("talker") as client:\n'
-               '    client.node.create_publisher(String, "chat", 1)\n'
-               '    print("up", flush=True)\n'
-               '    client.spin(3600)\n')
-    with subprocess.Popen([sys.executable, '-c', program], stdout=subprocess.PIPE,
+    with subprocess.Popen([sys.executable, '-c', TALKER], stdout=subprocess.PIPE,
                           text=True) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == 'up\n'
@@ -63,30 +68,34 @@ def _waiting(socket_port: int) -> int:
                 if int(row[1].split(':')[1], 16) == socket_port)
 
 
-def test_nothing_that_comes_from_beyond_loopback_is_ever_read(
-        node: subprocess.Popen[str]) -> None:
-    """The middleware sends from sockets that are open to all, and never reads from them."""
-    bound = {one.laddr for one in psutil.Process(node.pid).net_connections('inet')}
-    assert not psutil.Process(node.pid).net_connections('tcp')
-    local = [port for host, port in bound if host == '127.0.0.1']
-    others = [(host, port) for host, port in bound if host != '127.0.0.1']
-    own = next((address.address for addresses in psutil.net_if_addrs().values()
-                for address in addresses if address.family == socket.AF_INET
-                and not address.address.startswith('127.')), '127.0.0.1')
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-        sender.bind((own, 0))
-        for host, port in others:
-            sender.sendto(b'RTPS' + bytes(60), (own if host == '0.0.0.0' else host, port))
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-        for port in local:
-            sender.sendto(b'RTPS' + bytes(60), ('127.0.0.1', port))
-    deadline = time.monotonic() + 10
-    while all(_waiting(port) for port in local):  # those that are read, are read by now
-        assert time.monotonic() < deadline
-    with GraphClient('asker') as client:  # and the process has talked to another meanwhile
-        while not _publishers(client):
-            assert time.monotonic() < deadline
-    assert all(_waiting(port) for _, port in others)
+def test_no_socket_is_open_to_others(node: subprocess.Popen[str]) -> None:
+    open_to = psutil.Process(node.pid).net_connections('inet')
+    assert open_to
+    assert {one.laddr.ip for one in open_to} == {'127.0.0.1'}
+
+
+@pytest.mark.parametrize('asks', ['LOCALHOST', 'SUBNET'])
+def test_who_would_be_open_to_others_is_refused_unless_that_is_asked_for(asks: str) -> None:
+    """As with a middleware that reads no profile: it looked for one before it was there."""
+    program = ('import os, rclpy\n'
+               'os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "OFF"\n'
+               'rclpy.init()\n'
+               'first = rclpy.create_node("first")\n'
+               f'os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "{asks}"\n'
+               'from microbot_ros.errors import InputError\n'
+               'from microbot_ros.nodes.graph_client import GraphClient\n'
+               'from microbot_ros.nodes.participant import leave\n'
+               'try:\n'
+               '    GraphClient("guest").echo()\n'
+               'except InputError as error:\n'
+               '    print(error)\n'
+               'leave(0)\n')
+    done = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True,
+                          timeout=60)
+    assert (done.returncode, done.stderr) == (0, '')
+    assert done.stdout == ('' if asks == 'SUBNET' else
+        'ROS_AUTOMATIC_DISCOVERY_RANGE: other computers would reach this process, since the '
+        'middleware did not read client_transport.xml; expected SUBNET where that is meant\n')
 
 
 def test_the_shared_memory_of_the_killed_goes_and_that_of_the_living_stays(
@@ -126,11 +135,11 @@ def test_clients_that_come_and_go_are_one_participant() -> None:
 def test_who_leaves_says_its_last_words_and_leaves_no_memory(status: int) -> None:
     program = ('import atexit, os, sys\n'
                'from pathlib import Path\n'
-               'from microbot_ros.nodes.graph_client import GraphClient\n'
-               'from microbot_ros.nodes.participant import leave\n'
+               'from microbot_ros.nodes.participant import join, leave\n'
                'atexit.register(print, "closed")\n'
-               'with GraphClient("guest") as client:\n'
-               '    client.spin(0.05)\n'
+               'import rclpy\n'
+               'join([])\n'
+               'guest = rclpy.create_node("guest")\n'
                'for one in Path("/proc/self/fd").iterdir():\n'
                '    if "fastrtps" in os.readlink(one):\n'
                '        print(os.readlink(one))\n'
@@ -143,3 +152,21 @@ def test_who_leaves_says_its_last_words_and_leaves_no_memory(status: int) -> Non
     assert closed == 'closed'
     assert not Path(lock).exists()
     assert not Path(lock.removesuffix('_el')).exists()
+
+
+@pytest.mark.usefixtures('node')
+def test_a_client_takes_no_shared_memory() -> None:
+    """For seconds after a process has gone, what is sent to its port in there reaches nobody, and
+    not who has the port next: the next client."""
+    program = ('import psutil\n'
+               'from microbot_ros.nodes.graph_client import GraphClient\n'
+               'from microbot_ros.nodes.participant import leave\n'
+               'with GraphClient("guest") as client:\n'
+               '    assert client.until(lambda: client.runs("talker"), 30)\n'
+               '    print(*(one.path for one in psutil.Process().open_files()\n'
+               '            if "fastrtps" in one.path), end="")\n'
+               'leave(0)\n')
+    for _ in range(3):
+        done = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True,
+                              timeout=60)
+        assert (done.returncode, done.stdout, done.stderr) == (0, '', '')
