@@ -33,6 +33,8 @@ from microbot_ros.nodes.topics import CHANGES
 _STOP_S, _STOPS = 0.3, 10
 """So long the driver may take to say that it stopped; it is asked again, so many times."""
 _ARM_S = 12.0
+_FIND_S = 3.0
+"""So long a node may take to be seen by a cockpit that has just started."""
 _ANSWER_S = 5.0
 _TAKE_S, _REPEAT_S, _LOOK_S = 3.0, 0.3, 0.01
 """So long a controller may take to have goals; how often they are sent, and its word is
@@ -124,7 +126,7 @@ class OperatedRig(RigView):
         for left in reversed(range(_STOPS)):
             try:
                 answer = await self._ask(
-                    self._arm, SetBool.Request(data=False), _STOP_S, at_once=True)
+                    self._arm, SetBool.Request(data=False), _STOP_S, find_s=None)
             except RefusedError as refusal:
                 if not left:
                     raise RefusedError(f'{refusal}: SWITCH THE AMPLIFIER OFF') from None
@@ -133,9 +135,13 @@ class OperatedRig(RigView):
         raise AssertionError
 
     async def arm(self) -> Answer:
-        """Let currents flow; without an answer, none."""
+        """Let currents flow; without an answer, none.
+
+        The driver is there already, or refused: else STOP could come before it was found.
+        """
         try:
-            return _told(await self._ask(self._arm, SetBool.Request(data=True), _ARM_S))
+            return _told(await self._ask(
+                self._arm, SetBool.Request(data=True), _ARM_S, find_s=0.0))
         except _SilentError:
             self._arm.call_async(SetBool.Request(data=False))
             raise
@@ -260,15 +266,19 @@ class OperatedRig(RigView):
         return f'{name} is set'
 
     async def _ask(self, client: Client, request: Any, seconds: float,
-                   at_once: bool = False) -> Any:
+                   find_s: float | None = _FIND_S) -> Any:
         """What a service answers within so many `seconds`; RefusedError where it is not there.
 
-        `at_once` it is asked though nobody may be there, as far as is known.
+        It has `find_s` to be found; with None it is asked though nobody may be there, as far as
+        is known.
         """
         name = self._node.resolve_service_name(client.srv_name)
         node, _, service = name.removeprefix('/').rpartition('/')
-        if not at_once and not client.service_is_ready():
-            raise RefusedError(f'{node} has no service {service}: is it running?')
+        deadline = time.monotonic() + (find_s or 0.0)
+        while find_s is not None and not client.service_is_ready():
+            if time.monotonic() >= deadline:
+                raise RefusedError(f'{node} has no service {service}: is it running?')
+            await asyncio.sleep(_LOOK_S)
         loop = asyncio.get_running_loop()
         answered: asyncio.Future[Any] = loop.create_future()
 

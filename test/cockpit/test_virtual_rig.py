@@ -70,12 +70,14 @@ def page(virtual: VirtualRig) -> Iterator[Any]:
 
 
 def armed(page: Any, controller: str) -> None:
-    """The rig is armed, and a `controller` drives it; a busy machine may need a second try."""
-    for _ in range(3):
-        assert page.ask('switch_controller', name=controller)['ok']
-        if page.ask('arm', attended=False)['ok']:
-            return
-    raise AssertionError('could not be armed')
+    """The rig is armed, and a `controller` drives it; a cockpit may not have found the driver yet,
+    which it does not arm later than it was told to."""
+    switched = page.ask('switch_controller', name=controller)
+    assert switched['ok'], switched
+    deadline = time.monotonic() + 10
+    while not (told := page.ask('arm', attended=False))['ok']:
+        assert time.monotonic() < deadline, told
+        page.drain(0.1)
 
 
 def steering(page: Any, virtual: VirtualRig, x: float, y: float, seconds: float = 1.0) -> None:
@@ -320,6 +322,14 @@ def test_the_death_of_the_cockpit_harms_nothing(page: Any, virtual: VirtualRig) 
     assert all(any(one['currents_A']) for one in after)
     assert set(virtual.graph.ended()) == {'cockpit'}
     virtual.restart_cockpit()
+
+
+def test_a_cockpit_that_has_just_started_finds_whom_it_asks(virtual: VirtualRig) -> None:
+    virtual.signal('cockpit', signal.SIGKILL)
+    virtual.restart_cockpit()
+    with page_of(virtual) as page:
+        answer = page.ask('switch_controller', name='hold')
+    assert answer['ok'], answer
 
 
 def test_discovery_ends_with_the_cockpit(page: Any, virtual: VirtualRig) -> None:
