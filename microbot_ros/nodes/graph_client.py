@@ -31,8 +31,8 @@ from microbot_ros.nodes.participant import client_context
 from microbot_ros.records import Commands
 
 _FIND_SECONDS = 5.0
-"""So long a node may take to be seen: what a process says of itself when it starts may be lost,
-and is said again after 1 s."""
+"""So long a node may take to be seen: what it says to a process that has just started may be lost,
+and is said again after 0.5 s."""
 
 _TAKE_SECONDS = 5.0
 """So long a controller may take to say that it took goals or a path."""
