@@ -23,6 +23,7 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import get_rmw_implementation_identifier
 
 from microbot_ros.errors import InputError
 from microbot_ros.nodes.transport import (
@@ -70,7 +71,7 @@ def _join(arguments: list[str] | None, profile: str, context: Context | None) ->
     InputError where others reach it all the same, since the `profile` was not read: by another
     version of the middleware, or after another participant in this process.
     """
-    asked = asked_reach()
+    asked = asked_reach(get_rmw_implementation_identifier())
     if asked:
         with transport(asked):
             return _participant(arguments, context)

@@ -32,11 +32,16 @@ _FRESH_SECONDS = 5.0
 """A segment this young may not have been locked yet by the process that makes it."""
 
 
-def asked_reach() -> str | None:
-    """The range of discovery that the caller's environment asks for, or that goes with a profile
-    of their own; None where ours is to do."""
+def asked_reach(middleware: str) -> str | None:
+    """The range of discovery that the caller's environment asks for; None where ours is to do.
+
+    Whoever names peers, has a profile of their own or another `middleware` than Fast DDS, for
+    which ours are, is left with what that makes of the range.
+    """
     reach = os.environ.get(RANGE, _HERE)
-    return reach if reach != _HERE or _PROFILES in os.environ else None
+    theirs = (reach != _HERE or _PROFILES in os.environ or os.environ.get('ROS_STATIC_PEERS')
+              or not middleware.startswith('rmw_fastrtps'))
+    return reach if theirs else None
 
 
 @contextmanager

@@ -14,7 +14,7 @@ import psutil
 import pytest
 
 from microbot_ros.nodes.graph_client import GraphClient
-from microbot_ros.nodes.transport import clear_shared_memory
+from microbot_ros.nodes.transport import asked_reach, clear_shared_memory
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(120)]
 
@@ -96,6 +96,20 @@ def test_who_would_be_open_to_others_is_refused_unless_that_is_asked_for(asks: s
     assert done.stdout == ('' if asks == 'SUBNET' else
         'ROS_AUTOMATIC_DISCOVERY_RANGE: other computers would reach this process, since the '
         'middleware did not read client_transport.xml; expected SUBNET where that is meant\n')
+
+
+@pytest.mark.parametrize(('name', 'value', 'reach'), [
+    ('ROS_DOMAIN_ID', '7', None),
+    ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST', None),
+    ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET', 'SUBNET'),
+    ('FASTRTPS_DEFAULT_PROFILES_FILE', '/mine.xml', 'LOCALHOST'),
+    ('ROS_STATIC_PEERS', '192.168.1.20', 'LOCALHOST')])
+def test_what_the_environment_asks_for_comes_first(
+        monkeypatch: pytest.MonkeyPatch, name: str, value: str, reach: str | None) -> None:
+    monkeypatch.delenv('ROS_AUTOMATIC_DISCOVERY_RANGE', raising=False)
+    monkeypatch.setenv(name, value)
+    assert asked_reach('rmw_fastrtps_cpp') == reach
+    assert asked_reach('rmw_cyclonedds_cpp') == (reach or 'LOCALHOST')
 
 
 def test_the_shared_memory_of_the_killed_goes_and_that_of_the_living_stays(
