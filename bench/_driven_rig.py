@@ -32,19 +32,19 @@ class SimulatedRig:
                  rng: np.random.Generator, frequency: tuple[float, float] | None = None,
                  view: Workspace = VIEW) -> None:
         self.limits = Range(field, view, frequency)
-        self._world, self._camera, self._rng = world, camera, rng
-        self._conditions = conditions
+        self.world, self._camera, self._rng = world, camera, rng
+        self.conditions = conditions
         self._past = Commands(np.zeros(1), np.zeros((1, 2)),
                               None if frequency is None else np.zeros(1))
 
     @property
     def seconds(self) -> float:
         """Since the world began."""
-        return self._world.t
+        return self.world.t
 
     def play(self, plan: Plan) -> Played:
         """Play a `plan` after a pause for thought, in which the particles mark time."""
-        begin = self._world.t
+        begin = self.world.t
         whole = plan
         if begin > 0:
             most = None if self.limits.frequency is None else self.limits.frequency[1]
@@ -54,11 +54,11 @@ class SimulatedRig:
         told = whole.commands(begin)
         self._past = _after(self._past, told, begin - _KEPT)
         tracks = self._film(begin, whole.duration, FieldHistory.uniform(self._past))
-        self._world.advance(begin + whole.duration, FieldHistory.uniform(self._past))
-        return Played(Session(tracks, told, self._conditions, 'experiment'))
+        self.world.advance(begin + whole.duration, FieldHistory.uniform(self._past))
+        return Played(Session(tracks, told, self.conditions, 'experiment'))
 
     def _film(self, begin: float, duration: float, history: FieldHistory) -> Tracks:
-        camera, world = self._camera, self._world
+        camera, world = self._camera, self.world
         shutter = camera.exposure / camera.frame_rate
         opens = begin + np.arange(math.floor((duration - shutter) * camera.frame_rate)) / (
             camera.frame_rate)

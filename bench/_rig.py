@@ -24,9 +24,10 @@ from microbot_ros.nodes.graph_client import GraphClient
 from microbot_ros.nodes.process import processes
 
 _WARM_S, _LOOK_S = 5.0, 0.5
-_TURNING: dict[str, Any] = {'controller': 'open_loop', 'open_loop.durations_s': [0.5] * 4,
-                            'open_loop.directions_deg': [0.0, 90.0, 180.0, 270.0],
-                            'open_loop.repeat': True}
+TURNING: dict[str, Any] = {'controller': 'open_loop', 'open_loop.durations_s': [0.5] * 4,
+                           'open_loop.directions_deg': [0.0, 90.0, 180.0, 270.0],
+                           'open_loop.repeat': True}
+"""A controller that turns the field for ever."""
 
 
 @dataclass
@@ -61,16 +62,23 @@ def running(folder: Path, film: list[np.ndarray], board: Emulator, rate_hz: floa
         cv2.imwrite(str(folder / f'{number:04d}.bmp'), picture)
     nodes: dict[str, dict[str, Any]] = {
         'camera': {'source': str(folder / '*.bmp'), 'frame_rate_hz': rate_hz, 'loop': True},
-        'tracker': {'pixel_size_um': 0.45}, 'model': {}, 'controller': _TURNING,
+        'tracker': {'pixel_size_um': 0.45}, 'model': {}, 'controller': TURNING,
         'coil_driver': {'port': str(board.url), 'full_scale_A': FULL_SCALE_A},
         **more}
+    with graph(folder, nodes, joined):
+        yield
+
+
+@contextmanager
+def graph(folder: Path, nodes: dict[str, dict[str, Any]], joined: bool) -> Iterator[None]:
+    """The processes of these `nodes` with their parameters, from a file in `folder`."""
     parameters = folder / 'parameters.yaml'
     parameters.write_text(yaml.safe_dump(
         {node: {'ros__parameters': values} for node, values in nodes.items()}))
-    with Graph(lambda *_: None) as graph:
+    with Graph(lambda *_: None) as started:
         for group in processes(tuple(nodes), joined):
-            graph.start_nodes(group, parameters)
-        graph.wait_ready(120.0)
+            started.start_nodes(group, parameters)
+        started.wait_ready(120.0)
         yield
 
 

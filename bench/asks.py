@@ -1,9 +1,10 @@
 """The rig asks its own questions: minutes until what is hidden has its name, and wrong names.
 
-Worlds of the fine physics, a camera, a view with edges; the loop without a graph. Every effect is
-hidden so that a minute of random steps would hold λ = 10 of evidence. The rivals are random steps
-judged by the same rules, and the rules of the literature. The worlds are drawn by seed, and what
-came of each is in `out/asks.jsonl`: of every kind of run as many as of any other at any time.
+Worlds of the fine physics, a camera, a view with edges; the loop without a graph, and with one for
+a sample. Every effect is hidden so that a minute of random steps would hold λ = 10 of evidence.
+The rivals are random steps judged by the same rules, and the rules of the literature. The worlds
+are drawn by seed, and what came of each is in `out/asks.jsonl`: of every kind of run as many as of
+any other at any time.
 
 Minutes are compared at the same share of wrong names: all are taken at their first word. A rule of
 the literature says at every look what is likeliest, and how sure it is; from how sure on it is
@@ -25,6 +26,7 @@ from typing import Any
 
 import numpy as np
 
+from bench import _asks_graph
 from bench._asks_rivals import RULES, Rule, by_rule
 from bench._asks_worlds import hidden_world
 from bench._driven_rig import SimulatedRig
@@ -113,7 +115,7 @@ class Run:
 def figures() -> list[Figure]:
     """Every figure of the issue."""
     runs = run_kept(Path('out/asks.jsonl'), every_case(), run, _again)
-    return [*score(runs), _design_seconds()]
+    return [*score(runs), _design_seconds(), *_asks_graph.figures()]
 
 
 def every_case() -> list[Case]:
