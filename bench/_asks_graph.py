@@ -27,11 +27,6 @@ from microbot_ros.nodes.graph_client import GraphClient
 ISSUE = 18
 SAMPLE = list(LISTED)[::4]
 """Of swimmers, all of them."""
-OWN, OWN_S = ('command_delay', 'alignment_lag'), 3e-3
-"""What the rig has by itself, and finds where the tracker reads places within 10 nm: spheres that
-come round in 0.1 ms at 5 mT and in longer at less; and the middle of a half-dark sphere, which is
-found 3 nm behind its centre, as if it heard of turns 0.7 ms later."""
-
 _SEED, _MINUTES, _RATE_HZ = 0, 6.0, 20.0
 _WARM_S, _BEFORE_S, _LOOK_S = 5.0, 60.0, 0.5
 
@@ -50,11 +45,9 @@ class Asked:
     beside_s: list[float] = field(repr=False)
 
     @property
-    def right(self) -> bool:
-        """Whether what was hidden is named, and nothing that this rig has not."""
-        others = {name: value for name, value in self.named.items() if name != self.hidden}
-        return (self.decided == 'settled' and self.hidden in self.named
-                and all(name in OWN and value < OWN_S for name, value in others.items()))
+    def found(self) -> bool:
+        """Whether what was hidden is named, and the search settled."""
+        return self.decided == 'settled' and self.hidden in self.named
 
 
 def figures() -> list[Figure]:
@@ -68,15 +61,19 @@ def figures() -> list[Figure]:
 
 
 def score(asked: Sequence[Asked]) -> list[Figure]:
-    """How many are right, and how much later the loop answers beside a search."""
-    right = sum(one.right for one in asked)
+    """How many are named, and alone, and how much later the loop answers beside a search."""
+    found = [one for one in asked if one.found]
+    named = len(found) / len(asked)
+    alone = sum(len(one.named) == 1 for one in found) / len(asked)
     before, beside = (float(np.percentile(np.concatenate(spent), 99)) for spent in (
         [one.before_s for one in asked], [one.beside_s for one in asked]))
     told = '; '.join(f'{one.hidden}: {one.decided} after {one.minutes:.1f} min, ' + ', '.join(
         f'{name} {value:.2g}' for name, value in one.named.items()) for one in asked)
     return [
-        Figure(ISSUE, 'through the real graph: right within 6 min', right / len(asked), '1',
-               '≥ 0.95', told, right / len(asked) >= 0.95),
+        Figure(ISSUE, 'through the real graph: named within 6 min', named, '1', '≥ 0.95', told,
+               named >= 0.95),
+        Figure(ISSUE, 'through the real graph: and nothing beside', alone, '1', '≥ 0.95',
+               'a lag of the rig itself counts as wrong', alone >= 0.95),
         Figure(ISSUE, 'loop p99 beside a search over without', beside / before, '1', '≤ 1.1',
                f'{1e3 * beside:.1f} and {1e3 * before:.1f} ms', beside <= 1.1 * before)]
 
