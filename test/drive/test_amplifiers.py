@@ -2,6 +2,7 @@
 
 import math
 import os
+import signal
 import threading
 from importlib.metadata import entry_points
 
@@ -26,6 +27,7 @@ WITH_WATCHDOG = {'serial_transfer', 'roboclaw', 'roboteq'}
 FULL_SCALE_A = 2.0
 DRIVING = [1.0, -0.5, 2.0, 0.2]
 ZERO = [0.0] * 4
+REPLY_S = 2.0
 
 pytestmark = pytest.mark.parametrize('protocol', PROTOCOLS)
 
@@ -36,14 +38,16 @@ def device(emulate, protocol):
 
 
 @pytest.fixture
-def amplifier(device, protocol):
+def amplifier(device, protocol, monkeypatch):
+    # An answer that a loaded machine brings too late spoils the next, which is then waited for.
+    monkeypatch.setattr('microbot_ros.drive.amplifier.READ_BACK_S', 5 * REPLY_S)
     amplifier = make(protocol, device)
     amplifier.connect()
     yield amplifier
     amplifier.close()
 
 
-def make(protocol, device, reply_s=2.0):
+def make(protocol, device, reply_s=REPLY_S):
     """A driver as patient as a loaded machine needs it, or as impatient as silence does."""
     amplifier = amplifier_class(protocol)(device.url, FULL_SCALE_A)
     amplifier.reply_s = amplifier._boot_s = reply_s
@@ -101,6 +105,19 @@ def test_closing_zeroes_and_reads_back(amplifier, device):
         amplifier.write(ZERO)
     assert amplifier.close() is False
     amplifier.connect()
+
+
+def test_an_answer_that_comes_too_late_hides_no_zero(amplifier, device):
+    drive(amplifier, device)
+    amplifier.reply_s = 0.3
+    os.kill(device.process.pid, signal.SIGSTOP)
+    going_on = threading.Timer(0.1, os.kill, (device.process.pid, signal.SIGCONT))
+    going_on.start()
+    amplifier.poll(0.03)  # something is asked, whose answer comes when others are waited for
+    confirmed = amplifier.close()
+    going_on.join()
+    assert confirmed
+    assert device.currents() == ZERO
 
 
 def test_a_current_outside_is_refused_before_any_byte(amplifier, monkeypatch):
