@@ -84,8 +84,10 @@ def emulate(tmp_path):
 
 @pytest.fixture(autouse=True)
 def patient(monkeypatch):
-    """A machine that is busy with other tests may pause for longer than a line may."""
+    """A machine that is busy with other tests may pause for longer than a line may, and an answer
+    that it brings late spoils the next, which is waited for in vain, then asked for again."""
     monkeypatch.setattr('microbot_ros.drive.transport._WRITE_TIMEOUT_S', 5.0)
+    monkeypatch.setattr('microbot_ros.drive.amplifier.READ_BACK_S', 2.0)
 
 
 class Script:

@@ -27,7 +27,6 @@ WITH_WATCHDOG = {'serial_transfer', 'roboclaw', 'roboteq'}
 FULL_SCALE_A = 2.0
 DRIVING = [1.0, -0.5, 2.0, 0.2]
 ZERO = [0.0] * 4
-REPLY_S = 2.0
 
 pytestmark = pytest.mark.parametrize('protocol', PROTOCOLS)
 
@@ -38,16 +37,14 @@ def device(emulate, protocol):
 
 
 @pytest.fixture
-def amplifier(device, protocol, monkeypatch):
-    # An answer that a loaded machine brings too late spoils the next, which is then waited for.
-    monkeypatch.setattr('microbot_ros.drive.amplifier.READ_BACK_S', 5 * REPLY_S)
+def amplifier(device, protocol):
     amplifier = make(protocol, device)
     amplifier.connect()
     yield amplifier
     amplifier.close()
 
 
-def make(protocol, device, reply_s=REPLY_S):
+def make(protocol, device, reply_s=0.5):
     """A driver as patient as a loaded machine needs it, or as impatient as silence does."""
     amplifier = amplifier_class(protocol)(device.url, FULL_SCALE_A)
     amplifier.reply_s = amplifier._boot_s = reply_s
@@ -109,7 +106,6 @@ def test_closing_zeroes_and_reads_back(amplifier, device):
 
 def test_an_answer_that_comes_too_late_hides_no_zero(amplifier, device):
     drive(amplifier, device)
-    amplifier.reply_s = 0.3
     os.kill(device.process.pid, signal.SIGSTOP)
     going_on = threading.Timer(0.1, os.kill, (device.process.pid, signal.SIGCONT))
     going_on.start()
