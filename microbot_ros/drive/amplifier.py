@@ -18,6 +18,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from microbot_ros.drive.clock import Clock
 from microbot_ros.drive.errors import AmplifierError, NoAnswerError
 from microbot_ros.errors import InputError
 from microbot_ros.plugins import installed
@@ -39,6 +40,14 @@ class Watchdog(StrEnum):
     FIRMWARE = 'in the firmware, where it has one: arming tries it out'
     UNCONFIRMED = 'armed in the device, which never says so'
     NONE = 'none'
+
+
+class Zero(StrEnum):
+    """What is known of a zero that was asked for; each value is the words for people."""
+
+    CONFIRMED = 'zero, confirmed by a reading'
+    SENT = 'zero sent, not confirmed'
+    UNREACHABLE = 'not reachable'
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +128,10 @@ class Amplifier(ABC):
     """Whether there are devices that turn currents by themselves, as a `Swing` says."""
     swings = False
     """Whether this one does, from command to command."""
+    clock = Clock()
+    """Where this driver, and the `CoilDriver` around it, take time from."""
+    unreachable: tuple[str, ...] = ()
+    """The ports that the last `connect`, `write`, `poll` or `close` could not reach."""
     resolution_A = 0.0
     """The step in which the device reports currents."""
 
@@ -186,18 +199,22 @@ class Amplifier(ABC):
         """
         return [self._reading(*measured) for measured in self._receive(timeout_s)]
 
-    def close(self) -> bool:
-        """Zero, read back, disable, release the port; True where a reading confirmed the zero.
+    def close(self) -> Zero:
+        """Zero, read back, disable and release every port; return what is known of the zero.
 
-        Never raises an AmplifierError: a lost port is released and the answer is False.
+        Never raises an AmplifierError: a lost port is released, named in `unreachable`, and the
+        result is UNREACHABLE.
         """
         try:
             self.zero()
             if self.reads_back:
                 self._await_zero()
-            return self.reads_back
+            return Zero.CONFIRMED if self.reads_back else Zero.SENT
+        except NoAnswerError:
+            return Zero.SENT
         except AmplifierError:
-            return False
+            self.unreachable = (self.url,)
+            return Zero.UNREACHABLE
         finally:
             with suppress(AmplifierError):
                 self._disable()

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from microbot_ros.drive.amplifier import COILS, Amplifier, Command, Reading, Watchdog
+from microbot_ros.drive.amplifier import COILS, Amplifier, Command, Reading, Watchdog, Zero
 from microbot_ros.drive.errors import AmplifierError
 from microbot_ros.drive.gate import Currents, Gate, Limits, Reason
 from microbot_ros.drive.last_resort import LastResort
@@ -399,7 +399,7 @@ class CoilDriver:
 
     def _disconnect(self) -> bool:
         self.connected = False
-        confirmed = self.amplifier.close()
+        confirmed = self.amplifier.close() is Zero.CONFIRMED
         if self._last_resort is not None:
             self._last_resort.dismiss()
             self._last_resort = None

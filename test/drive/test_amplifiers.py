@@ -94,7 +94,7 @@ def test_reading_never_moves_current(amplifier, device):
 
 def test_closing_zeroes_and_reads_back(amplifier, device):
     drive(amplifier, device)
-    assert amplifier.close() is True
+    assert amplifier.close() is Zero.CONFIRMED
     assert device.currents() == ZERO
     with pytest.raises(NoAnswerError):
         amplifier.poll()

@@ -44,7 +44,7 @@ def test_each_coil_is_driven_and_measured_whatever_their_number(served):
                                            for one in amplifier.poll(0.05)))
             device.eventually(currents)
     finally:
-        assert amplifier.close()
+        assert amplifier.close() is Zero.CONFIRMED
     assert device.flowed[-1] == (0.0,) * channels
 
 

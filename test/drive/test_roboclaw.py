@@ -122,7 +122,7 @@ def test_the_transcript_of_a_session(scripted):
     reading, = amplifier.poll(1.0)
     assert reading.currents_A == pytest.approx([2.0, -1.0, 0.0, 0.5])
     assert reading.acknowledges is command
-    assert amplifier.close()
+    assert amplifier.close() is Zero.CONFIRMED
 
 
 def test_a_damaged_answer_is_asked_for_again(scripted):

@@ -68,7 +68,7 @@ def test_the_transcript_of_a_session(scripted):
     reading, = amplifier.poll(1.0)
     assert reading.currents_A == pytest.approx([1.0, -0.501, 0.0, 1.99])
     assert reading.acknowledges is command
-    assert amplifier.close()
+    assert amplifier.close() is Zero.CONFIRMED
 
 
 @pytest.mark.parametrize(('condition', 'fault'), [

@@ -65,7 +65,7 @@ def test_it_reports_by_itself(amplifier):
 def test_the_log_shows_a_command_and_the_zero_of_closing(amplifier, board):
     amplifier.write([1.0, -0.5, 0.25, 2.0])
     assert board.eventually_at([1.0, -0.5, 0.25, 2.0])['cause'] == 'command'
-    assert amplifier.close()
+    assert amplifier.close() is Zero.CONFIRMED
     assert board.entries()[-1]['currents_A'] == [0, 0, 0, 0]
     assert board.entries()[-1]['cause'] == 'command'
     assert amplifier.close() is False
@@ -182,7 +182,7 @@ def test_it_works_over_a_network_port(remote, board):
     amplifier.connect()
     acknowledged(amplifier, amplifier.write([1.0, -0.5, 0.25, 2.0]))
     board.eventually_at([1.0, -0.5, 0.25, 2.0])
-    assert amplifier.close()
+    assert amplifier.close() is Zero.CONFIRMED
     assert board.currents() == [0, 0, 0, 0]
 
 
@@ -212,7 +212,7 @@ def test_the_bytes_of_a_session_and_no_others():
         amplifier = SerialTransferAmplifier(os.ttyname(slave), FULL_SCALE)
         amplifier.connect()
         acknowledged(amplifier, amplifier.write([2.0, -1.0, 0.0, 0.5]))
-        assert amplifier.close()
+        assert amplifier.close() is Zero.CONFIRMED
     finally:
         ended.set()
         thread.join()

@@ -100,14 +100,14 @@ def test_a_full_scale_that_is_none_is_refused(protocol, full_scale_A):
 @every_protocol
 def test_closing_zeroes_reads_back_and_gives_the_port_back(amplifier, device):
     drive_bare(amplifier, device)
-    assert amplifier.close() is True
+    assert amplifier.close() is Zero.CONFIRMED
     assert device.flowed[-1] == ZERO
     until(lambda: not any(line.present for line in device.lines))
     amplifier.connect()
     other = type(amplifier)(device.url, FULL_SCALE_A)
     with pytest.raises(PortBusyError):
         other.connect()
-    assert amplifier.close() is True
+    assert amplifier.close() is Zero.CONFIRMED
 
 
 @every_protocol
