@@ -3,7 +3,11 @@
 import subprocess
 import sys
 
+import pytest
+
 from microbot_ros.first_compilation import COMPILES
+
+pytestmark = pytest.mark.rig
 
 FUNCTION = """
 from microbot_ros.compiled import numba

@@ -203,6 +203,7 @@ def test_yaml_in_the_documents_is_yaml():
         yaml.safe_load(text.replace('…', 'more'))
 
 
+@pytest.mark.rig
 def test_sphinx_builds_the_pages_without_a_warning(tmp_path):
     """But for the API, which takes a minute: `make docs`."""
     built = subprocess.run(

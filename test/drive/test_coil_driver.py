@@ -18,6 +18,8 @@ from microbot_ros.drive.gate import Limits, Reason
 from microbot_ros.drive.serial_transfer.driver import SerialTransferAmplifier
 from microbot_ros.errors import InputError
 
+pytestmark = pytest.mark.rig
+
 FULL_SCALE_A = 2.0
 LIMITS = Limits(
     current_A=FULL_SCALE_A, step_A=2 * FULL_SCALE_A, slew_A_per_s=1e4, command_timeout_s=0.8,

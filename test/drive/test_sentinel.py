@@ -12,6 +12,8 @@ from bench._served import until
 from microbot_ros.drive import last_resort, sentinel
 from microbot_ros.drive.roboclaw import driver as roboclaw
 
+pytestmark = pytest.mark.rig
+
 DRIVING = (1.0, -1.0, 0.5, 0.2)
 
 
