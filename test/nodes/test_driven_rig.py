@@ -147,6 +147,7 @@ def stand(tmp_path: Path, emulator: object) -> Iterator[Callable[..., Stand]]:
 
 
 # Its stand-in stamps poses by this machine's clock: a pause is a step that no effect explains.
+@pytest.mark.soak
 def test_a_rig_that_is_not_ours_is_asked_until_it_is_settled(
         stand: Callable[..., Stand], emulator: object) -> None:
     here = stand('coil_gain_mismatch', {'gain_ratio': 1.25})

@@ -17,7 +17,7 @@ from microbot_ros.nodes.graph_client import GraphClient
 from microbot_ros.session import open_recording
 from microbot_ros.session.from_recording import session_of
 
-pytestmark = [pytest.mark.rig, pytest.mark.timeout(400)]
+pytestmark = [pytest.mark.soak, pytest.mark.timeout(400)]
 
 CUT_IN_HZ, SECONDS, LEG_S = 1.5, 36.0, 1.5
 PATIENT = {'command_timeout_ms': 500.0, 'max_command_age_ms': 500.0}
