@@ -56,10 +56,10 @@ soak: $(VENV)/.development compiled
 coverage:
 	@$(MAKE) --no-print-directory test COVERAGE=1
 
-# Compile once what several processes need, before they start.
+# Compile once what several processes need, before they start; what was compiled of the same
+# sources, in whatever clone, is not compiled again.
 compiled: $(VENV)/.development
-	@$(BIN)/python -c 'from microbot_ros.tracking.warm import warm_up; warm_up()'
-	@$(BIN)/python -c 'from microbot_ros.magnetics import *; Allocator(CoilSet())'
+	@$(BIN)/python test/warm.py
 
 lint: $(VENV)/.development
 	@$(BIN)/ruff check .

@@ -18,7 +18,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from domains import own_domain
 from retries import Retries
+from warm import CACHE
 
+os.environ['NUMBA_CACHE_DIR'] = str(CACHE)
 os.environ['ROS_DOMAIN_ID'] = str(own_domain())
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 os.environ.setdefault('MPLBACKEND', 'Agg')
