@@ -51,6 +51,11 @@ class LastResort:
             self._process.kill()
             self._process.wait()
 
+    def abandon(self) -> None:
+        """End the feed without a word: no zero is confirmed, so the sentinel zeroes and ends."""
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+
     def _say(self, word: bytes) -> bool:
         try:
             return os.write(self._feed, word) == len(word)
