@@ -526,6 +526,8 @@ class CoilDriver:
         self.connected = True
 
     def _disconnect(self) -> None:
+        if not self.connected:
+            return
         self.connected = False
         self._left = self.amplifier.close()
         if self._last_resort is not None:
