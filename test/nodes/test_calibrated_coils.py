@@ -105,7 +105,7 @@ def test_a_rig_runs_by_what_was_calibrated(tmp_path: Path, emulator: Any, defaul
 
             def made() -> bool:
                 stamp = client.node.get_clock().now().to_msg()
-                field = 0 * wanted if next(count) % 20 == 0 else wanted  # zero: it may just be armed
+                field = 0 * wanted if next(count) % 20 == 0 else wanted  # it may just be armed
                 commands.publish(messages.field_vector(field, stamp))
                 field = emulator.currents @ _field_per_ampere(content, (0, 0, 0))
                 off = field[:2] + BACKGROUND_T - wanted
