@@ -11,7 +11,7 @@ import pytest
 
 from bench._served import MEASURED
 from microbot_ros.drive import transport
-from microbot_ros.drive.amplifier import amplifier_class
+from microbot_ros.drive.amplifier import Zero, amplifier_class
 from microbot_ros.drive.errors import (
     AmplifierError,
     NoAnswerError,

@@ -21,6 +21,7 @@ from microbot_ros.drive.emulator.faults import Faults, parse
 from microbot_ros.drive.emulator.process import make_device
 from microbot_ros.drive.emulator.server import Emulation
 from microbot_ros.drive.errors import PortBusyError, PortLostError, PortMissingError
+from microbot_ros.drive.transport import Port
 
 _START_S = 1000.0
 _STALLED = 10_000
@@ -124,14 +125,13 @@ class MemoryLine:
         return self.host
 
 
-class MemoryPort:
+class MemoryPort(Port):
     """The host's end of a `MemoryLine`, used as a `transport.Port` is."""
 
-    descriptor: int | None = None
-    low_latency = True
+    descriptor = None
 
     def __init__(self, url: str, line: MemoryLine) -> None:
-        self.url = url
+        self.url, self.low_latency = url, True
         self.arrived = b''
         self.lost = False
         self._line = line
@@ -221,6 +221,25 @@ class VirtualAmplifier:
 
     def flush(self) -> None:
         """Nothing waits."""
+
+    def energise(self, currents_A: Sequence[float]) -> None:
+        """Let a driver that is killed leave `currents_A` flowing, and no watchdog end them."""
+        self.coils.feed = lambda: None  # type: ignore[method-assign]
+        driver = self.amplifier()
+        driver.connect()
+        driver.write(currents_A)
+        self.clock.wait_for(lambda: bool(driver.poll(0.01)) and self.flows(currents_A), 1.0)
+        driver._release()
+
+    def mute(self, address: int) -> None:
+        """Let one device of several on a line obey and answer nothing."""
+        receive = self.device.receive
+
+        def answer(port: int, data: bytes, now_s: float) -> bytes:
+            answered = receive(port, data, now_s)
+            return b'' if data[0] == address else answered
+
+        self.device.receive = answer  # type: ignore[method-assign]
 
     def fault(self, text: str) -> None:
         """Let a fault happen, as `parse` reads it, from now on."""
