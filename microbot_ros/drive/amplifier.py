@@ -70,7 +70,12 @@ class Swing:
     @property
     def largest(self) -> np.ndarray:
         """The largest magnitude of each current on the way (N,) [A]."""
-        return np.asarray(np.abs(self.steady) + np.hypot(self.cosine, self.sine))
+        return np.asarray(np.abs(self.steady) + self.amplitude)
+
+    @property
+    def amplitude(self) -> np.ndarray:
+        """The amplitude of the part of each current that turns (N,) [A]."""
+        return np.hypot(self.cosine, self.sine)
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,6 +243,10 @@ class Amplifier(ABC):
             found = self._receive(timeout_s)
         return [self._reading(*measured) for measured in found]
 
+    def shows_zero(self, currents_A: np.ndarray) -> bool:
+        """Return whether measured `currents_A` (N,) [A] agree with zero; NaN does not."""
+        return bool(np.all(np.abs(currents_A) <= self._tolerance_A))
+
     def close(self) -> Zero:
         """Zero, read back, disable and release every port; return the worst that holds of a coil.
 
@@ -290,7 +299,7 @@ class Amplifier(ABC):
         deadline = self.clock.now() + self.read_back_s
         while (left := deadline - self.clock.now()) > 0:
             for reading in self.poll(left):
-                if np.all(np.abs(reading.currents_A) <= self._tolerance_A):
+                if self.shows_zero(reading.currents_A):
                     return
         raise NoAnswerError(self.url, f'measured currents of zero within {self.read_back_s:g} s')
 

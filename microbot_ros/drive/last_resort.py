@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -50,6 +51,12 @@ class LastResort:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+
+    def abandon(self) -> None:
+        """End the feed without a word: no zero is confirmed, so the sentinel zeroes and ends."""
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        threading.Thread(target=self._process.wait, daemon=True).start()  # leaves no zombie
 
     def _say(self, word: bytes) -> bool:
         try:

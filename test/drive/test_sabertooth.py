@@ -248,6 +248,7 @@ def drive(device):
         driver.start()
         started.append(driver)
         assert driver.arm() is None
+        driver.command(ZERO)
         assert driver.command(DRIVING)
         device.eventually(DRIVING)
         return driver
