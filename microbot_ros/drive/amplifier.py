@@ -34,6 +34,9 @@ from microbot_ros.plugins import installed
 COILS = ('coil_plus_y', 'coil_plus_x', 'coil_minus_y', 'coil_minus_x')
 """Names of four coils in the plane, in the order of every array of currents."""
 
+READ_BACK_S = 0.5
+"""How long a driver waits for the read-back that proves a zero."""
+
 _AGREEMENT = 0.02
 """How near a reading must be to a command to acknowledge it, as a part of full scale."""
 
@@ -148,8 +151,8 @@ class Amplifier(ABC):
     """What opens a port; a test gives another."""
     adapter_at: Callable[[str], Adapter | None] = staticmethod(adapter_at)
     """What finds the USB adapter behind a port; a test gives another."""
-    read_back_s = 0.5
-    """How long to wait for the measured currents that prove a zero."""
+    read_back_s = READ_BACK_S
+    """How long this one waits for the read-back."""
     unreachable: tuple[str, ...] = ()
     """The ports that could not be reached since `connect` was called."""
     resolution_A = 0.0

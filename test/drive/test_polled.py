@@ -107,7 +107,7 @@ def line(clock):
 
 
 @pytest.fixture
-def device(clock, line):
+def device(line):
     device = Device('line', 2.0)
     device._lines = [line]
     return device

@@ -9,8 +9,8 @@ import pytest
 
 from bench._served import FULL_SCALE_A, MEASURED, until
 from microbot_ros.drive import polled, sentinel
-from microbot_ros.drive.clock import Clock
 from microbot_ros.drive.amplifier import Command, Watchdog, Zero, amplifier_class
+from microbot_ros.drive.clock import Clock
 from microbot_ros.drive.errors import (
     AmplifierError,
     NoAnswerError,
