@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from bench._served import FULL_SCALE_A, LIMITS, MEASURED, Served, until
-from microbot_ros.drive.amplifier import amplifier_class
+from microbot_ros.drive.amplifier import Zero, amplifier_class
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.gate import Gate, Reason
 from microbot_ros.errors import InputError
