@@ -7,19 +7,18 @@ import time
 
 
 class Clock:
-    """The clocks of this machine, and the two ways to wait on them.
+    """The clock of this machine, and the two ways to wait on it.
 
     `CoilDriver` and the amplifier drivers read time and wait through this object alone, so that a
     test can run them on virtual time.
     """
 
     def now(self) -> float:
-        """Return the monotonic time [s], which stands still while the machine is suspended."""
-        return time.monotonic()
+        """Return the time since boot [s], which goes on while the machine is suspended.
 
-    def suspended(self) -> float:
-        """Return how long [s] the machine has been suspended since it was booted."""
-        return time.clock_gettime(time.CLOCK_BOOTTIME) - time.monotonic()
+        CLOCK_MONOTONIC would stand still then: a command from before would not be stale after.
+        """
+        return time.clock_gettime(time.CLOCK_BOOTTIME)
 
     def sleep(self, seconds: float) -> None:
         """Wait for `seconds` [s]; return at once where they are not above 0."""

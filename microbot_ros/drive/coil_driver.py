@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -14,9 +15,18 @@ from typing import Any
 
 import numpy as np
 
-from microbot_ros.drive.amplifier import COILS, Amplifier, Command, Reading, Watchdog, Zero
+from microbot_ros.drive.amplifier import (
+    COILS,
+    READ_BACK_S,
+    Amplifier,
+    Command,
+    Reading,
+    Swing,
+    Watchdog,
+    Zero,
+)
 from microbot_ros.drive.errors import AmplifierError
-from microbot_ros.drive.gate import Currents, Gate, Limits, Reason
+from microbot_ros.drive.gate import Currents, Fault, Gate, Limits, Reason
 from microbot_ros.drive.last_resort import LastResort
 from microbot_ros.drive.real_time import set_realtime_priority
 from microbot_ros.drive.rotation import Rotation, Turning
@@ -28,12 +38,15 @@ _TICK_S = 0.005
 _REFRESH_S = 0.04
 """The present output goes out again this often: a device's watchdog is fed while commands hold,
 and a zero that the line damaged is not the last word."""
-_BACKOFF_S = (0.1, 2.0)
-"""First and longest pause between attempts to reconnect; each is twice the one before."""
+_RECONNECT_S = 0.1
+"""Pause between attempts to reconnect: a line that is back is at zero within 0.2 s."""
 _TOLD_S = 0.01
 """While currents turn, readings are told at most this often: there are a thousand a second."""
+_LOOK_S = 0.002
 _ARMING_S = 10.0
 _DISARMING_S = 0.2
+STOPPED = 'the rig was stopped after this was asked; ask again'
+"""Why arming is refused that was asked before a stop, a trip or a signal."""
 WITHOUT_WATCHDOG = ('if this computer loses its power while coils are driven, the last currents '
                     'flow on until somebody switches the amplifier off')
 WITHOUT_FEEDBACK = ('a coil that is open, shorted or reversed goes unnoticed, and so does a '
@@ -66,20 +79,27 @@ class CoilDriver:
     without one needs `accept_no_watchdog`, and is watched by a process of ours, which zeroes it
     when this one dies or hangs. One that reads no currents back needs `accept_no_feedback` and
     has no self-check; as it cannot say whether its watchdog is armed, it is watched likewise.
+    `heat` (N,) is that of the coils at the start (`HeatRecord`); None for cold coils.
     Raises InputError where that is missing, for a current limit that is more than the amplifier
     can give, and for limits that leave no room for the pulse.
+
+    After arming nothing but zero flows until a zero was commanded that was given after arming was
+    asked: a goal or a stick from before moves nothing. Every stop and every fault begins a new
+    `epoch`; arming that was asked in an older one is refused.
     """
 
     def __init__(self, amplifier: Amplifier, limits: Limits,
                  on_reading: Callable[[Reading], None], *, names: Sequence[str] = COILS,
                  on_sent: Callable[[Command], None] = lambda _: None, self_check: bool = True,
-                 accept_no_watchdog: bool = False, accept_no_feedback: bool = False) -> None:
+                 accept_no_watchdog: bool = False, accept_no_feedback: bool = False,
+                 heat: Sequence[float] | None = None) -> None:
         full_scale_A = float(amplifier.full_scale_A.min())
         if not limits.current_A <= full_scale_A:
             raise InputError('current_limit_A', 'expected at most the full scale of the '
                              f'amplifier, {full_scale_A:g} A; received {limits.current_A:g} A')
         self.amplifier = amplifier
-        self.gate = Gate(limits, amplifier.channels, feedback=amplifier.reads_back)
+        self.gate = Gate(limits, amplifier.channels, feedback=amplifier.reads_back, heat=heat)
+        self._clock = amplifier.clock
         self._names = names
         self.connected = False
         self.real_time = False
@@ -108,11 +128,16 @@ class CoilDriver:
         self._swinging = False
         self._sent: Currents = self.gate.zero
         self._sent_s = 0.0
-        self._pause_s = _BACKOFF_S[0]
         self._last_resort: LastResort | None = None
         self._ending = threading.Event()
-        self._confirmed = False
         self._thread: threading.Thread | None = None
+        self._epoch, self._epoch_wall_s = 0, -math.inf
+        self._fault_told: Fault | None = None
+        self._asked_s = math.inf
+        self._zero_given_s = -math.inf
+        self._zero_since_s: float | None = None
+        self._zero_seen_s = -math.inf
+        self._left = Zero.UNREACHABLE
 
     def _refuse_unwatched(self) -> None:
         if self.amplifier.watchdog is Watchdog.ARMED or self._unwatched:
@@ -146,35 +171,84 @@ class CoilDriver:
         self._thread = threading.Thread(target=self._run, name='coil driver', daemon=True)
         self._thread.start()
 
-    def stop(self) -> bool:
-        """Zero, read back, release the port; True where a reading confirmed the zero."""
+    def stop(self) -> Zero:
+        """Zero, read back and release the port; return what is known of the zero."""
         self._ending.set()
         self.amplifier.wake()
         if self._thread is not None:
             self._thread.join()
             self._thread = None
-        return self._confirmed
+        return self._left
 
-    def arm(self) -> str | None:
+    @property
+    def arming(self) -> bool:
+        """Whether the self-check goes on: no command flows yet."""
+        return self._arming is not None
+
+    @property
+    def epoch(self) -> int:
+        """The number of stops and faults so far; see `request_arming`."""
+        return self._epoch
+
+    @property
+    def epoch_wall_s(self) -> float:
+        """When the present epoch began, by the wall clock [s since 1970]."""
+        return self._epoch_wall_s
+
+    @property
+    def zero(self) -> Zero | None:
+        """What is known of the zero that is commanded; None while another current is.
+
+        CONFIRMED for as long as readings that were taken after the zero go on to show none.
+        """
+        if not self.connected:
+            return self._left
+        since_s = self._zero_since_s
+        if since_s is None:
+            return None
+        age_s = self._clock.now() - self._zero_seen_s
+        seen = self._zero_seen_s >= since_s and age_s <= self.gate.limits.feedback_timeout_s
+        return Zero.CONFIRMED if seen else Zero.SENT
+
+    def await_zero(self, seconds: float = READ_BACK_S) -> Zero | None:
+        """Wait until a zero is confirmed, or cannot be, `seconds` [s] at most; return `zero`."""
+        deadline_s = self._clock.now() + seconds
+        final = Zero.CONFIRMED if self.amplifier.reads_back else Zero.SENT
+        while self.connected and self.zero is not final and self._clock.now() < deadline_s:
+            self._clock.sleep(_LOOK_S)
+        return self.zero
+
+    def request_arming(self, epoch: int) -> Future[str | None]:
+        """Begin to arm; the future's result is None when armed, else why that is not safe.
+
+        `epoch` is that of the moment in which arming was asked: it is refused where a stop or a
+        fault came since.
+        """
+        answer: Future[str | None] = Future()
+        self._request(lambda: self._begin_arming(answer, epoch))
+        return answer
+
+    def arm(self, epoch: int | None = None) -> str | None:
         """Let currents flow from now on; or, where that is not safe, say why not.
 
-        Returns after the checks, some 20 ms a coil and 0.1 s for the watchdog; until then
-        commands go nowhere.
+        `epoch` as in `request_arming`; None for the present one. Returns after the checks, some
+        20 ms a coil and 0.1 s for the watchdog; until then commands go nowhere.
         """
         if not self.connected:
             return 'the amplifier is not connected'
-        answer: Future[str | None] = Future()
-        self._request(lambda: self._begin_arming(answer))
+        answer = self.request_arming(self.epoch if epoch is None else epoch)
         try:
             return answer.result(_ARMING_S)
         except TimeoutError:
             self.disarm()
             return f'the driver did not answer within {_ARMING_S:g} s'
 
-    def disarm(self, fault: tuple[Reason, str] | None = None) -> None:
-        """Zero at once, and latch a fault if there is one to tell of."""
-        if self._thread is None:
-            return
+    def request_zero(self, fault: tuple[Reason, str] | None = None) -> threading.Event:
+        """Zero and disarm, and latch a `fault` if one is given; return without waiting.
+
+        The event is set when the zero was handed to the line, or could not be.
+        """
+        self._begin_epoch()
         done = threading.Event()
 
         def revoke() -> None:
@@ -182,17 +256,35 @@ class CoilDriver:
                 self.gate.revoke()
             else:
                 self.gate.trip(*fault)
-            self._write()
-            done.set()
+            try:
+                self._write()
+            finally:
+                done.set()
         self._request(revoke)
-        done.wait(_DISARMING_S)
+        return done
 
-    def command(self, currents_A: Sequence[float] | np.ndarray, tag: Any = None) -> bool:
+    def disarm(self, fault: tuple[Reason, str] | None = None) -> None:
+        """Zero and disarm as `request_zero` does; wait for the line to take it, at most 0.2 s."""
+        done = self.request_zero(fault)
+        if self._thread is not None:
+            done.wait(_DISARMING_S)
+
+    def attend(self) -> None:
+        """Pass on the heartbeat of an operator (`Gate.attend`)."""
+        self._request(lambda: self.gate.attend(self._clock.now()))
+
+    def command(self, currents_A: Sequence[float] | np.ndarray, tag: Any = None, *,
+                neutral: bool = False) -> bool:
         """Leave `currents_A` (N,) [A] for the gate, in place of any that wait there.
 
-        Whether they may flow, as far as can be said now; `on_sent` tells what went out.
+        Return whether they may flow, as far as can be said now; `on_sent` tells what went out.
+        Zeros end the wait after arming; so do currents that only cancel the field of the room,
+        which the caller calls `neutral`.
         """
-        return self._leave(_Order(tuple(currents_A), time.monotonic(), tag))
+        now = self._clock.now()
+        if neutral or not np.any(currents_A):
+            self._zero_given_s = now  # the next command may take its place in the mailbox
+        return self._leave(_Order(tuple(currents_A), now, tag))
 
     def turn(self, turning: Turning, tag: Any = None) -> bool:
         """Leave currents that turn for the gate, as `command` does: every sample of `turning` goes
@@ -201,13 +293,18 @@ class CoilDriver:
         Like any command they hold for the gate's `command_timeout_s`, with a `tag` that the first
         sample carries.
         """
-        return self._leave(_Order(turning, time.monotonic(), tag))
+        return self._leave(_Order(turning, self._clock.now(), tag))
 
     def _leave(self, order: _Order) -> bool:
         with self._mail:
             self._order = order
         self.amplifier.wake()
         return self.connected and self.gate.armed and self._arming is None
+
+    def _begin_epoch(self) -> None:
+        with self._mail:
+            self._epoch += 1
+            self._epoch_wall_s = time.time()
 
     def _request(self, do: Callable[[], None]) -> None:
         self._requests.put(do)
@@ -219,23 +316,34 @@ class CoilDriver:
         self.real_time = set_realtime_priority()
         try:
             while not self._ending.is_set():
-                try:
-                    self._serve() if self.connected else self._reconnect()
-                except AmplifierError as error:
-                    self._lose(error)
-                except Exception as error:
-                    self._survive(error)
+                self._turn()
         finally:
-            self.gate.revoke()
-            self._answer_arming('the driver stopped')
-            self._confirmed = self._disconnect()
+            self._finish()
+
+    def _turn(self) -> None:
+        """One round of the thread: judge, write and tell, or try to reconnect."""
+        try:
+            self._serve() if self.connected else self._reconnect()
+        except AmplifierError as error:
+            self._lose(error)
+        except Exception as error:
+            self._survive(error)
+        fault = self.gate.fault
+        if fault is not None and fault is not self._fault_told:
+            self._begin_epoch()
+        self._fault_told = fault
+
+    def _finish(self) -> None:
+        self.gate.revoke()
+        self._answer_arming('the driver stopped')
+        self._disconnect()
 
     def _serve(self) -> None:
         """Wait for readings, mail or one tick, then let the gate judge what there is."""
         readings = self.amplifier.poll(self._patience_s())
         self._do_requests()
         order = self._take_order()
-        now = time.monotonic()
+        now = self._clock.now()
         if self.amplifier.fault:
             self.gate.trip(Reason.DEVICE, self.amplifier.fault)
         for reading in readings:
@@ -243,9 +351,11 @@ class CoilDriver:
         was_armed = self.gate.armed
         if self._check is not None:
             self._go_on_checking(self._check, now)
+            order = None
         else:
+            order = self._let_through(order)
             self._obey(order, now)
-        tag = order.tag if order is not None and was_armed and self._check is None else None
+        tag = order.tag if order is not None and was_armed else None
         if self._write_due(now, tag):
             self._write(tag)
         if not self.gate.armed:
@@ -255,6 +365,12 @@ class CoilDriver:
             self._replace_last_resort()
         for reading in readings:
             self._tell(reading, now)
+
+    def _let_through(self, order: _Order | None) -> _Order | None:
+        """Of what is ordered what may be obeyed: nothing from before arming was asked."""
+        if self.gate.holding and self._zero_given_s >= self._asked_s:
+            self.gate.release()
+        return None if self.gate.holding else order
 
     def _write_due(self, now: float, tag: Any) -> bool:
         changed = self.gate.tick(now) != self._sent
@@ -269,7 +385,7 @@ class CoilDriver:
     def _patience_s(self) -> float:
         if not self._rotation.turns or self._swinging:
             return _TICK_S
-        return max(self._sent_s + self.amplifier.sample_s - time.monotonic(), 0.0)
+        return max(self._sent_s + self.amplifier.sample_s - self._clock.now(), 0.0)
 
     def _obey(self, order: _Order | None, now: float) -> None:
         """What was ordered last, where that is due: currents once, of what turns a sample."""
@@ -312,15 +428,30 @@ class CoilDriver:
     def _write(self, tag: Any = None) -> None:
         if not self.connected:
             return
-        self._sent, self._sent_s = self.gate.output, time.monotonic()
-        self._swinging = self._may_swing()
-        swing = self._rotation.swing() if self._swinging else None
+        swing = self._judged_swing()
+        self._swinging = swing is not None
+        self._sent, self._sent_s = self.gate.output, self._clock.now()
         sent = self.amplifier.write(self._sent, tag, swing)
+        if any(self._sent) or swing is not None:
+            self._zero_since_s = None
+        elif self._zero_since_s is None:
+            self._zero_since_s = sent.t_monotonic_s
         if tag is not None:
             self._on_sent(sent)
 
+    def _judged_swing(self) -> Swing | None:
+        """How the device is to turn the currents by itself, where the gate allows it."""
+        if not self._may_swing():
+            return None
+        swing = self._rotation.swing()
+        self.gate.swing(swing.largest.tolist(), swing.amplitude.tolist(), swing.rate)
+        return swing if self.gate.armed else None
+
     def _judge(self, reading: Reading, now: float) -> None:
         currents: list[float] = reading.currents_A.tolist()
+        if (self._zero_since_s is not None and reading.since_s >= self._zero_since_s
+                and self.amplifier.shows_zero(reading.currents_A)):
+            self._zero_seen_s = reading.t_monotonic_s
         if self._check is not None:
             # Before the gate, which would trip at the same current and could not name the coil.
             self._check.measured(currents, now, reading.since_s)
@@ -330,7 +461,10 @@ class CoilDriver:
                 self.gate.command(self._check.wanted, now)
         self.gate.measured(currents, now, reading.since_s)
 
-    def _begin_arming(self, answer: Future[str | None]) -> None:
+    def _begin_arming(self, answer: Future[str | None], epoch: int) -> None:
+        if epoch != self.epoch:
+            answer.set_result(STOPPED)
+            return
         if self._arming is not None or not self.connected or self.amplifier.fault:
             answer.set_result('the self-check is going on' if self._arming is not None else
                               self.amplifier.fault or 'the amplifier is not connected')
@@ -338,7 +472,8 @@ class CoilDriver:
         if self.gate.armed:
             answer.set_result(None)
             return
-        refusal = self.gate.arm(time.monotonic())
+        self._asked_s = self._clock.now()
+        refusal = self.gate.arm(self._asked_s)
         self._arming = answer
         if refusal:
             self._answer_arming(refusal)
@@ -358,6 +493,8 @@ class CoilDriver:
     def _answer_arming(self, refusal: str | None) -> None:
         if self._arming is not None:
             self._check = None
+            if not refusal:
+                self.gate.hold()
             self._arming.set_result(refusal)
             self._arming = None
 
@@ -374,36 +511,39 @@ class CoilDriver:
         with suppress(Exception):
             self._write()
         self._answer_arming(self._refusal())
-        self._ending.wait(_TICK_S)  # not to fill the processor with failing
+        self._clock.wait(self._ending, _TICK_S)  # not to fill the processor with failing
 
     def _lose(self, error: AmplifierError) -> None:
         self.gate.trip(Reason.LINE, str(error))
         self._answer_arming(self._refusal())
         self._disconnect()
-        self._pause_s = _BACKOFF_S[0]
 
     def _reconnect(self) -> None:
         self._do_requests()
         self._take_order()
-        if self._ending.wait(self._pause_s):
+        if self._clock.wait(self._ending, _RECONNECT_S):
             return
-        self._pause_s = min(2 * self._pause_s, _BACKOFF_S[1])
         with suppress(AmplifierError):
             self._connect()
 
     def _connect(self) -> None:
         self.amplifier.connect()
-        self._sent, self._sent_s = self.gate.zero, time.monotonic()
+        self._sent, self._sent_s = self.gate.zero, self._clock.now()
+        self._zero_since_s = self._zero_seen_s = self._sent_s
         self._replace_last_resort()
         self.connected = True
 
-    def _disconnect(self) -> bool:
+    def _disconnect(self) -> None:
+        if not self.connected:
+            return
         self.connected = False
-        confirmed = self.amplifier.close() is Zero.CONFIRMED
+        self._left = self.amplifier.close()
         if self._last_resort is not None:
-            self._last_resort.dismiss()
+            if self._left is Zero.CONFIRMED:
+                self._last_resort.dismiss()
+            else:
+                self._last_resort.abandon()
             self._last_resort = None
-        return confirmed
 
     def _replace_last_resort(self) -> None:
         if self._last_resort is not None:

@@ -15,6 +15,10 @@ from enum import StrEnum
 
 Currents = tuple[float, ...]
 
+UNATTENDED_S = 3.0
+"""Longest pause between two heartbeats of an operator [s]. Choice: three times the period at which
+a browser runs a page in the background (1 s); at half of it a hidden tab would disarm the rig."""
+
 
 @dataclass(frozen=True)
 class Limits:
@@ -64,6 +68,8 @@ class Reason(StrEnum):
     HEAT = 'coil heat'
     DEVICE = 'fault of the amplifier'
     SELF_CHECK = 'self-check'
+    UNATTENDED = 'nobody attends'
+    UNCOMMANDED = 'current without a command'
     CLOCK = 'clock went wrong'
     LINE = 'line lost'
     INTERNAL = 'internal error'
@@ -82,10 +88,12 @@ class Gate:
 
     Currents (N,) are of so many `channels`, a coil each. Every `now_s` is a time [s] of one
     monotonic clock. Without `feedback` no current is measured: then neither silence nor deviation
-    is a fault, and heat is that of what was commanded.
+    is a fault, and heat is that of what was commanded. `heat` (N,) is that of each coil at the
+    start, as a part of what it bears; None for cold coils.
     """
 
-    def __init__(self, limits: Limits, channels: int = 4, *, feedback: bool = True) -> None:
+    def __init__(self, limits: Limits, channels: int = 4, *, feedback: bool = True,
+                 heat: Sequence[float] | None = None) -> None:
         self.limits = limits
         self._feedback = feedback
         self.zero: Currents = (0.0,) * channels
@@ -93,9 +101,12 @@ class Gate:
         self.fault: Fault | None = None
         self.output: Currents = self.zero
         """The currents that may flow now."""
-        self.heat: Currents = self.zero
+        self.heat: Currents = self.zero if heat is None else tuple(heat)
         """I²t of each coil as a part of what it bears: above 1 is a fault."""
+        self.holding = False
+        """Whether it is armed and passes nothing but zero (`hold`)."""
         self._now_s = self._commanded_s = self._heard_s = self._measured_s = -math.inf
+        self._armed_s = self._attended_s = -math.inf
         self._measured: Currents = self.zero
         self._allowance: Currents = (limits.step_A,) * channels  # what each current may yet change
         self._replaced: deque[tuple[float, Currents]] = deque()  # when, which output
@@ -118,12 +129,28 @@ class Gate:
             return f'current flows without a command: {_amperes(self._measured)}'
         if not all(heat <= 1.0 for heat in self.heat):
             return f'a coil is too hot: {max(self.heat):.0%} of what it bears'
-        self.armed, self.fault, self._heard_s = True, None, now_s
+        self.armed, self.fault, self._heard_s, self._armed_s = True, None, now_s, now_s
         return None
+
+    def hold(self) -> None:
+        """Pass nothing but zero until `release`, though armed: what is wanted is from before."""
+        self.holding = self.armed
+
+    def release(self) -> None:
+        """End `hold`."""
+        self.holding = False
+
+    def attend(self, now_s: float) -> None:
+        """Take the heartbeat of an operator into account.
+
+        Where the last one before arming was at most `UNATTENDED_S` old, or one came since, the
+        permission to drive ends when they stay away for that long.
+        """
+        self._attended_s = now_s
 
     def revoke(self) -> None:
         """Disarm: zero from now on. A fault stays latched."""
-        self.armed = False
+        self.armed = self.holding = False
         self._put(self.zero)
 
     def trip(self, reason: Reason, detail: str) -> Currents:
@@ -150,6 +177,8 @@ class Gate:
         limit = self.limits.current_A
         if not all(-limit <= value <= limit for value in wanted):
             return self.trip(Reason.LIMIT, f'{_amperes(wanted)} is not within ±{limit:g} A')
+        if self.holding and any(wanted):
+            return self._put(self.zero)
         left = self._allowance_after(wanted)
         if any(wanted) and not all(allowance >= 0.0 for allowance in left):
             return self.trip(Reason.SLEW, f'from {_amperes(self.output)} to {_amperes(wanted)}')
@@ -158,6 +187,30 @@ class Gate:
         if any(wanted) and not now_s - self._commanded_s <= self.limits.command_timeout_s:
             return self.trip(Reason.STALE, f'given {now_s - self._commanded_s:.3f} s ago')
         return self._put(wanted)
+
+    def swing(self, largest_A: Sequence[float], amplitude_A: Sequence[float],
+              rate: float) -> Currents:
+        """Judge currents that a device turns by itself: the currents that may flow now.
+
+        Each reaches `largest_A` (N,) [A] on its way and is a sine of `amplitude_A` (N,) [A] that
+        turns at `rate` [rad/s]. A sine changes by 2 I in half a turn, which takes π/|rate|:
+        `step_A` must allow the change at once and `slew_A_per_s` as what lasts.
+        """
+        if not self.armed:
+            return self.zero
+        limit, step, slew = self.limits.current_A, self.limits.step_A, self.limits.slew_A_per_s
+        largest, amplitude = self._numbers(largest_A), self._numbers(amplitude_A)
+        if largest is None or amplitude is None or not math.isfinite(rate):
+            return self.trip(Reason.MALFORMED, f'a swing of {largest_A!r}, {amplitude_A!r} at '
+                             f'{rate!r} rad/s')
+        if not all(-limit <= value <= limit for value in largest):
+            return self.trip(Reason.LIMIT, f'a swing to {_amperes(largest)} is not within '
+                             f'±{limit:g} A')
+        if not all(2.0 * abs(value) <= step and 2.0 * abs(value * rate) / math.pi <= slew
+                   for value in amplitude):
+            return self.trip(Reason.SLEW, f'a swing of ±{_amperes(amplitude)} at '
+                             f'{abs(rate) / math.tau:.3g} turns a second')
+        return self.output
 
     def measured(self, currents_A: Sequence[float], now_s: float,
                  since_s: float | None = None) -> Currents:
@@ -168,7 +221,8 @@ class Gate:
         takes. `since_s` is now, or earlier where a slow line was still busy with older outputs.
         Currents that agree with none of these, but all together with the outputs of one moment
         up to `feedback_timeout_s` before, are late: no fault of the coils, and no measurement of
-        the present. Any other trip.
+        the present. Any other trip. Once the coils have had time to settle at zero they replace
+        the fault that stands: current that nobody commands outranks the reason why nobody does.
         """
         if not self._advance(now_s):
             return self.zero
@@ -181,15 +235,23 @@ class Gate:
         oldest_s = settled_s - self.limits.feedback_timeout_s
         while self._replaced and not self._replaced[0][0] > oldest_s:
             self._replaced.popleft()
-        if self._agrees(measured, [self.output, *self._outputs(settled_s, now_s)]):
+        recent = [self.output, *self._outputs(settled_s, now_s)]
+        if self._agrees(measured, recent):
             self._measured_s, self._behind_s = now_s, 0.0
         elif (seen_s := self._last_seen(measured, settled_s)) is not None:
             self._behind_s = now_s - seen_s
         else:
             self._measured_s = now_s
-            return self.trip(Reason.DEVIATION, f'{_amperes(measured)} measured where '
-                             f'{_amperes(self.output)} was commanded')
+            return self._deviates(measured, at_rest=not any(map(any, recent)))
         return self.output
+
+    def _deviates(self, measured: Currents, at_rest: bool) -> Currents:
+        if at_rest and not self.armed:
+            self.fault = Fault(Reason.UNCOMMANDED, f'{_amperes(measured)} measured while zero is '
+                               'commanded')
+            return self.zero
+        return self.trip(Reason.DEVIATION, f'{_amperes(measured)} measured where '
+                         f'{_amperes(self.output)} was commanded')
 
     def _last_seen(self, measured: Currents, before_s: float) -> float | None:
         """The last moment until then whose outputs these currents agree with, settling or not."""
@@ -216,7 +278,12 @@ class Gate:
         if any(self.output) and not now_s - self._commanded_s <= self.limits.command_timeout_s:
             return self.trip(Reason.STALE, f'none for {now_s - self._commanded_s:.3f} s')
         if not now_s - self._heard_s <= self.limits.idle_s:
-            return self.trip(Reason.IDLE, f'no command for {now_s - self._heard_s:.0f} s')
+            wanted = 'command of zero' if self.holding else 'command'
+            return self.trip(Reason.IDLE, f'no {wanted} for {now_s - self._heard_s:.0f} s')
+        if (self._attended_s >= self._armed_s - UNATTENDED_S
+                and not now_s - self._attended_s <= UNATTENDED_S):
+            return self.trip(Reason.UNATTENDED, 'no heartbeat of the operator for '
+                             f'{now_s - self._attended_s:.1f} s')
         if not all(heat <= 1.0 for heat in self.heat):
             return self.trip(Reason.HEAT, f'a coil is at {max(self.heat):.0%} of what it bears')
         return self.output
@@ -237,7 +304,7 @@ class Gate:
         if not (math.isfinite(now_s) and self._now_s <= now_s):
             self.trip(Reason.CLOCK, f'from {self._now_s} to {now_s}')
             return False
-        elapsed = now_s - self._now_s  # infinite at first, when there is no heat to keep
+        elapsed = now_s - self._now_s if math.isfinite(self._now_s) else 0.0
         keep = math.exp(-elapsed / self.limits.thermal_s)
         flowing = zip(self.heat, self.output, self._measured, strict=True)
         self.heat = tuple(self._load(output, measured) * (1.0 - keep) + heat * keep

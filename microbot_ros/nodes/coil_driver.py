@@ -10,19 +10,22 @@ from typing import Any, ClassVar
 import numpy as np
 from geometry_msgs.msg import Vector3Stamped
 from sensor_msgs.msg import JointState, MagneticField, TimeReference
-from std_msgs.msg import Bool
+from std_msgs.msg import Bool, Empty
 from std_srvs.srv import SetBool
 
-from microbot_ros.drive.amplifier import Command, Reading, amplifier_class
-from microbot_ros.drive.coil_driver import CoilDriver
+from microbot_ros.drive.amplifier import Command, Reading, Zero, amplifier_class
+from microbot_ros.drive.coil_driver import STOPPED, CoilDriver
 from microbot_ros.drive.errors import AmplifierError
 from microbot_ros.drive.gate import Fault, Reason
+from microbot_ros.drive.heat import HeatRecord
 from microbot_ros.errors import InputError
 from microbot_ros.loop.allocation import AllocationStage, GateParameters, limits
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import ERROR, LATCHED, NEWEST, OK, WARN, RigNode
 from microbot_ros.settings import setting
 
+_WARM = 0.01
+"""Heat of a coil, as a part of what it bears, from which on it is kept for a restart."""
 _COMMANDER_SECONDS = 2.0
 """How long arming waits for whoever commands to be seen: both may just have been started."""
 
@@ -77,7 +80,10 @@ class CoilDriverNode(RigNode):
 
     A shell: the gate, the dead-man and the reconnecting are in `drive`, and need no executor.
     Arming is for one commander, the one publisher of `field/command` that is there then: a
-    second one, or another in its place, or another's `field/rotation`, ends it.
+    second one, or another in its place, or another's `field/rotation`, ends it. A request to arm
+    waits in a thread of its own, so that a request to disarm zeroes at once, and is refused where
+    a stop, a fault or a signal came after it was sent. Every state, and every arming, begins with
+    nothing commanded. `~/heartbeat` says that an operator is there (`Gate.attend`).
     """
 
     Parameters: ClassVar[type] = CoilDriverParameters
@@ -97,12 +103,14 @@ class CoilDriverNode(RigNode):
             raise InputError('board_turns', f'{values.amplifier} turns no currents by itself; '
                              'expected false')
         amplifier.swings = values.board_turns
-        self._rotation, self._rotation_s = np.zeros(3), -math.inf
+        self._command_nothing()
+        self._heat = HeatRecord(values.port, limits(values), amplifier.channels)
+        self._heat.forget_old()
         self._driver = CoilDriver(
             amplifier, limits(values), self._on_reading, names=self.stage.coils.names,
             on_sent=self._on_sent,
             self_check=values.self_check, accept_no_watchdog=values.accept_no_watchdog,
-            accept_no_feedback=values.accept_no_feedback)
+            accept_no_feedback=values.accept_no_feedback, heat=self._heat.load())
         self._wanted = self.publisher(JointState, 'coils/command')
         self._applied = self.publisher(JointState, 'coils/applied')
         self._measured = self.publisher(JointState, 'coils/measured')
@@ -110,47 +118,92 @@ class CoilDriverNode(RigNode):
         self._latencies = self.publisher(TimeReference, '~/latency')
         self._armed, self._told_armed = self.publisher(Bool, '~/armed', LATCHED), False
         self._armed.publish(Bool(data=False))
+        self._told_zero: Zero | None = None
         self.subscribe(Vector3Stamped, 'field/command', self._on_command, NEWEST,
                        on_matched=self._on_commanders)
         self.subscribe(Vector3Stamped, 'field/rotation', self._on_rotation, NEWEST,
                        on_matched=self._on_commanders)
-        self.service(SetBool, '~/arm', self._on_arm)
+        self.subscribe(Empty, '~/heartbeat', self._on_heartbeat)
+        self.service_aside(SetBool, '~/arm', self._on_arm, at_once=self._on_arm_asked)
         try:
             self._driver.start()
         except AmplifierError as error:
             raise InputError(self.get_name(), str(error)) from None
 
+    def start(self) -> None:
+        self._command_nothing()
+
     def stop(self) -> None:
+        self._command_nothing()
         self.make_safe()
 
     def teardown(self) -> None:
-        if (hasattr(self, '_driver') and not self._driver.stop()
-                and self._driver.amplifier.counters.frames_sent):
-            self.get_logger().warning('no reading confirmed that the coils are at zero')
+        if not hasattr(self, '_driver'):
+            return
+        zero = self._driver.stop()
+        self._save_heat()
+        if zero is not Zero.CONFIRMED and self._driver.amplifier.counters.frames_sent:
+            self.get_logger().warning(f'the coils at the end: {self._zero_sentence()}')
 
     def make_safe(self) -> None:
         if hasattr(self, '_driver'):
             self._driver.disarm()
 
+    def _command_nothing(self) -> None:
+        """Forget what was commanded: a rotation from before does not turn the next field."""
+        self._rotation, self._rotation_s = np.zeros(3), -math.inf
+
     def health(self) -> tuple[bytes, str, dict[str, object]]:
-        self._tell_armed()
+        self._tell_changes()
+        self._save_heat()
         counters, gate = self._driver.amplifier.counters, self._driver.gate
         values: dict[str, object] = {
-            'armed': gate.armed, 'frames_sent': counters.frames_sent,
+            'armed': gate.armed, 'zero': self._driver.zero or 'no', 'frames_sent':
+            counters.frames_sent,
             'frames_received': counters.frames_received, 'crc_errors': counters.crc_errors,
             'discarded_bytes': counters.discarded_bytes, 'latency_ms': self._latency * 1e3,
             'commands_refused': self._refused, 'hottest_coil_percent': 100 * max(gate.heat),
             'self_check': self._self_check(), 'watchdog': self._watchdog(),
             'real_time': self._driver.real_time}
+        return (*self._condition_of_coils(), values)
+
+    def _condition_of_coils(self) -> tuple[bytes, str]:
+        gate, zero = self._driver.gate, self._zero_sentence()
         if gate.fault and gate.fault.reason is Reason.IDLE:
-            return WARN, f'coils at zero, disarmed: {gate.fault.detail}', values
+            return WARN, f'disarmed: {gate.fault.detail}; {zero}'
         if gate.fault:
-            return ERROR, f'coils at zero, {_told(gate.fault)}', values
+            return ERROR, f'disarmed, {_told(gate.fault)}; {zero}'
         if not self._driver.connected:
-            return ERROR, f'amplifier lost at {self.settings.port}; reconnecting', values
+            return ERROR, f'amplifier lost at {self.settings.port}, reconnecting; {zero}'
         if not gate.armed:
-            return WARN, 'coils at zero, disarmed', values
-        return OK, 'driving' + (self._driver.warning and f'; {self._driver.warning}'), values
+            seen = self._driver.zero is Zero.CONFIRMED or not self._driver.amplifier.reads_back
+            return WARN if seen else ERROR, f'disarmed; {zero}'
+        if self._driver.arming:
+            return WARN, 'arming: each coil is checked with a pulse'
+        if gate.holding:
+            return WARN, ('armed, waiting for a command of zero: centre the stick, or end what '
+                          'drives and send the goal again')
+        return OK, 'driving' + (self._driver.warning and f'; {self._driver.warning}')
+
+    def _zero_sentence(self) -> str:
+        """What is known of the currents, in words: one of `Zero`, and what follows from it."""
+        zero, amplifier = self._driver.zero, self._driver.amplifier
+        if zero is Zero.UNREACHABLE:
+            return (f'{zero}: {", ".join(amplifier.unreachable) or self.settings.port}; coils '
+                    'there may carry current, switch the amplifier off by hand')
+        if zero is Zero.SENT and not amplifier.reads_back:
+            return f'{zero}: the amplifier reads nothing back'
+        return zero or 'a current is commanded'
+
+    def _save_heat(self) -> None:
+        """Keep the heat for a restart, where a coil is warm or was."""
+        heat = self._driver.gate.heat
+        try:
+            if max(heat) > _WARM or self._heat.path.exists():
+                self._heat.save(heat)
+        except OSError as error:
+            self.complain(f'{self._heat.path}: the heat of the coils cannot be kept for a '
+                          f'restart ({error.strerror})')
 
     def _self_check(self) -> str:
         if not self.settings.self_check:
@@ -186,9 +239,10 @@ class CoilDriverNode(RigNode):
 
     def _drive(self, field: np.ndarray, stamp: Any) -> np.ndarray:
         """Leave a field for the driver, turning where it is to; the currents that begin it."""
-        if not self._rotation.any():
+        nothing = not field.any()
+        if nothing or not self._rotation.any():
             wanted = self.stage.step(field)
-            self._driver.command(wanted, stamp)
+            self._driver.command(wanted, stamp, neutral=nothing)
             return wanted
         turning = self.stage.turn(field, self._rotation)
         self._driver.turn(turning, stamp)
@@ -209,7 +263,7 @@ class CoilDriverNode(RigNode):
 
     def _on_reading(self, reading: Reading) -> None:
         """In the driver's thread: publish what was measured, and how long it took."""
-        self._tell_armed()
+        self._tell_changes()
         now = self.get_clock().now().to_msg()
         self._measured.publish(messages.currents(self.stage.coils.names, reading.currents_A, now))
         field = self.stage.field(reading.currents_A)
@@ -222,13 +276,21 @@ class CoilDriverNode(RigNode):
             message.header.stamp = now
             self._latencies.publish(message)
 
-    def _tell_armed(self) -> None:
-        """Say at once where the gate is not as it was told, and how all is."""
-        armed = self._driver.gate.armed
+    def _tell_changes(self) -> None:
+        """Publish at once whether the gate is armed, and what is known of a zero."""
+        armed, zero = self._driver.gate.armed, self._driver.zero
         if armed != self._told_armed:
             self._told_armed = armed
             self._armed.publish(Bool(data=armed))
             self._report()
+        if not armed and zero is not self._told_zero:
+            self._told_zero = zero
+            self._report()
+        elif armed:
+            self._told_zero = None
+
+    def _on_heartbeat(self, _: Empty) -> None:
+        self._driver.attend()
 
     def _commanders(self) -> dict[bytes, str]:
         """Who publishes `field/command` now: the endpoint's identity, the node's full name."""
@@ -257,10 +319,15 @@ class CoilDriverNode(RigNode):
             detail = f'{names} is new, or back, and needs a new arm'
         self._driver.disarm((Reason.COMMANDER, detail))
 
-    def _choose_commander(self) -> str:
-        """Remember the one who commands; or, where there is not exactly one, say so."""
+    def _choose_commander(self, epoch: int) -> str:
+        """Remember the one who commands; or, where there is not exactly one, say so.
+
+        A stop or fault after `epoch` ends the search.
+        """
         deadline = time.monotonic() + _COMMANDER_SECONDS
         while not (found := self._commanders()):
+            if self._driver.epoch != epoch:
+                return STOPPED
             if time.monotonic() > deadline:
                 return 'nobody publishes field/command: start the controller first'
             time.sleep(0.02)
@@ -274,15 +341,37 @@ class CoilDriverNode(RigNode):
         self._commander, = found
         return ''
 
-    def _on_arm(self, request: Any, response: Any) -> Any:
+    def _on_arm_asked(self, request: Any, header: Any) -> int:
+        """In the executor: zero at once where that is asked; the epoch in which it was asked."""
         if not request.data:
-            self._driver.disarm()
-            response.success, response.message = True, 'disarmed, coils at zero'
+            self._driver.request_zero()
+        elif header.source_timestamp * 1e-9 < self._driver.epoch_wall_s:
+            return -1  # it was sent before the last stop or fault, and waited
+        return self._driver.epoch
+
+    def _on_arm(self, request: Any, response: Any, epoch: int) -> Any:
+        """In a thread of its own: wait for what was asked, and answer."""
+        if not request.data:
+            zero = self._driver.await_zero()
+            response.success = zero is Zero.CONFIRMED or (
+                zero is Zero.SENT and not self._driver.amplifier.reads_back)
+            response.message = self._zero_sentence()
         elif not self.active:
             response.success, response.message = False, 'the node is not active'
         else:
-            refusal = self._choose_commander() or self._driver.arm()
+            refusal = self._arm(epoch)
             response.success = not refusal
             response.message = refusal or '; '.join(filter(None, ['armed', self._driver.warning]))
-        self._tell_armed()
+        self._tell_changes()
         return response
+
+    def _arm(self, epoch: int) -> str:
+        refusal = self._choose_commander(epoch)
+        if refusal:
+            return refusal
+        self._command_nothing()
+        refusal = self._driver.arm(epoch) or ''
+        if not refusal:
+            self._on_commanders(None)  # one may have come or gone while arming went on
+            refusal = '' if self._driver.gate.armed else self._condition_of_coils()[1]
+        return refusal

@@ -180,23 +180,31 @@ class RigNode(LifecycleNode):
         made = self.create_service(kind, name, callback)
         self._created.append((self.destroy_service, made))
 
-    def service_aside(self, kind: type, name: str, callback: Callable[[Any, Any], Any]) -> None:
+    def service_aside(self, kind: type, name: str, callback: Callable[..., Any],
+                      at_once: Callable[[Any, Any], Any] | None = None) -> None:
         """A service of a `kind` whose `callback` works in a thread, one request after the other.
 
-        Messages do not wait for it. It goes with the next cleanup.
+        Messages do not wait for it. `at_once(request, header)` is called in the executor when the
+        request is taken; its result is the third argument of `callback`. The service goes with the
+        next cleanup.
         """
         pool = ThreadPoolExecutor(1, thread_name_prefix=name)
         made = self.create_service(kind, name, lambda *asked: asked)
         answer = made.send_response
 
-        def work(asked: tuple[Any, Any], header: Any) -> None:
+        def work(asked: tuple[Any, ...], header: Any) -> None:
             try:
                 answer(callback(*asked), header)
             except Exception:  # nobody looks at what a thread raises
                 self.get_logger().error(f'{name}: {traceback.format_exc()}')
 
+        def take(asked: tuple[Any, ...], header: Any) -> None:
+            if at_once:
+                asked = (*asked, at_once(asked[0], header))
+            pool.submit(work, asked, header)
+
         # The executor answers with what the callback returns; this lets it go on instead.
-        made.send_response = lambda asked, header: pool.submit(work, asked, header)  # type: ignore
+        made.send_response = take  # type: ignore
         self._created += [(pool.shutdown, True), (self.destroy_service, made)]
 
     def client(self, kind: type, name: str) -> Client:

@@ -11,7 +11,7 @@ import pytest
 
 from bench._served import MEASURED
 from microbot_ros.drive import transport
-from microbot_ros.drive.amplifier import amplifier_class
+from microbot_ros.drive.amplifier import Zero, amplifier_class
 from microbot_ros.drive.errors import (
     AmplifierError,
     NoAnswerError,
@@ -100,7 +100,7 @@ def test_closing_zeroes_and_reads_back(amplifier, device):
         amplifier.poll()
     with pytest.raises(NoAnswerError):
         amplifier.write(ZERO)
-    assert amplifier.close() is False
+    assert amplifier.close() is Zero.UNREACHABLE
     amplifier.connect()
 
 
@@ -112,7 +112,7 @@ def test_an_answer_that_comes_too_late_hides_no_zero(amplifier, device):
     amplifier.poll(0.03)  # something is asked, whose answer comes when others are waited for
     confirmed = amplifier.close()
     going_on.join()
-    assert confirmed
+    assert confirmed is Zero.CONFIRMED
     assert device.currents() == ZERO
 
 
@@ -176,7 +176,7 @@ def test_an_unplugged_line_is_an_error(amplifier, device):
     device.fault('unplug')
     with pytest.raises(AmplifierError):
         use()
-    assert amplifier.close() is False
+    assert amplifier.close() is Zero.UNREACHABLE
 
 
 @pytest.mark.parametrize('fault', ['open=3', 'over_temperature'])

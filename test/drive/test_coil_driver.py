@@ -11,7 +11,7 @@ import time
 
 import pytest
 
-from microbot_ros.drive.amplifier import amplifier_class
+from microbot_ros.drive.amplifier import Zero, amplifier_class
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.errors import NoAnswerError
 from microbot_ros.drive.gate import Limits, Reason
@@ -30,12 +30,14 @@ HOST = """
 import sys, time
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.gate import Limits
-from microbot_ros.drive.amplifier import amplifier_class
+from microbot_ros.drive.amplifier import Zero, amplifier_class
 driver = CoilDriver(amplifier_class(sys.argv[3])(sys.argv[1], 2.0), Limits(*eval(sys.argv[2])),
                     lambda _: None, accept_no_watchdog=True)
 driver.start()
 while True:
-    driver.arm()
+    if not driver.gate.armed:
+        driver.arm()
+        driver.command([0.0] * 4)
     driver.command([1.0, -1.0, 0.5, 0.0])
     time.sleep(0.01)
 """
@@ -57,6 +59,7 @@ def driver(board):
 
 def drive(driver, board):
     board.until(lambda: driver.arm() is None)
+    driver.command([0.0] * 4)
     assert driver.command(DRIVING)
     board.eventually_at(DRIVING)
 
@@ -98,7 +101,7 @@ def test_a_held_command_feeds_the_watchdog_of_the_device(emulate):
     threading.Event().wait(0.5)
     assert board.entries()[-1]['cause'] == 'command'
     assert board.currents() == pytest.approx(DRIVING)
-    assert driver.stop()
+    assert driver.stop() is Zero.CONFIRMED
 
 
 @pytest.mark.parametrize('bad', [math.nan, math.inf, 2.1])
@@ -182,7 +185,7 @@ def test_an_unplugged_line_comes_back_at_zero_and_disarmed(driver, board):
 def test_stopping_works_while_the_line_is_away(driver, board):
     board.fault('unplug')
     board.until(lambda: not driver.connected)
-    assert driver.stop() is False
+    assert driver.stop() is Zero.UNREACHABLE
 
 
 @pytest.mark.parametrize(('protocol', 'options', 'cause'), [
@@ -233,7 +236,7 @@ def test_without_its_sentinel_an_unwatched_device_is_not_driven(emulate):
         board.eventually_at([0] * 4)
         drive(driver, board)  # with another one
     finally:
-        assert driver.stop()
+        assert driver.stop() is Zero.CONFIRMED
     assert not sentinels(board)
 
 
@@ -256,6 +259,7 @@ def test_a_firmware_with_a_watchdog_shows_it_on_arming(board):
         board.until(lambda: driver.arm() is None)
         assert 0.09 < driver.watchdog_s < 0.5
         assert board.entries()[-1]['cause'] == 'watchdog'
+        driver.command([0.0] * 4)
         assert driver.command(DRIVING)
         board.eventually_at(DRIVING)
     finally:
@@ -313,6 +317,7 @@ def test_what_went_out_is_told_with_its_tag(board):
     driver.start()
     try:
         board.until(lambda: driver.arm() is None)
+        driver.command([0.0] * 4)
         driver.command(DRIVING, 'frame 1')
         board.until(lambda: sum(one is not None and one.tag == 'frame 1' for one in told) == 2)
         driver.command([math.nan] * 4, 'frame 2')
@@ -350,16 +355,16 @@ def test_an_exception_in_the_thread_ends_in_zero_and_the_thread_goes_on(board):
     assert not driver.command(DRIVING)
     failing.clear()
     drive(driver, board)  # no restart is needed
-    assert driver.stop()
+    assert driver.stop() is Zero.CONFIRMED
 
 
 def test_it_leaves_no_thread_and_no_port(driver, board):
     before = threading.active_count()
-    assert driver.stop()
+    assert driver.stop() is Zero.CONFIRMED
     assert threading.active_count() == before - 1
     again = SerialTransferAmplifier(board.url, FULL_SCALE_A)
     again.connect()
-    assert again.close()
+    assert again.close() is Zero.CONFIRMED
 
 
 @pytest.mark.parametrize('full_scale_A', [math.nextafter(FULL_SCALE_A, 0), [9.0, 9.0, 1.0, 9.0]])

@@ -444,6 +444,7 @@ def test_a_host_within_its_limits_does_not_notice_the_limits_of_the_board(board)
     driver.start()
     try:
         board.until(lambda: driver.arm() is None)
+        driver.command([0.0] * 4)
         for sign in [1, -1] * 20:  # the largest step, as often as it may come
             assert driver.command([2.0 * sign, -2.0 * sign, 0.0, 2.0 * sign])
             threading.Event().wait(0.022)

@@ -98,6 +98,7 @@ def rig(tmp_path, request):
                         names=[f'coil_{k}' for k in range(6)])
     driver.start()
     until(lambda: driver.arm() is None)
+    driver.command([0.0] * 6)
     del device.flowed[:-1]
     yield driver, device, told
     driver.stop()

@@ -9,7 +9,8 @@ import pytest
 
 from bench._served import FULL_SCALE_A, MEASURED, until
 from microbot_ros.drive import polled, sentinel
-from microbot_ros.drive.amplifier import Command, Watchdog, amplifier_class
+from microbot_ros.drive.amplifier import Command, Watchdog, Zero, amplifier_class
+from microbot_ros.drive.clock import Clock
 from microbot_ros.drive.errors import (
     AmplifierError,
     NoAnswerError,
@@ -89,7 +90,7 @@ def test_full_scale_is_of_each_coil(protocol, full_scale_A):
         amplifier.poll()
     with pytest.raises(NoAnswerError):
         amplifier.last_words()
-    assert amplifier.close() is False
+    assert amplifier.close() is Zero.UNREACHABLE
 
 
 @every_protocol
@@ -114,10 +115,10 @@ def test_closing_zeroes_reads_back_and_gives_the_port_back(amplifier, device):
 
 @every_protocol
 def test_a_zero_that_nothing_confirms_is_none(amplifier, device, monkeypatch):
-    monkeypatch.setattr('microbot_ros.drive.amplifier.READ_BACK_S', 0.1)
+    monkeypatch.setattr(amplifier, 'read_back_s', 0.1)
     drive_bare(amplifier, device)
     device.coils._settle = lambda _: None  # the stages are fused: currents stay
-    assert amplifier.close() is False
+    assert amplifier.close() is Zero.SENT
     with pytest.raises(NoAnswerError, match='measured currents of zero'):
         amplifier.connect()
     until(lambda: not any(line.present for line in device.lines))
@@ -208,7 +209,7 @@ def test_a_line_that_is_lost_is_an_error(amplifier, device):
         while True:
             amplifier.write(DRIVING)
             amplifier.poll(0.05)
-    assert amplifier.close() is False
+    assert amplifier.close() is Zero.UNREACHABLE
     with pytest.raises(NoAnswerError):
         amplifier.write(ZERO)
 
@@ -286,7 +287,7 @@ def test_a_zero_comes_after_the_silence_that_ends_what_was_said(amplifier, devic
     drive_bare(amplifier, device)
     done = []
     port = amplifier._lines[0]
-    monkeypatch.setattr(polled.time, 'sleep', lambda seconds: done.append(seconds))
+    monkeypatch.setattr(Clock, 'sleep', lambda _, seconds: done.append(seconds))
     monkeypatch.setattr(port, 'send', done.append)
     amplifier.zero()
     assert done[:2] == [amplifier.gap_s, *amplifier._zeros()]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,9 +13,10 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Vector3Stamped
 from sensor_msgs.msg import MagneticField, TimeReference
-from std_msgs.msg import Bool
+from std_msgs.msg import Bool, Empty
 from std_srvs.srv import SetBool
 
+from microbot_ros.drive.coil_driver import STOPPED
 from microbot_ros.drive.gate import Fault
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.coil_driver import LIMITS
@@ -32,7 +34,12 @@ def _start(emulator: Any, ros: Any, **parameters: Any) -> Any:
 
 
 def _arm(graph: Any, on: bool = True) -> Any:
-    return graph.call(SetBool, 'coil_driver/arm', SetBool.Request(data=on))
+    """The answer; what was armed is told a zero, as a controller does."""
+    answer = graph.call(SetBool, 'coil_driver/arm', SetBool.Request(data=on))
+    if on and answer.success:
+        driver = graph.nodes['coil_driver']._driver
+        graph.until(lambda: _command(graph, 0.0, 0.0) or not driver.gate.holding)
+    return answer
 
 
 def _command(graph: Any, x: float, y: float, age: float = 0.0) -> None:
@@ -178,7 +185,7 @@ def test_a_coil_that_is_reversed_cannot_be_armed_and_is_named(
         graph.until(lambda: 'self-check: coil_plus_x is reversed' in _arm(graph).message)
         level, sentence, values = health()
         assert level == b'\x02'
-        assert sentence.startswith('coils at zero, self-check: coil_plus_x is reversed')
+        assert sentence.startswith('disarmed, self-check: coil_plus_x is reversed')
         assert values['self_check'] == 'not passed yet'
     finally:
         reversed_coil.end()
@@ -315,7 +322,115 @@ def test_a_fault_names_the_parameters_of_its_limit(emulator: Any, ros: Any) -> N
     for reason, limits in LIMITS.items():
         assert set(limits.split(', ')) <= known
         driver._driver.gate.fault = Fault(reason, 'why')
-        assert driver.health()[1] == f'coils at zero, {reason.value} ({limits}): why'
+        assert driver.health()[1].startswith(f'disarmed, {reason.value} ({limits}): why; ')
+
+
+def test_disarming_answers_what_is_known_of_the_currents(emulator: Any, ros: Any) -> None:
+    graph = _start(emulator, ros)
+    _driving(graph, emulator)
+    answer = _arm(graph, on=False)
+    assert (answer.success, answer.message) == (True, 'zero, confirmed by a reading')
+    assert emulator.zero
+    health = graph.nodes['coil_driver'].health
+    assert health()[1] == 'disarmed; zero, confirmed by a reading'
+    assert health()[2]['zero'] == 'zero, confirmed by a reading'
+    emulator.end()
+    graph.until(lambda: not graph.nodes['coil_driver']._driver.connected)
+    answer = _arm(graph, on=False)
+    assert not answer.success
+    assert answer.message == (f'not reachable: {emulator.port}; coils there may carry current, '
+                              'switch the amplifier off by hand')
+    assert health()[0] == b'\x02'
+    assert answer.message in health()[1]
+
+
+def test_a_stop_does_not_wait_for_arming_and_what_arming_waits_for_is_refused(
+        emulator: Any, ros: Any) -> None:
+    graph = _start(emulator, ros)
+    graph.probe.destroy_publisher(graph.commands)
+    driver = graph.nodes['coil_driver']
+    graph.until(lambda: not driver._commanders())
+    client = graph.probe.create_client(SetBool, 'coil_driver/arm')
+    graph.until(client.service_is_ready)
+    arming = client.call_async(SetBool.Request(data=True))  # waits for somebody who commands
+    epoch = driver._driver.epoch
+    stopping = client.call_async(SetBool.Request(data=False))
+    graph.until(lambda: driver._driver.epoch > epoch)
+    graph.commands = graph.probe.create_publisher(Vector3Stamped, 'field/command', 10)
+    graph.until(lambda: arming.done() and stopping.done())
+    assert (arming.result().success, arming.result().message) == (False, STOPPED)
+    assert stopping.result().success
+    assert not driver._driver.gate.armed
+
+
+def test_arming_that_was_sent_before_a_stop_is_refused_whenever_it_comes(
+        emulator: Any, ros: Any) -> None:
+    graph = _start(emulator, ros)
+    driver = graph.nodes['coil_driver']
+    sent_ns = time.time_ns()
+    assert _arm(graph, on=False).success
+    late = SimpleNamespace(source_timestamp=sent_ns)
+    epoch = driver._on_arm_asked(SetBool.Request(data=True), late)
+    answer = driver._on_arm(SetBool.Request(data=True), SetBool.Response(), epoch)
+    assert (answer.success, answer.message) == (False, STOPPED)
+    graph.until(lambda: _arm(graph).success)
+
+
+def test_what_was_commanded_before_arming_moves_nothing(emulator: Any, ros: Any) -> None:
+    graph = _start(emulator, ros)
+    request = SetBool.Request(data=True)
+    graph.until(lambda: _command(graph, 3e-3, 0.0) or graph.call(
+        SetBool, 'coil_driver/arm', request).success)
+    driver, begin = graph.nodes['coil_driver'], len(emulator.entries())
+    received = driver._driver.amplifier.counters
+    heard = received.frames_received
+    graph.until(lambda: _command(graph, 3e-3, 0.0) or received.frames_received > heard + 10)
+    assert len(emulator.entries()) == begin
+    assert driver.health()[:2] == (b'\x01', (
+        'armed, waiting for a command of zero: centre the stick, or end what drives and send the '
+        'goal again'))
+    graph.until(lambda: _command(graph, 0.0, 0.0) or not driver._driver.gate.holding)
+    graph.until(lambda: _command(graph, 3e-3, 0.0) or not emulator.zero)
+
+
+def test_an_operator_whose_heartbeats_end_disarms(
+        emulator: Any, ros: Any, monkeypatch: Any) -> None:
+    monkeypatch.setattr('microbot_ros.drive.gate.UNATTENDED_S', 1.0)
+    graph = _start(emulator, ros)
+    beats = graph.probe.create_publisher(Empty, 'coil_driver/heartbeat', 10)
+    _driving(graph, emulator)
+    driver = graph.nodes['coil_driver']
+    graph.until(lambda: beats.publish(Empty()) or driver._driver.gate._attended_s > 0)
+    graph.until(lambda: _command(graph, 3e-3, 0.0) or emulator.zero)
+    assert _fault(graph).startswith('nobody attends: no heartbeat of the operator')
+
+
+def test_a_rotation_does_not_outlive_the_state_in_which_it_was_commanded(
+        emulator: Any, ros: Any) -> None:
+    graph = _start(emulator, ros)
+    driver = graph.nodes['coil_driver']
+    turns = graph.probe.create_publisher(Vector3Stamped, 'field/rotation', 10)
+    graph.until(lambda: turns.publish(messages.field_vector(
+        np.array([0.0, 0.0, 6.0]), messages.to_stamp(driver.seconds()))) or driver._rotation.any())
+    driver.trigger_deactivate()
+    assert not driver._rotation.any()
+    turns.publish(messages.field_vector(np.zeros(3), messages.to_stamp(driver.seconds())))
+    driver.trigger_activate()
+    graph.until(lambda: _arm(graph).success)
+    graph.until(lambda: _command(graph, 3e-3, 0.0) or not emulator.zero)
+    assert driver._refused == 0
+
+
+def test_a_hot_coil_is_hot_after_a_restart(emulator: Any, ros: Any) -> None:
+    graph = _start(emulator, ros)
+    driver = graph.nodes['coil_driver']
+    driver._driver.gate.heat = (0.9, 0.2, 0.0, 0.0)
+    assert driver.health()[2]['hottest_coil_percent'] == pytest.approx(90.0, abs=1.0)
+    driver.trigger_deactivate()
+    driver.trigger_cleanup()
+    driver.trigger_configure()
+    assert driver._driver.gate.heat[0] > 0.85
+    driver._heat.path.unlink()
 
 
 @pytest.mark.parametrize(('parameters', 'expected'), [
