@@ -193,6 +193,8 @@ class Amplifier(ABC):
         AmplifierError where any of it fails; whatever could be reached is at zero and switched
         off then, and every port given back.
         """
+        if self._lines:
+            self.close()
         self._unacknowledged.clear()
         self.fault, self.unreachable = '', ()
         try:

@@ -158,14 +158,14 @@ class PolledAmplifier(Amplifier):
 
     def _open(self) -> None:
         self._forget()
-        for url in self.urls:
+        for line, url in enumerate(self.urls):
             try:
                 port = self._open_port(url, self.baud, xon_xoff=self.xon_xoff)
             except UnreachableError as error:
                 port = AbsentPort(error)
             self._lines.append(port)
-        if self._known:
-            self._zero_lines(self.devices)
+            if self._known:
+                self._zero_lines([line])  # the first device on it has its number
         found = self._with_each(self._identify)
         self._others = {device for device, result in found.items()
                         if isinstance(result, WrongDeviceError)}
