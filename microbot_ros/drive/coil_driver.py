@@ -181,6 +181,11 @@ class CoilDriver:
         return self._left
 
     @property
+    def arming(self) -> bool:
+        """Whether the self-check goes on: no command flows yet."""
+        return self._arming is not None
+
+    @property
     def epoch(self) -> int:
         """The number of stops and faults so far; see `request_arming`."""
         return self._epoch
@@ -268,13 +273,16 @@ class CoilDriver:
         """Pass on the heartbeat of an operator (`Gate.attend`)."""
         self._request(lambda: self.gate.attend(self._clock.now()))
 
-    def command(self, currents_A: Sequence[float] | np.ndarray, tag: Any = None) -> bool:
+    def command(self, currents_A: Sequence[float] | np.ndarray, tag: Any = None, *,
+                neutral: bool = False) -> bool:
         """Leave `currents_A` (N,) [A] for the gate, in place of any that wait there.
 
-        Whether they may flow, as far as can be said now; `on_sent` tells what went out.
+        Return whether they may flow, as far as can be said now; `on_sent` tells what went out.
+        Zeros end the wait after arming; so do currents that only cancel the field of the room,
+        which the caller calls `neutral`.
         """
         now = self._clock.now()
-        if not np.any(currents_A):
+        if neutral or not np.any(currents_A):
             self._zero_given_s = now  # the next command may take its place in the mailbox
         return self._leave(_Order(tuple(currents_A), now, tag))
 

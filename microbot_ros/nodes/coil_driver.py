@@ -119,7 +119,6 @@ class CoilDriverNode(RigNode):
         self._armed, self._told_armed = self.publisher(Bool, '~/armed', LATCHED), False
         self._armed.publish(Bool(data=False))
         self._told_zero: Zero | None = None
-        self._logged = ''
         self.subscribe(Vector3Stamped, 'field/command', self._on_command, NEWEST,
                        on_matched=self._on_commanders)
         self.subscribe(Vector3Stamped, 'field/rotation', self._on_rotation, NEWEST,
@@ -166,11 +165,7 @@ class CoilDriverNode(RigNode):
             'commands_refused': self._refused, 'hottest_coil_percent': 100 * max(gate.heat),
             'self_check': self._self_check(), 'watchdog': self._watchdog(),
             'real_time': self._driver.real_time}
-        level, sentence = self._condition_of_coils()
-        if sentence != self._logged:  # here, not in the driver's thread, which a log may hold up
-            self._logged = sentence
-            self.get_logger().info(sentence)
-        return level, sentence, values
+        return (*self._condition_of_coils(), values)
 
     def _condition_of_coils(self) -> tuple[bytes, str]:
         gate, zero = self._driver.gate, self._zero_sentence()
@@ -183,6 +178,8 @@ class CoilDriverNode(RigNode):
         if not gate.armed:
             seen = self._driver.zero is Zero.CONFIRMED or not self._driver.amplifier.reads_back
             return WARN if seen else ERROR, f'disarmed; {zero}'
+        if self._driver.arming:
+            return WARN, 'arming: each coil is checked with a pulse'
         if gate.holding:
             return WARN, ('armed, waiting for a command of zero: centre the stick, or end what '
                           'drives and send the goal again')
@@ -242,9 +239,10 @@ class CoilDriverNode(RigNode):
 
     def _drive(self, field: np.ndarray, stamp: Any) -> np.ndarray:
         """Leave a field for the driver, turning where it is to; the currents that begin it."""
-        if not self._rotation.any():
+        nothing = not field.any()
+        if nothing or not self._rotation.any():
             wanted = self.stage.step(field)
-            self._driver.command(wanted, stamp)
+            self._driver.command(wanted, stamp, neutral=nothing)
             return wanted
         turning = self.stage.turn(field, self._rotation)
         self._driver.turn(turning, stamp)

@@ -43,6 +43,8 @@ def graph(emulator: Any, ros: Any, tmp_path: Path) -> Any:
     made.until(lambda: made.commands.get_subscription_count() == 1
                and made.rotations.get_subscription_count() == 1)
     made.until(lambda: made.call(SetBool, 'coil_driver/arm', SetBool.Request(data=True)).success)
+    driver = made.nodes['coil_driver']._driver
+    made.until(lambda: _turn(made, (0.0,) * 3, (0.0,) * 3) or not driver.gate.holding)
     return made
 
 
