@@ -91,7 +91,7 @@ def test_each_has_an_emulator():
 
 
 def test_an_amplifier_that_nobody_registered_is_refused():
-    with pytest.raises(InputError, match='expected one of .*modbus'):
+    with pytest.raises(InputError, match=r'expected one of .*modbus'):
         amplifier_class('steam')
 
 
