@@ -28,7 +28,7 @@ FULL_SCALE_A = 2.0
 DRIVING = [1.0, -0.5, 2.0, 0.2]
 ZERO = [0.0] * 4
 
-pytestmark = pytest.mark.parametrize('protocol', PROTOCOLS)
+pytestmark = [pytest.mark.rig, pytest.mark.parametrize('protocol', PROTOCOLS)]
 
 
 @pytest.fixture

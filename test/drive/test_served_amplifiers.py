@@ -19,6 +19,8 @@ from microbot_ros.drive.errors import (
 )
 from microbot_ros.errors import InputError
 
+pytestmark = pytest.mark.rig
+
 ZERO = (0.0,) * 4
 
 DRIVING = (1.0, -1.0, 0.5, 0.2)
