@@ -48,6 +48,7 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.rig
 def test_colcon_knows_what_it_is() -> None:
     listed = subprocess.run(
         [BIN / 'colcon', 'list', '--base-paths', str(ROOT)], cwd=ROOT, env=_environment(),
@@ -55,6 +56,7 @@ def test_colcon_knows_what_it_is() -> None:
     assert re.search(r'^microbot_ros\s+\S+\s+\(ros\.ament_python\)$', listed.stdout, re.MULTILINE)
 
 
+@pytest.mark.rig
 def test_colcon_installs_what_ros_looks_for(workspace: Path) -> None:
     installed = workspace / 'install' / 'microbot_ros'
     share = installed / 'share' / 'microbot_ros'
@@ -69,6 +71,7 @@ def test_colcon_installs_what_ros_looks_for(workspace: Path) -> None:
     assert {f'{node}_node' for node in nodes} | {'microbot'} <= scripts
 
 
+@pytest.mark.rig
 def test_colcon_runs_the_tests(workspace: Path) -> None:
     """With nobody told that they are pytest's it looked for unittest's, found none and was happy.
     """
@@ -97,6 +100,7 @@ sys.exit(pytest.main(sys.argv[1:]))
 """
 
 
+@pytest.mark.rig
 @pytest.mark.timeout(300)
 def test_all_tests_are_found_where_only_the_extra_for_them_is() -> None:
     """`colcon test` counts what pytest collects: what needs more than that is skipped."""
@@ -109,6 +113,7 @@ def test_all_tests_are_found_where_only_the_extra_for_them_is() -> None:
     assert int(re.findall(r'(\d+) tests collected', found.stdout)[-1]) > 4000
 
 
+@pytest.mark.rig
 def test_scripts_run_from_the_install_space(workspace: Path) -> None:
     installed = workspace / 'install' / 'microbot_ros'
     site = next((installed / 'lib').glob('python3*/site-packages'))

@@ -374,6 +374,7 @@ _LIMITED = ('import resource, sys; from microbot_ros.cli import main; '
             "sys.argv[0] = 'microbot'; main()")
 
 
+@pytest.mark.rig
 @pytest.mark.parametrize('command', ['simulate', 'track', 'discover'])
 def test_a_full_disk_is_one_sentence(tmp_path, out, command):
     """The system lets no file be larger than 500 bytes, which it says as it says of a full disk.
@@ -406,6 +407,7 @@ def test_a_file_that_ends_too_soon_is_no_ctrl_c(tmp_path, monkeypatch):
         main()
 
 
+@pytest.mark.rig
 @pytest.mark.parametrize('command', ['track', 'paper'])
 def test_a_signal_leaves_no_hidden_folder(tmp_path, out, command):
     words = [pictures(tmp_path, 2000)] if command == 'track' else ['--repetitions', 1000]

@@ -16,7 +16,7 @@ import pytest
 from cockpit.conftest import Page
 from websockets.sync.client import connect
 
-pytestmark = [pytest.mark.graph, pytest.mark.timeout(180)]
+pytestmark = [pytest.mark.rig, pytest.mark.timeout(180)]
 
 
 @pytest.fixture

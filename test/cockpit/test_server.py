@@ -17,6 +17,8 @@ from hypothesis import strategies as st
 
 from microbot_ros.cockpit import verbs
 
+pytestmark = pytest.mark.rig
+
 ORDERS: dict[str, dict[str, Any]] = {
     'arm': {'attended': False}, 'disarm': {}, 'goal': {'x_um': 1.0, 'y_um': -2, 'particle': 3},
     'clear_goals': {}, 'path': {'points_um': [[0, 0], [1.5, -2]]},

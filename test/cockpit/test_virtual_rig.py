@@ -20,7 +20,7 @@ import pytest
 from cockpit.virtual import VirtualRig
 from websockets.sync.client import connect
 
-pytestmark = [pytest.mark.graph, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.rig, pytest.mark.timeout(240)]
 STOP_S, VANISHED_S = 0.1, 0.4
 """Asked for: from STOP, or from letting go, to zero; and from a page's end while it steers."""
 
@@ -165,7 +165,6 @@ def test_parameters_are_set_as_their_descriptors_say(page: Any) -> None:
     assert page.ask('set', name='teleop.field_mT', value=before)['ok']
 
 
-@pytest.mark.clocked
 def test_stop_ends_what_flows(page: Any, virtual: VirtualRig) -> None:
     armed(page, 'teleop')
     steering(page, virtual, 1.0, 0.0)
@@ -175,7 +174,6 @@ def test_stop_ends_what_flows(page: Any, virtual: VirtualRig) -> None:
     page.becomes('rig', 'disarmed')
 
 
-@pytest.mark.clocked
 def test_a_viewer_may_stop(page: Any, virtual: VirtualRig) -> None:
     armed(page, 'teleop')
     steering(page, virtual, 1.0, 0.0)
@@ -187,7 +185,6 @@ def test_a_viewer_may_stop(page: Any, virtual: VirtualRig) -> None:
         assert virtual.zero_since(moment) <= STOP_S
 
 
-@pytest.mark.clocked
 def test_stop_needs_no_controller(page: Any, virtual: VirtualRig) -> None:
     """Its process hangs: what it commanded last is stopped by the driver, that was asked."""
     armed(page, 'teleop')
@@ -201,7 +198,6 @@ def test_stop_needs_no_controller(page: Any, virtual: VirtualRig) -> None:
         virtual.signal('controller', signal.SIGCONT)
 
 
-@pytest.mark.clocked
 def test_a_stick_steers_and_letting_go_ends_it(page: Any, virtual: VirtualRig) -> None:
     armed(page, 'teleop')
     angle = math.radians(30.0)
@@ -215,7 +211,6 @@ def test_a_stick_steers_and_letting_go_ends_it(page: Any, virtual: VirtualRig) -
     assert virtual.zero_since(moment) <= STOP_S
 
 
-@pytest.mark.clocked
 @pytest.mark.parametrize('ending', [signal.SIGKILL, signal.SIGSTOP])
 def test_a_page_that_vanishes_steers_no_more(
         page: Any, virtual: VirtualRig, ending: signal.Signals) -> None:

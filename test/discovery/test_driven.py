@@ -431,6 +431,7 @@ def test_a_hint_is_followed_where_one_plan_would_settle_it(late):
     assert chosen.astray < 0.2
 
 
+@pytest.mark.soak
 def test_rollers_that_slip_at_low_frequencies_are_named_within_two_minutes():
     rig, _ = hidden_world(0, ('drive_response',))
     driven = drive(rig, 2.0, seed=0)
@@ -525,6 +526,7 @@ class _Broken:
         return Played(self._rig.play(plan.lasting(5.0)).session, 'the gate is disarmed')
 
 
+@pytest.mark.soak
 @pytest.mark.parametrize('seed', [7, 12, 14])
 def test_what_thermal_noise_decides_names_nothing(monkeypatch, seed):
     """A heading that lags far behind is opposite to the field after a half turn, and which way it

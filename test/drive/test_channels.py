@@ -11,6 +11,8 @@ from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.gate import Gate, Reason
 from microbot_ros.errors import InputError
 
+pytestmark = pytest.mark.rig
+
 CHANNELS = [(protocol, channels) for protocol in MEASURED for channels in (2, 3, 6, 16)
             if not (protocol == 'serial_transfer' and channels > 6)]
 

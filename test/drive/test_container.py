@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.rig
+
 ENTRYPOINT = Path(__file__).parents[2] / 'docker_entrypoint.sh'
 _WAITING = ('import signal, sys, time\n'
             'signal.signal(signal.SIGTERM, lambda *_: (print("told", flush=True), sys.exit(7)))\n'

@@ -23,6 +23,8 @@ from microbot_ros.drive.gate import Limits
 from microbot_ros.drive.serial_transfer import codec
 from microbot_ros.drive.serial_transfer.driver import SerialTransferAmplifier
 
+pytestmark = pytest.mark.rig
+
 SOURCE = Path(__file__).parents[2] / 'firmware'
 NEEDED = {
     'make': shutil.which('make'), 'cc': shutil.which('cc'), 'avr-gcc': shutil.which('avr-gcc'),

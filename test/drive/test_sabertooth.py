@@ -21,6 +21,8 @@ from microbot_ros.drive.sabertooth.driver import SabertoothAmplifier
 from microbot_ros.drive.sabertooth.emulated import Controllers
 from microbot_ros.errors import InputError
 
+pytestmark = pytest.mark.rig
+
 ZERO = (0.0,) * 4
 DRIVING = (1.0, -1.0, 0.5, 0.2)
 ZEROS = bytes.fromhex('80000000 80040004 81000001 81040005')

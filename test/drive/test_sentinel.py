@@ -13,6 +13,8 @@ from microbot_ros.drive import last_resort, sentinel
 from microbot_ros.drive.amplifier import amplifier_class
 from microbot_ros.drive.roboclaw import driver as roboclaw
 
+pytestmark = pytest.mark.rig
+
 DRIVING = (1.0, -1.0, 0.5, 0.2)
 
 

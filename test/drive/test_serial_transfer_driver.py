@@ -25,6 +25,8 @@ from microbot_ros.drive.errors import (
 from microbot_ros.drive.serial_transfer import codec
 from microbot_ros.drive.serial_transfer.driver import SerialTransferAmplifier
 
+pytestmark = pytest.mark.rig
+
 FULL_SCALE = (2.0, 2.0, 2.0, 2.0)
 
 

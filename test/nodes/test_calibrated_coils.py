@@ -20,7 +20,7 @@ from microbot_ros.nodes.graph_client import GraphClient
 
 magpylib = pytest.importorskip('magpylib')
 
-pytestmark = [pytest.mark.graph, pytest.mark.timeout(120)]
+pytestmark = [pytest.mark.rig, pytest.mark.timeout(120)]
 
 GAIN = np.array([0.8, 1.15, -0.95, 1.05])
 BACKGROUND_T = np.array([40e-6, -25e-6])

@@ -22,6 +22,8 @@ from microbot_ros.nodes import messages
 from microbot_ros.nodes.coil_driver import LIMITS
 from microbot_ros.nodes.lifecycle import LATCHED
 
+pytestmark = pytest.mark.rig
+
 
 def _start(emulator: Any, ros: Any, **parameters: Any) -> Any:
     graph = ros({'coil_driver': {'port': str(emulator.port), 'full_scale_A': 2.0, **parameters}})

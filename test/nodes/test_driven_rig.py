@@ -31,7 +31,7 @@ from microbot_ros.virtual_rig.injected_effects import inject_effect
 from microbot_ros.virtual_rig.record_session import draw_swarm
 from microbot_ros.virtual_rig.world import FieldHistory, World
 
-pytestmark = [pytest.mark.graph, pytest.mark.timeout(400)]
+pytestmark = [pytest.mark.rig, pytest.mark.timeout(400)]
 
 FIELD, RATE = 5e-3, 30.0
 FLUID = Fluid(1.245e-3)
@@ -147,7 +147,7 @@ def stand(tmp_path: Path, emulator: object) -> Iterator[Callable[..., Stand]]:
 
 
 # Its stand-in stamps poses by this machine's clock: a pause is a step that no effect explains.
-@pytest.mark.clocked
+@pytest.mark.soak
 def test_a_rig_that_is_not_ours_is_asked_until_it_is_settled(
         stand: Callable[..., Stand], emulator: object) -> None:
     here = stand('coil_gain_mismatch', {'gain_ratio': 1.25})

@@ -20,7 +20,7 @@ from microbot_ros.nodes import messages
 from microbot_ros.nodes.graph import Graph
 from microbot_ros.nodes.graph_client import GraphClient
 
-pytestmark = [pytest.mark.graph, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.rig, pytest.mark.timeout(240)]
 
 Answer = tuple[int, str, str]
 """Exit status, standard output, standard error."""

@@ -23,7 +23,7 @@ from microbot_ros.nodes.verdict_publisher import VerdictPublisher
 from microbot_ros.records import Commands, Conditions, Session, Tracks
 from microbot_ros.session import write_session
 
-pytestmark = [pytest.mark.graph, pytest.mark.timeout(120)]
+pytestmark = [pytest.mark.rig, pytest.mark.timeout(120)]
 
 
 FREQUENCIES = np.array([1.0, 2.0, 4.0])

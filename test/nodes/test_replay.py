@@ -57,7 +57,7 @@ def replay(*words: object) -> subprocess.CompletedProcess[str]:
         capture_output=True, text=True, timeout=100)
 
 
-@pytest.mark.graph
+@pytest.mark.rig
 @pytest.mark.parametrize(('recording', 'topics', 'fewest'), [
     (TRACKING, {'/particles', '/particles/poses'}, 20),
     (STEERING, {'/model/state', '/field/command', '/coils/command'}, 500)])
@@ -72,7 +72,7 @@ def test_todays_nodes_answer_as_they_did(
     assert all(topic['compared'] >= fewest for topic in found['topics'])
 
 
-@pytest.mark.graph
+@pytest.mark.rig
 def test_frames_that_were_let_pass_when_recorded_are_left_out_and_counted(tmp_path: Path) -> None:
     shorter = tmp_path / 'shorter'
     with open_recording(STEERING) as whole, RecordingWriter(shorter) as writer:
@@ -100,7 +100,7 @@ def test_what_they_answered_was_more_than_nothing() -> None:
     assert len({(c.x, c.y) for c in commands}) > 50
 
 
-@pytest.mark.graph
+@pytest.mark.rig
 def test_two_replays_are_the_same_in_every_field(tmp_path: Path) -> None:
     with open_recording(STEERING) as source:
         plan = plan_replay(source, STEERING)
@@ -115,7 +115,7 @@ def test_two_replays_are_the_same_in_every_field(tmp_path: Path) -> None:
     assert min(topic.pairs for topic in found) > 500
 
 
-@pytest.mark.graph
+@pytest.mark.rig
 def test_what_a_change_does_is_shown_at_the_first_point(tmp_path: Path) -> None:
     rig = tmp_path / 'rig.yaml'
     rig.write_text(yaml.safe_dump({'model': {'ros__parameters': {
@@ -241,7 +241,7 @@ def filtered(session: Session, conditions: Conditions) -> Estimates:
     return estimates
 
 
-@pytest.mark.graph
+@pytest.mark.rig
 def test_a_rolling_robot_is_the_same_by_topics_as_by_rows(
         recordings: Path, tmp_path: Path) -> None:
     source = recordings / 'rolling_robot'
@@ -299,7 +299,7 @@ class Playing:
         return self.process.returncode, errors.strip().splitlines()
 
 
-@pytest.mark.graph
+@pytest.mark.rig
 def test_beside_a_live_coil_driver_a_replay_is_refused_and_drives_nothing(
         ros: Any, emulator: Any, tmp_path: Path) -> None:
     graph = ros({'coil_driver': {'port': str(emulator.port)}})
@@ -318,7 +318,7 @@ def test_beside_a_live_coil_driver_a_replay_is_refused_and_drives_nothing(
     assert len(fields) == 90
 
 
-@pytest.mark.graph
+@pytest.mark.rig
 @pytest.mark.parametrize('follows', [False, True])
 def test_a_live_controller_gets_no_goals_of_the_past_one_that_follows_the_clock_does(
         ros: Any, tmp_path: Path, follows: bool) -> None:
@@ -332,7 +332,7 @@ def test_a_live_controller_gets_no_goals_of_the_past_one_that_follows_the_clock_
     assert len(controller.stage.goals) == follows
 
 
-@pytest.mark.graph
+@pytest.mark.rig
 def test_a_replay_ends_when_a_rig_comes_alive(ros: Any, emulator: Any, tmp_path: Path) -> None:
     graph = ros({'player': {'session': str(past(tmp_path)), 'topics': ['field/command'],
                             'loop': True},
@@ -434,7 +434,7 @@ def copied(source: Path, out: Path, apart_ms: float, without: str = 'nothing') -
     return out
 
 
-@pytest.mark.graph
+@pytest.mark.rig
 def test_a_recording_that_came_in_another_order_is_answered_alike(
         steered: Path, tmp_path: Path) -> None:
     shuffled = copied(steered, tmp_path / 'shuffled', 80.0)
@@ -454,7 +454,7 @@ def test_a_recording_that_came_in_another_order_is_answered_alike(
     assert len({(field.x, field.y) for field in fields}) > 10
 
 
-@pytest.mark.graph
+@pytest.mark.rig
 def test_an_order_that_nobody_kept_is_named_and_no_difference(
         steered: Path, tmp_path: Path) -> None:
     shuffled = copied(steered, tmp_path / 'shuffled', 2.0, 'account')
@@ -466,7 +466,7 @@ def test_an_order_that_nobody_kept_is_named_and_no_difference(
             assert reason.startswith(('the order of', 'why a frame was not answered'))
 
 
-@pytest.mark.graph
+@pytest.mark.rig
 def test_what_was_not_recorded_is_named(steered: Path, tmp_path: Path) -> None:
     lacking = copied(steered, tmp_path / 'lacking', 0.0, 'goals')
     done = replay(lacking, '--check', '--node', 'controller')
@@ -523,7 +523,7 @@ def test_what_came_too_late_comes_out_the_same_without_any_hurry(
 
 # Ending -----------------------------------------------------------------------------------------
 
-@pytest.mark.graph
+@pytest.mark.rig
 @pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
 def test_a_signal_ends_a_check_at_once_and_leaves_nothing(
         tmp_path: Path, number: signal.Signals) -> None:

@@ -20,6 +20,8 @@ from microbot_ros.loop.points import ESTIMATE
 from microbot_ros.magnetics import CoilSet
 from microbot_ros.nodes import messages
 
+pytestmark = pytest.mark.rig
+
 B, HERTZ = 3e-3, 4.0
 
 

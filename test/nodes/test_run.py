@@ -22,7 +22,7 @@ from microbot_ros.errors import RigError
 from microbot_ros.nodes.graph_client import GraphClient
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 
-pytestmark = [pytest.mark.graph, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.rig, pytest.mark.timeout(240)]
 DEAD_MAN_S = 0.4
 """Driver 0.1 s or device watchdog 0.1 s, and what a loaded machine adds to a process's death."""
 PER_NODE, JOINED = '--process-per-node', '--one-process'
