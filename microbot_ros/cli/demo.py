@@ -85,7 +85,7 @@ def command(seconds: float, seed: int, robots: str, cockpit: bool, out: Path,
     try:
         run, summary = _demo(seconds, seed, KINDS[robots], cockpit, out, began)
     except Stopped as stopped:
-        _say(began, f'stopped by {stopped}: the coils are at zero, nothing was kept')
+        _say(began, f'stopped by {stopped}: nothing was kept')
         sys.exit(stopped.status)
     _print(summary, out)
     if json_path:
@@ -114,7 +114,7 @@ def _demo(seconds: float, seed: int, kind: Callable[[Path], Robots], cockpit: bo
         with graph:
             robots = kind(folder)
             run = _run(graph, ending, folder, seconds, seed, robots, cockpit, began)
-            _say(began, 'stopping; the coils are at zero')
+            _say(began, 'stopping')
         with ending.interrupts():
             return run, _look_back(folder, out, run, robots, began)
 
@@ -163,7 +163,7 @@ def _steer(graph: Graph, seconds: float, robots: Robots, began: float) -> _Run:
             f'({x:.0f}, {y:.0f}) µm' for x, y in goals * 1e6))
         watch.until(start + seconds)
         client.set('controller', controller='hold')
-        client.arm(False)
+        _say(began, f'disarmed: {client.arm(False)}')
     return _Run(goals, armed_at, ['hold', 'open_loop', robots.controller, 'hold'],
                 sorted(watch.faults))
 

@@ -85,8 +85,7 @@ def _watch(graph: Graph, arm: bool, namespace: str) -> None:
     with GraphClient(namespace=namespace) as client:
         client.watch_health(heard)
         if arm:
-            client.arm()
-            _say('microbot', 'armed')
+            _say('microbot', client.arm())
         while len(reported) < graph.count:
             graph.pump(0.0)
             client.spin(0.1)
