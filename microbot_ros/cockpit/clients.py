@@ -32,6 +32,8 @@ class Page:
         self.number = number
         self.in_work = 0
         """Verbs that are being performed."""
+        self.stops = 0
+        """STOPs whose answer it waits for."""
         self.steering = Steering()
         self._socket = socket
         self._owed: deque[int] = deque()

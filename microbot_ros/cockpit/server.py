@@ -27,8 +27,9 @@ from microbot_ros.cockpit import verbs
 from microbot_ros.cockpit.clients import Page
 from microbot_ros.cockpit.control import Control
 from microbot_ros.cockpit.discovery import Discovery
-from microbot_ros.cockpit.rig import RefusedError, Rig
+from microbot_ros.cockpit.rig import Answer, RefusedError, Rig, zero_in
 from microbot_ros.cockpit.security import Gatekeeper
+from microbot_ros.cockpit.stopping import Stopping
 from microbot_ros.errors import InputError
 
 _STATE_S = 0.1
@@ -39,6 +40,8 @@ done. A server that stood still makes that true: for so long it then does nothin
 disarm."""
 _MOST_PAGES = 16
 _MOST_IN_WORK = 8
+_MOST_STOPS = 8
+"""STOPs of one page whose answers it waits for; more are sent too, and answered at once."""
 _LONGEST_MESSAGE = 128 * 1024
 _BUFFER = 256 * 1024
 """What may wait in the system for a page that does not read: a frozen one is not to be shown the
@@ -62,6 +65,7 @@ class Server:
         self._socket = _listen(host, port)
         self._host, self._port = host, int(self._socket.getsockname()[1])
         self._control = Control()
+        self._stopping = Stopping(rig)
         self._pages: dict[int, Page] = {}
         self._count = 0
         self._tasks: set[asyncio.Task[None]] = set()
@@ -123,12 +127,12 @@ class Server:
         self._ticked_s = time.monotonic()
         self._rig.watch(self._on_picture, self._on_particles)
         background = [asyncio.create_task(_for_ever(work)) for work in (
-            self._tell_state, self._watch_attendance, self._rig.keep_up)]
+            self._tell_state, self._rig.keep_up)]
         yield
         for task in background:
             task.cancel()
         await asyncio.gather(*background, return_exceptions=True)
-        if self._control.attended:  # nobody will listen for heartbeats any more
+        if self._control.attended:  # no heartbeat comes any more: sooner than the driver sees it
             with suppress(RefusedError, TimeoutError):
                 await asyncio.wait_for(self._rig.stop(), _LAST_STOP_S)
         await self._discovery.end()
@@ -162,6 +166,7 @@ class Server:
                 for page in self._pages.values():
                     page.tell(self._hello(page))
             state = self._rig.state()
+            self._control.see(state.get('rig') == 'armed')
             state |= {'attended': self._control.attended,
                       'discovery': self._discovery.state(state.pop('verdict', {}))}
             parts = {name: _json(part) for name, part in state.items()}
@@ -190,17 +195,6 @@ class Server:
     def _known(self) -> dict[str, Any]:
         """Of the rig what changes hardly ever."""
         return {'camera': self._rig.camera(), 'kinds': self._rig.kinds}
-
-    async def _watch_attendance(self) -> None:
-        """Disarm where nobody is there who should be, again and again until that is done."""
-        while True:
-            await asyncio.sleep(_STATE_S)
-            if self._control.deserted(time.monotonic()):
-                try:
-                    await self._rig.stop()
-                    self._control.attended = False
-                except RefusedError:
-                    await asyncio.sleep(1.0)
 
     async def _serve(self, web_socket: WebSocket) -> None:
         """One page, from its coming to its going."""
@@ -244,7 +238,8 @@ class Server:
             case verbs.Seen():
                 page.seen(int(verb.stamp))
             case verbs.Heartbeat():
-                self._control.heard(page.number, now_s)
+                if self._control.attends(page.number) and not self._stood_still(now_s):
+                    self._rig.attend()
             case verbs.Stick():
                 allowed = controls and not self._stood_still(now_s)
                 if page.steering.counts(verb.x, verb.y, now_s, allowed):
@@ -254,11 +249,12 @@ class Server:
                 page.tell(_answer(verb.id, False, _LATE))
             case verbs.TakeControl():
                 self._control.take(page.number)
-                self._control.heard(page.number, now_s)
                 page.tell(_answer(verb.id, True))
             case _ if verb.needs_control and not controls:
                 page.tell(_answer(verb.id, False, _FOREIGN))
-            case verbs.Order() if page.in_work < _MOST_IN_WORK or isinstance(verb, verbs.Stop):
+            case verbs.Stop() | verbs.Disarm():
+                self._stop(page, verb)
+            case verbs.Order() if page.in_work < _MOST_IN_WORK:
                 page.in_work += 1
                 self._begin(self._perform(page, verb))
             case _:
@@ -269,19 +265,44 @@ class Server:
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
+    def _stop(self, page: Page, verb: verbs.Order) -> None:
+        """Have zero sent, whatever else is in work; heartbeats end with it."""
+        self._control.attended = False
+        sent = self._stopping.want()
+        if page.stops >= _MOST_STOPS:
+            page.tell(_answer(verb.id, False, f'sent; {_MOST_STOPS} others wait for an answer'))
+            return
+        page.stops += 1
+        self._begin(self._follow_stop(page, verb, sent))
+
+    async def _follow_stop(self, page: Page, verb: verbs.Order, sent: asyncio.Task[Answer],
+                           ) -> None:
+        try:
+            ok, said = True, await asyncio.shield(sent)
+        except RefusedError as refusal:
+            ok, said = False, str(refusal)
+        except Exception as error:
+            page.tell(_answer(verb.id, False, f'the cockpit failed: {error}'))
+            raise
+        finally:
+            page.stops -= 1
+        page.tell({**_answer(verb.id, ok, said), 'zero': zero_in(said)})
+
     async def _perform(self, page: Page, verb: verbs.Order) -> None:
+        if isinstance(verb, verbs.Arm):
+            self._control.arm(verb.attended)
+            if verb.attended:
+                self._rig.attend()
         try:
             said = await verb.perform(self._rig, self._discovery)
         except RefusedError as refusal:
+            if isinstance(verb, verbs.Arm):
+                self._control.attended = False
             page.tell(_answer(verb.id, False, str(refusal)))
         except Exception as error:
             page.tell(_answer(verb.id, False, f'the cockpit failed: {error}'))
             raise
         else:
-            if isinstance(verb, verbs.Arm):
-                self._control.armed(verb.attended, time.monotonic())
-            elif isinstance(verb, verbs.Stop | verbs.Disarm):
-                self._control.attended = False
             page.tell(_answer(verb.id, True, said))
         finally:
             page.in_work -= 1

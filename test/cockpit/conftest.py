@@ -33,7 +33,8 @@ class RememberingRig:
         self.refusals: dict[str, str] = {}
         self.slow_s: dict[str, float] = {}
         self.looking = False
-        self.parts: dict[str, Any] = {'rig': 'disarmed', 'sentence': 'coils at zero'}
+        self.parts: dict[str, Any] = {'rig': 'disarmed', 'sentence': 'disarmed'}
+        self.says = {'stop': 'zero, confirmed by a reading'}
         self.watched = threading.Event()
 
     def watch(self, picture: Callable[[int, bytes], None],
@@ -53,6 +54,9 @@ class RememberingRig:
     async def keep_up(self) -> None:
         await asyncio.Event().wait()
 
+    def attend(self) -> None:
+        self.calls.append((time.monotonic(), 'attend', ()))
+
     def stick(self, x: float, y: float) -> None:
         self.calls.append((time.monotonic(), 'stick', (x, y)))
 
@@ -62,7 +66,7 @@ class RememberingRig:
             await asyncio.sleep(self.slow_s.get(name, 0.0))
             if name in self.refusals:
                 raise RefusedError(self.refusals[name])
-            return f'{name} done'
+            return self.says.get(name, f'{name} done')
         return done
 
     def asked(self, name: str) -> list[tuple[Any, ...]]:
