@@ -17,6 +17,7 @@ import yaml
 
 from microbot_ros.cli.demo_robots import KINDS, Robots
 from microbot_ros.cli.options import FiniteFloatRange, cockpit_option
+from microbot_ros.cockpit import address
 from microbot_ros.drive.real_time import LOOP, realtime_priority
 from microbot_ros.ending import Ending, Stopped
 from microbot_ros.errors import InputError
@@ -280,6 +281,7 @@ def _print(summary: dict[str, Any], out: Path) -> None:
 
 
 def _say(began: float, line: str) -> None:
+    line = address.shown(line, sys.stderr)
     with suppress(OSError):  # a closed terminal must not end the clean-up
         print(f'[{time.monotonic() - began:5.1f} s] {line.removeprefix("microbot: ")}',
               file=sys.stderr, flush=True)

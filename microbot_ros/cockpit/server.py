@@ -25,6 +25,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from microbot_ros import __version__
 from microbot_ros.cockpit import verbs
 from microbot_ros.cockpit.clients import Page
+from microbot_ros.cockpit.connections import BriefConnection
 from microbot_ros.cockpit.control import Control
 from microbot_ros.cockpit.discovery import Discovery
 from microbot_ros.cockpit.rig import Answer, RefusedError, Rig, zero_in
@@ -39,6 +40,9 @@ _STOOD_STILL_S, _DEAF_S = 0.7, 0.5
 done. A server that stood still makes that true: for so long it then does nothing but stop and
 disarm."""
 _MOST_PAGES = 16
+_SILENT_S = 10.0
+"""A page says every second that it is there, while it is seen. One that was silent for so long
+makes room where there are `_MOST_PAGES`."""
 _MOST_IN_WORK = 8
 _MOST_STOPS = 8
 """STOPs of one page whose answers it waits for; more are sent too, and answered at once."""
@@ -54,13 +58,14 @@ _log = logging.getLogger(__name__)
 
 class Server:
     """Serves the page of a `rig` at `host` and `port`, 0 for any that is free, with its
-    `discovery`.
+    `discovery`; without a token if `open_to_all`, see `Gatekeeper`.
 
     All but `start` and `stop` happens in a thread of its own. Raises InputError where it can't
     listen there.
     """
 
-    def __init__(self, rig: Rig, discovery: Discovery, host: str, port: int) -> None:
+    def __init__(self, rig: Rig, discovery: Discovery, host: str, port: int, *,
+                 open_to_all: bool = False) -> None:
         self._rig, self._discovery = rig, discovery
         self._socket = _listen(host, port)
         self._host, self._port = host, int(self._socket.getsockname()[1])
@@ -71,9 +76,14 @@ class Server:
         self._tasks: set[asyncio.Task[None]] = set()
         self._ticked_s = self._deaf_until_s = -math.inf
         self._greeting: dict[str, Any] = self._known()
-        self._gate = Gatekeeper(self._application(), host, self._port)
+        try:
+            self._gate = Gatekeeper(self._application(), host, self._port, open_to_all)
+        except InputError:
+            self._socket.close()
+            raise
         self._uvicorn = uvicorn.Server(uvicorn.Config(
-            self._gate, log_level='warning', access_log=False, ws='websockets-sansio',
+            self._gate, log_level='warning', access_log=False, http=BriefConnection,
+            ws='websockets-sansio',
             ws_max_size=_LONGEST_MESSAGE, ws_per_message_deflate=False, ws_ping_interval=5.0,
             ws_ping_timeout=5.0, server_header=False, timeout_graceful_shutdown=2))
         self._thread = threading.Thread(target=self._run, name='cockpit', daemon=True)
@@ -84,6 +94,11 @@ class Server:
         host = f'[{self._host}]' if ':' in self._host else self._host
         key = f'?token={self._gate.token}' if self._gate.token else ''
         return f'http://{host}:{self._port}/{key}'
+
+    @property
+    def port(self) -> int:
+        """The port at which it listens."""
+        return self._port
 
     @property
     def pages(self) -> int:
@@ -198,7 +213,7 @@ class Server:
 
     async def _serve(self, web_socket: WebSocket) -> None:
         """One page, from its coming to its going."""
-        if len(self._pages) >= _MOST_PAGES:
+        if len(self._pages) >= _MOST_PAGES and not self._make_room(time.monotonic()):
             await web_socket.close()
             return
         await web_socket.accept()
@@ -213,17 +228,29 @@ class Server:
         try:
             await asyncio.wait([sending, receiving], return_when=asyncio.FIRST_COMPLETED)
         finally:
-            del self._pages[page.number]
+            self._pages.pop(page.number, None)
             self._control.leave(page.number)
             self._rig.look(bool(self._pages))
             for task in (sending, receiving):
                 task.cancel()
             await asyncio.gather(sending, receiving, return_exceptions=True)
 
+    def _make_room(self, now_s: float) -> bool:
+        """End the page that has been silent for the longest at `now_s` [s]; whether there is one.
+        """
+        page = min(self._pages.values(), key=lambda one: one.heard_s)
+        if now_s - page.heard_s <= _SILENT_S:
+            return False
+        page.end()
+        del self._pages[page.number]
+        self._control.leave(page.number)
+        return True
+
     async def _receive(self, web_socket: WebSocket, page: Page) -> None:
         try:
             while True:
                 text = await web_socket.receive_text()
+                page.heard_s = time.monotonic()
                 try:
                     self._obey(page, verbs.read_verb(text))
                 except verbs.VerbError as error:

@@ -136,11 +136,12 @@ class Page:
 
 
 class Served:
-    """A server of a `RememberingRig`, `host` and its free port."""
+    """A server of a `RememberingRig`, `host` and its free port; `open_to_all`, without a token."""
 
-    def __init__(self, folder: Path, host: str = '127.0.0.1') -> None:
+    def __init__(self, folder: Path, host: str = '127.0.0.1', open_to_all: bool = True) -> None:
         self.rig = RememberingRig()
-        self.server = Server(self.rig, Discovery('/', folder), host, 0)
+        self.server = Server(
+            self.rig, Discovery('/', folder), host, 0, open_to_all=open_to_all)
         self.server.start()
         assert self.rig.watched.wait(10.0)
 
@@ -177,5 +178,5 @@ def serve(tmp_path: Path) -> Iterator[Callable[..., Served]]:
 
 @pytest.fixture
 def served(serve: Callable[..., Served]) -> Served:
-    """A server on this machine."""
+    """A server on this machine, without a token."""
     return serve()

@@ -329,8 +329,8 @@ class TestAttended:
             for _ in range(3):
                 viewer.say('heartbeat')
                 page.say('heartbeat')
-            assert viewer.ask('stop')['ok']
             page.ask('clear_goals')
+            assert viewer.ask('stop')['ok']
             assert len(served.rig.asked('attend')) == 4
             page.say('heartbeat')
             page.ask('clear_goals')
