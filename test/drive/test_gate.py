@@ -388,13 +388,19 @@ def test_after_disarming_the_current_may_still_fall():
 def test_current_that_nobody_commands_outranks_the_fault_that_stands(first):
     gate = driving((1.0,) * 4)
     gate.trip(first, 'first')
-    gate.measured((1.0, 1.0, 1.0, 0.0), 0.0625)  # which is no moment of the past, but settling
+    gate.measured((1.0, 1.0, 1.0, -1.0), 0.03)  # as of a coil that is reversed, while it settles
     assert tripped(gate, first)
     gate.measured(only(1, 0.7), 0.5)
     assert tripped(gate, Reason.UNCOMMANDED)
     assert gate.fault.detail == '(0, 0.7, 0, 0) A measured while zero is commanded'
     gate.measured(ZERO, 0.75)
     assert tripped(gate, Reason.UNCOMMANDED)  # latched, as every fault
+
+
+def test_current_at_rest_ends_the_permission_of_an_armed_gate():
+    gate = armed()
+    assert gate.measured(only(1, 0.7), 0.1) == ZERO
+    assert tripped(gate, Reason.DEVIATION)
 
 
 def test_nothing_from_before_flows_until_a_zero_is_commanded():
@@ -479,7 +485,8 @@ def test_what_a_device_turns_is_no_faster_than_the_slew_limit(amplitude, rate, w
     """A sine of amplitude I and frequency f changes by 4 I f a second, and by 2 I in a half turn.
     """
     gate = swinging()
-    gate.swing(ZERO, only(3, amplitude), rate)
+    flows = gate.output
+    assert gate.swing(ZERO, only(3, amplitude), rate) == (flows if within else ZERO)
     assert gate.armed == within
     assert within or tripped(gate, Reason.SLEW)
 
