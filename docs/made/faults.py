@@ -42,7 +42,7 @@ _PARTS: dict[str, tuple[str, ...]] = {
 }
 """Part of the rig → the files that can say what is wrong with it."""
 
-_SAYS = ('complain', '_refuse', 'trip', 'Outcome', 'set_result', 'disarm', 'SwitchResult',
+_SAYS = ('complain', '_refuse', 'trip', 'Outcome', 'set_result', 'request_zero', 'SwitchResult',
          'Detector', '_note', '_tell', 'append')
 """Functions whose argument is a sentence for whoever drives the rig."""
 
