@@ -33,7 +33,7 @@ _SWAPPED: dict[type, tuple[type, ...]] = {
 TESTS = {
     'gate': (['test_gate'], ''),
     'self_check': (['test_self_check'], ''),
-    'coil_driver': (['test_coil_driver', 'test_sabertooth'], ''),
+    'coil_driver': (['test_coil_driver', 'test_sabertooth', 'test_coil_driver_thread'], 'not scpi'),
     'heat': (['test_heat'], ''),
     'adapter': (['test_adapter'], ''),
     'amplifier': (['test_amplifiers', 'test_lines', 'test_adapter', 'test_sabertooth'], ''),

@@ -15,6 +15,8 @@ from geometry_msgs.msg import Vector3Stamped
 from rclpy.service import Service
 from sensor_msgs.msg import PointCloud2
 
+from microbot_ros.drive.amplifier import Zero
+from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.loop.points import ESTIMATE
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.graph import Graph
@@ -204,14 +206,48 @@ def _driver_and_commander(ros: Any, emulator: Any) -> tuple[Any, Any]:
     return graph, driver
 
 
-def test_arming_whose_answer_was_lost_is_asked_for_again(
+def _requests(driver: Any) -> list[bool]:
+    """What the driver is asked from now on: True to arm, False for a zero."""
+    asked: list[bool] = []
+    arm, zero = driver._driver.arm, driver._driver.request_zero
+    driver._driver.arm = lambda epoch: asked.append(True) or arm(epoch)
+    driver._driver.request_zero = lambda *why: asked.append(False) or zero(*why)
+    return asked
+
+
+@pytest.mark.rig
+def test_arming_whose_answer_was_lost_is_not_asked_for_again(
         ros: Any, emulator: Any, lose: Callable[[str], list[str]]) -> None:
-    graph, driver = _driver_and_commander(ros, emulator)
     lost = lose('~/arm')
-    assert _command(graph, 'arm') == (0, 'armed\n', '')
+    graph, driver = _driver_and_commander(ros, emulator)
+    asked = _requests(driver)
+    assert _command(graph, 'arm') == (
+        1, '', 'microbot: coil_driver did not answer within 12 s; disarmed: '
+        'zero, confirmed by a reading\n')
     assert lost
-    assert driver.health()[2]['armed']
-    assert _command(graph, 'arm', '--off') == (0, 'disarmed: the coils are at zero\n', '')
+    assert asked == [True, False]
+    assert not driver.health()[2]['armed']
+
+
+@pytest.mark.rig
+def test_disarming_tells_what_the_driver_answered(
+        ros: Any, emulator: Any, lose: Callable[[str], list[str]],
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    lost = lose('~/arm')
+    lost.append('~/arm')  # not yet
+    graph, driver = _driver_and_commander(ros, emulator)
+    assert _command(graph, 'arm') == (0, 'armed\n', '')
+    lost.clear()  # a request to disarm is repeated
+    assert _command(graph, 'arm', '--off') == (
+        0, 'disarmed: zero, confirmed by a reading\n', '')
+    for zero, words in ((Zero.SENT, 'zero sent, not confirmed'),
+                        (Zero.UNREACHABLE, 'not reachable: ')):
+        with monkeypatch.context() as patch:
+            patch.setattr(CoilDriver, 'zero', zero)
+            status, out, error = _command(graph, 'arm', '--off')
+        assert (status, out) == (1, '')
+        assert error.startswith(f'microbot: coil_driver: {words}')
+        assert len(error.splitlines()) == 1
     emulator.end()
     graph.until(lambda: driver.health()[0] == b'\x02')
     assert _command(graph, 'arm') == (
@@ -222,13 +258,12 @@ def test_arming_whose_answer_was_lost_is_asked_for_again(
 def test_arming_that_was_given_up_does_not_come_true_later(ros: Any, emulator: Any) -> None:
     """A driver that hangs while it is asked finds the requests when it goes on."""
     graph, driver = _driver_and_commander(ros, emulator)
-    asked: list[bool] = []
-    answer = driver._driver.arm
-    driver._driver.arm = lambda: asked.append(True) or answer()
-    disarm = driver._driver.disarm
-    driver._driver.disarm = lambda: asked.append(False) or disarm()
-    assert _microbot('arm') == (1, '', 'microbot: coil_driver did not answer within 12 s\n')
-    graph.until(lambda: len(asked) > 1 and not asked[-1])
-    assert asked[0]
+    asked = _requests(driver)
+    assert _microbot('arm') == (
+        1, '', 'microbot: coil_driver did not answer within 12 s; asked to disarm: coil_driver '
+        'did not answer within 12 s: not reachable, switch the amplifier off by hand\n')
+    graph.until(lambda: False in asked)
+    graph.until(lambda: driver._driver.zero is Zero.CONFIRMED)
+    assert asked.count(True) <= 1
     assert not driver.health()[2]['armed']
     assert emulator.zero

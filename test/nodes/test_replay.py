@@ -20,6 +20,7 @@ import yaml
 from builtin_interfaces.msg import Time
 from command_line import microbot
 from geometry_msgs.msg import PoseArray, Vector3Stamped
+from rcl_interfaces.msg import ParameterEvent
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
@@ -29,17 +30,19 @@ from sensor_msgs.msg import MagneticField, PointCloud2
 from microbot_ros.control.contract import Controller, ControllerInput, FieldCommand
 from microbot_ros.control.controller_manager import ControllerManager
 from microbot_ros.control.deadline_worker import DeadlineWorker
+from microbot_ros.control.policy import OnnxPolicy
 from microbot_ros.control.testkit import controller_input
+from microbot_ros.errors import InputError
 from microbot_ros.estimation.batch import fit
 from microbot_ros.estimation.online import Estimates, Estimator
 from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.account import NotingWorker
-from microbot_ros.nodes.offline import ScriptedWorker
+from microbot_ros.nodes.offline import ScriptedWorker, alone, end_offline, make_offline
 from microbot_ros.nodes.replay_check import ReplayCheck, plan_replay, recorded_parameters
 from microbot_ros.records import Commands, Conditions, Session, Tracks
 from microbot_ros.session import RecordingWriter, open_recording, read_session
-from microbot_ros.session.accounts import BUSY, HUNG, IN_TIME, LATE
+from microbot_ros.session.accounts import BUSY, CHANGE, HUNG, IN_TIME, LATE
 from microbot_ros.session.cloud import cloud_table
 from microbot_ros.session.compare import compare
 from microbot_ros.session.lockstep import header_stamp_ns
@@ -472,6 +475,57 @@ def test_what_was_not_recorded_is_named(steered: Path, tmp_path: Path) -> None:
     done = replay(lacking, '--check', '--node', 'controller')
     assert done.returncode == 0, done.stdout + done.stderr
     assert 'cannot be judged: what the controller took from goals was not rec' in done.stdout
+
+
+@pytest.fixture
+def loaded(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The networks that are loaded, and so executed."""
+    paths: list[str] = []
+
+    def load(self: OnnxPolicy, path: Path) -> None:
+        paths.append(str(path))
+        self.particles = 1
+    monkeypatch.setattr(OnnxPolicy, '__init__', load)
+    return paths
+
+
+@pytest.mark.parametrize('named', ['', 'mine.onnx'])
+def test_a_network_that_a_recording_sets_is_not_executed(
+        tmp_path: Path, loaded: list[str], named: str) -> None:
+    event = ParameterEvent(changed_parameters=[
+        Parameter(name, value=value).to_parameter_msg()
+        for name, value in {'policy.file': '/tmp/theirs.onnx', 'delay_ms': 7.0}.items()])
+    values = {'controller': 'hold'} | ({'policy.file': named} if named else {})
+    with alone('', {'controller': values}, tmp_path):
+        node = make_offline('controller')
+        try:
+            assert loaded == [named] * bool(named)
+            node.be_told(CHANGE, serialize_message(event), 1)
+            assert '/tmp/theirs.onnx' not in loaded
+            assert node.values['policy.file'] == named
+            assert node.values['delay_ms'] == 7.0
+            assert 'does not execute' in node.withheld
+        finally:
+            end_offline(node)
+
+
+@pytest.mark.parametrize('drove', ['hold', 'policy'])
+def test_a_network_is_named_on_the_command_line_or_left_out(tmp_path: Path, drove: str) -> None:
+    with RecordingWriter(tmp_path / 'run') as writer:
+        writer.attach('parameters/controller.yaml', yaml.safe_dump({'controller': {
+            'ros__parameters': {'controller': drove, 'policy.file': '/tmp/theirs.onnx'}}}))
+        writer.attach('/tmp/theirs.onnx', b'x')
+        writer.write('/t', 'std_msgs/msg/String', 1, b'')
+    with open_recording(tmp_path / 'run') as recording:
+        def found(policy: Path | None) -> Any:
+            values = recorded_parameters(recording, ['controller'], tmp_path, policy)
+            return values['controller']['policy.file']
+        assert found(Path('/my/own.onnx')) == '/my/own.onnx'
+        if drove == 'policy':
+            with pytest.raises(InputError, match='--policy FILE'):
+                found(None)
+        else:
+            assert found(None) == ''
 
 
 class Slow(Controller):
