@@ -16,7 +16,6 @@ from microbot_ros.drive.gate import UNATTENDED_S, Limits, Reason
 from microbot_ros.drive.rotation import Turning
 from microbot_ros.errors import InputError
 
-
 FULL_SCALE_A = 2.0
 ZERO = (0.0,) * 4
 DRIVING = (1.0, -1.0, 0.5, 0.2)

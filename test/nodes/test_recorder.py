@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -157,11 +155,7 @@ def test_the_command_begins_and_ends_a_recording(ros: Any, tmp_path: Path) -> No
     graph.add('recorder')
 
     def record(*words: str) -> tuple[int, str, str]:
-        process = subprocess.Popen([sys.executable, '-m', 'microbot_ros.cli', 'record', *words],
-                                   stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        graph.until(lambda: process.poll() is not None, 60)
-        out, error = process.communicate()
-        return process.returncode, out, error
+        return graph.microbot('record', *words)
     run = str(tmp_path / 'run')
     assert record('--title', 'batch 7', '--folder', run) == (0, f'recording to {run}\n', '')
     assert record('--stop') == (0, f'recorded {run}\n', '')
