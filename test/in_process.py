@@ -23,7 +23,6 @@ import rclpy.utilities
 import yaml
 from command_line import microbot
 from rclpy.experimental.events_executor import EventsExecutor
-from rclpy.signals import SignalHandlerOptions
 
 from microbot_ros.drive.emulator.coils import Coils
 from microbot_ros.drive.emulator.faults import Faults, parse
@@ -31,8 +30,8 @@ from microbot_ros.drive.emulator.line import Line
 from microbot_ros.drive.emulator.process import make_device
 from microbot_ros.drive.emulator.server import Server
 from microbot_ros.nodes.lifecycle import RigNode
+from microbot_ros.nodes.participant import join
 from microbot_ros.nodes.process import make
-from microbot_ros.nodes.transport import BY_PROFILE, NODE, transport
 
 FULL_SCALE_A = 2.0
 FAILSAFE_S = 30.0
@@ -101,8 +100,7 @@ class Amplifier:
 @cache
 def _join() -> None:
     """Let this process take part in the graph of its domain, until it ends."""
-    with transport(BY_PROFILE, NODE):
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    join([])
 
 
 @contextmanager
