@@ -12,7 +12,7 @@ import json
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from functools import cache
 from pathlib import Path
@@ -190,16 +190,19 @@ class Ros:
 
     def end(self) -> None:
         """Leave nothing running."""
-        for node in self.nodes.values():
-            node.make_safe_and_close()
-            self._executor.remove_node(node)
-            node.destroy_node()
+        while self.nodes:
+            self._end(self.nodes.popitem()[1])
         self._executor.remove_node(self.probe)
         self.probe.destroy_node()
         self._executor.shutdown()
-        self.nodes.clear()
         del self.probe, self._executor
+        # The graph shows a node for as long as anything refers to it.
         gc.collect()
+
+    def _end(self, node: RigNode) -> None:
+        node.make_safe_and_close()
+        self._executor.remove_node(node)
+        node.destroy_node()
 
 
 def command(*words: object) -> tuple[int, str, str]:

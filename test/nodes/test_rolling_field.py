@@ -139,7 +139,7 @@ def test_a_controller_answers_in_three_axes(emulator: Any, ros: Any, tmp_path: P
 def test_a_rotation_of_long_ago_is_not_driven(graph: Any, emulator: Any) -> None:
     driver = graph.nodes['coil_driver']
     graph.until(lambda: driver._refused > 3
-                or _turn(graph, (B, 0, 0), (0, math.tau * HERTZ, 0), older=1.0))
+                or _turn(graph, (B, 0, 0), (0, math.tau * HERTZ, 0), older=5.0))
     graph.until(lambda: emulator.zero)
 
 
