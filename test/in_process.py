@@ -10,6 +10,7 @@ import gc
 import io
 import json
 import os
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -205,9 +206,18 @@ class Ros:
         node.destroy_node()
 
 
+class _Output(io.StringIO):
+    """Output that is kept, for libraries that want a descriptor too."""
+
+    def fileno(self) -> int:
+        """Return the descriptor of the standard error of this process."""
+        assert sys.__stderr__ is not None
+        return sys.__stderr__.fileno()
+
+
 def command(*words: object) -> tuple[int, str, str]:
     """Run `microbot` in this process; return its exit status and its two outputs."""
-    out, error = io.StringIO(), io.StringIO()
+    out, error = _Output(), _Output()
     with redirect_stdout(out), redirect_stderr(error):
         status = microbot(*words)
     return status, out.getvalue(), error.getvalue()

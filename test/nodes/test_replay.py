@@ -355,7 +355,7 @@ def steered_live(ros: Any, folder: Path) -> Path:
     out = folder / 'live'
     graph = ros({'recorder': {'folder': str(out), 'topics': KEPT},
                  'model': {'radius_um': 10.0, 'viscosity_mPa_s': 1.245},
-                 'controller': {'deadline_ms': 500.0}})
+                 'controller': {'pose_timeout_ms': 800.0}})
     for name in ('recorder', 'model', 'controller'):
         graph.add(name)
     states = graph.hear(PointCloud2, 'model/state')

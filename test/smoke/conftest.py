@@ -36,7 +36,9 @@ class SmokeRig:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.log = folder / 'amplifier.jsonl'
+        self.log, self.recording = folder / 'amplifier.jsonl', folder / 'recording'
+        self.goal = np.zeros(2)
+        self.began_s = time.time()
         self.said: list[str] = []
         self.estimates = np.empty(0)
         self.progress: dict[str, str] = {}
@@ -58,16 +60,17 @@ class SmokeRig:
             'coil_driver': {'port': str(port), 'full_scale_A': 2.0, 'command_timeout_ms': 2000.0,
                             'max_command_age_ms': 2000.0, 'settling_ms': 2000.0,
                             'feedback_timeout_ms': 5000.0, 'idle_disarm_s': 60.0},
-            'recorder': {'recording': False, 'frame_every': 5}}
+            'recorder': {'folder': str(self.recording), 'frame_every': 5, 'title': 'smoke'}}
         file.write_text(yaml.safe_dump(
             {name: {'ros__parameters': values} for name, values in nodes.items()}))
         self.graph.start('amplifier', [
             sys.executable, '-m', 'microbot_ros.cli', 'emulate', 'serial_transfer', '--link',
             str(port), '--log', str(self.log), '--full-scale-A', '2'], says_when_ready='serving')
-        self.graph.wait_ready()
-        for name in NODES:
-            self.graph.start_nodes([name], file)
-        self.graph.wait_ready()
+        # The particles swim as soon as the virtual rig runs: all others are there by then.
+        for names in (), NODES[:-1], NODES[-1:]:
+            for name in names:
+                self.graph.start_nodes([name], file)
+            self.graph.wait_ready()
         self.client = GraphClient('smoke')
         self.client.watch_estimates(lambda points: setattr(self, 'estimates', points))
         self.client.watch_progress(lambda _, __, values: setattr(self, 'progress', values))

