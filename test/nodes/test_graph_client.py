@@ -225,7 +225,8 @@ def test_disarming_tells_what_the_driver_answered(
         monkeypatch: pytest.MonkeyPatch) -> None:
     lost = lose('~/arm')
     lost.append('~/arm')  # not yet
-    graph, _ = _driver_and_commander(ros, emulator)
+    graph, driver = _driver_and_commander(ros, emulator)
+    graph.until(lambda: driver._driver.gate._measured_s > 0)
     assert graph.microbot('arm') == (0, 'armed\n', '')
     lost.clear()  # a request to disarm is repeated
     assert graph.microbot('arm', '--off') == (
