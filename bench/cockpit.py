@@ -22,6 +22,7 @@ from websockets.sync.client import ClientConnection, connect
 from bench import _browser, _rig
 from bench._emulator import Emulator
 from bench.figure import Figure
+from microbot_ros.cockpit.address import WORDS
 from microbot_ros.errors import RigError
 from microbot_ros.nodes.graph import Graph
 from microbot_ros.nodes.graph_client import GraphClient
@@ -74,13 +75,13 @@ class _Bench:
         """A cockpit in a process of its own: its address, and the process."""
         said: list[str] = []
         parameters = self._folder / 'cockpit.yaml'
-        parameters.write_text(json.dumps({'cockpit': {'ros__parameters': {'port': 0}}}))
+        parameters.write_text(json.dumps({'cockpit': {'ros__parameters': {'port': 0, 'token': False}}}))
         with Graph(lambda _, line: said.append(line)) as graph:
             graph.start_nodes(['cockpit'], parameters)
             graph.wait_ready(60.0)
-            while not any('open http' in line for line in said):
+            while not (named := [line for line in said if WORDS in line]):
                 graph.pump(0.1)
-            address = next(line for line in said if 'open http' in line).rpartition(' ')[2]
+            address = Path(named[0].partition(WORDS)[2]).read_text().strip()
             yield address, psutil.Process(graph.process_id('cockpit'))
 
     @contextmanager

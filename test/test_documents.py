@@ -254,3 +254,16 @@ def test_the_layout_of_foxglove_shows_what_the_nodes_send(build):
     assert named <= {end.name for end in build.graph.ends()}
     assert set(layout['configById']) == set(re.findall(
         r'"((?:\w|3D)+!\w+)"', json.dumps(layout['layout'])))
+
+
+def test_tests_that_the_safety_case_names_exist() -> None:
+    """A name that ends in … is the beginning of one."""
+    text = (ROOT / 'docs/explanation/safety.md').read_text(encoding='utf-8')
+    files = list((ROOT / 'test').rglob('test_*.py'))
+    known = {file.name for file in files} | {
+        name for file in files for name in re.findall(r'def (test_\w+)', file.read_text('utf-8'))}
+    named = re.findall(r'`(?:[\w/.]+::)?…?((?:test_)?\w+(?:\.py)?)(…?)`', text)
+    missing = [name for name, more in named if name.startswith('test_') and not (
+        any(one.startswith(name) for one in known) if more else name in known)]
+    assert len(named) > 40
+    assert not missing

@@ -8,14 +8,18 @@ from microbot_ros.cli.options import namespace_option
 
 
 @click.command()
-@click.option('--off', is_flag=True, help='Disarm: the coils go to zero and stay there.')
+@click.option('--off', is_flag=True, help='Disarm: zero is sent to the coils, and it is told whether they are at zero.')
 @namespace_option
 def command(off: bool, namespace: str) -> None:
     """Arm the safety gate of the running coil driver, or disarm it.
 
-    Arming sends a short pulse through each coil to check its sign and gain. Ends with 1
-    and the reason where the coil driver is not there, does not answer or refuses: where a coil is
-    not right or a fault stands.
+    Arming sends a short pulse through each coil to check its sign and gain. The request is sent
+    once: without an answer to it the driver is disarmed. Ends with 1 and the reason where the
+    coil driver is not there, does not answer or refuses, for example because a coil is not right.
+
+    Disarming prints which of three holds: zero, confirmed by a reading; zero sent, not confirmed;
+    not reachable. Ends with 1 for the third, and for the second where the amplifier reads its
+    currents back and so could have confirmed it.
 
     \b
     Example:
@@ -25,5 +29,5 @@ def command(off: bool, namespace: str) -> None:
     from microbot_ros.nodes.graph_client import GraphClient
 
     with GraphClient(namespace=namespace) as client:
-        client.arm(not off)
-    click.echo('disarmed: the coils are at zero' if off else 'armed')
+        answer = client.arm(not off)
+    click.echo(f'disarmed: {answer}' if off else answer)

@@ -14,13 +14,17 @@ from microbot_ros.cli.options import namespace_option
               help='Name or address of this machine to listen at; 0.0.0.0 for all it has.')
 @click.option('--port', type=click.IntRange(0, 65535), default=8642, show_default=True,
               metavar='P', help='Port to listen at; 0 takes any that is free.')
+@click.option('--token/--no-token', default=True, show_default=True,
+              help='Whether pages need the token in the address; without one every user of this '
+                   'machine can drive the rig.')
 @namespace_option
-def command(host: str, port: int, namespace: str) -> None:
+def command(host: str, port: int, token: bool, namespace: str) -> None:
     """Serve the operator's page until Ctrl-C: see, point, steer, stop, from any browser.
 
-    It prints the address to open. The page is for this machine, unless --host says otherwise;
-    then its address holds a token, without which nobody is let in. What is sent over a network
-    can be overheard.
+    On a terminal it prints the address to open; elsewhere, as in a service, the name of the file
+    that holds it, which only you can read. The address holds a token, new at each start, without
+    which nobody is let in. On a machine with one user --no-token leaves it out; it is refused
+    with a --host beyond this machine. What is sent over a network can be overheard.
 
     The cockpit is no barrier: the driver's dead-man and the amplifier's watchdog are. To end it
     harms nothing; a rig that drives goes on.
@@ -29,11 +33,12 @@ def command(host: str, port: int, namespace: str) -> None:
     Example:
       microbot cockpit
       microbot cockpit --host 0.0.0.0 --port 8000
+      microbot cockpit --no-token
     """
     from microbot_ros.nodes.graph_client import checked_namespace
     from microbot_ros.nodes.process import run
 
-    given = {'host': host, 'port': str(port)}
+    given = {'host': host, 'port': str(port), 'token': str(token).lower()}
     sys.exit(run(['cockpit'], [
         '--ros-args', '-r', f'__ns:={checked_namespace(namespace)}',
         *(word for name, value in given.items() for word in ('-p', f'{name}:={value}'))]))

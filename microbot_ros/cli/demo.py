@@ -17,6 +17,7 @@ import yaml
 
 from microbot_ros.cli.demo_robots import KINDS, Robots
 from microbot_ros.cli.options import FiniteFloatRange, cockpit_option
+from microbot_ros.cockpit import address
 from microbot_ros.drive.real_time import LOOP, realtime_priority
 from microbot_ros.ending import Ending, Stopped
 from microbot_ros.errors import InputError
@@ -85,7 +86,7 @@ def command(seconds: float, seed: int, robots: str, cockpit: bool, out: Path,
     try:
         run, summary = _demo(seconds, seed, KINDS[robots], cockpit, out, began)
     except Stopped as stopped:
-        _say(began, f'stopped by {stopped}: the coils are at zero, nothing was kept')
+        _say(began, f'stopped by {stopped}: nothing was kept')
         sys.exit(stopped.status)
     _print(summary, out)
     if json_path:
@@ -114,7 +115,7 @@ def _demo(seconds: float, seed: int, kind: Callable[[Path], Robots], cockpit: bo
         with graph:
             robots = kind(folder)
             run = _run(graph, ending, folder, seconds, seed, robots, cockpit, began)
-            _say(began, 'stopping; the coils are at zero')
+            _say(began, 'stopping')
         with ending.interrupts():
             return run, _look_back(folder, out, run, robots, began)
 
@@ -163,7 +164,7 @@ def _steer(graph: Graph, seconds: float, robots: Robots, began: float) -> _Run:
             f'({x:.0f}, {y:.0f}) µm' for x, y in goals * 1e6))
         watch.until(start + seconds)
         client.set('controller', controller='hold')
-        client.arm(False)
+        _say(began, f'disarmed: {client.arm(False)}')
     return _Run(goals, armed_at, ['hold', 'open_loop', robots.controller, 'hold'],
                 sorted(watch.faults))
 
@@ -280,6 +281,7 @@ def _print(summary: dict[str, Any], out: Path) -> None:
 
 
 def _say(began: float, line: str) -> None:
+    line = address.shown(line, sys.stderr)
     with suppress(OSError):  # a closed terminal must not end the clean-up
         print(f'[{time.monotonic() - began:5.1f} s] {line.removeprefix("microbot: ")}',
               file=sys.stderr, flush=True)

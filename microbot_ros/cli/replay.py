@@ -35,6 +35,9 @@ from microbot_ros.errors import InputError
                    'field. Another processor may round otherwise.')
 @click.option('--config', type=click.Path(path_type=Path),
               help='With --check: parameters in place of those in the recording.')
+@click.option('--policy', type=click.Path(path_type=Path),
+              help='With --check: the ONNX network that the controller policy plays; one that a '
+                   'recording names is not executed.')
 @click.option('--out', type=click.Path(path_type=Path),
               help='With --check: keep what the nodes answered, as a recording.')
 @click.option('--json', 'json_path', type=click.Path(path_type=Path),
@@ -42,7 +45,7 @@ from microbot_ros.errors import InputError
 def command(
     session: Path, rate: float, start: float, end: float, loop: bool, topics: tuple[str, ...],
     into_live_rig: bool, check: bool, nodes: tuple[str, ...], tolerance: float,
-    config: Path | None, out: Path | None, json_path: Path | None,
+    config: Path | None, policy: Path | None, out: Path | None, json_path: Path | None,
 ) -> None:
     """Play SESSION, a folder or an MCAP recording, through its topics, with /clock.
 
@@ -66,12 +69,14 @@ def command(
     if check:
         from microbot_ros.cli.replay_check import run_check
 
+        if config and policy:
+            raise InputError('--policy', 'expected only without --config, which names it')
         if rate != 1.0 or start or loop or topics or into_live_rig:
             raise InputError('--rate, --start, --loop, --topic, --into-live-rig',
                              'expected only without --check')
-        sys.exit(run_check(session, nodes, end, tolerance, config, out, json_path))
-    if nodes or tolerance or config or out or json_path:
-        raise InputError('--node, --tolerance, --config, --out, --json',
+        sys.exit(run_check(session, nodes, end, tolerance, config, policy, out, json_path))
+    if nodes or tolerance or config or policy or out or json_path:
+        raise InputError('--node, --tolerance, --config, --policy, --out, --json',
                          'expected only with --check')
     from microbot_ros.nodes.process import run
     from microbot_ros.session.playback import Playback, open_source

@@ -27,19 +27,20 @@ if TYPE_CHECKING:
 
 
 def run_check(session: Path, nodes: Collection[str], end: float, tolerance: float,
-              config: Path | None, out: Path | None, json_path: Path | None) -> int:
+              config: Path | None, policy: Path | None, out: Path | None,
+              json_path: Path | None) -> int:
     """Replay a `session`, compare, tell: 0 where every answer that can be judged is the same, else
     1.
 
     By `nodes`, none for all, up to `end` [s], with parameters of `config`, those recorded where
-    it is None. Numbers may differ by `tolerance` of their size. What they say goes to `out`,
-    differences to `json_path`, where given.
+    it is None, and the network `policy` in place of one that the recording names. Numbers may
+    differ by `tolerance` of their size. What they say goes to `out`, differences to `json_path`, where given.
     """
     console = Console(highlight=False, width=None if Console().is_terminal else 150)
     if session.exists() and not is_recording(session):
         raise InputError(session, 'expected a recording to check, found a folder of CSV files')
     with tempfile.TemporaryDirectory() as name:
-        found, failure = _replay(session, nodes, end, tolerance, config,
+        found, failure = _replay(session, nodes, end, tolerance, config, policy,
                                  out or Path(name) / 'replayed', Path(name))
     if failure:
         Console(stderr=True, highlight=False).print(f'{session}: {failure}')
@@ -68,7 +69,8 @@ def _verdict(found: list[TopicDifference]) -> tuple[bool, str]:
 
 
 def _replay(session: Path, nodes: Collection[str], end: float, tolerance: float,
-            config: Path | None, out: Path, scratch: Path) -> tuple[list[TopicDifference], str]:
+            config: Path | None, policy: Path | None, out: Path, scratch: Path,
+            ) -> tuple[list[TopicDifference], str]:
     """The differences, and why the replay was given up, or ''."""
     from microbot_ros.nodes.configuration import read_rig
     from microbot_ros.nodes.replay_check import ReplayCheck, plan_replay, recorded_parameters
@@ -77,7 +79,7 @@ def _replay(session: Path, nodes: Collection[str], end: float, tolerance: float,
     with open_recording(session) as recorded:
         plan = plan_replay(recorded, session, nodes)
         parameters = read_rig(config) if config else recorded_parameters(
-            recorded, plan.nodes, scratch)
+            recorded, plan.nodes, scratch, policy)
         run = ReplayCheck(session, out, plan, parameters, end)
         length = end or (recorded.end_ns - recorded.start_ns) / 1e9
         with progress.status(f'{length:.0f} s through {", ".join(plan.nodes)}'):

@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 
 from microbot_ros.cli.options import cockpit_option, namespace_option
+from microbot_ros.cockpit import address
 from microbot_ros.drive.real_time import LOOP, realtime_priority
 from microbot_ros.ending import Ending, Stopped
 from microbot_ros.errors import InputError
@@ -85,8 +86,7 @@ def _watch(graph: Graph, arm: bool, namespace: str) -> None:
     with GraphClient(namespace=namespace) as client:
         client.watch_health(heard)
         if arm:
-            client.arm()
-            _say('microbot', 'armed')
+            _say('microbot', client.arm())
         while len(reported) < graph.count:
             graph.pump(0.0)
             client.spin(0.1)
@@ -97,6 +97,7 @@ def _watch(graph: Graph, arm: bool, namespace: str) -> None:
 
 
 def _say(who: str, line: str) -> None:
+    line = address.shown(line, sys.stderr)
     with suppress(OSError):  # a closed terminal must not end the clean-up
         print(f'{who}: {line.removeprefix("microbot: ").removeprefix(f"{who}: ")}',
               file=sys.stderr, flush=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import struct
+import time
 from collections import deque
 from collections.abc import Mapping
 from typing import Any
@@ -19,6 +20,8 @@ _SIGN_OF_LIFE_S = 1.0
 """How often a page that owes is told the state all the same."""
 _ANSWERS = 100
 """A page that reads none of so many answers is gone."""
+_SLOW_S = 5.0
+"""So is one that does not take a message within this: the buffers between hold some seconds."""
 
 
 class Page:
@@ -32,6 +35,10 @@ class Page:
         self.number = number
         self.in_work = 0
         """Verbs that are being performed."""
+        self.stops = 0
+        """STOPs whose answer it waits for."""
+        self.heard_s = time.monotonic()
+        """When it last sent something."""
         self.steering = Steering()
         self._socket = socket
         self._owed: deque[int] = deque()
@@ -42,6 +49,7 @@ class Page:
         self._told_s = 0.0
         self._answers: deque[str] = deque()
         self._news = asyncio.Event()
+        self._ended = False
 
     def picture(self, stamp: int, jpeg: bytes) -> None:
         """Have a picture of a `stamp` [ns], a `jpeg`, sent in place of one that waits."""
@@ -80,16 +88,22 @@ class Page:
                 pass
             self._news.set()
 
+    def end(self) -> None:
+        """Let it go: another takes its place."""
+        self._ended = True
+        self._news.set()
+
     async def send(self) -> None:
         """Send what is newest, as soon as the page can take it, until it is gone."""
         try:
-            while len(self._answers) <= _ANSWERS:
+            while len(self._answers) <= _ANSWERS and not self._ended:
                 await self._news.wait()
                 self._news.clear()
-                while self._answers:
-                    await self._socket.send_text(self._answers.popleft())
-                await self._send_newest()
-        except (WebSocketDisconnect, RuntimeError):
+                async with asyncio.timeout(_SLOW_S):
+                    while self._answers:
+                        await self._socket.send_text(self._answers.popleft())
+                    await self._send_newest()
+        except (WebSocketDisconnect, RuntimeError, TimeoutError):
             pass  # it has gone; who receives from it notices too
 
     async def _send_newest(self) -> None:

@@ -1,22 +1,20 @@
-"""Who has control, and whether somebody is there."""
+"""Who has control, and whether the rig was armed on condition that somebody attends."""
 
 from __future__ import annotations
-
-UNATTENDED_S = 3.0
-"""So long after the last heartbeat an attended rig is disarmed [s]."""
 
 
 class Control:
     """One page of those that are there has control; a page is a number.
 
-    `attended`: the rig was armed on condition that the page in control is there.
+    `attended`: the rig was armed on condition that the page in control is there. The coil driver
+    judges that by heartbeats, which are passed on while it is so.
     """
 
     def __init__(self) -> None:
         self.holder: int | None = None
         self.attended = False
         self._pages: set[int] = set()
-        self._heard_s = 0.0
+        self._seen_armed = False
 
     @property
     def pages(self) -> int:
@@ -24,30 +22,31 @@ class Control:
         return len(self._pages)
 
     def join(self, page: int) -> None:
-        """A `page` has come: it has control if no other has."""
+        """Count a `page` that has come: it has control if no other has."""
         self._pages.add(page)
         if self.holder is None:
             self.holder = page
 
     def leave(self, page: int) -> None:
-        """A `page` has gone. Its control goes to nobody: who wants it takes it."""
+        """Forget a `page`. Its control goes to nobody: another takes it."""
         self._pages.discard(page)
         if self.holder == page:
             self.holder = None
 
     def take(self, page: int) -> None:
-        """From now on this `page` has control."""
+        """Give control to this `page`."""
         self.holder = page
 
-    def heard(self, page: int, now_s: float) -> None:
-        """Somebody is there at `now_s` [s], in front of a `page`."""
-        if page == self.holder:
-            self._heard_s = now_s
+    def attends(self, page: int) -> bool:
+        """Whether a heartbeat of a `page` is one for the driver."""
+        return self.attended and page == self.holder
 
-    def armed(self, attended: bool, now_s: float) -> None:
-        """The rig was armed at `now_s` [s], `attended` or not."""
-        self.attended, self._heard_s = attended, now_s
+    def arm(self, attended: bool) -> None:
+        """Note that the rig is about to be armed, `attended` or not."""
+        self.attended, self._seen_armed = attended, False
 
-    def deserted(self, now_s: float) -> bool:
-        """Whether the rig is to be disarmed at `now_s` [s] because nobody is there."""
-        return self.attended and not now_s - self._heard_s <= UNATTENDED_S
+    def see(self, armed: bool) -> None:
+        """Take in whether the rig is `armed`: one that is so no more is not attended either."""
+        if self._seen_armed and not armed:
+            self.attended = False
+        self._seen_armed = armed

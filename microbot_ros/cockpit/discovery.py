@@ -35,6 +35,10 @@ class Discovery:
         self._out = folder
         self._told = ''
         self._result: dict[str, Any] = {}
+        self._turn = asyncio.Lock()
+        """Held from the check whether it runs until its process is there, or has been told to end:
+        two requests at once start one process."""
+        self._over = False
 
     @property
     def running(self) -> bool:
@@ -51,29 +55,35 @@ class Discovery:
 
     async def start(self, minutes: float) -> Answer:
         """Drive for so many `minutes` at most; RefusedError where it does already."""
-        if self.running:
-            raise RefusedError('discovery is driving already')
-        self._out = self._folder / f'{datetime.now():%Y-%m-%d_%H-%M-%S}'
-        self._result, self._told = {}, 'starting'
-        self._process = await asyncio.create_subprocess_exec(
-            sys.executable, '-m', 'microbot_ros.cli', 'discover', '--drive', '--minutes',
-            f'{minutes:g}', '--out', str(self._out), '--namespace', self._namespace,
-            stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE,
-            stderr=asyncio.subprocess.STDOUT, start_new_session=True,
-            env={**os.environ, PARENT: str(os.getpid()), 'PYTHONUNBUFFERED': '1',
-                 'COLUMNS': '1000'})
-        self._reader = asyncio.create_task(self._follow(self._process))
+        async with self._turn:
+            if self.running:
+                raise RefusedError('discovery is driving already')
+            if self._over:
+                raise RefusedError('the cockpit is ending')
+            self._out = self._folder / f'{datetime.now():%Y-%m-%d_%H-%M-%S}'
+            self._result, self._told = {}, 'starting'
+            self._process = await asyncio.create_subprocess_exec(
+                sys.executable, '-m', 'microbot_ros.cli', 'discover', '--drive', '--minutes',
+                f'{minutes:g}', '--out', str(self._out), '--namespace', self._namespace,
+                stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE,
+                stderr=asyncio.subprocess.STDOUT, start_new_session=True,
+                env={**os.environ, PARENT: str(os.getpid()), 'PYTHONUNBUFFERED': '1',
+                     'COLUMNS': '1000'})
+            self._reader = asyncio.create_task(self._follow(self._process))
         return f'driving for {minutes:g} min at most; into {self._out}'
 
     async def stop(self) -> Answer:
         """Have it end and write what it knows; RefusedError where it does not run."""
-        if self._process is None:
-            raise RefusedError('discovery is not driving')
-        self._signal(signal.SIGTERM)
+        async with self._turn:
+            if self._process is None:
+                raise RefusedError('discovery is not driving')
+            self._signal(signal.SIGTERM)
         return 'told to end'
 
     async def end(self) -> None:
         """Leave nothing behind when the server ends."""
+        async with self._turn:
+            self._over = True
         if self._reader is None or self._process is None:
             return
         self._signal(signal.SIGTERM)

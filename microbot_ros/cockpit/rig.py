@@ -5,8 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Protocol
 
+from microbot_ros.drive.amplifier import Zero
+
 Answer = str
 """What a node said of something that it did; '' where it said nothing."""
+
+BY_HAND = 'switch the amplifier off by hand'
 
 PictureListener = Callable[[int, bytes], None]
 ParticleListener = Callable[[dict[str, Any]], None]
@@ -14,6 +18,12 @@ ParticleListener = Callable[[dict[str, Any]], None]
 
 class RefusedError(Exception):
     """Something was not done; the message is the node's own reason, in one sentence."""
+
+
+def zero_in(answer: Answer) -> str | None:
+    """Return 'confirmed', 'sent' or 'unreachable' by the phrase of `Zero` with which an answer of
+    the driver begins; None for another answer."""
+    return next((zero.name.lower() for zero in Zero if answer.startswith(zero)), None)
 
 
 class Rig(Protocol):
@@ -46,10 +56,17 @@ class Rig(Protocol):
         """Ask the rig for what it does not tell by itself, for as long as the server runs."""
 
     async def stop(self) -> Answer:
-        """Zero the coils and disarm, by the driver itself."""
+        """Zero the coils and disarm, by the driver itself.
+
+        The answer, and the message of RefusedError where the zero is not confirmed although it
+        could be, begin with one of the phrases of `Zero`.
+        """
 
     async def arm(self) -> Answer:
-        """Let currents flow."""
+        """Let currents flow; the request is sent once."""
+
+    def attend(self) -> None:
+        """Tell the driver that an operator is there."""
 
     def stick(self, x: float, y: float) -> None:
         """Say once where the stick is: `x` and `y` of −1 to 1, along the axes of the workspace."""

@@ -1,4 +1,4 @@
-"""Who may speak to the server: this origin, and beyond this machine only who was given a token."""
+"""Who may speak to the server: this origin, with the token of this server."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from urllib.parse import parse_qs
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from microbot_ros.errors import InputError
 
 _LOOPBACK = ('localhost', '127.0.0.1', '::1')
 
@@ -37,16 +39,19 @@ class Gatekeeper:
     """Lets through to an `app` what is asked of a server at `host`, by pages of its own.
 
     The name in `Host` must be one of ours, lest a foreign site have its own name point here; a
-    socket must also name an `Origin`, and that is the same. Away from loopback `token` is asked
-    for, once, in the address; then a cookie stands for it, whose name holds the `port`. Anything
-    else is answered with 403.
+    socket must also name an `Origin`, and that is the same. The `token` is asked for, once, in
+    the address; then a cookie stands for it, whose name holds the `port`. Anything else is
+    answered with 403. With `open_to_all` there is no token: for a machine with one user, on
+    loopback alone.
     """
 
-    def __init__(self, app: ASGIApp, host: str, port: int) -> None:
+    def __init__(self, app: ASGIApp, host: str, port: int, open_to_all: bool = False) -> None:
+        if open_to_all and not is_loopback(host):
+            raise InputError('token', f'expected true where pages come over a network ({host})')
         self._app = app
         self._names = set(_names(host))
         self._anywhere = not is_loopback(host) and _is_wildcard(host)
-        self.token = '' if is_loopback(host) else secrets.token_urlsafe(24)
+        self.token = '' if open_to_all else secrets.token_urlsafe(24)
         self._session = secrets.token_urlsafe(24)
         self._cookie = f'microbot_cockpit_{port}'
 

@@ -25,10 +25,12 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from microbot_ros import __version__
 from microbot_ros.cockpit import verbs
 from microbot_ros.cockpit.clients import Page
+from microbot_ros.cockpit.connections import BriefConnection
 from microbot_ros.cockpit.control import Control
 from microbot_ros.cockpit.discovery import Discovery
-from microbot_ros.cockpit.rig import RefusedError, Rig
+from microbot_ros.cockpit.rig import Answer, RefusedError, Rig, zero_in
 from microbot_ros.cockpit.security import Gatekeeper
+from microbot_ros.cockpit.stopping import Stopping
 from microbot_ros.errors import InputError
 
 _STATE_S = 0.1
@@ -38,7 +40,12 @@ _STOOD_STILL_S, _DEAF_S = 0.7, 0.5
 done. A server that stood still makes that true: for so long it then does nothing but stop and
 disarm."""
 _MOST_PAGES = 16
+_SILENT_S = 10.0
+"""A page says every second that it is there, while it is seen. One that was silent for so long
+makes room where there are `_MOST_PAGES`."""
 _MOST_IN_WORK = 8
+_MOST_STOPS = 8
+"""STOPs of one page whose answers it waits for; more are sent too, and answered at once."""
 _LONGEST_MESSAGE = 128 * 1024
 _BUFFER = 256 * 1024
 """What may wait in the system for a page that does not read: a frozen one is not to be shown the
@@ -51,25 +58,32 @@ _log = logging.getLogger(__name__)
 
 class Server:
     """Serves the page of a `rig` at `host` and `port`, 0 for any that is free, with its
-    `discovery`.
+    `discovery`; without a token if `open_to_all`, see `Gatekeeper`.
 
     All but `start` and `stop` happens in a thread of its own. Raises InputError where it can't
     listen there.
     """
 
-    def __init__(self, rig: Rig, discovery: Discovery, host: str, port: int) -> None:
+    def __init__(self, rig: Rig, discovery: Discovery, host: str, port: int, *,
+                 open_to_all: bool = False) -> None:
         self._rig, self._discovery = rig, discovery
         self._socket = _listen(host, port)
         self._host, self._port = host, int(self._socket.getsockname()[1])
         self._control = Control()
+        self._stopping = Stopping(rig)
         self._pages: dict[int, Page] = {}
         self._count = 0
         self._tasks: set[asyncio.Task[None]] = set()
         self._ticked_s = self._deaf_until_s = -math.inf
         self._greeting: dict[str, Any] = self._known()
-        self._gate = Gatekeeper(self._application(), host, self._port)
+        try:
+            self._gate = Gatekeeper(self._application(), host, self._port, open_to_all)
+        except InputError:
+            self._socket.close()
+            raise
         self._uvicorn = uvicorn.Server(uvicorn.Config(
-            self._gate, log_level='warning', access_log=False, ws='websockets-sansio',
+            self._gate, log_level='warning', access_log=False, http=BriefConnection,
+            ws='websockets-sansio',
             ws_max_size=_LONGEST_MESSAGE, ws_per_message_deflate=False, ws_ping_interval=5.0,
             ws_ping_timeout=5.0, server_header=False, timeout_graceful_shutdown=2))
         self._thread = threading.Thread(target=self._run, name='cockpit', daemon=True)
@@ -80,6 +94,11 @@ class Server:
         host = f'[{self._host}]' if ':' in self._host else self._host
         key = f'?token={self._gate.token}' if self._gate.token else ''
         return f'http://{host}:{self._port}/{key}'
+
+    @property
+    def port(self) -> int:
+        """The port at which it listens."""
+        return self._port
 
     @property
     def pages(self) -> int:
@@ -123,12 +142,12 @@ class Server:
         self._ticked_s = time.monotonic()
         self._rig.watch(self._on_picture, self._on_particles)
         background = [asyncio.create_task(_for_ever(work)) for work in (
-            self._tell_state, self._watch_attendance, self._rig.keep_up)]
+            self._tell_state, self._rig.keep_up)]
         yield
         for task in background:
             task.cancel()
         await asyncio.gather(*background, return_exceptions=True)
-        if self._control.attended:  # nobody will listen for heartbeats any more
+        if self._control.attended:  # no heartbeat comes any more: sooner than the driver sees it
             with suppress(RefusedError, TimeoutError):
                 await asyncio.wait_for(self._rig.stop(), _LAST_STOP_S)
         await self._discovery.end()
@@ -162,6 +181,7 @@ class Server:
                 for page in self._pages.values():
                     page.tell(self._hello(page))
             state = self._rig.state()
+            self._control.see(state.get('rig') == 'armed')
             state |= {'attended': self._control.attended,
                       'discovery': self._discovery.state(state.pop('verdict', {}))}
             parts = {name: _json(part) for name, part in state.items()}
@@ -191,20 +211,9 @@ class Server:
         """Of the rig what changes hardly ever."""
         return {'camera': self._rig.camera(), 'kinds': self._rig.kinds}
 
-    async def _watch_attendance(self) -> None:
-        """Disarm where nobody is there who should be, again and again until that is done."""
-        while True:
-            await asyncio.sleep(_STATE_S)
-            if self._control.deserted(time.monotonic()):
-                try:
-                    await self._rig.stop()
-                    self._control.attended = False
-                except RefusedError:
-                    await asyncio.sleep(1.0)
-
     async def _serve(self, web_socket: WebSocket) -> None:
         """One page, from its coming to its going."""
-        if len(self._pages) >= _MOST_PAGES:
+        if len(self._pages) >= _MOST_PAGES and not self._make_room(time.monotonic()):
             await web_socket.close()
             return
         await web_socket.accept()
@@ -219,17 +228,29 @@ class Server:
         try:
             await asyncio.wait([sending, receiving], return_when=asyncio.FIRST_COMPLETED)
         finally:
-            del self._pages[page.number]
+            self._pages.pop(page.number, None)
             self._control.leave(page.number)
             self._rig.look(bool(self._pages))
             for task in (sending, receiving):
                 task.cancel()
             await asyncio.gather(sending, receiving, return_exceptions=True)
 
+    def _make_room(self, now_s: float) -> bool:
+        """End the page that has been silent for the longest at `now_s` [s]; whether there is one.
+        """
+        page = min(self._pages.values(), key=lambda one: one.heard_s)
+        if now_s - page.heard_s <= _SILENT_S:
+            return False
+        page.end()
+        del self._pages[page.number]
+        self._control.leave(page.number)
+        return True
+
     async def _receive(self, web_socket: WebSocket, page: Page) -> None:
         try:
             while True:
                 text = await web_socket.receive_text()
+                page.heard_s = time.monotonic()
                 try:
                     self._obey(page, verbs.read_verb(text))
                 except verbs.VerbError as error:
@@ -244,7 +265,8 @@ class Server:
             case verbs.Seen():
                 page.seen(int(verb.stamp))
             case verbs.Heartbeat():
-                self._control.heard(page.number, now_s)
+                if self._control.attends(page.number) and not self._stood_still(now_s):
+                    self._rig.attend()
             case verbs.Stick():
                 allowed = controls and not self._stood_still(now_s)
                 if page.steering.counts(verb.x, verb.y, now_s, allowed):
@@ -254,11 +276,12 @@ class Server:
                 page.tell(_answer(verb.id, False, _LATE))
             case verbs.TakeControl():
                 self._control.take(page.number)
-                self._control.heard(page.number, now_s)
                 page.tell(_answer(verb.id, True))
             case _ if verb.needs_control and not controls:
                 page.tell(_answer(verb.id, False, _FOREIGN))
-            case verbs.Order() if page.in_work < _MOST_IN_WORK or isinstance(verb, verbs.Stop):
+            case verbs.Stop() | verbs.Disarm():
+                self._stop(page, verb)
+            case verbs.Order() if page.in_work < _MOST_IN_WORK:
                 page.in_work += 1
                 self._begin(self._perform(page, verb))
             case _:
@@ -269,19 +292,44 @@ class Server:
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
+    def _stop(self, page: Page, verb: verbs.Order) -> None:
+        """Have zero sent, whatever else is in work; heartbeats end with it."""
+        self._control.attended = False
+        sent = self._stopping.want()
+        if page.stops >= _MOST_STOPS:
+            page.tell(_answer(verb.id, False, f'sent; {_MOST_STOPS} others wait for an answer'))
+            return
+        page.stops += 1
+        self._begin(self._follow_stop(page, verb, sent))
+
+    async def _follow_stop(self, page: Page, verb: verbs.Order, sent: asyncio.Task[Answer],
+                           ) -> None:
+        try:
+            ok, said = True, await asyncio.shield(sent)
+        except RefusedError as refusal:
+            ok, said = False, str(refusal)
+        except Exception as error:
+            page.tell(_answer(verb.id, False, f'the cockpit failed: {error}'))
+            raise
+        finally:
+            page.stops -= 1
+        page.tell({**_answer(verb.id, ok, said), 'zero': zero_in(said)})
+
     async def _perform(self, page: Page, verb: verbs.Order) -> None:
+        if isinstance(verb, verbs.Arm):
+            self._control.arm(verb.attended)
+            if verb.attended:
+                self._rig.attend()
         try:
             said = await verb.perform(self._rig, self._discovery)
         except RefusedError as refusal:
+            if isinstance(verb, verbs.Arm):
+                self._control.attended = False
             page.tell(_answer(verb.id, False, str(refusal)))
         except Exception as error:
             page.tell(_answer(verb.id, False, f'the cockpit failed: {error}'))
             raise
         else:
-            if isinstance(verb, verbs.Arm):
-                self._control.armed(verb.attended, time.monotonic())
-            elif isinstance(verb, verbs.Stop | verbs.Disarm):
-                self._control.attended = False
             page.tell(_answer(verb.id, True, said))
         finally:
             page.in_work -= 1

@@ -75,13 +75,10 @@ class Order(Verb):
 
 
 class Stop(Order):
-    """Zero the coils, whoever asks."""
+    """Zero the coils, whoever asks; the server sends it by `Stopping`."""
 
     needs_control = False
     verb: Literal['stop']
-
-    async def perform(self, rig: Rig, discovery: Discovery) -> Answer:
-        return await rig.stop()
 
 
 class Arm(Order):
@@ -95,12 +92,9 @@ class Arm(Order):
 
 
 class Disarm(Order):
-    """Let none flow any more."""
+    """Let none flow any more; as `Stop`, by the page in control."""
 
     verb: Literal['disarm']
-
-    async def perform(self, rig: Rig, discovery: Discovery) -> Answer:
-        return await rig.stop()
 
 
 class Goal(Order):

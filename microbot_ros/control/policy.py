@@ -33,6 +33,9 @@ from microbot_ros.settings import setting
 
 _NO_FILE = "'file' names no ONNX file"
 
+EXECUTED_FILE = 'policy.file'
+"""The parameter of the controller node that names a network, which is executed when it is set."""
+
 
 @dataclass(frozen=True)
 class PolicyParameters:

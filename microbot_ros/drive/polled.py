@@ -158,14 +158,16 @@ class PolledAmplifier(Amplifier):
 
     def _open(self) -> None:
         self._forget()
-        for url in self.urls:
+        for line, url in enumerate(self.urls):
             try:
                 port = self._open_port(url, self.baud, xon_xoff=self.xon_xoff)
             except UnreachableError as error:
                 port = AbsentPort(error)
             self._lines.append(port)
+            if self._known:
+                self._zero_lines([line])  # the first device on it has its number
         if self._known:
-            self._zero_lines(self.devices)
+            self._require_ports()
         found = self._with_each(self._identify)
         self._others = {device for device, result in found.items()
                         if isinstance(result, WrongDeviceError)}
@@ -174,6 +176,12 @@ class PolledAmplifier(Amplifier):
         self._require(self._with_each(self._enable))
         found = self._require(self._with_each(self._inspect))
         self.fault = _joined(found)
+
+    def _require_ports(self) -> None:
+        """Raise at once for a port that is away: the next attempt shall not be late for it."""
+        for port in self._lines:
+            if isinstance(port, AbsentPort):
+                raise port.error
 
     def _require(self, found: dict[int, Any]) -> dict[int, Any]:
         """The results of talks; raises the first error among them, with all ports noted."""
@@ -184,27 +192,33 @@ class PolledAmplifier(Amplifier):
         return found
 
     def _abort(self, error: BaseException) -> None:
+        reached = [device for device in self.devices if device not in self._others]
+        # The next attempt to reconnect confirms or repeats the zero; after the first there is none.
         if self._lines:
-            self._make_safe([device for device in self.devices if device not in self._others])
+            self._make_safe(reached, 0.0 if self._known else self.read_back_s)
 
     def _end(self) -> Zero:
         self.counters.frames_sent += 1
-        return self._make_safe(self.devices)
+        return self._make_safe(self.devices, self.read_back_s)
 
-    def _make_safe(self, devices: Sequence[int]) -> Zero:
-        """Zero these devices, read back and disable; return the worst that holds of one."""
+    def _make_safe(self, devices: Sequence[int], patience_s: float) -> Zero:
+        """Zero these devices, read back for `patience_s` [s] and disable them; return the worst
+        that holds of one.
+        """
         self._order = None
         self._zero_lines(devices)
         self._carry_out(self._let_strays_in())
-        until_s = self.clock.now() + self.read_back_s
+        until_s = self.clock.now() + patience_s
         waiting = set(devices)
-        while waiting and self.clock.now() < until_s:
-            sent = self._with_each(partial(self._zero, until_s=until_s), waiting)
-            found = self._with_each(partial(self._is_at_zero, until_s=until_s), waiting)
+        while waiting and (began_s := self.clock.now()) < until_s:
+            # What is damaged or lost is said again in the next pass, the zero with it.
+            sent = self._with_each(partial(self._zero, until_s=until_s), waiting, attempts=1)
+            found = self._with_each(partial(self._is_at_zero, until_s=until_s), waiting,
+                                    attempts=1)
             self._lose_all((*sent.values(), *found.values()))
             waiting -= {device for device in found
                         if found[device] is True or self._out_of_reach(device)}
-            self.clock.sleep(self.period_s if waiting else 0.0)
+            self.clock.sleep(began_s + self.period_s - self.clock.now() if waiting else 0.0)
         self._lose_all(self._with_each(self._switch_off, devices).values())
         if self.unreachable:
             return Zero.UNREACHABLE

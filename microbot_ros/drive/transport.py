@@ -137,22 +137,22 @@ class AbsentPort(Port):
 
     def __init__(self, error: UnreachableError) -> None:
         self.url = error.url
-        self._error = error
+        self.error = error
 
     def send(self, data: bytes) -> None:
-        raise self._error
+        raise self.error
 
     def receive(self, timeout_s: float = 0.0) -> bytes:
-        raise self._error
+        raise self.error
 
     def wake(self) -> None:
         """Nothing waits."""
 
     def discard_output(self) -> None:
-        raise self._error
+        raise self.error
 
     def discard_input(self) -> None:
-        raise self._error
+        raise self.error
 
     def close(self) -> None:
         """Nothing is open."""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
+from microbot_ros.cockpit import address
 from microbot_ros.errors import InputError
 from microbot_ros.nodes.lifecycle import ERROR, OK, RigNode
 from microbot_ros.settings import setting
@@ -21,10 +23,12 @@ class CockpitParameters:
     """Parameters of the node `cockpit`."""
 
     host: str = setting(
-        '127.0.0.1', 'Name or address of this machine to listen at; away from 127.0.0.1 pages '
-        'need the token that is printed at the start.', read_only=True)
+        '127.0.0.1', 'Name or address of this machine to listen at.', read_only=True)
     port: int = setting(8642, 'Port to listen at; 0 takes any that is free.', lower=0,
                         upper=65535, read_only=True)
+    token: bool = setting(
+        True, 'Pages need the token in the address, new at each start; false lets every user of '
+        'this machine drive the rig, and is refused away from 127.0.0.1.', read_only=True)
     discoveries: str = setting(
         'discoveries', 'Folder for what discovery finds when a page starts it, a folder each.',
         read_only=True)
@@ -41,6 +45,7 @@ class CockpitNode(RigNode):
 
     def setup(self) -> None:
         self._server: Server | None = None
+        self._address: Path | None = None
         try:
             from microbot_ros.cockpit.discovery import Discovery
             from microbot_ros.cockpit.server import Server
@@ -53,18 +58,21 @@ class CockpitNode(RigNode):
         self._operated = OperatedRig(self)
         self._server = Server(
             self._operated, Discovery(self.get_namespace(), Path(values.discoveries).resolve()),
-            values.host, values.port)
+            values.host, values.port, open_to_all=not values.token)
         self.every(_ATTEND_SECONDS, self._operated.attend)
 
     def start(self) -> None:
         assert self._server is not None
         self._server.start()
-        # Not to the log, which is kept: the address may hold the token.
-        print(f'cockpit: open {self._server.address}', flush=True)
+        self._address = address.write(self._server.address, self._server.port)
+        line = f'cockpit: {address.WORDS}{self._address}'
+        print(address.shown(line, sys.stdout), flush=True)
 
     def teardown(self) -> None:
         server, self._server = getattr(self, '_server', None), None
         if server is not None:
+            if self._address is not None:
+                self._address.unlink(missing_ok=True)
             server.stop()
             self._operated.close()
 

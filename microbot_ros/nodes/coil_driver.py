@@ -309,7 +309,7 @@ class CoilDriverNode(RigNode):
         if not self._driver.gate.armed or not found:
             return
         if strangers := self._strangers(found):
-            self._driver.disarm((Reason.COMMANDER, f'{strangers} publishes field/rotation'))
+            self._driver.request_zero((Reason.COMMANDER, f'{strangers} publishes field/rotation'))
         if found.keys() == {self._commander}:
             return
         names = ' and '.join(sorted(found.values()))
@@ -317,7 +317,7 @@ class CoilDriverNode(RigNode):
             detail = f'{len(found)} publish field/command: {names}'
         else:
             detail = f'{names} is new, or back, and needs a new arm'
-        self._driver.disarm((Reason.COMMANDER, detail))
+        self._driver.request_zero((Reason.COMMANDER, detail))
 
     def _choose_commander(self, epoch: int) -> str:
         """Remember the one who commands; or, where there is not exactly one, say so.

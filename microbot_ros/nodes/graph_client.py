@@ -24,6 +24,7 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
+from microbot_ros.drive.amplifier import Zero
 from microbot_ros.errors import InputError, RigError, clipped
 from microbot_ros.loop.points import GOAL
 from microbot_ros.nodes import messages
@@ -42,12 +43,19 @@ _REPEAT_SECONDS = 0.3
 """They are sent again as often as this until it does."""
 
 _ASK_AGAIN_SECONDS = 3.0
-"""A service that has not answered by then is asked again: longer than any takes for its work."""
+"""A service that has not answered by then is asked again, but never to arm: longer than any takes
+for its work."""
 
 _ANSWER_SECONDS = 12.0
 """A service that has not answered by then will not."""
 
+BY_HAND = 'switch the amplifier off by hand'
+
 Tell = Callable[[bytes, str, dict[str, str]], None]
+
+
+class NoAnswerError(RigError):
+    """A node is there and does not answer: whether it did what was asked is not known."""
 
 
 @dataclass(frozen=True)
@@ -156,16 +164,36 @@ class GraphClient:
         name: str = rclpy.get_rmw_implementation_identifier()
         return name
 
-    def arm(self, armed: bool = True) -> None:
-        """Arm or disarm the gate of the coil driver. RigError with its reason if it refuses.
+    def arm(self, armed: bool = True) -> str:
+        """Arm or disarm the gate of the coil driver; return what the driver answered.
 
-        Asked twice is asked once: a gate that is armed stays as it is. Without an answer it is
-        asked to disarm, lest it arm when nobody expects it any more.
+        A request to arm is sent once: a second one could arm after a STOP that came in between.
+        Without an answer to it the driver is asked to disarm. A request to disarm is repeated
+        until it is answered.
+
+        Raises
+        ------
+        RigError
+            If the driver refuses, does not answer, or cannot confirm a zero that its amplifier
+            could confirm; the message is the driver's.
         """
-        answer = self._call(SetBool, 'coil_driver/arm', SetBool.Request(data=armed),
-                            instead=SetBool.Request(data=False))[-1]
+        try:
+            answer = self._call(SetBool, 'coil_driver/arm', SetBool.Request(data=armed),
+                                repeat=not armed)[-1]
+        except NoAnswerError as silence:
+            if not armed:
+                raise RigError(f'{silence}: {Zero.UNREACHABLE}, {BY_HAND}') from None
+            raise RigError(f'{silence}; {self._disarmed_instead()}') from None
         if not answer.success:
             raise RigError(f'coil_driver: {answer.message}')
+        return str(answer.message)
+
+    def _disarmed_instead(self) -> str:
+        """Disarm a driver that did not answer a request to arm; what came of it, in words."""
+        try:
+            return f'disarmed: {self.arm(False)}'
+        except RigError as error:
+            return f'asked to disarm: {error}'
 
     def record(self, begin: bool) -> str:
         """End a recording or `begin` one; which folder. RigError with the recorder's reason.
@@ -287,11 +315,11 @@ class GraphClient:
         raise RigError(f'{node} was not found in the namespace {here} within {_FIND_SECONDS:g} s: '
                        f'is it running?{hint}')
 
-    def _call(self, kind: type, name: str, request: Any, instead: Any = None) -> list[Any]:
-        """What a node answered to each time it was asked: None where that was lost, not the last.
+    def _call(self, kind: type, name: str, request: Any, repeat: bool = True) -> list[Any]:
+        """Return the answers to a request, one for each time it was sent; None for a lost one.
 
-        A server that does not know yet where to send an answer drops it; it is asked again. One
-        that never answers is left with the request `instead`.
+        A server that does not know yet where to send an answer drops it: with `repeat` the
+        request is sent again until there is an answer. NoAnswerError without one.
         """
         node = name.rpartition('/')[0]
         try:
@@ -304,11 +332,8 @@ class GraphClient:
             deadline = time.monotonic() + _ANSWER_SECONDS
             while not (asked and asked[-1].done()):
                 if time.monotonic() > deadline:
-                    if instead is not None:
-                        # A client that is gone sends nothing again that was lost on its way.
-                        self.until(client.call_async(instead).done, _ASK_AGAIN_SECONDS)
-                    raise RigError(f'{node} did not answer within {_ANSWER_SECONDS:g} s')
-                if not any(future.done() for future in asked):
+                    raise NoAnswerError(f'{node} did not answer within {_ANSWER_SECONDS:g} s')
+                if not asked or (repeat and not any(future.done() for future in asked)):
                     asked.append(client.call_async(request))
                 self.until(asked[-1].done, _ASK_AGAIN_SECONDS)
             return [future.result() if future.done() else None for future in asked]

@@ -23,6 +23,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.time import Time
 
 from microbot_ros.control.deadline_worker import DeadlineWorker, HungError, LateError
+from microbot_ros.control.policy import EXECUTED_FILE
 from microbot_ros.errors import InputError
 from microbot_ros.nodes.account import Account
 from microbot_ros.nodes.lifecycle import RELIABLE, RigNode
@@ -99,7 +100,10 @@ class Offline(RigNode):
         self.said: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
         """Topic, as the node calls it, and message; some come from threads."""
         self.alarms: dict[str, Callable[[], None]] = {}
+        self.withheld = ''
+        """Why it is not configured as it was when it was recorded; '' where it is."""
         super().__init__(name)
+        self._network = self.values.get(EXECUTED_FILE, '')
 
     def be_told(self, name: str, data: bytes, at_ns: int, verdicts: str = '') -> None:
         """Take `data` of a message on the topic `name`, or of a change of parameters, at `at_ns`,
@@ -111,7 +115,18 @@ class Offline(RigNode):
             kind, callback = self.inlets[name]
             callback(deserialize_message(data, kind))
         elif changed := deserialize_message(data, ParameterEvent).changed_parameters:
-            self.set_parameters_atomically([Parameter.from_parameter_msg(one) for one in changed])
+            self.set_parameters_atomically([
+                self._without_code(Parameter.from_parameter_msg(one)) for one in changed])
+
+    def _without_code(self, parameter: Parameter) -> Parameter:
+        """A `parameter` as it is to be set: a network that a recording names is not executed, but
+        the one that was given at the start."""
+        if parameter.name != EXECUTED_FILE or parameter.value == self._network:
+            return parameter
+        if parameter.value:
+            self.withheld = (f'{EXECUTED_FILE} was set to another network, which a replay does '
+                             'not execute')
+        return Parameter(EXECUTED_FILE, value=self._network)
 
     def act(self, timer: str, at_ns: int, verdicts: str = '') -> None:
         """Let a `timer`, known by the name of its callback, go off at `at_ns`; `verdicts` as

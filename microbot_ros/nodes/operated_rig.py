@@ -19,10 +19,11 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.publisher import Publisher
 from rclpy.task import Future
 from sensor_msgs.msg import Joy, PointCloud2
-from std_msgs.msg import Header
+from std_msgs.msg import Empty, Header
 from std_srvs.srv import SetBool
 
-from microbot_ros.cockpit.rig import Answer, RefusedError
+from microbot_ros.cockpit.rig import BY_HAND, Answer, RefusedError
+from microbot_ros.drive.amplifier import Zero
 from microbot_ros.loop.points import GOAL
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.described_parameters import Described
@@ -30,8 +31,9 @@ from microbot_ros.nodes.lifecycle import NEWEST, RigNode
 from microbot_ros.nodes.rig_view import RigView
 from microbot_ros.nodes.topics import CHANGES
 
-_STOP_S, _STOPS = 0.3, 10
-"""So long the driver may take to say that it stopped; it is asked again, so many times."""
+_STOPS_S = (0.3, 0.7, 1.0, 1.0)
+"""A request to stop is sent again after each of these [s] without an answer. The driver sends zero
+when it takes the request, and answers once that is read back, within `READ_BACK_S`."""
 _ARM_S = 12.0
 _FIND_S = 3.0
 """So long a node may take to be seen by a cockpit that has just started."""
@@ -67,6 +69,7 @@ class OperatedRig(RigView):
         self._get_tracker = node.client(GetParameters, 'tracker/get_parameters')
         self._get_recorder = node.client(GetParameters, 'recorder/get_parameters')
         self._set_recorder = node.client(SetParameters, 'recorder/set_parameters')
+        self._heartbeat = node.publisher(Empty, 'coil_driver/heartbeat')
         self._joy = node.publisher(Joy, 'joy', NEWEST)
         self._goals_out = node.publisher(PoseArray, 'goals')
         self._particle_goals_out = node.publisher(PointCloud2, 'particle_goals')
@@ -122,29 +125,44 @@ class OperatedRig(RigView):
         return known.with_values([parameter_value_to_python(v) for v in answer.values])
 
     async def stop(self) -> Answer:
-        """Zero the coils and disarm. It does not ask whether the driver is there first."""
-        for left in reversed(range(_STOPS)):
-            try:
-                answer = await self._ask(
-                    self._arm, SetBool.Request(data=False), _STOP_S, find_s=None)
-            except RefusedError as refusal:
-                if not left:
-                    raise RefusedError(f'{refusal}: SWITCH THE AMPLIFIER OFF') from None
-            else:
-                return str(answer.message)
-        raise AssertionError
+        """Zero the coils and disarm. It does not ask whether the driver is there first.
+
+        Repeated until the driver answers; the answer to any of the requests counts.
+        """
+        asked: set[asyncio.Task[Any]] = set()
+        try:
+            for wait_s in _STOPS_S:
+                asked.add(asyncio.create_task(self._ask(
+                    self._arm, SetBool.Request(data=False), sum(_STOPS_S) + 1, find_s=None)))
+                answered, _ = await asyncio.wait(
+                    asked, timeout=wait_s, return_when=asyncio.FIRST_COMPLETED)
+                if answered:
+                    return _told(answered.pop().result())
+        finally:
+            for one in asked:
+                one.cancel()
+        raise RefusedError(
+            f'{Zero.UNREACHABLE}: coil_driver did not answer within {sum(_STOPS_S):g} s; coils '
+            f'may carry current, {BY_HAND}')
 
     async def arm(self) -> Answer:
-        """Let currents flow; without an answer, none.
+        """Let currents flow. The request is sent once; without an answer the driver is disarmed.
 
         The driver is there already, or refused: else STOP could come before it was found.
         """
         try:
             return _told(await self._ask(
                 self._arm, SetBool.Request(data=True), _ARM_S, find_s=0.0))
-        except _SilentError:
-            self._arm.call_async(SetBool.Request(data=False))
-            raise
+        except _SilentError as silence:
+            try:
+                disarmed = f'disarmed: {await self.stop()}'
+            except RefusedError as refusal:
+                disarmed = f'asked to disarm: {refusal}'
+            raise RefusedError(f'{silence}; {disarmed}') from None
+
+    def attend(self) -> None:
+        """Tell the driver that an operator is there."""
+        self._heartbeat.publish(Empty())
 
     def stick(self, x: float, y: float) -> None:
         """Say once where the stick is, `x` and `y` of −1 to 1."""
@@ -293,6 +311,9 @@ class OperatedRig(RigView):
         asked.add_done_callback(heard)
         try:
             return await asyncio.wait_for(answered, seconds)
+        except asyncio.CancelledError:
+            client.remove_pending_request(asked)
+            raise
         except TimeoutError:
             client.remove_pending_request(asked)
             raise _SilentError(f'{node} did not answer within {seconds:g} s') from None

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from microbot_ros import strict_yaml
+from microbot_ros.control.policy import EXECUTED_FILE
 from microbot_ros.errors import InputError
 from microbot_ros.nodes.graph import Graph
 from microbot_ros.nodes.offline import alone, end_offline, make_offline
@@ -101,11 +102,12 @@ def plan_replay(source: Source, path: Path, nodes: Collection[str] = ()) -> Repl
 
 
 def recorded_parameters(recording: Recording, nodes: Collection[str], folder: Path,
-                        ) -> dict[str, dict[str, Any]]:
+                        policy: Path | None = None) -> dict[str, dict[str, Any]]:
     """Node, of `nodes`, → the parameters it had, as kept inside the recording.
 
     Files that parameters name are put into `folder` where they were kept too, and the names
-    changed.
+    changed. `policy` takes the place of the network that the recording names, which is not
+    executed; InputError where a policy drove and None is given.
     """
     kept = recording.attachments()
     found: dict[str, dict[str, Any]] = {}
@@ -115,6 +117,11 @@ def recorded_parameters(recording: Recording, nodes: Collection[str], folder: Pa
             if name.endswith('_file') and value in kept:
                 values[name] = str(folder / f'{node}.{name}{Path(value).suffix}')
                 Path(values[name]).write_bytes(kept[value])
+        if values.get(EXECUTED_FILE):
+            values[EXECUTED_FILE] = str(policy.resolve()) if policy else ''
+            if not policy and values.get('controller') == 'policy':
+                raise InputError(recording.path, 'a policy drove: expected its network by --policy '
+                                 'FILE; one that a recording names is not executed')
         # ROS has no way to write an empty list into a parameter file.
         found[node] = {name: value for name, value in values.items() if value != []}
     return found

@@ -126,8 +126,9 @@ class ReplayedNode:
             self._listen(taken.at_ns)
         if took and self._stage.node == 'coil_driver':
             self._wait(stamp)
-        if self._node.unrepeatable not in ('', *(doubt.reason for doubt in self.doubts[-1:])):
-            self.doubts.append(lasting(stamp, self._node.unrepeatable))
+        for reason in (self._node.unrepeatable, self._node.withheld):
+            if reason not in ('', *(doubt.reason for doubt in self.doubts)):
+                self.doubts.append(lasting(stamp, reason))
         self.played.add(stamp)
         self._reached = stamp
         self._go_on()

@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Vector3Stamped
 from nav_msgs.msg import Path
@@ -28,8 +27,8 @@ from sensor_msgs.msg import (
 )
 from std_msgs.msg import Bool, String
 
-from microbot_ros import units
-from microbot_ros.cockpit.rig import ParticleListener, PictureListener
+from microbot_ros import strict_yaml, units
+from microbot_ros.cockpit.rig import ParticleListener, PictureListener, zero_in
 from microbot_ros.loop.points import GOAL, PARTICLE, PLACE
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import LATCHED, RigNode
@@ -205,7 +204,12 @@ class RigView:
         self._progress = time.monotonic(), {**values, 'sentence': message.message}
 
     def _on_controllers(self, message: String) -> None:
-        summaries = yaml.safe_load(message.data) or {}
+        try:
+            summaries = strict_yaml.load(message.data)[1] or {}
+        except strict_yaml.YamlError as error:
+            raise messages.MessageError(f'controller/controllers: {error}') from None
+        if not isinstance(summaries, dict):
+            raise messages.MessageError('controller/controllers: expected a summary by name')
         self._available = [{'name': str(name), 'summary': str(summary)}
                            for name, summary in summaries.items()]
 
@@ -263,7 +267,7 @@ class RigView:
         """All but the parameters: a part by its name; None for what is not known."""
         rig, sentence, age = self._rig()
         return {
-            'rig': rig, 'sentence': sentence, 'link': {'age_ms': _finite(1e3 * age)},
+            'rig': rig, 'sentence': sentence, 'zero': self._zero(rig), 'link': {'age_ms': _finite(1e3 * age)},
             'latency_ms': self._latency_ms(), 'picture_age_ms': self._picture_age_ms(),
             'recording': self.recording(), 'field': self._field(),
             'estimates': self._estimates(), 'currents_a': self._currents(),
@@ -287,10 +291,17 @@ class RigView:
         if not age <= _SILENCE_S:
             return 'unknown', 'the coil driver says nothing', age
         if changed_s > told_s:
-            return ('armed', 'armed', age) if armed else ('disarmed', 'coils at zero', age)
+            return ('armed', 'armed', age) if armed else ('disarmed', 'disarmed', age)
         if status.level == b'\2':
             return 'fault', status.message, age
         return 'armed' if armed else 'disarmed', status.message, age
+
+    def _zero(self, rig: str) -> str | None:
+        """What the driver knows of a zero: 'confirmed', 'sent' or 'unreachable'; None while the
+        `rig` is armed or the driver is silent."""
+        told_s, _, values = self._health.get('coil_driver', (-math.inf, None, {}))
+        fresh = time.monotonic() - told_s <= _SILENCE_S
+        return zero_in(values.get('zero', '')) if fresh and rig != 'armed' else None
 
     def _read(self, topic: str) -> Any:
         """What was said last on a topic, if that is still true; else None."""

@@ -21,7 +21,6 @@ from mcap.records import (
     MetadataIndex,
     Schema,
 )
-from mcap.stream_reader import CRCValidationError
 from mcap.summary import Summary
 
 from microbot_ros.session.mcap_records import (
@@ -40,8 +39,7 @@ from microbot_ros.session.mcap_writer import (
     empty_summary,
 )
 
-BROKEN = (McapError, zstandard.ZstdError, struct.error, CRCValidationError, ValueError,
-          LookupError, OverflowError, MemoryError)
+BROKEN = (McapError, zstandard.ZstdError, struct.error, ValueError, LookupError, OverflowError, MemoryError)
 """What reading a damaged chunk raises."""
 
 

@@ -33,7 +33,8 @@ class RememberingRig:
         self.refusals: dict[str, str] = {}
         self.slow_s: dict[str, float] = {}
         self.looking = False
-        self.parts: dict[str, Any] = {'rig': 'disarmed', 'sentence': 'coils at zero'}
+        self.parts: dict[str, Any] = {'rig': 'disarmed', 'sentence': 'disarmed'}
+        self.says = {'stop': 'zero, confirmed by a reading'}
         self.watched = threading.Event()
 
     def watch(self, picture: Callable[[int, bytes], None],
@@ -53,6 +54,9 @@ class RememberingRig:
     async def keep_up(self) -> None:
         await asyncio.Event().wait()
 
+    def attend(self) -> None:
+        self.calls.append((time.monotonic(), 'attend', ()))
+
     def stick(self, x: float, y: float) -> None:
         self.calls.append((time.monotonic(), 'stick', (x, y)))
 
@@ -62,7 +66,7 @@ class RememberingRig:
             await asyncio.sleep(self.slow_s.get(name, 0.0))
             if name in self.refusals:
                 raise RefusedError(self.refusals[name])
-            return f'{name} done'
+            return self.says.get(name, f'{name} done')
         return done
 
     def asked(self, name: str) -> list[tuple[Any, ...]]:
@@ -94,7 +98,7 @@ class Page:
         """The answer to the verb with that id."""
         return self.until(lambda message: message.get('kind') == 'answer' and message['to'] == to)
 
-    def until(self, true: Callable[[dict[str, Any]], Any], seconds: float = 10.0,
+    def until(self, true: Callable[[dict[str, Any]], Any], seconds: float = 30.0,
               ) -> dict[str, Any]:
         """Read until a message is as wanted; pictures are left unseen."""
         deadline = time.monotonic() + seconds
@@ -132,11 +136,12 @@ class Page:
 
 
 class Served:
-    """A server of a `RememberingRig`, `host` and its free port."""
+    """A server of a `RememberingRig`, `host` and its free port; `open_to_all`, without a token."""
 
-    def __init__(self, folder: Path, host: str = '127.0.0.1') -> None:
+    def __init__(self, folder: Path, host: str = '127.0.0.1', open_to_all: bool = True) -> None:
         self.rig = RememberingRig()
-        self.server = Server(self.rig, Discovery('/', folder), host, 0)
+        self.server = Server(
+            self.rig, Discovery('/', folder), host, 0, open_to_all=open_to_all)
         self.server.start()
         assert self.rig.watched.wait(10.0)
 
@@ -173,5 +178,5 @@ def serve(tmp_path: Path) -> Iterator[Callable[..., Served]]:
 
 @pytest.fixture
 def served(serve: Callable[..., Served]) -> Served:
-    """A server on this machine."""
+    """A server on this machine, without a token."""
     return serve()

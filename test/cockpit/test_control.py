@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from microbot_ros.cockpit.control import UNATTENDED_S, Control
+from microbot_ros.cockpit.control import Control
 from microbot_ros.cockpit.steering import Steering
 
 
@@ -40,33 +38,33 @@ def test_whoever_has_control_is_there(steps: list[tuple[str, int]]) -> None:
         assert control.holder is None or control.holder in there
 
 
-@pytest.mark.parametrize(('now_s', 'deserted'), [
-    (100.0, False), (100.0 + UNATTENDED_S, False), (100.001 + UNATTENDED_S, True),
-    (math.inf, True), (math.nan, True)])
-def test_deserted_after_three_seconds_and_whenever_the_clock_says_nothing(
-        now_s: float, deserted: bool) -> None:
-    control = Control()
-    control.join(1)
-    control.armed(True, 90.0)
-    control.heard(1, 100.0)
-    assert control.deserted(now_s) is deserted
-    control.armed(False, 90.0)
-    assert not control.deserted(now_s)
-
-
-def test_only_the_page_in_control_is_somebody() -> None:
+def test_only_the_page_in_control_attends_and_only_a_rig_armed_so() -> None:
     control = Control()
     for page in (1, 2):
         control.join(page)
-    control.armed(True, 0.0)
-    control.heard(2, 2.0)
-    assert control.deserted(3.5)
+    assert not control.attends(1)
+    control.arm(attended=True)
+    assert control.attends(1)
+    assert not control.attends(2)
     control.take(2)
-    control.heard(2, 3.4)
-    assert not control.deserted(3.5)
+    assert control.attends(2)
     control.leave(2)
-    control.heard(2, 100.0)
-    assert control.deserted(100.0)
+    assert not control.attends(2)
+    control.take(1)
+    control.arm(attended=False)
+    assert not control.attends(1)
+
+
+def test_a_rig_that_was_armed_and_is_no_more_is_not_attended() -> None:
+    control = Control()
+    control.join(1)
+    control.arm(attended=True)
+    control.see(armed=False)  # the answer is there before the news
+    assert control.attends(1)
+    control.see(armed=True)
+    assert control.attends(1)
+    control.see(armed=False)
+    assert not control.attends(1)
 
 
 class TestSteering:

@@ -84,6 +84,38 @@ def test_its_end_is_what_result_json_says(stand_in: Any, tmp_path: Path) -> None
     assert '--namespace /rig_2' in state['sentence']
 
 
+def test_two_requests_at_once_start_one(stand_in: Any, tmp_path: Path) -> None:
+    stand_in(f'Path({str(tmp_path)!r}, str(os.getpid())).touch(); time.sleep(600)')
+
+    async def run() -> tuple[list[Any], list[Path]]:
+        discovery = Discovery('/', tmp_path / 'found')
+        asked = await asyncio.gather(*(discovery.start(1.0) for _ in range(5)),
+                                     return_exceptions=True)
+        async with asyncio.timeout(20.0):
+            while not (started := [one for one in tmp_path.iterdir() if one.name.isdigit()]):
+                await asyncio.sleep(0.01)
+        await discovery.end()
+        return asked, started
+    asked, started = apart(run())
+    assert [isinstance(one, RefusedError) for one in asked].count(True) == 4
+    assert len(started) == 1
+
+
+def test_one_that_is_being_started_ends_with_the_server(stand_in: Any, tmp_path: Path) -> None:
+    stand_in('time.sleep(600)')
+
+    async def run() -> Discovery:
+        discovery = Discovery('/', tmp_path)
+        starting = asyncio.create_task(discovery.start(1.0))
+        await asyncio.sleep(0)
+        await discovery.end()
+        await starting
+        with pytest.raises(RefusedError, match='ending'):
+            await discovery.start(1.0)
+        return discovery
+    assert not apart(run()).running
+
+
 def test_a_refusal_is_shown_in_its_own_words(stand_in: Any, tmp_path: Path) -> None:
     stand_in('sys.exit("microbot: coil_driver: the gate is disarmed")')
 

@@ -1,17 +1,20 @@
-"""Who gets in: this origin alone, and away from this machine only with the token."""
+"""Who gets in: this origin alone, and only with the token."""
 
 from __future__ import annotations
 
 import http.client
+import socket
 from collections.abc import Callable
+from contextlib import ExitStack, suppress
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from websockets.exceptions import InvalidStatus
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
+from microbot_ros.cockpit.connections import MOST, BriefConnection
 from microbot_ros.cockpit.security import Gatekeeper, is_loopback
 from microbot_ros.cockpit.server import Server
 from microbot_ros.errors import InputError
@@ -104,12 +107,12 @@ def test_every_answer_keeps_the_page_to_its_origin(served: Any) -> None:
         assert '*' not in policy
 
 
-class TestAwayFromThisMachine:
-    """A server that listens everywhere."""
+class TestToken:
+    """A server as it is by default, on this machine and everywhere."""
 
-    @pytest.fixture
-    def wide(self, serve: Callable[..., Any]) -> Any:
-        return serve(host='0.0.0.0')
+    @pytest.fixture(params=['127.0.0.1', '0.0.0.0'])
+    def wide(self, request: Any, serve: Callable[..., Any]) -> Any:
+        return serve(host=request.param, open_to_all=False)
 
     def test_without_the_token_nothing_answers(self, wide: Any) -> None:
         name = f'127.0.0.1:{wide.port}'
@@ -136,15 +139,20 @@ class TestAwayFromThisMachine:
         assert upgrade(wide.port, name, ['http://evil.example'], cookie) == 403
         assert get(wide.port, Cookie=cookie, Host='evil.example').status == 403
 
-    def test_an_address_is_ours_where_all_are(self, wide: Any) -> None:
+    def test_an_address_is_ours_where_all_are(self, serve: Callable[..., Any]) -> None:
         """A foreign site can give its own name our address, but no address a page of its own."""
+        wide = serve(host='0.0.0.0', open_to_all=False)
         cookie = get(wide.port, f'/?token={self.token(wide)}').headers['Set-Cookie'].split(';')[0]
         assert get(wide.port, Cookie=cookie, Host=f'192.168.1.7:{wide.port}').status == 200
 
     def test_tokens_are_new_each_time(self, serve: Callable[..., Any]) -> None:
-        tokens = {self.token(serve(host='0.0.0.0')) for _ in range(3)}
+        tokens = {self.token(serve(open_to_all=False)) for _ in range(3)}
         assert len(tokens) == 3
         assert min(map(len, tokens)) >= 32
+
+    def test_no_token_is_for_this_machine_alone(self, serve: Callable[..., Any]) -> None:
+        with pytest.raises(InputError, match='token'):
+            serve(host='0.0.0.0', open_to_all=True)
 
     @staticmethod
     def token(wide: Any) -> str:
@@ -175,9 +183,54 @@ def test_a_place_that_is_not_ours_is_an_input_error(host: str) -> None:
         Server(None, None, host, 0)  # type: ignore[arg-type]
 
 
-def test_more_pages_than_can_be_are_refused(served: Any) -> None:
-    from contextlib import ExitStack
+def test_idle_connections_do_not_keep_a_page_out(served: Any) -> None:
+    """Many that ask for nothing, or for half of something: the oldest make room."""
+    held = [socket.create_connection(('127.0.0.1', served.port)) for _ in range(3 * MOST)]
+    try:
+        for one in held[::2]:
+            with suppress(OSError):  # it had to make room
+                one.sendall(b'GET / HTTP/1.1\r\nHost: 127')
+        assert get(served.port).status == 200
+        with served.page() as page:
+            assert page.ask('stop')['ok']
+            for _ in range(3 * MOST):
+                held.append(socket.create_connection(('127.0.0.1', served.port)))
+            assert page.ask('stop')['ok'], 'a page is none of those that make room'
+        open_now = {one for one in served.server._uvicorn.server_state.connections
+                    if isinstance(one, BriefConnection) and not one.transport.is_closing()}
+        assert len(open_now) <= MOST
+    finally:
+        for one in held:
+            one.close()
 
+
+def test_a_request_that_never_ends_is_cut(
+        serve: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr('microbot_ros.cockpit.connections.LONGEST_S', 0.2)
+    served = serve()
+    with socket.create_connection(('127.0.0.1', served.port), timeout=10) as one:
+        one.sendall(b'GET / HTTP/1.1\r\nHost: 127')
+        with suppress(ConnectionResetError):
+            assert one.recv(100) == b''
+    with served.page() as page:
+        page.drain(0.5)
+        assert page.ask('stop')['ok'], 'a page outlives that'
+
+
+def test_a_silent_page_makes_room_for_a_new_one(served: Any) -> None:
+    with ExitStack() as stack:
+        pages = [stack.enter_context(served.page()) for _ in range(16)]
+        served.server._pages[4].heard_s -= 60.0
+        served.server._pages[7].heard_s -= 30.0
+        new = stack.enter_context(served.page())
+        assert new.ask('stop')['ok']
+        with pytest.raises(ConnectionClosed):
+            pages[3].until(lambda _: False)
+        assert pages[6].ask('stop')['ok'], 'it has spoken again'
+        assert len(served.server._pages) == 16
+
+
+def test_more_pages_than_can_be_are_refused(served: Any) -> None:
     with ExitStack() as stack:
         for _ in range(16):
             stack.enter_context(served.page())

@@ -14,6 +14,7 @@ from typing import Any
 
 import yaml
 
+from microbot_ros.cockpit.address import WORDS
 from microbot_ros.nodes.graph import Graph
 
 NODES = ('tracker', 'model', 'controller', 'coil_driver', 'recorder', 'virtual_rig', 'cockpit')
@@ -45,8 +46,8 @@ class VirtualRig:
         self.graph.__exit__()
 
     def _said(self, who: str, line: str) -> None:
-        if 'open http' in line:
-            self.address = line.rpartition(' ')[2]
+        if WORDS in line:
+            self.address = Path(line.partition(WORDS)[2]).read_text().strip()
         print(f'{who}: {line}', file=sys.stderr, flush=True)
 
     def _start(self) -> None:
@@ -58,7 +59,7 @@ class VirtualRig:
             'coil_driver': {'port': str(port), 'full_scale_A': 2.0},
             'recorder': {'recording': False, 'folder': str(self.folder / 'recording'),
                          'frame_every': 0},
-            'cockpit': {'port': 0, 'discoveries': str(self.folder / 'discoveries')}}
+            'cockpit': {'port': 0, 'token': False, 'discoveries': str(self.folder / 'discoveries')}}
         parameters.write_text(yaml.safe_dump({
             name: {'ros__parameters': values | self._more.get(name, {})}
             for name, values in nodes.items()}))

@@ -388,13 +388,26 @@ def test_after_disarming_the_current_may_still_fall():
 def test_current_that_nobody_commands_outranks_the_fault_that_stands(first):
     gate = driving((1.0,) * 4)
     gate.trip(first, 'first')
-    gate.measured((1.0, 1.0, 1.0, 0.0), 0.0625)  # which is no moment of the past, but settling
+    gate.measured((1.0, 1.0, 1.0, -1.0), 0.03)  # as of a coil that is reversed, while it settles
     assert tripped(gate, first)
     gate.measured(only(1, 0.7), 0.5)
     assert tripped(gate, Reason.UNCOMMANDED)
     assert gate.fault.detail == '(0, 0.7, 0, 0) A measured while zero is commanded'
     gate.measured(ZERO, 0.75)
     assert tripped(gate, Reason.UNCOMMANDED)  # latched, as every fault
+
+
+def test_a_coil_that_settles_alone_is_not_at_rest():
+    gate = driving(only(0, 1.0))
+    gate.trip(Reason.SELF_CHECK, 'first')
+    gate.measured(only(0, -1.0), 0.03)
+    assert tripped(gate, Reason.SELF_CHECK)
+
+
+def test_current_at_rest_ends_the_permission_of_an_armed_gate():
+    gate = armed()
+    assert gate.measured(only(1, 0.7), 0.1) == ZERO
+    assert tripped(gate, Reason.DEVIATION)
 
 
 def test_nothing_from_before_flows_until_a_zero_is_commanded():
@@ -457,6 +470,13 @@ def test_an_attended_gate_lives_by_heartbeats(pause_s, holds):
     assert holds or tripped(gate, Reason.UNATTENDED)
 
 
+def test_who_stays_away_is_told_for_how_long():
+    gate = armed(PATIENT)
+    gate.attend(1.0)
+    gate.tick(5.25)
+    assert gate.fault.detail == 'no heartbeat of the operator for 4.2 s'
+
+
 def swinging(**limits):
     return driving((1.0, 0.0, 0.0, 0.0), Limits(**{
         **vars(LIMITS), 'current_A': 2.0, 'step_A': 3.0, 'slew_A_per_s': 10.0, **limits}))
@@ -474,14 +494,21 @@ def test_what_a_device_turns_stays_within_the_limit(coil, largest, within):
 @pytest.mark.parametrize(('amplitude', 'rate', 'within'), [
     (1.5, 1.0, True), (math.nextafter(1.5, 2), 1.0, False), (0.0, 1e9, True),
     (1.0, 5 * math.pi, True), (1.0, -5 * math.pi, True), (1.0, 5.01 * math.pi, False),
-    (1.0, -5.01 * math.pi, False)])
+    (1.0, -5.01 * math.pi, False), (-1.6, 1.0, False), (-1.0, 5.01 * math.pi, False)])
 def test_what_a_device_turns_is_no_faster_than_the_slew_limit(amplitude, rate, within):
     """A sine of amplitude I and frequency f changes by 4 I f a second, and by 2 I in a half turn.
     """
     gate = swinging()
-    gate.swing(ZERO, only(3, amplitude), rate)
+    flows = gate.output
+    assert gate.swing(ZERO, only(3, amplitude), rate) == (flows if within else ZERO)
     assert gate.armed == within
     assert within or tripped(gate, Reason.SLEW)
+
+
+def test_a_swing_that_is_too_fast_is_told_in_turns():
+    gate = swinging()
+    gate.swing(ZERO, only(3, 1.0), -6.0 * math.tau)
+    assert gate.fault.detail == 'a swing of ±(0, 0, 0, 1) A at 6 turns a second'
 
 
 @pytest.mark.parametrize(('amplitude', 'rate'), [

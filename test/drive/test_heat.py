@@ -71,6 +71,18 @@ def test_so_is_a_file_that_is_none(record, content):
     assert record.load() == (1.0, 1.0)
 
 
+def test_it_is_kept_in_the_state_folder_of_the_user(tmp_path, monkeypatch):
+    monkeypatch.delenv('XDG_STATE_HOME', raising=False)
+    monkeypatch.setenv('HOME', str(tmp_path))
+    path = HeatRecord('/dev/ttyACM0', LIMITS, 2).path
+    assert path.parent == tmp_path / '.local/state/microbot_ros/heat'
+
+
+def test_the_boot_is_named_in_the_file(record):
+    record.save((0.5, 0.5))
+    assert json.loads(record.path.read_text())['boot_id'] == heat._BOOT_ID.read_text().strip()
+
+
 def test_files_of_long_ago_are_removed(record):
     record.save((0.5, 0.5))
     other = HeatRecord('/dev/ttyACM1', LIMITS, 2)

@@ -4,11 +4,15 @@ import signal
 import subprocess
 import sys
 import threading
+import tracemalloc
 from pathlib import Path
 
+import lz4.frame
 import numpy as np
 import pytest
+import zstandard
 from mcap.reader import make_reader
+from mcap.records import Channel, Chunk, MessageIndex, Schema
 from mcap.writer import Writer
 from recordings import VECTOR, encode, record, small_session, vector
 from rosbags.highlevel import AnyReader
@@ -25,6 +29,7 @@ from microbot_ros.session import (
 )
 from microbot_ros.session.as_messages import SessionMessages
 from microbot_ros.session.bag import typestore
+from microbot_ros.session.mcap_chunk import ClosedChunk
 from microbot_ros.session.mcap_writer import McapWriter
 
 HERE = Path(__file__).parent
@@ -262,6 +267,36 @@ def test_broken_chunks_are_refused_where_they_are_read(tmp_path):
     file.write_bytes(whole)
     with open_recording(file) as recording, pytest.raises(InputError, match='damaged data'):
         list(recording.messages())
+
+
+def one_chunk(file: Path, compression: str, data: bytes, says: int) -> None:
+    """A recording of one chunk with `data` as they are, that `says` how much it holds."""
+    writer = McapWriter(file)
+    writer.add_channel(Schema(id=1, name=VECTOR, encoding='ros2msg', data=b''), Channel(
+        id=1, schema_id=1, topic='/t', message_encoding='cdr', metadata={}))
+    writer.add_chunk(ClosedChunk(Chunk(
+        compression=compression, data=data, message_start_time=1, message_end_time=1,
+        uncompressed_crc=0, uncompressed_size=says), [MessageIndex(1, [(1, 0)])]))
+    writer.finish()
+
+
+@pytest.mark.parametrize(('compression', 'squeeze'), [
+    ('zstd', lambda data: zstandard.ZstdCompressor(write_content_size=True).compress(data)),
+    ('zstd', lambda data: zstandard.ZstdCompressor(write_content_size=False).compress(data)),
+    ('lz4', lz4.frame.compress)])
+@pytest.mark.parametrize('says', [100, 2**28 + 1, 2**40])
+def test_a_chunk_that_would_fill_the_memory_is_refused(tmp_path, compression, squeeze, says):
+    """What it says is more than the file may hold, or less than comes out of it."""
+    file = tmp_path / 'bomb.mcap'
+    one_chunk(file, compression, squeeze(bytes(2**28)), says)
+    assert file.stat().st_size < 2**21
+    tracemalloc.start()
+    try:
+        with pytest.raises(InputError, match='damaged data'), open_recording(file) as recording:
+            list(recording.messages())
+        assert tracemalloc.get_traced_memory()[1] < 2**26
+    finally:
+        tracemalloc.stop()
 
 
 def test_mixed_and_incomplete_folders_are_refused(tmp_path):

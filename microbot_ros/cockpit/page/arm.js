@@ -7,7 +7,8 @@ const HOLD_MS = 1000;
 // A page that stood still counts no more than this for one frame.
 const FRAME_MS = 100;
 
-export function armButton(link) {
+// `arming` is called before it is asked for.
+export function armButton(link, arming) {
   const button = byId('arm');
   let pointer = null;
   let heldMs = 0;
@@ -31,6 +32,7 @@ export function armButton(link) {
     if (heldMs < HOLD_MS) requestAnimationFrame(frame);
     else {
       end();
+      arming();
       order(link, 'Arm', 'arm', { attended: byId('attended').checked });
     }
   };

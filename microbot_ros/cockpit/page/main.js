@@ -18,7 +18,7 @@ import { Pointing } from './pointing.js';
 import { recordingPanel } from './recording.js';
 import { Link } from './socket.js';
 import { Sticks } from './sticks.js';
-import { stopper } from './stop.js';
+import { Stopper } from './stop.js';
 import { tabs } from './tabs.js';
 import { Touch } from './touch.js';
 import { Tracks } from './tracks.js';
@@ -43,12 +43,12 @@ stateBar(link);
 
 const control = new Control(link);
 new Pointing({ link, control, view, overlay, picture, choose: (id) => estimates.choose(id) });
-armButton(link);
 const sticks = new Sticks(link, control, view);
-const stop = stopper(link, sticks);
+const stopper = new Stopper(link, sticks);
+armButton(link, () => stopper.end());
 new Keys(byId('stick'), sticks);
 new Touch(byId('stick'), sticks);
-new Gamepads(sticks, stop);
+new Gamepads(sticks, () => stopper.stop());
 
 link.on('hello', ({ camera, kinds }) => {
   if (view.use(camera)) tracks.clear();

@@ -30,7 +30,8 @@ export class Link {
     this.listeners.get(kind).push(listener);
   }
 
-  // Send a verb; resolves to the node's {ok, reason}, at once where nothing can be sent.
+  // Send a verb; resolves to the node's {ok, reason}, to STOP also {zero}; at once where nothing can
+  // be sent.
   ask(verb, fields = {}) {
     if (!this.up) return Promise.resolve({ ok: false, reason: 'there is no link to the rig' });
     const id = ++this.lastId;
@@ -75,9 +76,9 @@ export class Link {
   }
 
   // What could not be read as a verb is answered to nobody in particular: 'refused'.
-  #answered({ to, ok, reason }) {
+  #answered({ to, ok, reason, zero }) {
     if (to === null) this.#say('refused', reason);
-    this.asked.get(to)?.({ ok, reason });
+    this.asked.get(to)?.({ ok, reason, zero });
     this.asked.delete(to);
   }
 

@@ -102,9 +102,11 @@ class Faults:
         """The value of a `kind` of fault that the line of a `port`, counted from 0, has at
         `now_s`; None where it has none.
         """
-        return next((fault.value for fault in self._faults if fault.kind == kind
-                     and fault.line in (0, port + 1) and fault.start_s <= now_s < fault.end_s),
-                    None)
+        for fault in self._faults:
+            if (fault.kind == kind and fault.line in (0, port + 1)
+                    and fault.start_s <= now_s < fault.end_s):
+                return fault.value
+        return None
 
     def conducted(self, now_s: float, coils: int) -> tuple[tuple[float, ...], str]:
         """The share of its current that each of so many `coils` carries at `now_s`, and the fault

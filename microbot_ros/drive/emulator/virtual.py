@@ -206,6 +206,7 @@ class VirtualAmplifier:
         made = amplifier_class(self.protocol)(self.url, self.full_scale_A, self.coils.channels)
         made.clock = self.clock
         made.open_port = self._open
+        made.adapter_at = lambda _: None
         return made
 
     def _open(self, url: str, baud: int, *, xon_xoff: bool = False) -> MemoryPort:

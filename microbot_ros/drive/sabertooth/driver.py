@@ -10,7 +10,7 @@ from itertools import cycle
 
 import numpy as np
 
-from microbot_ros.drive.amplifier import COILS, Amplifier, Command, Watchdog
+from microbot_ros.drive.amplifier import COILS, Amplifier, Command, Watchdog, Zero
 from microbot_ros.drive.sabertooth import codec
 
 ADDRESSES = range(0x80, 0x88)
@@ -52,6 +52,10 @@ class SabertoothAmplifier(Amplifier):
         self._lines.append(self._open_port(self.url, _BAUD))
         self._say(codec.BAUDING + self._zeros()[0] + b''.join(
             codec.set_timeout(address, self.timeout_s) for address in self._addresses))
+
+    def _end(self) -> Zero:
+        self._flowing = True  # the last zero goes out at once, not when the line is free
+        return super()._end()
 
     def _send(self, command: Command) -> None:
         self._require_lines()

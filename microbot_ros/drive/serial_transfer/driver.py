@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from microbot_ros.drive.amplifier import COILS, Amplifier, Command, Watchdog
+from microbot_ros.drive.amplifier import AGAIN_S, COILS, Amplifier, Command, Watchdog
 from microbot_ros.drive.errors import NoAnswerError, WrongDeviceError
 from microbot_ros.drive.serial_transfer import codec
 
@@ -43,13 +43,17 @@ class SerialTransferAmplifier(Amplifier):
     def _open(self) -> None:
         port = self._open_port(self.url, self._baud)
         self._lines.append(port)
+        now = zeroed = self.clock.now()
         if self._known:
             port.send(*self._zeros())
-        deadline = self.clock.now() + self._boot_s
+        deadline = now + self._boot_s
         heard, first = b'', None
         while (left := deadline - self.clock.now()) > 0:
-            data = port.receive(left)
+            data = port.receive(min(left, AGAIN_S))
             now = self.clock.now()
+            if self._known and now - zeroed >= AGAIN_S:
+                zeroed = now
+                port.send(*self._zeros())
             if self._decoder.feed(data, now):
                 first = first or now
                 if now - first >= _RUNNING_S:

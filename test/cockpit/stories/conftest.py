@@ -42,7 +42,7 @@ def rig() -> Any:
 def server(rig: Any, tmp_path: Path) -> Iterator[Any]:
     """The cockpit's server before the stand-in."""
     from microbot_ros.cockpit.server import Server
-    server = Server(rig, Discovery('', tmp_path), '127.0.0.1', 0)
+    server = Server(rig, Discovery('', tmp_path), '127.0.0.1', 0, open_to_all=True)
     server.start()
     yield server
     rig.close()

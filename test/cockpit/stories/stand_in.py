@@ -126,12 +126,15 @@ class StandIn:
     async def stop(self) -> Answer:
         self._note('stop')
         self.told = {**self.told, 'rig': 'disarmed', 'sentence': 'Stopped by a page.'}
-        return 'the coils are at zero'
+        return 'zero, confirmed by a reading'
 
     async def arm(self) -> Answer:
         self._note('arm')
         self.told = {**self.told, 'rig': 'armed', 'sentence': 'Currents may flow.'}
         return 'armed'
+
+    def attend(self) -> None:
+        self._note('attend')
 
     def stick(self, x: float, y: float) -> None:
         self._note('stick', (x, y))

@@ -24,7 +24,8 @@ def second_life(rig: Any, server: Any, tmp_path: Path) -> Any:
     made = []
 
     def begin() -> None:
-        made.append(Server(rig, Discovery('', tmp_path), '127.0.0.1', port))
+        made.append(Server(
+            rig, Discovery('', tmp_path), '127.0.0.1', port, open_to_all=True))
         made[0].start()
 
     yield begin

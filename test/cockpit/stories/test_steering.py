@@ -143,7 +143,7 @@ def test_stop(teleop, rig, way) -> None:
     teleop.on('dialog', lambda _: pytest.fail('STOP asks'))
     way(teleop)
     rig.wait_for('stop')
-    teleop.wait_for_selector('#messages li.ok:has-text("STOP: the coils are at zero")')
+    teleop.wait_for_selector('#messages li.ok:has-text("STOP: zero, confirmed by a reading")')
     assert len(rig.asked('stop')) == 1
 
 
@@ -170,6 +170,44 @@ def test_stop_works_as_a_viewer_who_can_do_nothing_else(open_page, rig) -> None:
     second.keyboard.press('Escape')
     rig.wait_for('stop')
     assert not rig.asked('goal')
+
+
+def test_stop_goes_on_until_the_zero_is_confirmed(page, rig) -> None:
+    rig.refusals['stop'] = 'zero sent, not confirmed'
+    page.keyboard.press('Escape')
+    rig.wait_for('stop', 3)
+    page.wait_for_selector('#stop[data-zero=sent]:has-text("zero sent, not confirmed")')
+    rig.refusals['stop'] = 'not reachable: /dev/ttyUSB0'
+    page.wait_for_selector('#stop[data-zero=unreachable]:has-text("NOT REACHABLE")')
+    page.wait_for_selector('#alarm:has-text("Switch the amplifier off by hand.")')
+    del rig.refusals['stop']
+    page.wait_for_selector('#stop[data-zero=confirmed]:has-text("confirmed by a reading")')
+    page.wait_for_selector('#alarm', state='hidden')
+    count = len(rig.asked('stop'))
+    page.wait_for_timeout(700)
+    assert len(rig.asked('stop')) == count
+
+
+def test_stop_ends_when_somebody_says_that_the_amplifier_is_off(page, rig) -> None:
+    rig.refusals['stop'] = 'not reachable: /dev/ttyUSB0'
+    rig.told.update(zero='unreachable')
+    page.keyboard.press('Escape')
+    rig.wait_for('stop', 2)
+    page.click('#alarm-off')
+    page.wait_for_timeout(500)
+    count = len(rig.asked('stop'))
+    page.wait_for_timeout(700)
+    assert len(rig.asked('stop')) == count
+    assert page.is_hidden('#alarm')
+
+
+def test_a_driver_that_is_not_reachable_alarms_a_page_that_did_not_stop(page, rig) -> None:
+    rig.told.update(rig='fault', zero='unreachable')
+    page.wait_for_selector('#alarm:has-text("Switch the amplifier off by hand.")')
+    assert not rig.asked('stop')
+    rig.told.update(rig='disarmed', zero='confirmed')
+    page.wait_for_selector('#alarm', state='hidden')
+    page.wait_for_selector('#stop[data-zero=confirmed]')
 
 
 def test_a_stop_that_is_not_answered_says_so(page, rig) -> None:
