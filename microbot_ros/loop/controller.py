@@ -11,7 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from microbot_ros.control.contract import ControllerInput, Goals, Limits, Result, Workspace
+from microbot_ros.control.contract import (
+    ControllerInput,
+    Goals,
+    Input,
+    Limits,
+    Result,
+    Workspace,
+)
 from microbot_ros.control.controller_manager import ControllerManager, Outcome, SwitchResult
 from microbot_ros.control.deadline_worker import DeadlineWorker
 from microbot_ros.control.registry import PluginError, controller_classes
@@ -113,6 +120,15 @@ class ControllerStage:
         if answer.ok:
             self.parameters = parameters
         return answer
+
+    def refusal(self, what: Input) -> str:
+        """Why the controller that drives is not given `what`, and which ones take it; '' where it
+        takes it."""
+        name = self.manager.active
+        if self.classes[name].accepts(what):
+            return ''
+        others = [other for other, kind in self.classes.items() if kind.accepts(what)]
+        return f'{name} takes no {what.value}; these do: {", ".join(others) or "none"}'
 
     def go_to(self, goals: Goals) -> None:
         """New goals, from the next frame on."""

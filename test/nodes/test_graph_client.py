@@ -51,7 +51,9 @@ def _parameters(folder: Path, nodes: dict[str, dict[str, Any]]) -> Path:
 
 def test_goals_are_taken_each_time_beside_a_recorder_that_was_there_first(
         tmp_path: Path) -> None:
-    parameters = _parameters(tmp_path, {'recorder': {'folder': str(tmp_path / 'recording')}})
+    parameters = _parameters(tmp_path, {
+        'recorder': {'folder': str(tmp_path / 'recording')},
+        'controller': {'controller': 'waypoint'}})
     heard: list[dict[str, str]] = []
     with Graph(lambda *_: None) as graph, GraphClient('test') as client:
         for node in ('recorder', 'controller'):
@@ -67,15 +69,23 @@ def test_goals_are_taken_each_time_beside_a_recorder_that_was_there_first(
         for count in range(1, 11):
             status, out, error = _microbot('goal', *['10,10'] * count)
             assert (status, error) == (0, '')
-            assert out.startswith(f'{count} goal')
-            assert "taken by controller 'hold', which does not go there" in out
+            assert out == f"{count} goal{'s' * (count > 1)} taken by controller 'waypoint'\n"
             # It is there when the command ends, and not some time later.
             heard.clear()
             assert client.until(lambda: heard, 10)
             assert client.until(lambda count=count: has(count, False), 1.0)
-        status, out, _ = _microbot('goal', '--path', '0,0', '10,0')
-        assert (status, out[:16]) == (0, 'path of 2 points')
+        client.set('controller', controller='path_following')
+        assert _microbot('goal', '--path', '0,0', '10,0') == (
+            0, "path of 2 points taken by controller 'path_following'\n", '')
         assert client.until(lambda: has(10, True), 1.0)
+        for words, what, who in ((('1,1',), 'goals', 'waypoint'),
+                                 (('--path', '0,0', '9,9'), 'path', 'path_following')):
+            client.set('controller', controller='manual')
+            status, out, error = _microbot('goal', *words)
+            assert (status, out) == (1, '')
+            assert error.startswith(f'microbot: controller: manual takes no {what}; these do: ')
+            assert who in error
+            assert has(10, True)
         assert _microbot('goal', '--cancel') == (0, 'cancelled\n', '')
         assert client.until(lambda: has(0, True), 1.0)
 
@@ -130,11 +140,10 @@ def test_each_command_speaks_to_the_rig_of_its_namespace(tmp_path: Path, emulato
                             '-r', '__ns:=/rig_2', '--params-file', str(parameters)])
         graph.wait_ready(60.0)
         there, folder = ('--namespace', 'rig_2'), str(tmp_path / 'run')
-        assert _microbot('goal', '1,1', *there) == (
-            0, "1 goal taken by controller 'hold', which does not go there: microbot set "
-            'controller controller waypoint --namespace rig_2\n',
-            'coil_driver: coils at zero, disarmed\n')
         assert _microbot('set', 'controller', 'controller', 'waypoint', *there)[0] == 0
+        assert _microbot('goal', '1,1', *there) == (
+            0, "1 goal taken by controller 'waypoint'\n",
+            'coil_driver: disarmed; zero, confirmed by a reading\n')
         assert _microbot('record', '--folder', folder, *there) == (
             0, f'recording to {folder}\n', '')
         assert _microbot('arm', *there) == (0, 'armed\n', '')
@@ -171,7 +180,7 @@ def _command(graph: Any, *words: str) -> Answer:
 
 
 def test_a_controller_that_does_not_answer_is_one_and_the_reason(ros: Any) -> None:
-    graph = ros({})
+    graph = ros({'controller': {'controller': 'waypoint'}})
     graph.add('controller').trigger_deactivate()
     assert _command(graph, 'goal', '1,1', '--wait', '60') == (
         1, '', 'microbot: controller did not take the goals within 5 s: it says nothing; is it '
