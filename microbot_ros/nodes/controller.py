@@ -17,7 +17,7 @@ from geometry_msgs.msg import Point, PoseArray, PoseStamped, Vector3Stamped
 from nav_msgs.msg import Path
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Joy, PointCloud2
-from std_msgs.msg import Header, String
+from std_msgs.msg import Bool, Header, String
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
@@ -107,6 +107,9 @@ class ControllerNode(RigNode):
         self.subscribe(Path, 'path', self._on_path)
         self.subscribe(JointTrajectory, 'field/plan', self._on_plan)
         self.subscribe(Joy, 'joy', self._on_joy, NEWEST)
+        armed, disarmed = self.noted(self._be_armed), self.noted(self._be_disarmed)
+        self.subscribe(Bool, 'coil_driver/armed',
+                       lambda message: armed() if message.data else disarmed(), LATCHED)
         self.every(0.05, self._watch)
         self.service(AddDiagnostics, '~/switch_controller', self._on_switch)
         self.service(Trigger, '~/list_controllers', self._on_list)
@@ -140,7 +143,23 @@ class ControllerNode(RigNode):
             values['distance_um'] = outcome.command.progress.distance * 1e6
             values['done'] = outcome.command.progress.done
         level = {Result.OK: OK, Result.FAULT: ERROR}.get(outcome.result, WARN)
-        return level, f'{name}: {outcome.message or "driving"}', values
+        waits = 'not armed: starts when armed; ' * self.stage.waits
+        return level, f'{name}: {waits}{outcome.message or "driving"}', values
+
+    def _be_armed(self) -> None:
+        """The coils are armed: zero first, which the driver waits for, and on from there."""
+        self.stage.be_armed()
+        self._publish_zero()
+
+    def _be_disarmed(self) -> None:
+        """The coils are not, or no longer, armed: what was being carried out is forgotten."""
+        was_armed = self.stage.armed
+        self.stage.be_disarmed()
+        if was_armed:
+            self._goals_stamp = self._path_stamp = self._plan_stamp = 0.0
+            self._tell_goals(self.get_clock().now().to_msg())
+            self._path_taken.publish(Path())
+            self._tell()
 
     def _on_state(self, message: PointCloud2) -> None:
         estimates, stamp = messages.estimates(message), message.header.stamp
