@@ -177,6 +177,14 @@ class RigNode(LifecycleNode):
         made = self.create_timer(seconds, self._guarded(callback), clock=clock)
         self._created.append((self.destroy_timer, made))
 
+    def noted(self, callback: Callable[[], None]) -> Callable[[], None]:
+        """A `callback` whose calls are noted on `~/account`, as those of timers that act: what
+        calls it need not be recorded for a replay."""
+        def act() -> None:
+            self.account.act(callback.__name__)
+            callback()
+        return act
+
     def service(self, kind: type, name: str, callback: Callable[[Any, Any], Any]) -> None:
         """A service of a `kind` that goes with the next cleanup."""
         made = self.create_service(kind, name, callback)

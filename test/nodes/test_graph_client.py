@@ -29,7 +29,8 @@ def _soon(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_goals_are_taken_each_time_beside_a_recorder_that_was_there_first(
         ros: Any, tmp_path: Path) -> None:
-    graph = ros({'recorder': {'folder': str(tmp_path / 'recording')}})
+    graph = ros({'recorder': {'folder': str(tmp_path / 'recording')},
+                 'controller': {'controller': 'waypoint'}})
     graph.add('recorder')
     goals = graph.add('controller').stage
 
@@ -37,19 +38,26 @@ def test_goals_are_taken_each_time_beside_a_recorder_that_was_there_first(
         """Whether the controller was given a path of its own."""
         return len(goals.path) > 0
     for count in range(1, 6):
-        status, out, error = graph.microbot('goal', *['10,10'] * count)
-        assert (status, error) == (0, '')
-        assert out.startswith(f'{count} goal')
-        assert "taken by controller 'hold', which does not go there" in out
+        assert graph.microbot('goal', *['10,10'] * count) == (
+            0, f"{count} goal{'s' * (count > 1)} taken by controller 'waypoint'\n", '')
         # They are there when the command ends, and not some time later.
         assert len(goals.goals) == count
-    status, out, _ = graph.microbot('goal', '--path', '0,0', '10,0')
-    assert (status, out[:16]) == (0, 'path of 2 points')
+    graph.microbot('set', 'controller', 'controller', 'path_following')
+    assert graph.microbot('goal', '--path', '0,0', '10,0') == (
+        0, "path of 2 points taken by controller 'path_following'\n", '')
     assert len(goals.goals) == 5
     assert has_path()
+    graph.microbot('set', 'controller', 'controller', 'manual')
+    for words, what, who in ((('1,1',), 'goals', 'waypoint'),
+                             (('--path', '0,0', '9,9'), 'path', 'path_following')):
+        status, out, error = graph.microbot('goal', *words)
+        assert (status, out) == (1, '')
+        assert error.startswith(f'microbot: controller: manual takes no {what}; these do: ')
+        assert who in error
+        assert len(goals.goals) == 5
+        assert has_path()
     assert graph.microbot('goal', '--cancel') == (0, 'cancelled\n', '')
     assert len(goals.goals) == 0
-    assert not has_path()
 
 
 @pytest.mark.parametrize(('controller', 'words'), [
@@ -96,16 +104,14 @@ def test_each_command_speaks_to_the_rig_of_its_namespace(
     for name in nodes:
         assert graph.add(name, '/rig_2').active
     there, folder = ('--namespace', 'rig_2'), str(tmp_path / 'run')
+    assert graph.microbot('set', 'controller', 'controller', 'waypoint', *there)[0] == 0
     status, out, error = graph.microbot('goal', '1,1', *there)
-    assert (status, out) == (
-        0, "1 goal taken by controller 'hold', which does not go there: microbot set "
-        'controller controller waypoint --namespace rig_2\n')
+    assert (status, out) == (0, "1 goal taken by controller 'waypoint'\n")
     assert error.startswith('coil_driver: disarmed')
     assert graph.microbot('record', '--folder', folder, *there) == (
         0, f'recording to {folder}\n', '')
     assert graph.microbot('arm', *there)[0] == 0
     assert graph.nodes['rig_2/coil_driver']._driver.gate.armed
-    assert graph.microbot('set', 'controller', 'controller', 'waypoint', *there)[0] == 0
     assert graph.microbot('goal', '1,1', *there)[:2] == (
         0, "1 goal taken by controller 'waypoint'\n")
     with graph.spinning(), GraphClient(namespace='rig_2') as client:
@@ -141,7 +147,7 @@ def lose(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], list[str]]:
 def test_a_controller_that_does_not_answer_is_one_and_the_reason(
         ros: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(graph_client, '_TAKE_SECONDS', 1.0)
-    graph = ros({})
+    graph = ros({'controller': {'controller': 'waypoint'}})
     graph.add('controller').trigger_deactivate()
     assert graph.microbot('goal', '1,1', '--wait', '60') == (
         1, '', 'microbot: controller did not take the goals within 1 s: it says nothing; is it '
