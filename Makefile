@@ -65,6 +65,7 @@ lint: $(VENV)/.development
 	@$(BIN)/ruff check .
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports --no-logo
+	@$(BIN)/python test/lint.py
 
 # Within an hour; `make bench FULL=1` takes all runs of every group, `make bench ONLY=tracker` one.
 bench: $(VENV)/.development

@@ -1,15 +1,17 @@
-"""Every public function, class and method has a docstring that describes its parameters.
+"""What ruff and mypy do not check of the package: `make lint` runs it.
 
-A parameter is described where the docstring of the function or of its class names it, as an
-identifier or in words (`frame_rate`: 'frame rate'), or where its annotation is a type of ours,
-whose own docstring describes it, or one that leaves nothing to say. What overrides inherits.
+* Every public function, class and method has a docstring that describes its parameters. A
+  parameter is described where the docstring of the function or of its class names it, as an
+  identifier or in words (`frame_rate`: 'frame rate'), or where its annotation is a type of ours,
+  whose own docstring describes it, or one that leaves nothing to say. What overrides inherits.
+* Imports run one way, file by file: what one file needs of another never leads back to it.
+* What is compiled uses the cache that many processes may share.
 """
 
 import ast
 import re
+import sys
 from pathlib import Path
-
-import pytest
 
 import microbot_ros
 
@@ -137,8 +139,79 @@ def complaints(path, tree):
                     yield from check(method, f'{label}.{method.name}', node)
 
 
-@pytest.mark.parametrize('room', ROOMS)
-def test_public_names_are_described(room):
-    found = [f'{where} {what}' for path, tree in public_modules(room)
+# Imports ----------------------------------------------------------------------------------------
+
+FILES = {
+    '.'.join(('microbot_ros', *path.relative_to(ROOT).with_suffix('').parts))
+    .removesuffix('.__init__'): path for path in sorted(ROOT.rglob('*.py'))}
+
+
+def at_import(nodes):
+    """Import statements that run when the file does: not in functions, nor for type checkers."""
+    for node in nodes:
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            yield node
+        elif isinstance(node, ast.If) and 'TYPE_CHECKING' in ast.unparse(node.test):
+            yield from at_import(node.orelse)
+        elif not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
+            yield from at_import(ast.iter_child_nodes(node))
+
+
+def needs(name):
+    """The files of the package that a file names in its imports, by module name."""
+    tree = ast.parse(FILES[name].read_text(encoding='utf-8'))
+    for node in at_import(tree.body):
+        if getattr(node, 'level', 0):
+            raise ValueError(f'{name}: relative import in line {node.lineno}')
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name in FILES)
+        elif node.module in FILES:
+            inside = {f'{node.module}.{alias.name}' for alias in node.names}
+            yield from inside & FILES.keys()
+            if inside - FILES.keys():
+                yield node.module
+
+
+def circle(graph):
+    """The names along one circle of {name: names}; none where there is no circle."""
+    done = set()
+
+    def visit(name, path):
+        if name in path:
+            return [*path[path.index(name):], name]
+        if name in done:
+            return []
+        found = next(filter(None, (visit(other, [*path, name]) for other in graph[name])), [])
+        done.add(name)
+        return found
+
+    return next(filter(None, (visit(name, []) for name in graph)), [])
+
+
+def unshared():
+    """Files that import numba itself, and not the one with the cache of ours."""
+    for name in FILES.keys() - {'microbot_ros.compiled'}:
+        for node in ast.walk(ast.parse(FILES[name].read_text(encoding='utf-8'))):
+            if isinstance(node, ast.Import):
+                wrong = 'numba' in {alias.name for alias in node.names}
+            else:
+                wrong = (isinstance(node, ast.ImportFrom) and node.module == 'numba'
+                         and {alias.name for alias in node.names} != {'types'})
+            if wrong:
+                yield name
+
+
+def main():
+    """Print all complaints; 1 if there are any."""
+    found = [f'{where} {what}' for room in ROOMS for path, tree in public_modules(room)
              for where, what in complaints(path, tree)]
-    assert found == []
+    if around := circle({name: sorted({*needs(name)} - {name}) for name in FILES}):
+        found.append(f'imports run in a circle: {" → ".join(around)}')
+    found += [f'{name}: import numba from microbot_ros.compiled' for name in unshared()]
+    for complaint in found:
+        print(complaint)
+    return 1 if found else 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,48 @@
+"""The checks of `make lint` that are our own find what they are for."""
+
+import ast
+from pathlib import Path
+
+import lint
+
+MODULE = '''
+"""A module."""
+
+class Field:
+    """A field with a `strength`."""
+    def __init__(self, strength, angle):
+        pass
+
+def shown(field: int, scale: float):
+    """Show it."""
+
+def bare():
+    pass
+'''
+
+
+def test_what_no_docstring_describes_is_named():
+    found = {(where.rpartition(': ')[2], what)
+             for where, what in lint.complaints(lint.ROOT / 'made.py', ast.parse(MODULE))}
+    assert found == {
+        ('Field', 'does not describe `angle`'), ('shown', 'does not describe `field`'),
+        ('shown', 'does not describe `scale`'), ('bare', 'has no docstring')}
+
+
+def test_a_circle_is_found():
+    assert lint.circle({'a': ['b'], 'b': ['c', 'd'], 'c': [], 'd': ['b']}) == ['b', 'd', 'b']
+    assert lint.circle({'a': ['b', 'c'], 'b': ['c'], 'c': []}) == []
+
+
+def test_imports_of_other_files_are_seen():
+    assert 'microbot_ros.units' in set(lint.needs('microbot_ros.magnetics.loop'))
+    assert sum(len({*lint.needs(name)}) for name in lint.FILES) > len(lint.FILES)
+
+
+def test_numba_itself_is_found(monkeypatch, tmp_path):
+    file = Path(tmp_path, 'made.py')
+    monkeypatch.setattr(lint, 'FILES', {'made': file})
+    for text, bad in (('import numba', True), ('from numba import njit', True),
+                      ('from numba import types', False), ('import numpy', False)):
+        file.write_text(text)
+        assert list(lint.unshared()) == ['made'] * bad
