@@ -27,8 +27,9 @@ os.environ.setdefault('MPLBACKEND', 'Agg')
 # As `microbot discover` does: several threads for matrices of a hundred rows make only heat.
 os.environ.setdefault('OMP_NUM_THREADS', '1')
 
-# Children inherit what is ignored, and `nohup` ignores SIGHUP.
-signal.signal(signal.SIGHUP, signal.SIG_DFL)
+# `nohup` ignores SIGHUP, and children inherit what is ignored, but no handler.
+if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+    signal.signal(signal.SIGHUP, lambda *_: None)
 
 # The same examples on every run, and no deadline: how long one takes depends on the machine.
 hypothesis.settings.register_profile(
