@@ -214,7 +214,7 @@ def test_a_node_that_has_nothing_to_say_has_answered(ros: Any) -> None:
     fields = graph.hear(Vector3Stamped, 'field/command')
     graph.add('controller').trigger_deactivate()
     node = graph.add('player')
-    graph.until(lambda: node.finished, 30)
+    graph.until(lambda: node.finished)
     assert (node.fault, fields) == ('', [])
     assert node._sent >= 3
 
