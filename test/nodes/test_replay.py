@@ -491,7 +491,7 @@ def test_a_network_that_a_recording_sets_is_not_executed(
         Parameter(name, value=value).to_parameter_msg()
         for name, value in {'policy.file': '/tmp/theirs.onnx', 'delay_ms': 7.0}.items()])
     values = {'controller': 'hold'} | ({'policy.file': named} if named else {})
-    with alone('', {'controller': values}, tmp_path):
+    with own_context(), alone('', {'controller': values}, tmp_path):
         node = make_offline('controller')
         try:
             assert loaded == [named] * bool(named)
