@@ -33,7 +33,7 @@ class Rig:
             'virtual_rig': {'amplifier_log': str(self.emulator.log), 'frame_rate_hz': 10.0},
             'tracker': {'pixel_size_um': 0.45}, 'coil_driver': {'port': str(self.emulator.port)},
             'recorder': {'recording': False, 'folder': str(folder / 'recording')},
-            'cockpit': {'port': 0, 'discoveries': str(folder / 'discoveries')}})
+            'cockpit': {'port': 0, 'token': False, 'discoveries': str(folder / 'discoveries')}})
         for name in NODES:
             assert self.graph.add(name).active, name
 

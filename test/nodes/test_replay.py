@@ -325,7 +325,7 @@ def test_beside_a_live_coil_driver_a_replay_is_refused_and_drives_nothing(
 def test_a_live_controller_gets_no_goals_of_the_past_one_that_follows_the_clock_does(
         ros: Any, tmp_path: Path, follows: bool) -> None:
     graph = ros({'player': {'session': str(past(tmp_path)), 'topics': ['goals'], 'rate': 100.0},
-                 'controller': {'use_sim_time': follows}})
+                 'controller': {'use_sim_time': follows, 'controller': 'waypoint'}})
     controller = graph.add('controller')
     player = graph.add('player')
     graph.until(lambda: player.finished)
