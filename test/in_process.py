@@ -35,12 +35,12 @@ from microbot_ros.nodes.participant import join
 from microbot_ros.nodes.process import make
 
 FULL_SCALE_A = 2.0
-FAILSAFE_S = 30.0
+FAILSAFE_S = 60.0
 """After this a test gives up. A machine that is overloaded needs a tenth of it."""
 PATIENT: dict[str, dict[str, Any]] = {
     'coil_driver': {'command_timeout_ms': 2000.0, 'max_command_age_ms': 2000.0,
                     'settling_ms': 2000.0, 'feedback_timeout_ms': 5000.0},
-    'controller': {'deadline_ms': 1000.0, 'pose_timeout_ms': 5000.0}}
+    'controller': {'deadline_ms': 1000.0, 'pose_timeout_ms': 2000.0}}
 """Times that a process exceeds that is held up for half a second, at their largest."""
 
 
@@ -144,9 +144,9 @@ class Ros:
             node.trigger_activate()
         return node
 
-    def until(self, true: Callable[[], Any], seconds: float = FAILSAFE_S) -> None:
+    def until(self, true: Callable[[], Any]) -> None:
         """Spin until something is true; fail if it does not become so."""
-        deadline = time.monotonic() + seconds
+        deadline = time.monotonic() + FAILSAFE_S
         while not true():
             assert time.monotonic() < deadline, 'did not happen'
             self._executor.spin_once(timeout_sec=0.01)

@@ -53,8 +53,8 @@ class RigNode(LifecycleNode):
     An exception in a transition or callback is logged with its traceback and shown on
     `/diagnostics`, and `make_safe` runs at once; a bad message is reported and dropped.
     Subscriptions and timers act only while the node is active. A transition (`on_…`) is given the
-    `state` that it leaves. Nodes that share a `rig` speak to each other through it. `arguments` are
-    the node's own, `--ros-args` and what follows, beside those of its process.
+    `state` that it leaves. Nodes that share a `rig` speak to each other through it. `arguments`
+    are the ROS arguments of this node alone, `--ros-args` and what follows.
     """
 
     Parameters: ClassVar[type]

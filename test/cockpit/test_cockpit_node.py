@@ -33,7 +33,7 @@ class Rig:
             'virtual_rig': {'amplifier_log': str(self.emulator.log), 'frame_rate_hz': 10.0},
             'tracker': {'pixel_size_um': 0.45}, 'coil_driver': {'port': str(self.emulator.port)},
             'recorder': {'recording': False, 'folder': str(folder / 'recording')},
-            'cockpit': {'port': 0, 'discoveries': str(folder / 'discoveries')}})
+            'cockpit': {'port': 0, 'token': False, 'discoveries': str(folder / 'discoveries')}})
         for name in NODES:
             assert self.graph.add(name).active, name
 
@@ -223,7 +223,7 @@ def test_a_refusal_to_arm_comes_word_for_word(page: Page, rig: Rig) -> None:
     with GraphClient('intruder') as client:
         client.node.create_publisher(Vector3Stamped, 'field/command', 1)
         driver = rig.graph.nodes['coil_driver']
-        until(page, lambda: len(driver._commanders()) == 2)
+        until(page, lambda: '/intruder' in driver._commanders().values())
         answer = page.ask('arm', attended=False)
         assert not answer['ok']
         assert '2 publish field/command, expected one' in answer['reason']

@@ -46,7 +46,7 @@ def test_frames_become_particles_where_they_are(ros: Any, folder: Path) -> None:
 
     def all_found() -> bool:
         return bool(particles) and particles[-1].width == len(PLACE)
-    graph.until(all_found, 30)
+    graph.until(all_found)
     points = messages.points(particles[-1], PARTICLE)
     found = np.stack([points['x'], points['y']], axis=1)
     assert np.abs(np.sort(found, axis=0) - np.sort(PLACE, axis=0)).max() < 0.5e-6
@@ -107,7 +107,7 @@ def test_kinds_that_were_learned_by_colour_are_followed_in_colour(
     for k in range(1, 6):
         stamp = messages.to_stamp(begin + k / 30)
         publisher.publish(messages.image(_beads(k), stamp, encoding='rgb8'))
-        graph.until(partial(came, k), 30)
+        graph.until(partial(came, k))
     seen = messages.points(particles[-1], np.dtype([('x', '<f4'), ('kind', '<f4')]))
     names = {tracker.stage.kinds[int(kind)]: x for x, kind in seen.tolist()}
     assert names == pytest.approx({'red': -49.75e-6, 'green': 45.25e-6}, abs=0.1e-6)
@@ -203,7 +203,7 @@ def test_a_wrong_frame_in_mid_stream_is_reported_and_passed_over(ros: Any, broke
     while not (particles and len(seen()) == 3):
         publisher.publish(frame(k))
         k += 1
-        graph.until(partial(answered, k), 30)
+        graph.until(partial(answered, k))
         assert k < 200
     ids = seen()
     wrong = frame(k if broken != 'stamp' else 3, 200 if broken == 'size' else 480)
@@ -240,12 +240,12 @@ def test_who_goes_unseen_is_carried_on_the_way_the_field_now_points(ros: Any) ->
             stamp = messages.to_stamp(begin + (k - 0.99) / 30)
             known = len(tracker.stage._drive._commands)
             fields.publish(messages.magnetic_field(field, stamp))
-            graph.until(lambda known=known: len(tracker.stage._drive._commands) > known, 5)
+            graph.until(lambda known=known: len(tracker.stage._drive._commands) > known)
         place = place + step * np.array([np.cos(angle), np.sin(angle)])
         shown = place if k < 85 else place[:0]
         picture = scope.render(shown, np.full(len(shown), angle), k / 30)
         images.publish(messages.image(picture, messages.to_stamp(begin + k / 30)))
-        graph.until(partial(answered, k + 1), 30)
+        graph.until(partial(answered, k + 1))
     points = messages.points(particles[-1], PARTICLE)
     assert len(points) == len(PLACE)
     found = np.stack([points['x'], points['y']], axis=1)

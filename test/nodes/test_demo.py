@@ -22,7 +22,7 @@ from stolen import Processors
 from microbot_ros.cli.demo import GOALS_UM, places_within, tell_shortcomings
 from microbot_ros.cli.demo_results import goals_reached
 
-pytestmark = [pytest.mark.rig, pytest.mark.timeout(600)]
+pytestmark = pytest.mark.timeout(600)
 
 
 def watchdogs(out: Path) -> int:
@@ -58,11 +58,13 @@ def summary(demo: Path) -> dict[str, Any]:
     return read
 
 
+@pytest.mark.rig
 def test_the_steered_particle_is_at_its_goal(summary: dict[str, Any]) -> None:
     assert summary['goals_reached'] == summary['goals']
     assert 0 < summary['goal_error_um'] <= 5
 
 
+@pytest.mark.rig
 def test_every_estimate_is_near_the_truth(summary: dict[str, Any]) -> None:
     assert len(summary['estimate']) == 4
     for found in summary['estimate'].values():
@@ -71,6 +73,7 @@ def test_every_estimate_is_near_the_truth(summary: dict[str, Any]) -> None:
         assert abs(apart) <= 0.1
 
 
+@pytest.mark.rig
 def test_rollers_learn_their_gain_and_rest_at_the_last_place(tmp_path: Path) -> None:
     out = _demo(tmp_path, '--robots', 'rolling', '--seconds', '22')
     summary = json.loads((out / 'summary.json').read_text())
@@ -85,6 +88,7 @@ def test_rollers_learn_their_gain_and_rest_at_the_last_place(tmp_path: Path) -> 
     assert not any(entries[-1]['currents_A'])
 
 
+@pytest.mark.rig
 def test_the_line_was_clean_and_the_controller_swapped(summary: dict[str, Any]) -> None:
     assert summary['amplifier']['crc_errors'] == 0
     assert summary['amplifier']['frames'] > 1000
@@ -95,6 +99,7 @@ def test_the_line_was_clean_and_the_controller_swapped(summary: dict[str, Any]) 
             'recorder'} <= set(summary['nodes'])
 
 
+@pytest.mark.rig
 def test_currents_flowed_and_ended_at_zero(demo: Path) -> None:
     entries = [json.loads(line) for line in (demo / 'amplifier.jsonl').read_text().splitlines()]
     assert any(any(entry['currents_A']) for entry in entries)
@@ -102,6 +107,7 @@ def test_currents_flowed_and_ended_at_zero(demo: Path) -> None:
     assert watchdogs(demo) == 1  # when arming tried it out
 
 
+@pytest.mark.rig
 def test_another_reader_opens_the_recording(demo: Path) -> None:
     files = sorted((demo / 'recording').glob('*.mcap'))
     with files[0].open('rb') as stream:
@@ -113,6 +119,7 @@ def test_another_reader_opens_the_recording(demo: Path) -> None:
             '/diagnostics'} <= topics
 
 
+@pytest.mark.rig
 def test_the_film_and_the_figure_show_something(demo: Path) -> None:
     film = cv2.VideoCapture(str(demo / 'demo.mp4'))
     pictures = []
@@ -183,6 +190,7 @@ def _zero_after(log: TextIO, moment: float) -> float:
     return float(entries[last + 1]['t_monotonic_s'] - moment)
 
 
+@pytest.mark.rig
 @pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGHUP])
 def test_a_stopped_demo_is_at_zero_says_so_and_leaves_nothing(
         begun: Demo, machine: Any, number: int) -> None:
@@ -199,6 +207,7 @@ def test_a_stopped_demo_is_at_zero_says_so_and_leaves_nothing(
     assert [path.name for path in begun.folder.iterdir()] == ['said.txt']
 
 
+@pytest.mark.rig
 def test_a_demo_stopped_while_it_starts_leaves_nothing(begun: Demo) -> None:
     begun.until('starting')
     begun.process.send_signal(signal.SIGINT)
@@ -206,6 +215,7 @@ def test_a_demo_stopped_while_it_starts_leaves_nothing(begun: Demo) -> None:
     assert [path.name for path in begun.folder.iterdir()] == ['said.txt']
 
 
+@pytest.mark.rig
 def test_nobody_outlives_a_killed_demo(begun: Demo) -> None:
     children = begun.until('s] armed')
     assert len(children) == 7

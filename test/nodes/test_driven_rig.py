@@ -10,7 +10,6 @@ import json
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -23,7 +22,7 @@ from microbot_ros.nodes.graph import Graph
 from microbot_ros.nodes.graph_client import GraphClient
 from microbot_ros.session import read_session
 
-pytestmark = [pytest.mark.rig, pytest.mark.timeout(400)]
+pytestmark = [pytest.mark.soak, pytest.mark.timeout(400)]
 
 class Stand:
     """The graph with a foreign rig, armed, and `microbot discover --drive` beside it."""
@@ -89,7 +88,6 @@ def stand(tmp_path: Path, emulator: object) -> Iterator[Callable[..., Stand]]:
 
 
 # Its stand-in stamps poses by this machine's clock: a pause is a step that no effect explains.
-@pytest.mark.soak
 def test_a_rig_that_is_not_ours_is_asked_until_it_is_settled(
         stand: Callable[..., Stand], emulator: object) -> None:
     here = stand('coil_gain_mismatch', {'gain_ratio': 1.25})
@@ -113,48 +111,3 @@ def test_a_rig_that_is_not_ours_is_asked_until_it_is_settled(
                   for node in ('model', 'controller')}
     assert with_model == {str(here.out / 'model.yaml')}
     assert 'held a particle' in (here.out / 'report.html').read_text()
-
-
-def _operator(here: Stand, _: object) -> None:
-    here.client.set('controller', controller='open_loop')
-
-
-def _disarmed(here: Stand, _: object) -> None:
-    here.client.arm(False)
-
-
-def _gone(here: Stand, _: object) -> None:
-    here.rig.gone = True
-
-
-def _dark(here: Stand, _: object) -> None:
-    here.rig.dark = True
-
-
-def _told(_: Stand, process: subprocess.Popen[str]) -> None:
-    process.terminate()
-
-
-@pytest.mark.parametrize(('go_wrong', 'reason'), [
-    (_operator, 'open_loop'), (_disarmed, 'gate'), (_gone, 'particle'), (_dark, ''),
-    (_told, 'told')])
-def test_what_goes_wrong_ends_in_no_current_and_is_written_down(
-        stand: Callable[..., Stand], emulator: object, go_wrong: Callable[..., None],
-        reason: str) -> None:
-    here = stand('coil_gain_mismatch', {'gain_ratio': 1.25})
-    process = here.discover('--minutes', '2')
-    here.until(lambda: here.rig.field > 1e-3, 120.0)
-    start = time.monotonic()
-    here.until(lambda: time.monotonic() > start + 6.0)
-    go_wrong(here, process)
-    out, err = here.ended(process, 100.0)
-    assert process.returncode in (0, 1), err
-    found = here.result()
-    assert found['decided'] == 'stopped'
-    assert reason in out + err
-    assert found['minutes'] > 0
-    assert (here.out / 'experiment-1' / 'tracks.csv').is_file()
-    drives = here.client.get('controller', 'controller')['controller']
-    assert drives == ('open_loop' if go_wrong is _operator else 'hold')
-    if go_wrong is not _operator:
-        here.until(lambda: emulator.zero, 10.0)

@@ -56,7 +56,7 @@ def test_what_is_played_is_what_the_model_learns(ros: Any, session: Path) -> Non
     states = graph.hear(PointCloud2, 'model/state')
     assert graph.add('model').active, graph.nodes['model'].fault
     assert graph.add('player').active, graph.nodes['player'].fault
-    graph.until(lambda: graph.nodes['player'].finished, 30)
+    graph.until(lambda: graph.nodes['player'].finished)
     assert graph.nodes['player'].fault == ''
     graph.until(lambda: messages.to_seconds(states[-1].header.stamp) == ORIGIN + 12.0)
     last = messages.points(states[-1], ESTIMATE)

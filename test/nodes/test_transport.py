@@ -16,8 +16,6 @@ import pytest
 from microbot_ros.nodes.graph_client import GraphClient
 from microbot_ros.nodes.transport import asked_reach, clear_shared_memory
 
-pytestmark = [pytest.mark.rig, pytest.mark.timeout(120)]
-
 FORGOTTEN_S = 4.0
 """A lease of 3 s, and a look around each second."""
 
@@ -50,6 +48,7 @@ def _publishers(client: GraphClient) -> int:
     return len(client.node.get_publishers_info_by_topic('chat'))
 
 
+@pytest.mark.rig
 def test_a_killed_publisher_is_soon_forgotten(node: subprocess.Popen[str]) -> None:
     with GraphClient('listener') as client:
         deadline = time.monotonic() + 20
@@ -68,12 +67,14 @@ def _waiting(socket_port: int) -> int:
                 if int(row[1].split(':')[1], 16) == socket_port)
 
 
+@pytest.mark.rig
 def test_no_socket_is_open_to_others(node: subprocess.Popen[str]) -> None:
     open_to = psutil.Process(node.pid).net_connections('inet')
     assert open_to
     assert {one.laddr.ip for one in open_to} == {'127.0.0.1'}
 
 
+@pytest.mark.rig
 @pytest.mark.parametrize('asks', ['LOCALHOST', 'SUBNET'])
 def test_who_would_be_open_to_others_is_refused_unless_that_is_asked_for(asks: str) -> None:
     """As with a middleware that reads no profile: it looked for one before it was there."""
@@ -112,6 +113,7 @@ def test_what_the_environment_asks_for_comes_first(
     assert asked_reach('rmw_cyclonedds_cpp') == (reach or 'LOCALHOST')
 
 
+@pytest.mark.rig
 def test_the_shared_memory_of_the_killed_goes_and_that_of_the_living_stays(
         node: subprocess.Popen[str]) -> None:
     # Its own alone: it maps those of whoever it has found as well.
@@ -129,6 +131,7 @@ def test_the_shared_memory_of_the_killed_goes_and_that_of_the_living_stays(
     assert not any(path.exists() for path in own | locks)
 
 
+@pytest.mark.rig
 def test_clients_that_come_and_go_are_one_participant() -> None:
     """To delete one can hang for ever, in Fast DDS 2.14."""
     def threads() -> int:
@@ -145,6 +148,7 @@ def test_clients_that_come_and_go_are_one_participant() -> None:
         assert threads() == alive
 
 
+@pytest.mark.rig
 @pytest.mark.parametrize('status', [0, 3])
 def test_who_leaves_says_its_last_words_and_leaves_no_memory(status: int) -> None:
     program = ('import atexit, os, sys\n'
@@ -168,6 +172,7 @@ def test_who_leaves_says_its_last_words_and_leaves_no_memory(status: int) -> Non
     assert not Path(lock.removesuffix('_el')).exists()
 
 
+@pytest.mark.rig
 @pytest.mark.usefixtures('node')
 def test_a_client_takes_no_shared_memory() -> None:
     """For seconds after a process has gone, what is sent to its port in there reaches nobody, and

@@ -163,9 +163,9 @@ class SmokeRig:
         self.graph.__exit__()
 
 
-@pytest.fixture(scope='session')
+@pytest.fixture(scope='module')
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SmokeRig]:
-    """The graph, in a domain of its own."""
+    """The graph, in a domain of its own; one file has all tests of it."""
     before = os.environ['ROS_DOMAIN_ID']
     os.environ['ROS_DOMAIN_ID'] = str(own_domain())
     made = SmokeRig(tmp_path_factory.mktemp('smoke'))
