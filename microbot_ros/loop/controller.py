@@ -20,6 +20,7 @@ from microbot_ros.control.contract import (
     Workspace,
 )
 from microbot_ros.control.controller_manager import ControllerManager, Outcome, SwitchResult
+from microbot_ros.control.controller_thread import CONFIGURING
 from microbot_ros.control.deadline_worker import DeadlineWorker
 from microbot_ros.control.registry import PluginError, controller_classes
 from microbot_ros.control.waypoint import Waypoint
@@ -115,14 +116,14 @@ class ControllerStage:
         return '' if self.classes[name].repeatable else f'{name} thinks for as long as it may'
 
     def configure(self, parameters: ControllerParameters, controllers: Mapping[str, Any],
-                  restart: bool = False) -> SwitchResult:
+                  restart: bool = False, seconds: float = CONFIGURING) -> SwitchResult:
         """Take new parameters, its own and those of the controllers named: all, or none and why.
 
-        `restart` lets the controller that drives begin anew after a fault.
+        Within `seconds`, see `ControllerManager.change`. `restart` lets the controller that drives begin anew after a fault.
         """
         wanted = parameters.controller
         switch = wanted != self.manager.active or (restart and self.manager.fault)
-        answer = self.manager.change(controllers, wanted if switch else '')
+        answer = self.manager.change(controllers, wanted if switch else '', seconds)
         if answer.ok:
             self.parameters = parameters
         return answer
