@@ -109,8 +109,8 @@ class ControllerThread:
         self._parameters, self._configured = parameters, None
 
     def restore(self, parameters: Any, seconds: float = CONFIGURING) -> None:
-        """Give back parameters that it had, within `seconds`. If it can't, it does not drive before
-        it has them."""
+        """Give back parameters that it had, within `seconds`. If it can't, it does not drive
+        before it has them."""
         try:
             self.configure(parameters, seconds)
         except Exception:

@@ -119,7 +119,8 @@ class ControllerStage:
                   restart: bool = False, seconds: float = CONFIGURING) -> SwitchResult:
         """Take new parameters, its own and those of the controllers named: all, or none and why.
 
-        Within `seconds`, see `ControllerManager.change`. `restart` lets the controller that drives begin anew after a fault.
+        Within `seconds`, see `ControllerManager.change`. `restart` lets the controller that
+        drives begin anew after a fault.
         """
         wanted = parameters.controller
         switch = wanted != self.manager.active or (restart and self.manager.fault)
@@ -274,7 +275,7 @@ class ControllerStage:
         values, age = self.parameters, t - self._joystick_t
         self.joystick_remark = ''
         if self._held:
-            self.joystick_remark = 'the joystick was deflected when the coils were armed: centre it'
+            self.joystick_remark = 'the joystick was deflected at arming: centre it'
             return np.zeros(2)
         fresh = -values.pose_timeout_ms * 1e-3 <= age <= values.joy_timeout_ms * 1e-3
         if fresh or not self._joystick.any():

@@ -280,8 +280,8 @@ class GraphClient:
     def _hand_over(self, topic: str, message: Any, what: str) -> Taken:
         """Publish to the controller, again and again, until it says that it has this stamp.
 
-        RigError with its reason where it refuses. That somebody listens says nothing: it may be a recorder. To be told twice changes
-        nothing for a controller, whose goals are the same then.
+        RigError with its reason where it refuses. That somebody listens says nothing: it may be a
+        recorder. To be told twice changes nothing for a controller, whose goals are the same then.
         """
         stamp = messages.to_seconds(message.header.stamp)
         self._progress = {}

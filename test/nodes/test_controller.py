@@ -227,7 +227,8 @@ def test_what_there_is_is_latched(ros: Any) -> None:
 @pytest.mark.parametrize(('controller', 'refused'), [
     ('manual', {'goals', 'goal_pose', 'particle_goals', 'path', 'plan'}),
     ('hold', {'goals', 'goal_pose', 'particle_goals', 'path', 'plan'}),
-    ('waypoint', {'path', 'plan'}), ('experiment', {'goals', 'goal_pose', 'particle_goals', 'path'}),
+    ('waypoint', {'path', 'plan'}),
+    ('experiment', {'goals', 'goal_pose', 'particle_goals', 'path'}),
     ('path_following', {'goals', 'goal_pose', 'particle_goals', 'plan'})])
 def test_what_a_controller_does_not_take_is_refused_and_who_takes_it_is_named(
         ros: Any, controller: str, refused: set[str]) -> None:
