@@ -15,6 +15,8 @@ RUN python3 -m venv --system-site-packages .venv && touch .venv/COLCON_IGNORE \
     && . /opt/ros/jazzy/setup.sh && .venv/bin/python -m colcon build
 
 ENV PATH="/workspace/.venv/bin:$PATH"
-SHELL ["/bin/bash", "-c"]
-ENTRYPOINT ["/bin/bash", "-c", "source /workspace/install/setup.bash && exec \"$@\"", "--"]
+# `docker stop` sends SIGTERM, which every node takes as the order to zero the coils and end; what is
+# left after 10 s is killed, so give a recorder more time: `docker stop --time 30`.
+STOPSIGNAL SIGTERM
+ENTRYPOINT ["/workspace/src/microbot_ros/docker_entrypoint.sh"]
 CMD ["microbot", "--help"]

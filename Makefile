@@ -6,7 +6,11 @@ PIP := PIP_DISABLE_PIP_VERSION_CHECK=1 $(BIN)/pip install --quiet --constraint c
 # A rig is eight processes, and the tests start hundreds: none is to translate the package anew.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: setup demo test compiled bench docs lowest lint clean
+# One more than processors: some tests wait.
+WORKERS := $(shell expr $$(nproc) + 1)
+MEASURED := --cov microbot_ros --cov-report term:skip-covered --cov-report json:out/coverage.json
+
+.PHONY: setup demo test test-rig soak coverage compiled bench docs lowest lint clean
 
 # The first of these that is Python 3.12 or 3.11 and can make environments.
 PYTHON := $(shell for p in python3.12 python3.11 python3; do \
@@ -32,25 +36,39 @@ $(VENV)/.development: $(VENV)/.runtime
 demo: $(VENV)/.runtime
 	@$(BIN)/microbot demo --out out/demo
 
-# The graph's tests have the machine to themselves: the loop is a matter of milliseconds.
+# All logic, in process: `make test COVERAGE=1` also prints the line coverage.
 test: $(VENV)/.development
 	@$(MAKE) --no-print-directory --jobs 2 --output-sync=target lint compiled
-	@$(BIN)/python -m pytest -m 'not graph' --numprocesses 3
-	@$(BIN)/python -m pytest -m graph
+	@$(BIN)/python -m pytest -m 'not rig and not soak' --numprocesses $(WORKERS) --dist loadfile \
+		$(if $(COVERAGE),$(MEASURED))
 
-# Whoever needs compiled code that is not there yet makes it: once, not in every process at once.
+# Real processes, signals, browser, firmware and milliseconds: alone on the machine. A failed test
+# is run again up to three times; the ledger is in out/retries.json.
+test-rig: $(VENV)/.development compiled
+	@$(BIN)/python -m pytest -m 'rig and not soak' --retries 3
+
+# Statistics, long stories, mutants of the drive, and the core on its oldest libraries: hours.
+soak: $(VENV)/.development compiled
+	@$(BIN)/python -m pytest -m soak
+	@$(BIN)/python -m bench._mutants
+	@$(MAKE) --no-print-directory lowest
+
+coverage:
+	@$(MAKE) --no-print-directory test COVERAGE=1
+
+# Compile once what several processes need, before they start; what was compiled of the same
+# sources, in whatever clone, is not compiled again.
 compiled: $(VENV)/.development
-	@$(BIN)/python -c 'from microbot_ros.tracking.warm import warm_up; warm_up()'
-	@$(BIN)/python -c 'from microbot_ros.magnetics import *; Allocator(CoilSet())'
+	@$(BIN)/python test/warm.py
 
 lint: $(VENV)/.development
 	@$(BIN)/ruff check .
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports --no-logo
 
-# `make bench ONLY=tracker` runs one group.
+# Within an hour; `make bench FULL=1` takes all runs of every group, `make bench ONLY=tracker` one.
 bench: $(VENV)/.development
-	@$(BIN)/python -m bench $(if $(ONLY),--only $(ONLY))
+	@$(BIN)/python -m bench $(if $(ONLY),--only $(ONLY)) $(if $(FULL),--full)
 
 # The documents as HTML, in out/docs; what is made from the code is made anew.
 docs: $(VENV)/.development

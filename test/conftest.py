@@ -1,67 +1,86 @@
-"""Shared by all tests: a ROS domain of one's own, the oracles, where the real recordings are."""
+"""Setup of all tests: the ROS domain, the hypothesis profile, skips and retries."""
 
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import hypothesis
 import pytest
-from _pytest.runner import runtestprotocol
 
 sys.path.insert(0, str(Path(__file__).parent))
 
 from domains import own_domain
-from stolen import Processors
+from retries import Retries
+from warm import CACHE
 
+os.environ['NUMBA_CACHE_DIR'] = str(CACHE)
 os.environ['ROS_DOMAIN_ID'] = str(own_domain())
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 os.environ.setdefault('MPLBACKEND', 'Agg')
 # As `microbot discover` does: several threads for matrices of a hundred rows make only heat.
 os.environ.setdefault('OMP_NUM_THREADS', '1')
 
+# Children inherit what is ignored, and `nohup` ignores SIGHUP.
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
-# Examples are drawn, but the same every time: what is green here is green elsewhere.
-hypothesis.settings.register_profile('seeded', derandomize=True)
+# The same examples on every run, and no deadline: how long one takes depends on the machine.
+hypothesis.settings.register_profile(
+    'seeded', derandomize=True, deadline=None,
+    suppress_health_check=[hypothesis.HealthCheck.too_slow])
 hypothesis.settings.load_profile('seeded')
 
-# What tests an extra is left out where that extra is not installed.
+COMPLETE = os.environ.get('CI', '') not in ('', '0', 'false')
+"""Whether this machine should have all that any test needs, so that a skip is a failure."""
+
+_MAY_SKIP = tuple(filter(None, os.environ.get('MICROBOT_MAY_SKIP', '').split(',')))
+"""Words of the reasons for which a test may be skipped even there."""
+
+# Tests of an extra are not collected where the extra is not installed.
 _OF_EXTRAS = {'gym/test_steering.py': 'gymnasium', 'gym/test_training_docs.py': 'gymnasium',
               'control/test_policy.py': 'onnx', 'archive/test_batch.py': 'polars',
               'archive/test_cluster.py': 'distributed'}
-collect_ignore = [file for file, module in _OF_EXTRAS.items() if find_spec(module) is None]
-
-_TRIES = 4
-_TRIED = pytest.StashKey[int]()
+collect_ignore = [] if COMPLETE else [
+    file for file, module in _OF_EXTRAS.items() if find_spec(module) is None]
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """What other processes and clocks have a part in comes last, when the machine is idler."""
-    items.sort(key=lambda item: item.path.parent.name in ('drive', 'nodes'))
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add `--retries`."""
+    parser.addoption('--retries', type=int, default=0, metavar='N',
+                     help='run a failed test again, alone, up to N times, and keep a ledger')
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_runtest_protocol(item: Any, nextitem: Any) -> bool:
-    """Try a test again that failed while the host lent the processors to others, or, once, one
-    that is `clocked`."""
-    tried = item.stash[_TRIED] = item.stash.get(_TRIED, 0) + 1
-    item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
-    with Processors() as processors:
-        reports = runtestprotocol(item, log=False, nextitem=nextitem)
-    again = not processors.ours or (tried == 1 and item.get_closest_marker('clocked'))
-    if any(report.failed for report in reports) and again and tried < _TRIES:
-        print(f'\n{item.nodeid}: tried again, {processors}', flush=True)
-        item._initrequest()
-        # By the hook once more: what limits its time is wound up anew, and a failure ends it.
-        return bool(item.ihook.pytest_runtest_protocol(item=item, nextitem=nextitem))
-    for report in reports:
-        item.ihook.pytest_runtest_logreport(report=report)
-    item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
-    return True
+def pytest_configure(config: pytest.Config) -> None:
+    """Retry where that is asked for."""
+    if most := config.getoption('--retries'):
+        config.pluginmanager.register(Retries(most))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Iterator[None]:
+    """Fail a test that is skipped where everything should be installed."""
+    return _unless_expected((yield))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report() -> Iterator[None]:
+    """Fail a module that is skipped where everything should be installed."""
+    return _unless_expected((yield))
+
+
+def _unless_expected(report: Any) -> Any:
+    if COMPLETE and report.skipped and not hasattr(report, 'wasxfail'):
+        reason = str(report.longrepr[2])
+        if not any(word in reason for word in _MAY_SKIP):
+            report.outcome = 'failed'
+            report.longrepr = f'{report.nodeid}: {reason} (nothing may be skipped where CI is set)'
+    return report
 
 
 @pytest.fixture(scope='session')

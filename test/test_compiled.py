@@ -1,9 +1,20 @@
 """The cache of compiled code, under processes that compile at the same moment."""
 
+import os
+import re
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
+import pytest
+
+import microbot_ros
 from microbot_ros.first_compilation import COMPILES
+
+pytestmark = pytest.mark.rig
+
+PACKAGE = Path(microbot_ros.__file__).parent
 
 FUNCTION = """
 from microbot_ros.compiled import numba
@@ -100,3 +111,42 @@ def test_it_is_told_once_that_code_is_compiled_and_only_where_it_is(tmp_path):
     assert said(tmp_path, TOLD) == []
     again = TOLD + 'tell_of_compiling(print)\nhalf(4 + 2j)'
     assert ' '.join(said(tmp_path, again)) == COMPILES
+
+
+CLONED = """
+from microbot_ros.first_compilation import tell_of_compiling
+tell_of_compiling(print)
+import numpy as np
+from microbot_ros.magnetics import loop
+out = np.empty((1, 3))
+loop.loop_field(np.zeros((1, 3)), np.zeros(3), np.eye(3), 1.0, 1.0, out)
+print(loop.__file__, out[0, 2] / (2e-7 * np.pi))
+"""
+
+
+def test_a_clone_compiles_only_what_changed(tmp_path):
+    """Also where only a constant of another file changed, which is compiled in."""
+    def cloned(name):
+        shutil.copytree(PACKAGE, tmp_path / name / 'microbot_ros',
+                        ignore=shutil.ignore_patterns('__pycache__'),
+                        copy_function=shutil.copyfile)  # with times of their own
+        return tmp_path / name
+
+    def run(folder):
+        return subprocess.run(
+            command(CLONED), cwd=folder, capture_output=True, text=True, check=True, timeout=100,
+            env={**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path / 'kept')}).stdout.splitlines()
+
+    first, again, changed = (cloned(name) for name in ('first', 'again', 'changed'))
+    *told, field = run(first)
+    assert told == [COMPILES]
+    assert field.startswith(str(first))
+    assert float(field.split()[1]) == pytest.approx(1.0)
+    other, = run(again)
+    assert other.startswith(str(again))
+    units = changed / 'microbot_ros' / 'units.py'
+    units.write_text(re.sub(r'^MU_0 = .*$', 'MU_0 = 8e-7 * math.pi', units.read_text(),
+                            flags=re.MULTILINE))
+    *told, field = run(changed)
+    assert told == [COMPILES]
+    assert float(field.split()[1]) == pytest.approx(2.0)

@@ -175,10 +175,10 @@ def test_commands_in_the_documents_exist():
 
 
 def test_make_targets_in_the_documents_exist():
-    targets = set(re.findall(r'^(\w+):', (ROOT / 'Makefile').read_text(), re.MULTILINE))
+    targets = set(re.findall(r'^([\w-]+):', (ROOT / 'Makefile').read_text(), re.MULTILINE))
     told = {found for page in PROSE for found in re.findall(
-        r'(?:^|`)make (\w+)', page.read_text(encoding='utf-8'), re.MULTILINE)}
-    assert {'demo', 'test', 'docs'} <= told <= targets
+        r'(?:^|`)make ([\w-]+)', page.read_text(encoding='utf-8'), re.MULTILINE)}
+    assert {'demo', 'test', 'test-rig', 'docs'} <= told <= targets
 
 
 def test_python_in_the_documents_imports_what_there_is():
@@ -203,6 +203,7 @@ def test_yaml_in_the_documents_is_yaml():
         yaml.safe_load(text.replace('…', 'more'))
 
 
+@pytest.mark.rig
 def test_sphinx_builds_the_pages_without_a_warning(tmp_path):
     """But for the API, which takes a minute: `make docs`."""
     built = subprocess.run(
@@ -232,10 +233,11 @@ def test_the_checks_of_a_change_run_what_there_is():
     jobs = workflow['jobs']
     ran = {name: ' '.join(step.get('run', '') for step in job['steps'])
            for name, job in jobs.items()}
-    targets = set(re.findall(r'^(\w+):', (ROOT / 'Makefile').read_text(), re.MULTILINE))
-    told = set(re.findall(r'\bmake (\w+)', ' '.join(ran.values())))
-    assert {'test', 'lowest', 'docs'} <= told <= targets
-    assert jobs['tests']['strategy']['matrix']['python'] == ['3.11', '3.12']
+    targets = set(re.findall(r'^([\w-]+):', (ROOT / 'Makefile').read_text(), re.MULTILINE))
+    told = set(re.findall(r'\bmake ([\w-]+)', ' '.join(ran.values())))
+    assert {'test', 'test-rig', 'lowest', 'docs'} <= told <= targets
+    for job in ('tests', 'rig'):
+        assert jobs[job]['strategy']['matrix']['python'] == ['3.11', '3.12']
     page = (DOCS / 'how-to' / 'with_ros.md').read_text(encoding='utf-8')
     for command in ('python3 -m venv --system-site-packages .venv', 'touch .venv/COLCON_IGNORE',
                     'python -m colcon build', 'source /opt/ros/jazzy/setup.bash'):
@@ -252,3 +254,16 @@ def test_the_layout_of_foxglove_shows_what_the_nodes_send(build):
     assert named <= {end.name for end in build.graph.ends()}
     assert set(layout['configById']) == set(re.findall(
         r'"((?:\w|3D)+!\w+)"', json.dumps(layout['layout'])))
+
+
+def test_tests_that_the_safety_case_names_exist() -> None:
+    """A name that ends in … is the beginning of one."""
+    text = (ROOT / 'docs/explanation/safety.md').read_text(encoding='utf-8')
+    files = list((ROOT / 'test').rglob('test_*.py'))
+    known = {file.name for file in files} | {
+        name for file in files for name in re.findall(r'def (test_\w+)', file.read_text('utf-8'))}
+    named = re.findall(r'`(?:[\w/.]+::)?…?((?:test_)?\w+(?:\.py)?)(…?)`', text)
+    missing = [name for name, more in named if name.startswith('test_') and not (
+        any(one.startswith(name) for one in known) if more else name in known)]
+    assert len(named) > 40
+    assert not missing

@@ -7,6 +7,8 @@ import sys
 
 import pytest
 
+pytestmark = pytest.mark.rig
+
 PROGRAM = """
 import os, signal, threading, time
 from microbot_ros.ending import Ending, Stopped

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.rig
+
 PAGE = Path(__file__).parents[1] / 'docs' / 'tutorial' / 'first_hour.md'
 BLOCKS = re.compile(r'(?:Save this as `([\w.]+)`:\n\n)?^```(\w+)\n(.*?)^```',
                     re.MULTILINE | re.DOTALL)

@@ -42,7 +42,7 @@ _PARTS: dict[str, tuple[str, ...]] = {
 }
 """Part of the rig → the files that can say what is wrong with it."""
 
-_SAYS = ('complain', '_refuse', 'trip', 'Outcome', 'set_result', 'disarm', 'SwitchResult',
+_SAYS = ('complain', '_refuse', 'trip', 'Outcome', 'set_result', 'request_zero', 'SwitchResult',
          'Detector', '_note', '_tell', 'append')
 """Functions whose argument is a sentence for whoever drives the rig."""
 
@@ -138,10 +138,12 @@ def page() -> str:
     remedies = yaml.safe_load(REMEDIES.read_text(encoding='utf-8'))
     parts = [
         f'# When something trips\n\n{MADE} Every sentence that a fault can say, what causes it, '
-        'and what to do. … stands for what is filled in.\n\nA fault of the gate leaves the coils '
-        'at zero and is kept until the next `microbot arm`. Look at `/diagnostics`, or at the '
-        'terminal of `microbot run`: the sentence of the coil driver is `coils at zero, WHY '
-        '(PARAMETERS): DETAIL`, with the parameters of the limit. An error in a file or an '
+        'and what to do. … stands for what is filled in.\n\nA fault of the gate sends zero to the '
+        'coils and is kept until the next `microbot arm`. Look at `/diagnostics`, or at the '
+        'terminal of `microbot run`: the sentence of the coil driver is `disarmed, WHY '
+        '(PARAMETERS): DETAIL; ZERO`, with the parameters of the limit and what is known of the '
+        'currents: *zero, confirmed by a reading*, *zero sent, not confirmed* or *not reachable*, '
+        'which means: switch the amplifier off by hand. An error in a file or an '
         'option, with exit status 2, says itself where it is and what was expected; such errors '
         'are not listed here.\n']
     for part, told in sentences().items():

@@ -7,19 +7,27 @@ current in `write` and `zero` only; it keeps no limits but its full scale: those
 from __future__ import annotations
 
 import functools
-import time
+import threading
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from enum import StrEnum
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
+from microbot_ros.drive.adapter import Adapter, adapter_at
 from microbot_ros.drive.clock import Clock
-from microbot_ros.drive.errors import AmplifierError, NoAnswerError
+from microbot_ros.drive.errors import (
+    AmplifierError,
+    NoAnswerError,
+    UnreachableError,
+    WrongDeviceError,
+)
+from microbot_ros.drive.transport import Port, has_descriptor
 from microbot_ros.errors import InputError
 from microbot_ros.plugins import installed
 
@@ -28,6 +36,10 @@ COILS = ('coil_plus_y', 'coil_plus_x', 'coil_minus_y', 'coil_minus_x')
 
 READ_BACK_S = 0.5
 """How long a driver waits for the read-back that proves a zero."""
+
+AGAIN_S = 0.01
+"""How soon a zero is sent again that no reading has shown: the line may have damaged it. A line
+that damages every other packet then lets one through within 0.1 s in all but one of 1000 cases."""
 
 _AGREEMENT = 0.02
 """How near a reading must be to a command to acknowledge it, as a part of full scale."""
@@ -120,6 +132,10 @@ class Amplifier(ABC):
     `full_scale_A` the current of each coil at full output (a scalar means all alike).
     One thread calls it, but for `wake`, which any may. InputError for more channels than
     `most_channels`.
+
+    A driver is bound to the USB adapters of its first connection: at a port where another one is
+    found later, or whose name under `/dev/serial/by-id/` is not the adapter's, nothing is sent. A
+    port without such an identity, as on a board or over a network, has nothing to compare.
     """
 
     watchdog: ClassVar[Watchdog] = Watchdog.NONE
@@ -135,8 +151,16 @@ class Amplifier(ABC):
     """Whether this one does, from command to command."""
     clock = Clock()
     """Where this driver, and the `CoilDriver` around it, take time from."""
+    open_port: Callable[..., Port] = Port
+    """What opens a port; a test gives another."""
+    adapter_at: Callable[[str], Adapter | None] = staticmethod(adapter_at)
+    """What finds the USB adapter behind a port; a test gives another."""
+    read_back_s = READ_BACK_S
+    """How long this one waits for the read-back."""
     unreachable: tuple[str, ...] = ()
-    """The ports that the last `connect`, `write`, `poll` or `close` could not reach."""
+    """The ports that could not be reached since `connect` was called."""
+    report_age_s = 0.0
+    """How long before `Reading.since_s` [s] the currents may have been measured at most."""
     resolution_A = 0.0
     """The step in which the device reports currents."""
 
@@ -146,6 +170,8 @@ class Amplifier(ABC):
             raise InputError('amplifier', f'expected 1 to {self.most_channels} coils, which '
                              f'{type(self).__name__} can drive; received {channels}')
         self.url = url
+        self.urls: tuple[str, ...] = (url,)
+        """The ports, one for each serial line."""
         self.channels = channels
         self.full_scale_A = np.broadcast_to(np.asarray(full_scale_A, float), channels).copy()
         if not np.all((self.full_scale_A > 0) & np.isfinite(self.full_scale_A)):
@@ -155,22 +181,46 @@ class Amplifier(ABC):
         """What the device said last is wrong with it; '' where it says nothing of the kind."""
         self._tolerance_A = _AGREEMENT * self.full_scale_A + self.resolution_A / 2
         self._unacknowledged: deque[Command] = deque(maxlen=64)
+        self._last: Command | None = None
+        self._sent_s = 0.0
+        self._shown = False  # whether the newest reading shows no current
+        self._lines: list[Port] = []
+        self._woken = threading.Event()
+        self._adapters: dict[str, Adapter] = {}
+        self._found: dict[str, Adapter | None] = {}
+        self._known = False  # connected before: a zero may go ahead of all questions
+
+    @property
+    def watchable(self) -> bool:
+        """Whether a sentinel can hold all lines, judged by the names of the ports."""
+        return all(has_descriptor(url) for url in self.urls)
 
     def connect(self) -> None:
         """Open, identify, arm the device's watchdog where it has one, zero and read back.
 
-        Raises an AmplifierError, with the port given back, where any of it fails.
+        Where the driver was connected before, a zero goes ahead of everything else. Raises an
+        AmplifierError where any of it fails; whatever could be reached is at zero and switched
+        off then, and every port given back.
         """
+        if self._lines:
+            self.close()
         self._unacknowledged.clear()
-        self.fault = ''
+        self._last, self._shown = None, False
+        self.fault, self.unreachable = '', ()
         try:
-            self._open()
-            self.zero()
-            if self.reads_back:
-                self._await_zero()
-        except BaseException:
-            self._release()
+            with self._noting():
+                self._open()
+                self.zero()
+                if self.reads_back:
+                    self._await_zero()
+        except BaseException as error:
+            try:
+                self._abort(error)
+            finally:
+                self._release()
             raise
+        self._known = True
+        self._adapters |= {url: found for url, found in self._found.items() if found is not None}
 
     def write(self, currents_A: Sequence[float] | np.ndarray, tag: Any = None,
               swing: Swing | None = None) -> Command:
@@ -187,9 +237,12 @@ class Amplifier(ABC):
             raise ValueError(
                 f'currents must be {self.channels} values within ±{self.full_scale_A} A; '
                 f'received {currents_A}')
-        command = Command(time.monotonic(), currents, tag, swing)
+        command = Command(self.clock.now(), currents, tag, swing)
         self._unacknowledged.append(command)
-        self._send(command)
+        self._shown = self._shown and not np.any(largest)
+        self._last, self._sent_s = command, command.t_monotonic_s
+        with self._noting():
+            self._send(command)
         return command
 
     def zero(self) -> Command:
@@ -200,42 +253,116 @@ class Amplifier(ABC):
         """The readings that arrived; waits at most `timeout_s` for the first. Moves no current
         but by what was written and has yet to go out on a slow line.
 
-        Raises AmplifierError where the line is lost.
+        Raises AmplifierError where a line is lost or a device silent, once a zero has been sent
+        to all others.
         """
-        return [self._reading(*measured) for measured in self._receive(timeout_s)]
+        with self._noting():
+            readings = [self._reading(*measured) for measured in self._receive(timeout_s)]
+            if readings:
+                self._shown = self.shows_zero(readings[-1].currents_A)
+            self._insist()
+        return readings
+
+    def _insist(self) -> None:
+        """Send the last command again if it was a zero that no reading has shown."""
+        last = self._last
+        if (last is None or self._shown or not self.reads_back or np.any(last.currents_A)
+                or self.clock.now() - self._sent_s < AGAIN_S):
+            return
+        self._sent_s = self.clock.now()
+        self._send(last)
 
     def shows_zero(self, currents_A: np.ndarray) -> bool:
         """Return whether measured `currents_A` (N,) [A] agree with zero; NaN does not."""
         return bool(np.all(np.abs(currents_A) <= self._tolerance_A))
 
     def close(self) -> Zero:
-        """Zero, read back, disable and release every port; return what is known of the zero.
+        """Zero, read back, disable and release every port; return the worst that holds of a coil.
 
-        Never raises an AmplifierError: a lost port is released, named in `unreachable`, and the
-        result is UNREACHABLE.
+        Never raises an AmplifierError: each line is zeroed whatever becomes of the others, and
+        those that cannot be reached are named in `unreachable`. Without a connection the result
+        is UNREACHABLE.
         """
+        if not self._lines:
+            self.unreachable = self.unreachable or self.urls
+            return Zero.UNREACHABLE
+        try:
+            return self._end()
+        finally:
+            self._release()
+
+    def wake(self) -> None:
+        """Let a `poll` that waits return at once; from any thread, whatever state it is in."""
+        self._woken.set()
+        for port in self._lines.copy():
+            port.wake()
+
+    def last_words(self) -> list[tuple[int, bytes]]:
+        """What zeroes the coils when this process no longer can: for each line its descriptor and
+        the bytes. Without those whose port has no descriptor: see `watchable`."""
+        self._require_lines()
+        return [(port.descriptor, zero) for port, zero
+                in zip(self._lines, self._zeros(), strict=True) if port.descriptor is not None]
+
+    def _end(self) -> Zero:
+        """Zero, read back and disable; return the worst that holds of a coil."""
         try:
             self.zero()
             if self.reads_back:
                 self._await_zero()
-            return Zero.CONFIRMED if self.reads_back else Zero.SENT
-        except NoAnswerError:
-            return Zero.SENT
-        except AmplifierError:
-            self.unreachable = (self.url,)
+                return Zero.CONFIRMED
+        except UnreachableError as error:
+            self._lose(error)
             return Zero.UNREACHABLE
-        finally:
+        except NoAnswerError:
+            pass
+        return Zero.SENT
+
+    def _abort(self, error: BaseException) -> None:
+        """Zero and disable what was reached by a connection that failed, but no other device."""
+        if not isinstance(error, WrongDeviceError):
             with suppress(AmplifierError):
-                self._disable()
-            self._release()
+                self.zero()
 
     def _await_zero(self) -> None:
-        deadline = time.monotonic() + READ_BACK_S
-        while (left := deadline - time.monotonic()) > 0:
-            for reading in self.poll(left):
-                if self.shows_zero(reading.currents_A):
-                    return
-        raise NoAnswerError(self.url, f'measured currents of zero within {READ_BACK_S:g} s')
+        deadline = self.clock.now() + self.read_back_s
+        while (left := deadline - self.clock.now()) > 0:
+            if any(self.shows_zero(reading.currents_A)
+                   for reading in self.poll(min(left, AGAIN_S))):
+                return
+        raise NoAnswerError(self.url, f'measured currents of zero within {self.read_back_s:g} s')
+
+    def _open_port(self, url: str, baud: int, **options: Any) -> Port:
+        """Open a port, unless another adapter than before is there."""
+        found = self._found[url] = self.adapter_at(url)
+        bound = self._adapters.get(url)
+        if found is not None and not found.may_be_named(url):
+            raise WrongDeviceError(url, 'the adapter of that name', str(found))
+        # Where there is nothing at all, opening says so.
+        if bound not in (None, found) and (found is not None or Path(url).exists()):
+            raise WrongDeviceError(url, f'the adapter {bound}',
+                                   'one without USB identity' if found is None else str(found))
+        return self.open_port(url, baud, **options)
+
+    def _lose(self, error: UnreachableError) -> None:
+        self.unreachable = tuple(sorted({*self.unreachable, error.url}))
+
+    @contextmanager
+    def _noting(self) -> Iterator[None]:
+        try:
+            yield
+        except UnreachableError as error:
+            self._lose(error)
+            raise
+
+    def _require_lines(self) -> None:
+        if not self._lines:
+            raise NoAnswerError(self.url, 'a connection')
+
+    def _release(self) -> None:
+        """Close whatever `_open` opened; harmless when it is closed already."""
+        while self._lines:
+            self._lines.pop().close()
 
     def _reading(self, t_monotonic_s: float, since_s: float, currents: np.ndarray) -> Reading:
         for position, command in enumerate(self._unacknowledged):
@@ -246,17 +373,9 @@ class Amplifier(ABC):
         return Reading(t_monotonic_s, since_s, currents, None)
 
     @abstractmethod
-    def wake(self) -> None:
-        """Let a `poll` that waits return at once; from any thread, whatever state it is in."""
-
-    @abstractmethod
-    def last_words(self) -> list[tuple[int, bytes]]:
-        """What zeroes the coils when this process no longer can: for each line its descriptor and
-        the bytes. Empty where the lines are none of the system's."""
-
-    @abstractmethod
     def _open(self) -> None:
-        """Open the port and make sure the right device answers, its outputs enabled at zero."""
+        """Append the open ports to `_lines`, send a zero to a device that is known, make sure that
+        the right one answers, and enable its outputs at zero."""
 
     @abstractmethod
     def _send(self, command: Command) -> None:
@@ -267,12 +386,9 @@ class Amplifier(ABC):
         """When they arrived, since when the device had what it had (`Reading.since_s`), and the
         measured currents, all finite."""
 
-    def _disable(self) -> None:  # noqa: B027 — most devices know zero and nothing beyond
-        """Switch the outputs off, where the device can."""
-
     @abstractmethod
-    def _release(self) -> None:
-        """Close whatever `_open` opened; harmless when it is closed already."""
+    def _zeros(self) -> list[bytes]:
+        """Return for each line what zeroes its coils in one go, whatever was said before."""
 
 
 @functools.cache

@@ -49,6 +49,8 @@ STOPPED = 'the rig was stopped after this was asked; ask again'
 """Why arming is refused that was asked before a stop, a trip or a signal."""
 WITHOUT_WATCHDOG = ('if this computer loses its power while coils are driven, the last currents '
                     'flow on until somebody switches the amplifier off')
+UNWATCHABLE = ('no process can watch over a port of this kind: if this program is killed, the '
+               'last currents flow on')
 WITHOUT_FEEDBACK = ('a coil that is open, shorted or reversed goes unnoticed, and so does a '
                     'current that flows without a command or a timeout that the amplifier did not '
                     'take')
@@ -112,7 +114,8 @@ class CoilDriver:
             accept_no_watchdog and amplifier.watchdog is not Watchdog.ARMED)
         self._checks = self_check
         self._tries_watchdog = amplifier.watchdog is Watchdog.FIRMWARE and not self._unwatched
-        self._refuse_unwatched()
+        self._watched = self._unwatched and amplifier.watchable
+        self._refuse_unwatched(accept_no_watchdog)
         if not amplifier.reads_back:
             self._refuse_blind(accept_no_feedback)
         self._check: SelfCheck | None = None
@@ -139,7 +142,10 @@ class CoilDriver:
         self._zero_seen_s = -math.inf
         self._left = Zero.UNREACHABLE
 
-    def _refuse_unwatched(self) -> None:
+    def _refuse_unwatched(self, accepted: bool) -> None:
+        if self._unwatched and not self._watched and not accepted:
+            raise InputError('accept_no_watchdog', f'{UNWATCHABLE}; expected true from whoever '
+                             'accepts that')
         if self.amplifier.watchdog is Watchdog.ARMED or self._unwatched:
             return
         if not (self._tries_watchdog and self._checks):
@@ -159,8 +165,12 @@ class CoilDriver:
     def warning(self) -> str:
         """What whoever arms is to know; '' where there is nothing."""
         if not self.amplifier.reads_back:
-            return f'no currents are measured: {WITHOUT_FEEDBACK}'
-        return f'no watchdog in the amplifier: {WITHOUT_WATCHDOG}' if self._unwatched else ''
+            warnings = [f'no currents are measured: {WITHOUT_FEEDBACK}']
+        elif self._unwatched:
+            warnings = [f'no watchdog in the amplifier: {WITHOUT_WATCHDOG}']
+        else:
+            return ''
+        return '; '.join(warnings if self._watched else [*warnings, UNWATCHABLE])
 
     # For other threads ----------------------------------------------------------------------
 
@@ -179,6 +189,11 @@ class CoilDriver:
             self._thread.join()
             self._thread = None
         return self._left
+
+    @property
+    def arming(self) -> bool:
+        """Whether the self-check goes on: no command flows yet."""
+        return self._arming is not None
 
     @property
     def epoch(self) -> int:
@@ -268,13 +283,16 @@ class CoilDriver:
         """Pass on the heartbeat of an operator (`Gate.attend`)."""
         self._request(lambda: self.gate.attend(self._clock.now()))
 
-    def command(self, currents_A: Sequence[float] | np.ndarray, tag: Any = None) -> bool:
+    def command(self, currents_A: Sequence[float] | np.ndarray, tag: Any = None, *,
+                neutral: bool = False) -> bool:
         """Leave `currents_A` (N,) [A] for the gate, in place of any that wait there.
 
-        Whether they may flow, as far as can be said now; `on_sent` tells what went out.
+        Return whether they may flow, as far as can be said now; `on_sent` tells what went out.
+        Zeros end the wait after arming; so do currents that only cancel the field of the room,
+        which the caller calls `neutral`.
         """
         now = self._clock.now()
-        if not np.any(currents_A):
+        if neutral or not np.any(currents_A):
             self._zero_given_s = now  # the next command may take its place in the mailbox
         return self._leave(_Order(tuple(currents_A), now, tag))
 
@@ -338,6 +356,8 @@ class CoilDriver:
         now = self._clock.now()
         if self.amplifier.fault:
             self.gate.trip(Reason.DEVICE, self.amplifier.fault)
+        if self._swinging and self._rotation.turns:
+            self._sample(now)  # the device is ahead of the last sample
         for reading in readings:
             self._judge(reading, now)
         was_armed = self.gate.armed
@@ -392,10 +412,13 @@ class CoilDriver:
         due = order is not None or self._swinging or (
             now - self._sent_s >= self.amplifier.sample_s)
         if self._rotation.turns and due:
-            sample = self._rotation.currents(now).tolist()
-            self.gate.command(sample, now, self._turned_s)
-            if not self.gate.armed:
-                self._rotation.stop()
+            self._sample(now)
+
+    def _sample(self, now: float) -> None:
+        """Judge the currents of what turns at `now`."""
+        self.gate.command(self._rotation.currents(now).tolist(), now, self._turned_s)
+        if not self.gate.armed:
+            self._rotation.stop()
 
     def _tell(self, reading: Reading, now: float) -> None:
         answers = reading.acknowledges is not None and reading.acknowledges.tag is not None
@@ -441,9 +464,7 @@ class CoilDriver:
 
     def _judge(self, reading: Reading, now: float) -> None:
         currents: list[float] = reading.currents_A.tolist()
-        if (self._zero_since_s is not None and reading.since_s >= self._zero_since_s
-                and self.amplifier.shows_zero(reading.currents_A)):
-            self._zero_seen_s = reading.t_monotonic_s
+        self._look_for_zero(reading)
         if self._check is not None:
             # Before the gate, which would trip at the same current and could not name the coil.
             self._check.measured(currents, now, reading.since_s)
@@ -452,6 +473,14 @@ class CoilDriver:
             elif self._check.wanted != self.gate.output:
                 self.gate.command(self._check.wanted, now)
         self.gate.measured(currents, now, reading.since_s)
+
+    def _look_for_zero(self, reading: Reading) -> None:
+        """Note whether a reading that was taken after the zero shows it; one that does not
+        revokes those before."""
+        if (self._zero_since_s is not None
+                and reading.since_s - self.amplifier.report_age_s >= self._zero_since_s):
+            seen = self.amplifier.shows_zero(reading.currents_A)
+            self._zero_seen_s = reading.t_monotonic_s if seen else -math.inf
 
     def _begin_arming(self, answer: Future[str | None], epoch: int) -> None:
         if epoch != self.epoch:
@@ -526,6 +555,8 @@ class CoilDriver:
         self.connected = True
 
     def _disconnect(self) -> None:
+        if not self.connected:
+            return
         self.connected = False
         self._left = self.amplifier.close()
         if self._last_resort is not None:
@@ -538,5 +569,5 @@ class CoilDriver:
     def _replace_last_resort(self) -> None:
         if self._last_resort is not None:
             self._last_resort.dismiss()
-        words = self.amplifier.last_words() if self._unwatched else []
+        words = self.amplifier.last_words() if self._watched else []
         self._last_resort = LastResort(words) if words else None

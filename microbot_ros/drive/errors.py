@@ -7,25 +7,33 @@ class AmplifierError(Exception):
     """Base of all: the coils are, or are to be taken as, without control."""
 
 
-class PortMissingError(AmplifierError):
+class UnreachableError(AmplifierError):
+    """The port `url` cannot be used: what is behind it is out of reach."""
+
+    def __init__(self, url: str, message: str) -> None:
+        super().__init__(message)
+        self.url = url
+
+
+class PortMissingError(UnreachableError):
     """There is no such port `url`, or it cannot be opened, for a `reason`."""
 
     def __init__(self, url: str, reason: str) -> None:
-        super().__init__(f'{url}: expected a serial port to open ({reason})')
+        super().__init__(url, f'{url}: expected a serial port to open ({reason})')
 
 
-class PortBusyError(AmplifierError):
+class PortBusyError(UnreachableError):
     """Another program, perhaps a second driver, holds the port `url`."""
 
     def __init__(self, url: str) -> None:
-        super().__init__(f'{url}: the port is in use by another program')
+        super().__init__(url, f'{url}: the port is in use by another program')
 
 
-class PortLostError(AmplifierError):
+class PortLostError(UnreachableError):
     """The port `url` stopped working: unplugged, switched off, taking no bytes; see `reason`."""
 
     def __init__(self, url: str, reason: str) -> None:
-        super().__init__(f'{url}: the port was lost ({reason})')
+        super().__init__(url, f'{url}: the port was lost ({reason})')
 
 
 class NoAnswerError(AmplifierError):
@@ -35,8 +43,8 @@ class NoAnswerError(AmplifierError):
         super().__init__(f'{url}: no answer; expected {expected}')
 
 
-class WrongDeviceError(AmplifierError):
-    """What answers at `url` is not the amplifier `expected`; what it said was `received`."""
+class WrongDeviceError(UnreachableError):
+    """At `url` is not the device `expected`, but what answered or was found: `received`."""
 
     def __init__(self, url: str, expected: str, received: str) -> None:
-        super().__init__(f'{url}: expected {expected}; received {received}')
+        super().__init__(url, f'{url}: expected {expected}; received {received}')

@@ -221,8 +221,8 @@ class Gate:
         takes. `since_s` is now, or earlier where a slow line was still busy with older outputs.
         Currents that agree with none of these, but all together with the outputs of one moment
         up to `feedback_timeout_s` before, are late: no fault of the coils, and no measurement of
-        the present. Any other trip. While disarmed they replace the fault that stands: current
-        that nobody commands outranks the reason why nobody does.
+        the present. Any other trip. Once the coils have had time to settle at zero they replace
+        the fault that stands: current that nobody commands outranks the reason why nobody does.
         """
         if not self._advance(now_s):
             return self.zero
@@ -235,17 +235,18 @@ class Gate:
         oldest_s = settled_s - self.limits.feedback_timeout_s
         while self._replaced and not self._replaced[0][0] > oldest_s:
             self._replaced.popleft()
-        if self._agrees(measured, [self.output, *self._outputs(settled_s, now_s)]):
+        recent = [self.output, *self._outputs(settled_s, now_s)]
+        if self._agrees(measured, recent):
             self._measured_s, self._behind_s = now_s, 0.0
         elif (seen_s := self._last_seen(measured, settled_s)) is not None:
             self._behind_s = now_s - seen_s
         else:
             self._measured_s = now_s
-            return self._deviates(measured)
+            return self._deviates(measured, at_rest=not any(map(any, recent)))
         return self.output
 
-    def _deviates(self, measured: Currents) -> Currents:
-        if not self.armed:
+    def _deviates(self, measured: Currents, at_rest: bool) -> Currents:
+        if at_rest and not self.armed:
             self.fault = Fault(Reason.UNCOMMANDED, f'{_amperes(measured)} measured while zero is '
                                'commanded')
             return self.zero

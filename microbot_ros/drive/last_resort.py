@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -41,7 +42,7 @@ class LastResort:
         return True
 
     def dismiss(self) -> None:
-        """Let it go; the lines are at zero, or are lost."""
+        """Let it end without a word: every line that it holds is confirmed to be at zero."""
         self._say(b'q')
         assert self._process.stdin is not None
         self._process.stdin.close()
@@ -52,9 +53,12 @@ class LastResort:
             self._process.wait()
 
     def abandon(self) -> None:
-        """End the feed without a word: no zero is confirmed, so the sentinel zeroes and ends."""
+        """Break off its feed, as no zero is confirmed: it zeroes all lines again and again for
+        0.2 s, and ends. Returns at once.
+        """
         assert self._process.stdin is not None
         self._process.stdin.close()
+        threading.Thread(target=self._process.wait, daemon=True).start()  # leaves no zombie
 
     def _say(self, word: bytes) -> bool:
         try:

@@ -3,23 +3,32 @@
 What is said to a device is written down as talks, generators of exchanges, and carried out a step
 at a time: however slow a line is, `poll` returns when it promised to, so that the dead-man of
 whoever calls it is never late, and a zero goes ahead of whatever is being said.
+
+A driver describes the talk with one device. Devices on lines of their own are talked to side by
+side, those that share a line one after the other, and what fails with one of them keeps no zero
+from the others.
 """
 
 from __future__ import annotations
 
 import math
-import threading
-import time
 from abc import abstractmethod
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
 
-from microbot_ros.drive.amplifier import COILS, Amplifier, Command, Counters
-from microbot_ros.drive.errors import NoAnswerError
-from microbot_ros.drive.transport import Port
+from microbot_ros.drive.amplifier import COILS, Amplifier, Command, Counters, Zero
+from microbot_ros.drive.clock import Clock
+from microbot_ros.drive.errors import (
+    AmplifierError,
+    NoAnswerError,
+    UnreachableError,
+    WrongDeviceError,
+)
+from microbot_ros.drive.transport import AbsentPort, Port
 from microbot_ros.errors import InputError
 
 _ATTEMPTS = 2
@@ -32,20 +41,25 @@ _STRAY_S = 0.03
 
 @dataclass(frozen=True)
 class Exchange:
-    """One request on each line, side by side, and what `parse` makes of each answer: None as long
-    as it is incomplete. `expected` names the answer for people. Where there is no `parse` there
-    is no answer, and the lines are left alone for `rest_s`.
+    """One `request` and what `parse` makes of the answer: None as long as it is incomplete.
+
+    `expected` names the answer for people. Where there is no `parse` there is no answer, and the
+    line is left alone for `rest_s` [s].
     """
 
-    requests: Sequence[bytes]
+    request: bytes
     parse: Callable[[bytes], Any | None] | None = None
     expected: str = ''
     rest_s: float = 0.0
 
 
 Result = TypeVar('Result')
-Talk = Generator[Exchange, list[Any], Result]
-"""Gives exchanges, is given the parsed answers of each, one a line, and returns what it found."""
+Talk = Generator[Exchange, Any, Result]
+"""Yields exchanges with one device, is sent the parsed answer of each, and returns its result."""
+Round = dict[int, Exchange]
+"""Line → the exchange on it, all side by side."""
+Rounds = Generator[Round | None, Any, Result]
+"""Yields rounds, is sent line → answer or AmplifierError for each, and returns its result."""
 
 
 class PolledAmplifier(Amplifier):
@@ -55,10 +69,13 @@ class PolledAmplifier(Amplifier):
     `channels`.
     """
 
-    channels_per_port = 0
-    """How many channels a serial line serves; 0 for all."""
+    channels_per_device = 1
+    share_a_line = False
+    """Whether all devices are on one serial line; else each has its own."""
     baud = 115_200
     xon_xoff = False
+    queues = False
+    """Whether the line is so slow that a zero would wait behind what was said before."""
     period_s = 0.02
     reply_s = 0.03
     """How long a device may take to answer: twice what a USB adapter holds bytes back at most."""
@@ -68,95 +85,213 @@ class PolledAmplifier(Amplifier):
     def __init__(self, url: str, full_scale_A: float | Sequence[float],
                  channels: int = len(COILS)) -> None:
         super().__init__(url, full_scale_A, channels)
-        per_port = self.channels_per_port or channels
-        self.ports = math.ceil(channels / per_port)
-        """How many serial lines it takes."""
-        self._urls = url.split(',')
-        if len(self._urls) != self.ports:
-            raise InputError(url, f'expected {self.ports} serial ports, separated by commas')
-        self._lines: list[Port] = []
-        self._woken = threading.Event()
+        self.devices = range(math.ceil(channels / self.channels_per_device))
+        ports = 1 if self.share_a_line else len(self.devices)
+        self.urls = tuple(url.split(','))
+        if len(self.urls) != ports:
+            raise InputError(url, f'expected {ports} serial ports, separated by commas')
         self._measured: list[tuple[float, float, np.ndarray]] = []
         self._forget()
 
     def _forget(self) -> None:
         self._order: Command | None = None  # the newest, until it goes out
         self._flowing = False
-        self._delivered_s = time.monotonic()
+        self._delivered_s = self.clock.now()
         self._due_s = 0.0
         self._inspection_s = self._delivered_s + _INSPECT_S
         self._begin_again()
 
-    def _begin_again(self, first: Exchange | None = None) -> None:
+        self._others: set[int] = set()  # devices that are not what is expected
+
+    def _begin_again(self, first: Round | None = None) -> None:
         self._agenda = self._say_all(first)
         self._asked: _Asked | None = None
-        self._answers: list[Any] | None = None
+        self._answers: dict[int, Any] | None = None
 
     @abstractmethod
-    def _identify(self) -> Talk[None]:
-        """Make sure of the device, arm its watchdog and enable its outputs at zero."""
+    def _identify(self, device: int) -> Talk[None]:
+        """Make sure of a device. Raises WrongDeviceError, after which nothing is sent to it."""
+
+    def _configure(self, device: int) -> Talk[None]:
+        """Zero the device and arm its watchdog, once all devices are identified."""
+        yield from ()
+
+    def _enable(self, device: int) -> Talk[None]:
+        """Enable the outputs of a device, once all devices are configured."""
+        yield from ()
 
     @abstractmethod
-    def _drive(self, currents_A: np.ndarray) -> Talk[None]:
-        """Set the currents."""
+    def _drive(self, device: int, currents_A: np.ndarray) -> Talk[None]:
+        """Set the currents [A] of a device, (`channels_per_device`,)."""
 
     @abstractmethod
-    def _measure(self) -> Talk[np.ndarray]:
-        """Ask for the currents."""
+    def _measure(self, device: int) -> Talk[Sequence[float]]:
+        """Ask a device for its currents [A], (`channels_per_device`,)."""
 
-    @abstractmethod
-    def _zeros(self) -> list[bytes]:
-        """For each line what zeroes its coils in one go, whatever was said before."""
-
-    def _inspect(self) -> Talk[str]:
-        """What the device says is wrong with it; '' where nothing is, or where it cannot tell."""
+    def _inspect(self, device: int) -> Talk[str]:
+        """What a device says is wrong with it; '' where nothing is, or where it cannot tell."""
         yield from ()
         return ''
 
-    def _switch_off(self) -> Talk[None]:
-        """Switch the outputs off, where the device can."""
+    def _switch_off(self, device: int) -> Talk[None]:
+        """Switch the outputs of a device off, where it can."""
         yield from ()
 
-    def wake(self) -> None:
-        self._woken.set()
-        for port in self._lines.copy():
-            port.wake()
+    def _duties(self, device: int, currents_A: np.ndarray) -> list[float]:
+        """The currents [A] of a device as parts of full scale, (`channels_per_device`,)."""
+        scale = self._part(device, self.full_scale_A)
+        # A spare channel has no full scale.
+        return np.divide(currents_A, scale, out=np.zeros(scale.shape), where=scale > 0).tolist()
 
-    def last_words(self) -> list[tuple[int, bytes]]:
-        self._require_lines()
-        return [(port.descriptor, zero) for port, zero
-                in zip(self._lines, self._zeros(), strict=True) if port.descriptor is not None]
+    def _part(self, device: int, values: np.ndarray) -> np.ndarray:
+        """What of `values` (N,) belongs to a device, with 0 for a spare channel."""
+        begin = device * self.channels_per_device
+        part = np.zeros(self.channels_per_device)
+        own = values[begin:begin + self.channels_per_device]
+        part[:len(own)] = own
+        return part
+
+    def _line(self, device: int) -> int:
+        return 0 if self.share_a_line else device
+
+    # Opening and ending, device by device -----------------------------------------------------
 
     def _open(self) -> None:
         self._forget()
-        for url in self._urls:
-            self._lines.append(Port(url, self.baud, xon_xoff=self.xon_xoff))
-        self._finish(self._identify())
-        self.fault = self._finish(self._inspect())
+        for line, url in enumerate(self.urls):
+            try:
+                port = self._open_port(url, self.baud, xon_xoff=self.xon_xoff)
+            except UnreachableError as error:
+                port = AbsentPort(error)
+            self._lines.append(port)
+            if self._known:
+                self._zero_lines([line])  # the first device on it has its number
+        if self._known:
+            self._require_ports()
+        found = self._with_each(self._identify)
+        self._others = {device for device, result in found.items()
+                        if isinstance(result, WrongDeviceError)}
+        self._require(found)
+        self._require(self._with_each(self._configure))
+        self._require(self._with_each(self._enable))
+        found = self._require(self._with_each(self._inspect))
+        self.fault = _joined(found)
+
+    def _require_ports(self) -> None:
+        """Raise at once for a port that is away: the next attempt shall not be late for it."""
+        for port in self._lines:
+            if isinstance(port, AbsentPort):
+                raise port.error
+
+    def _require(self, found: dict[int, Any]) -> dict[int, Any]:
+        """The results of talks; raises the first error among them, with all ports noted."""
+        errors = [result for result in found.values() if isinstance(result, AmplifierError)]
+        self._lose_all(errors)
+        for error in errors:
+            raise error
+        return found
+
+    def _abort(self, error: BaseException) -> None:
+        reached = [device for device in self.devices if device not in self._others]
+        # The next attempt to reconnect confirms or repeats the zero; after the first there is none.
+        if self._lines:
+            self._make_safe(reached, 0.0 if self._known else self.read_back_s)
+
+    def _end(self) -> Zero:
+        self.counters.frames_sent += 1
+        return self._make_safe(self.devices, self.read_back_s)
+
+    def _make_safe(self, devices: Sequence[int], patience_s: float) -> Zero:
+        """Zero these devices, read back for `patience_s` [s] and disable them; return the worst
+        that holds of one.
+        """
+        self._order = None
+        self._zero_lines(devices)
+        self._carry_out(self._let_strays_in())
+        until_s = self.clock.now() + patience_s
+        waiting = set(devices)
+        while waiting and (began_s := self.clock.now()) < until_s:
+            # What is damaged or lost is said again in the next pass, the zero with it.
+            sent = self._with_each(partial(self._zero, until_s=until_s), waiting, attempts=1)
+            found = self._with_each(partial(self._is_at_zero, until_s=until_s), waiting,
+                                    attempts=1)
+            self._lose_all((*sent.values(), *found.values()))
+            waiting -= {device for device in found
+                        if found[device] is True or self._out_of_reach(device)}
+            self.clock.sleep(began_s + self.period_s - self.clock.now() if waiting else 0.0)
+        self._lose_all(self._with_each(self._switch_off, devices).values())
+        if self.unreachable:
+            return Zero.UNREACHABLE
+        return Zero.SENT if waiting else Zero.CONFIRMED
+
+    def _zero(self, device: int, until_s: float) -> Talk[None]:
+        if self.clock.now() < until_s:
+            yield from self._drive(device, np.zeros(self.channels_per_device))
+
+    def _is_at_zero(self, device: int, until_s: float) -> Talk[bool]:
+        if self.clock.now() >= until_s:
+            return False
+        measured = np.asarray((yield from self._measure(device)))
+        tolerance_A = self._part(device, self._tolerance_A)
+        return bool(np.all((np.abs(measured) <= tolerance_A) | (tolerance_A == 0.0)))
+
+    def _out_of_reach(self, device: int) -> bool:
+        return self.urls[self._line(device)] in self.unreachable
+
+    def _lose_all(self, results: Iterable[Any]) -> None:
+        for result in results:
+            if isinstance(result, UnreachableError):
+                self._lose(result)
+
+    # Driving ------------------------------------------------------------------------------------
 
     def _send(self, command: Command) -> None:
         self._require_lines()
         flows = bool(np.any(command.currents_A))
-        if self._flowing and not flows:
-            self._zero_at_once()
+        ahead = self._flowing and not flows
         self._flowing, self._order = flows, command
         self.counters.frames_sent += 1
+        if ahead and (error := self._zero_lines(self.devices)) is not None:
+            raise error
 
-    def _zero_at_once(self) -> None:
-        """Ahead of all that is being said, whose answers are let pass; in its turn it is said
-        again, and made sure of."""
-        time.sleep(self.gap_s)
-        for port, zero in zip(self._lines, self._zeros(), strict=True):
-            port.send(zero)
-        self._begin_again(Exchange((), rest_s=_STRAY_S))
+    def _zero_lines(self, devices: Iterable[int]) -> AmplifierError | None:
+        """Zero the lines of these devices ahead of all that is being said, whose answers are let
+        pass; in its turn a zero is said again, and made sure of. Return the first error, once a
+        zero was sent on every other line.
+        """
+        self._flowing = False
+        self.clock.sleep(self.gap_s)
+        errors, zeros = [], self._zeros()
+        for line in sorted({self._line(device) for device in devices}):
+            port, zero = self._lines[line], zeros[line]
+            try:
+                if self.queues:
+                    port.discard_output()
+                port.send(zero)
+            except UnreachableError as error:
+                errors.append(error)
+        self._lose_all(errors)
+        self._begin_again(self._strays())
+        return errors[0] if errors else None
+
+    def _strays(self) -> Round:
+        return {line: Exchange(b'', rest_s=_STRAY_S) for line in range(len(self._lines))}
+
+    def _let_strays_in(self) -> Rounds[None]:
+        yield self._strays()
 
     def _receive(self, timeout_s: float) -> list[tuple[float, float, np.ndarray]]:
         self._require_lines()
-        until_s = time.monotonic() + timeout_s
-        while not (self._measured or self._woken.is_set()):
-            self._go_on(until_s)
-            if time.monotonic() >= until_s:
-                break
+        until_s = self.clock.now() + timeout_s
+        try:
+            while not (self._measured or self._woken.is_set()):
+                self._go_on(until_s)
+                if self.clock.now() >= until_s:
+                    break
+        except AmplifierError:
+            self._order = None
+            self._zero_lines(self.devices)
+            raise
         self._woken.clear()
         measured = self._measured.copy()
         self._measured.clear()
@@ -166,119 +301,182 @@ class PolledAmplifier(Amplifier):
     def _go_on(self, until_s: float) -> None:
         """Say what is next, or hear what comes, until then at the latest."""
         if self._asked is None:
-            exchange, self._answers = self._agenda.send(self._answers), None
-            if exchange is None:
+            exchanges, self._answers = self._agenda.send(self._answers), None
+            if exchanges is None:
                 if not self._measured:
-                    self._woken.wait(max(min(self._due_s, until_s) - time.monotonic(), 0.0))
+                    self.clock.wait(self._woken, min(self._due_s, until_s) - self.clock.now())
                 return
-            self._asked = self._ask(exchange)
+            self._asked = self._ask(exchanges)
         self._answers = self._asked.answers(until_s)
+        self._require(self._asked.heard)
         if self._answers is not None:
             self._asked = None
 
-    def _say_all(self, first: Exchange | None) -> Generator[Exchange | None, Any, None]:
+    def _say_all(self, first: Round | None) -> Rounds[None]:
         """After what comes first, for ever in turn: the newest currents, the question for the
-        measured ones, one exchange of the inspection; None where there is nothing to say now."""
+        measured ones, one round of the inspection; None where there is nothing to say now."""
         yield first
         inspection = self._inspect_again()
-        inspected: list[Any] | None = None
+        inspected: dict[int, Any] | None = None
         while True:
             if (command := self._order) is not None:
                 self._order = None
-                yield from self._drive(command.currents_A)
+                yield from self._talk_to(
+                    self.devices, partial(self._drive_part, command.currents_A))
                 self._delivered_s = command.t_monotonic_s
-            elif time.monotonic() < self._due_s:
+            elif self.clock.now() < self._due_s:
                 yield None
                 continue
-            self._due_s, since_s = time.monotonic() + self.period_s, self._delivered_s
-            currents = yield from self._measure()
-            self._measured.append((time.monotonic(), since_s, currents))
+            self._due_s, since_s = self.clock.now() + self.period_s, self._delivered_s
+            found = yield from self._talk_to(self.devices, self._measure)
+            currents = np.ravel(list(found.values()))[:self.channels]
+            self._measured.append((self.clock.now(), since_s, currents))
             if (question := inspection.send(inspected)) is not None:
                 inspected = yield question
 
-    def _inspect_again(self) -> Generator[Exchange | None, Any, None]:
+    def _drive_part(self, currents_A: np.ndarray, device: int) -> Talk[None]:
+        return self._drive(device, self._part(device, currents_A))
+
+    def _inspect_again(self) -> Rounds[None]:
         while True:
-            if time.monotonic() < self._inspection_s:
+            if self.clock.now() < self._inspection_s:
                 yield None
             else:
-                self.fault = yield from self._inspect()
-                self._inspection_s = time.monotonic() + _INSPECT_S
+                found = yield from self._talk_to(self.devices, self._inspect)
+                self.fault = _joined(found)
+                self._inspection_s = self.clock.now() + _INSPECT_S
 
-    def _finish(self, talk: Talk[Result]) -> Result:
-        """Have one talk, and wait for its end."""
-        answers: Any = None
+    # Carrying out talks -------------------------------------------------------------------------
+
+    def _talk_to(self, devices: Iterable[int], talk: Callable[[int], Talk[Result]],
+                 ) -> Rounds[dict[int, Result | AmplifierError]]:
+        """Have a talk with each of these devices, side by side where their lines are."""
+        if not self.share_a_line:
+            return (yield from _side_by_side({device: talk(device) for device in devices}))
+        found: dict[int, Result | AmplifierError] = {}
+        for device in devices:
+            result = yield from _side_by_side({0: talk(device)})
+            found[device] = result[0]
+        return found
+
+    def _with_each(self, talk: Callable[[int], Talk[Result]], devices: Iterable[int] | None = None,
+                   attempts: int = _ATTEMPTS) -> dict[int, Result | AmplifierError]:
+        """Device → the result of a talk with it, or its error, once all have ended."""
+        return self._carry_out(
+            self._talk_to(self.devices if devices is None else sorted(devices), talk), attempts)
+
+    def _carry_out(self, rounds: Rounds[Result], attempts: int = _ATTEMPTS) -> Result:
+        answers: dict[int, Any] | None = None
         try:
             while True:
-                asked = self._ask(talk.send(answers))
+                asked = self._ask(rounds.send(answers) or {}, attempts)
                 while (answers := asked.answers(math.inf)) is None:
                     pass
         except StopIteration as end:
             result: Result = end.value
             return result
 
-    def _ask(self, exchange: Exchange) -> _Asked:
-        patience_s = self.reply_s if exchange.parse else exchange.rest_s
-        return _Asked(exchange, self._lines, patience_s, self.counters)
+    def _ask(self, exchanges: Round, attempts: int = _ATTEMPTS) -> _Asked:
+        return _Asked(exchanges, self._lines, self.reply_s, attempts, self.counters, self.clock)
 
-    def _disable(self) -> None:
-        if self._lines:
-            self._finish(self._switch_off())
 
-    def _release(self) -> None:
-        while self._lines:
-            self._lines.pop().close()
+def _side_by_side(talks: dict[int, Talk[Result]]) -> Rounds[dict[int, Result | AmplifierError]]:
+    """Have talks on several lines at once, a round at a time; line → result or error."""
+    found: dict[int, Result | AmplifierError] = {}
+    going_on, answers = dict(talks), dict.fromkeys(talks)
+    while going_on:
+        exchanges: Round = {}
+        for line, talk in list(going_on.items()):
+            try:
+                exchanges[line] = _next(talk, answers[line])
+            except StopIteration as end:
+                found[line] = end.value
+                del going_on[line]
+            except AmplifierError as error:
+                found[line] = error
+                del going_on[line]
+        if exchanges:
+            answers = yield exchanges
+    return {line: found[line] for line in talks}
 
-    def _require_lines(self) -> None:
-        if not self._lines:
-            raise NoAnswerError(self.url, 'a connection')
+
+def _joined(found: dict[int, Any]) -> str:
+    return '; '.join(filter(None, found.values()))
+
+
+def _next(talk: Talk[Any], answer: Any) -> Exchange:
+    return talk.throw(answer) if isinstance(answer, AmplifierError) else talk.send(answer)
 
 
 class _Asked:
-    """An exchange under way: sent now, and once more on each line whose answer stays away."""
+    """Exchanges under way, one a line: sent now, and again where the answer stays away."""
 
-    def __init__(self, exchange: Exchange, lines: Sequence[Port], patience_s: float,
-                 counters: Counters) -> None:
-        self._exchange, self._lines = exchange, lines
-        self._patience_s, self._counters = patience_s, counters
-        self._attempts = 0
-        self._parsed: dict[int, Any] = {}
-        self._send()
+    def __init__(self, exchanges: Round, lines: Sequence[Port], reply_s: float, attempts: int,
+                 counters: Counters, clock: Clock) -> None:
+        self._exchanges, self._lines, self._counters = exchanges, lines, counters
+        self._reply_s, self._attempts, self._clock = reply_s, attempts, clock
+        self._left = dict.fromkeys(exchanges, attempts)
+        self._deadline_s = dict.fromkeys(exchanges, 0.0)
+        self._received = dict.fromkeys(exchanges, b'')
+        self.heard: dict[int, Any] = {}
+        """Line → answer or error, of those that have one already."""
+        for line in exchanges:
+            self._send(line)
 
-    def answers(self, until_s: float) -> list[Any] | None:
-        """The answers, one a line; None if they are not complete by then, or when woken.
-
-        Raises NoAnswerError where nothing usable comes back from repeated attempts.
+    def answers(self, until_s: float) -> dict[int, Any] | None:
+        """Line → answer, or the AmplifierError of a line that is lost or has none after repeated
+        attempts; None if they are not complete by then, or when woken.
         """
-        if self._exchange.parse is None:
-            time.sleep(max(min(self._deadline_s, until_s) - time.monotonic(), 0.0))
-            return [] if time.monotonic() >= self._deadline_s else None
         while (line := self._open_line()) is not None:
-            data = self._lines[line].receive(min(self._deadline_s, until_s) - time.monotonic())
-            self._received[line] += data
-            answer = self._exchange.parse(self._received[line]) if data else None
-            if answer is not None:
-                self._parsed[line] = answer
-            elif time.monotonic() >= self._deadline_s:
-                self._try_again(line)
-            elif not data:
-                return None
-        return [self._parsed[line] for line in range(len(self._lines))]
+            try:
+                if not self._hear(line, until_s):
+                    return None
+            except UnreachableError as error:
+                self.heard[line] = error
+        return {line: self.heard[line] for line in self._exchanges}
 
     def _open_line(self) -> int | None:
-        return next((line for line in range(len(self._lines)) if line not in self._parsed), None)
+        return next((line for line in self._exchanges if line not in self.heard), None)
 
-    def _send(self) -> None:
-        self._attempts += 1
-        self._deadline_s = time.monotonic() + self._patience_s
-        self._received = [b''] * len(self._lines)
-        for line, request in enumerate(self._exchange.requests):
-            if line not in self._parsed:
-                self._lines[line].discard_input()
-                self._lines[line].send(request)
+    def _hear(self, line: int, until_s: float) -> bool:
+        """Take what a line has to say; False for nothing yet."""
+        exchange, deadline_s = self._exchanges[line], self._deadline_s[line]
+        left_s = min(deadline_s, until_s) - self._clock.now()
+        if exchange.parse is None:
+            self._clock.sleep(left_s)
+            if self._clock.now() >= deadline_s:
+                self.heard[line] = None
+            return line in self.heard
+        data = self._lines[line].receive(left_s)
+        self._received[line] += data
+        answer = exchange.parse(self._received[line]) if data else None
+        if answer is not None:
+            self.heard[line] = answer
+        elif self._clock.now() >= deadline_s:
+            self._try_again(line)
+        else:
+            return bool(data)
+        return True
 
-    def _try_again(self, missing: int) -> None:
-        self._counters.crc_errors += sum(map(bool, self._received))
-        self._counters.discarded_bytes += sum(map(len, self._received))
-        if self._attempts == _ATTEMPTS:
-            raise NoAnswerError(self._lines[missing].url, self._exchange.expected)
-        self._send()
+    def _send(self, line: int) -> None:
+        exchange = self._exchanges[line]
+        self._left[line] -= 1
+        patience_s = self._reply_s if exchange.parse else exchange.rest_s
+        self._deadline_s[line] = self._clock.now() + patience_s
+        self._received[line] = b''
+        if not exchange.request:
+            return
+        try:
+            self._lines[line].discard_input()
+            self._lines[line].send(exchange.request)
+        except UnreachableError as error:
+            self.heard[line] = error
+
+    def _try_again(self, line: int) -> None:
+        self._counters.crc_errors += bool(self._received[line])
+        self._counters.discarded_bytes += len(self._received[line])
+        if self._left[line]:
+            self._send(line)
+        else:
+            self.heard[line] = NoAnswerError(
+                self._lines[line].url, self._exchanges[line].expected)

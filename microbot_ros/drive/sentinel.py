@@ -16,6 +16,8 @@ import signal
 import sys
 import time
 
+ASIDE = 'microbot_sentinels'
+"""The control group that all sentinels of a slice share; it stays, empty, when they have ended."""
 AGAIN_S = 0.02
 """Said again this often: what was under way on the line may damage the first."""
 REPEATS = 10
@@ -49,10 +51,32 @@ def say(words: list[tuple[int, bytes]]) -> None:
             os.write(descriptor, word)
 
 
+def step_aside(groups: str = '/sys/fs/cgroup', own: str = '/proc/self/cgroup') -> bool:
+    """Move this process into a control group beside the host's; return whether that was allowed.
+
+    What kills the host's whole group, as a service manager or the kernel out of memory does, then
+    leaves this process alone. A user may move processes below a systemd user session, and root
+    anywhere; elsewhere the process stays where it is. `groups` is where cgroup v2 is mounted,
+    `own` the file that names the group of this process.
+    """
+    with contextlib.suppress(OSError, StopIteration):
+        with open(own, encoding='utf-8') as file:
+            group = next(line[3:].strip() for line in file if line.startswith('0::'))
+        if group == '/':
+            return False
+        aside = os.path.join(groups + os.path.dirname(group), ASIDE)
+        os.makedirs(aside, exist_ok=True)
+        with open(os.path.join(aside, 'cgroup.procs'), 'w', encoding='utf-8') as file:
+            file.write(str(os.getpid()))
+        return True
+    return False
+
+
 def main() -> None:
-    """Outlive what ends the host: a closed terminal, Ctrl-C."""
-    for number in (signal.SIGINT, signal.SIGHUP):
+    """Outlive what ends the host: a closed terminal, Ctrl-C, a service that is stopped."""
+    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
+    step_aside()
     words = [(int(descriptor), bytes.fromhex(word)) for descriptor, word
              in (argument.split('=') for argument in sys.argv[2:])]
     watch(float(sys.argv[1]), words, sys.stdin.fileno())

@@ -11,13 +11,27 @@ from contextlib import contextmanager, suppress
 
 import serial
 
-from microbot_ros.drive.errors import PortBusyError, PortLostError, PortMissingError
+from microbot_ros.drive.errors import (
+    PortBusyError,
+    PortLostError,
+    PortMissingError,
+    UnreachableError,
+)
 from microbot_ros.drive.low_latency import request_low_latency
 
 _SLICE_S = 0.005
 """Longest uninterrupted wait in the kernel: how long `close` from another thread can take."""
 _WRITE_TIMEOUT_S = 0.1
 _MOST_AT_ONCE = 4096
+_WITH_DESCRIPTOR = frozenset({'socket', 'hwgrep', 'spy', 'alt'})
+"""Kinds of pyserial URLs whose ports are of the system's: `rfc2217`, `loop` and `cp2110` are
+not."""
+
+
+def has_descriptor(url: str) -> bool:
+    """Return whether the port `url` has a file descriptor once it is open, judged by its name."""
+    kind, separator, _ = url.partition('://')
+    return not separator or kind in _WITH_DESCRIPTOR
 
 
 class Port:
@@ -101,7 +115,8 @@ class Port:
 
     def close(self) -> None:
         """Give the port back; harmless when it is gone already."""
-        with suppress(OSError, termios.error):
+        # Whatever a kind of port fails with must not keep its neighbours from being closed.
+        with suppress(Exception):
             self._serial.close()
 
     @contextmanager
@@ -112,3 +127,32 @@ class Port:
             yield
         except (OSError, TypeError, termios.error) as error:
             raise PortLostError(self.url, str(error)) from None
+
+
+class AbsentPort(Port):
+    """Stand-in for a port that could not be opened: using it raises the `error` again."""
+
+    descriptor = None
+    low_latency = False
+
+    def __init__(self, error: UnreachableError) -> None:
+        self.url = error.url
+        self.error = error
+
+    def send(self, data: bytes) -> None:
+        raise self.error
+
+    def receive(self, timeout_s: float = 0.0) -> bytes:
+        raise self.error
+
+    def wake(self) -> None:
+        """Nothing waits."""
+
+    def discard_output(self) -> None:
+        raise self.error
+
+    def discard_input(self) -> None:
+        raise self.error
+
+    def close(self) -> None:
+        """Nothing is open."""

@@ -26,6 +26,8 @@ from microbot_ros.settings import setting
 
 _WARM = 0.01
 """Heat of a coil, as a part of what it bears, from which on it is kept for a restart."""
+_REMIND_SECONDS = 0.2
+"""Pause between two messages that the gate is armed, while it waits for a zero."""
 _COMMANDER_SECONDS = 2.0
 """How long arming waits for whoever commands to be seen: both may just have been started."""
 
@@ -118,8 +120,8 @@ class CoilDriverNode(RigNode):
         self._latencies = self.publisher(TimeReference, '~/latency')
         self._armed, self._told_armed = self.publisher(Bool, '~/armed', LATCHED), False
         self._armed.publish(Bool(data=False))
+        self._told_armed_s = 0.0
         self._told_zero: Zero | None = None
-        self._logged = ''
         self.subscribe(Vector3Stamped, 'field/command', self._on_command, NEWEST,
                        on_matched=self._on_commanders)
         self.subscribe(Vector3Stamped, 'field/rotation', self._on_rotation, NEWEST,
@@ -166,11 +168,7 @@ class CoilDriverNode(RigNode):
             'commands_refused': self._refused, 'hottest_coil_percent': 100 * max(gate.heat),
             'self_check': self._self_check(), 'watchdog': self._watchdog(),
             'real_time': self._driver.real_time}
-        level, sentence = self._condition_of_coils()
-        if sentence != self._logged:  # here, not in the driver's thread, which a log may hold up
-            self._logged = sentence
-            self.get_logger().info(sentence)
-        return level, sentence, values
+        return (*self._condition_of_coils(), values)
 
     def _condition_of_coils(self) -> tuple[bytes, str]:
         gate, zero = self._driver.gate, self._zero_sentence()
@@ -183,6 +181,8 @@ class CoilDriverNode(RigNode):
         if not gate.armed:
             seen = self._driver.zero is Zero.CONFIRMED or not self._driver.amplifier.reads_back
             return WARN if seen else ERROR, f'disarmed; {zero}'
+        if self._driver.arming:
+            return WARN, 'arming: each coil is checked with a pulse'
         if gate.holding:
             return WARN, ('armed, waiting for a command of zero: centre the stick, or end what '
                           'drives and send the goal again')
@@ -242,9 +242,10 @@ class CoilDriverNode(RigNode):
 
     def _drive(self, field: np.ndarray, stamp: Any) -> np.ndarray:
         """Leave a field for the driver, turning where it is to; the currents that begin it."""
-        if not self._rotation.any():
+        nothing = not field.any()
+        if nothing or not self._rotation.any():
             wanted = self.stage.step(field)
-            self._driver.command(wanted, stamp)
+            self._driver.command(wanted, stamp, neutral=nothing)
             return wanted
         turning = self.stage.turn(field, self._rotation)
         self._driver.turn(turning, stamp)
@@ -279,10 +280,16 @@ class CoilDriverNode(RigNode):
             self._latencies.publish(message)
 
     def _tell_changes(self) -> None:
-        """Publish at once whether the gate is armed, and what is known of a zero."""
+        """Publish at once whether the gate is armed, and what is known of a zero.
+
+        Again and again while the driver waits for a zero after arming: the controller commands
+        one when it is told, and a node that is held up takes the newest command alone.
+        """
         armed, zero = self._driver.gate.armed, self._driver.zero
-        if armed != self._told_armed:
-            self._told_armed = armed
+        again = (armed and self._driver.gate.holding
+                 and time.monotonic() - self._told_armed_s >= _REMIND_SECONDS)
+        if armed != self._told_armed or again:
+            self._told_armed, self._told_armed_s = armed, time.monotonic()
             self._armed.publish(Bool(data=armed))
             self._report()
         if not armed and zero is not self._told_zero:
@@ -311,7 +318,7 @@ class CoilDriverNode(RigNode):
         if not self._driver.gate.armed or not found:
             return
         if strangers := self._strangers(found):
-            self._driver.disarm((Reason.COMMANDER, f'{strangers} publishes field/rotation'))
+            self._driver.request_zero((Reason.COMMANDER, f'{strangers} publishes field/rotation'))
         if found.keys() == {self._commander}:
             return
         names = ' and '.join(sorted(found.values()))
@@ -319,7 +326,7 @@ class CoilDriverNode(RigNode):
             detail = f'{len(found)} publish field/command: {names}'
         else:
             detail = f'{names} is new, or back, and needs a new arm'
-        self._driver.disarm((Reason.COMMANDER, detail))
+        self._driver.request_zero((Reason.COMMANDER, detail))
 
     def _choose_commander(self, epoch: int) -> str:
         """Remember the one who commands; or, where there is not exactly one, say so.

@@ -53,7 +53,8 @@ class RigNode(LifecycleNode):
     An exception in a transition or callback is logged with its traceback and shown on
     `/diagnostics`, and `make_safe` runs at once; a bad message is reported and dropped.
     Subscriptions and timers act only while the node is active. A transition (`on_…`) is given the
-    `state` that it leaves. Nodes that share a `rig` speak to each other through it.
+    `state` that it leaves. Nodes that share a `rig` speak to each other through it. `arguments` are
+    the node's own, `--ros-args` and what follows, beside those of its process.
     """
 
     Parameters: ClassVar[type]
@@ -63,8 +64,9 @@ class RigNode(LifecycleNode):
     unrepeatable = ''
     """Why the same inputs need not have the same answers; '' where they do."""
 
-    def __init__(self, name: str, rig: Rig | None = None) -> None:
-        super().__init__(name)
+    def __init__(self, name: str, rig: Rig | None = None,
+                 arguments: Sequence[str] | None = None) -> None:
+        super().__init__(name, cli_args=arguments)
         self.active = False
         self.starting = False
         """Whether its process starts it, and says why where that fails."""

@@ -18,7 +18,7 @@ from microbot_ros.errors import InputError
 from microbot_ros.session.spreadsheets.sheets import Answers
 
 # On a machine that is lent to others new workers take their time.
-pytestmark = pytest.mark.timeout(400)
+pytestmark = [pytest.mark.rig, pytest.mark.timeout(400)]
 
 SETTINGS = {'exposure_s': 0.0, 'answers': vars(Answers())}
 

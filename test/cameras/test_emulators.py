@@ -13,6 +13,8 @@ from microbot_ros.cameras.stream import FrameStream
 from microbot_ros.cameras.testkit import exercise
 from microbot_ros.errors import InputError
 
+pytestmark = pytest.mark.rig
+
 pylon = pytest.param('pylon', '0815-0000', marks=pytest.mark.skipif(
     importlib.util.find_spec('pypylon') is None, reason='pypylon is not installed'))
 micromanager = pytest.param('micromanager', 'demo', marks=pytest.mark.skipif(

@@ -8,6 +8,8 @@ import sys
 
 import pytest
 
+pytestmark = pytest.mark.rig
+
 COMMAND = [sys.executable, '-m', 'microbot_ros.cli', 'emulate', 'serial_transfer']
 
 

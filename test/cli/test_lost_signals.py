@@ -5,6 +5,8 @@ import sys
 
 import pytest
 
+pytestmark = pytest.mark.rig
+
 # The command collects an object, has a library call it back, or asks one that clears whatever
 # goes wrong, and in there the signal comes.
 _COMMAND = """

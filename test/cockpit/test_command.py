@@ -18,7 +18,7 @@ from websockets.sync.client import connect
 
 from microbot_ros.cockpit.address import WORDS
 
-pytestmark = [pytest.mark.graph, pytest.mark.timeout(180)]
+pytestmark = [pytest.mark.rig, pytest.mark.timeout(180)]
 
 
 @pytest.fixture

@@ -18,6 +18,8 @@ import pytest
 from microbot_ros.cockpit.discovery import Discovery, summary
 from microbot_ros.cockpit.rig import RefusedError
 
+pytestmark = pytest.mark.rig
+
 RESULT = {
     'verdict': 'named', 'decided': 'settled', 'minutes': 6.1,
     'effects': [{'id': 'alignment_lag'}, {'id': 'uniform_drift'}],

@@ -19,6 +19,8 @@ from microbot_ros.cockpit.security import Gatekeeper, is_loopback
 from microbot_ros.cockpit.server import Server
 from microbot_ros.errors import InputError
 
+pytestmark = pytest.mark.rig
+
 
 def get(port: int, path: str = '/', method: str = 'GET', **headers: str) -> Any:
     """The answer to a request, its content read."""

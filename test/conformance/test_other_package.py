@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 from installed import install
 
+pytestmark = pytest.mark.rig
+
 DOCS = Path(__file__).parents[2] / 'docs'
 EXAMPLE = DOCS / 'examples/my_effects'
 SCENARIO = """

@@ -66,6 +66,7 @@ def test_evidence_of_what_is_in_no_list_is_nothing_where_it_does_nothing():
 
 
 # The last holds a single particle in place, which is not the same as stuck.
+@pytest.mark.soak
 @pytest.mark.parametrize(
     ('seed', 'commands'), [(4, 'paper'), (5, 'fast'), (6, 'closed_loop'), (14, 'closed_loop')])
 def test_nothing_is_named_where_nothing_is_missing(seed, commands):
@@ -74,6 +75,7 @@ def test_nothing_is_named_where_nothing_is_missing(seed, commands):
     assert judged.verdict == 'consistent', judged.unexplained
 
 
+@pytest.mark.soak
 @pytest.mark.parametrize(('effect', 'commands'), [
     ('uniform_drift', 'paper'), ('command_delay', 'fast'), ('speed_decay', 'closed_loop'),
     ('incomplete_alignment', 'fast'),
@@ -86,6 +88,7 @@ def test_what_is_hidden_is_named(effect, commands):
     assert after**2 + floor**2 < 1.1**2 * (truth**2 + floor**2)
 
 
+@pytest.mark.soak
 @pytest.mark.parametrize('case', [
     Case('unlisted', 2, 'closed_loop', ('pulsing_speed',), 100.0),
     # A hot spot leaves no map of these repelling spheres, yet neighbours explain far more; a swing

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from bench._served import FULL_SCALE_A, LIMITS, Served
-from microbot_ros.drive.amplifier import amplifier_class
+from microbot_ros.drive.amplifier import Amplifier, amplifier_class
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.gate import Limits
 from microbot_ros.drive.polled import PolledAmplifier
@@ -87,7 +87,7 @@ def patient(monkeypatch):
     """A machine that is busy with other tests may pause for longer than a line may, and an answer
     that it brings late spoils the next, which is waited for in vain, then asked for again."""
     monkeypatch.setattr('microbot_ros.drive.transport._WRITE_TIMEOUT_S', 5.0)
-    monkeypatch.setattr('microbot_ros.drive.amplifier.READ_BACK_S', 2.0)
+    monkeypatch.setattr(Amplifier, 'read_back_s', 2.0)
 
 
 class Script:
@@ -132,7 +132,7 @@ def scripted(monkeypatch):
 
     def install(exchanges: list[tuple[str, bytes, bytes]]) -> Script:
         scripts.append(Script(list(exchanges)))
-        monkeypatch.setattr('microbot_ros.drive.polled.Port', scripts[-1].port)
+        monkeypatch.setattr(PolledAmplifier, 'open_port', scripts[-1].port)
         # What is due again is no part of a script, though a busy machine takes long over it.
         monkeypatch.setattr('microbot_ros.drive.polled._INSPECT_S', 60.0)
         for kind in (PolledAmplifier, ScpiAmplifier):

@@ -1,17 +1,21 @@
-"""Conventions over all registered amplifiers, each against its emulator on real terminals."""
+"""Every amplifier at the emulated device, on virtual time with its lines in memory."""
 
 import math
-import os
-import signal
-import threading
 from importlib.metadata import entry_points
 
 import numpy as np
 import pytest
 
 from bench._served import MEASURED
-from microbot_ros.drive import transport
-from microbot_ros.drive.amplifier import amplifier_class
+from microbot_ros.drive.amplifier import (
+    READ_BACK_S,
+    Amplifier,
+    Command,
+    Watchdog,
+    Zero,
+    amplifier_class,
+)
+from microbot_ros.drive.emulator.virtual import VirtualAmplifier
 from microbot_ros.drive.errors import (
     AmplifierError,
     NoAnswerError,
@@ -20,104 +24,161 @@ from microbot_ros.drive.errors import (
 )
 from microbot_ros.errors import InputError
 
-PROTOCOLS = sorted(
-    entry.name for entry in entry_points(group='microbot_ros.amplifiers')
-    if amplifier_class(entry.name).reads_back)
-WITH_WATCHDOG = {'serial_transfer', 'roboclaw', 'roboteq'}
 FULL_SCALE_A = 2.0
-DRIVING = [1.0, -0.5, 2.0, 0.2]
-ZERO = [0.0] * 4
+ZERO = (0.0,) * 4
+DRIVING = (1.0, -1.0, 0.5, 0.2)
+WITHOUT_WATCHDOG = ('modbus', 'scpi')
+POLLED = sorted({*MEASURED} - {'serial_transfer'})
 
-pytestmark = pytest.mark.parametrize('protocol', PROTOCOLS)
+every_protocol = pytest.mark.parametrize('protocol', MEASURED)
+polled_protocols = pytest.mark.parametrize('protocol', POLLED)
+
+
+@pytest.fixture(autouse=True)
+def unhurried(monkeypatch):
+    """What tests of other files are patient with: here no machine is late."""
+    monkeypatch.setattr(Amplifier, 'read_back_s', READ_BACK_S)
 
 
 @pytest.fixture
-def device(emulate, protocol):
-    return emulate(protocol)
+def device(protocol):
+    return VirtualAmplifier(protocol)
 
 
 @pytest.fixture
-def amplifier(device, protocol):
-    amplifier = make(protocol, device)
+def amplifier(device):
+    return device.amplifier()
+
+
+def read(amplifier, wanted=lambda _: True, within_s=2.0):
+    """The first reading that is wanted."""
+    until_s = amplifier.clock.now() + within_s
+    while amplifier.clock.now() < until_s:
+        for reading in amplifier.poll(0.05):
+            if wanted(reading):
+                return reading
+    pytest.fail('the reading never came')
+
+
+def at(currents):
+    return lambda reading: reading.currents_A == pytest.approx(currents, abs=0.06)
+
+
+def drive(amplifier, device, currents=DRIVING):
     amplifier.connect()
-    yield amplifier
-    amplifier.close()
+    command = amplifier.write(currents)
+    read(amplifier, at(currents))
+    assert device.flows(currents)
+    return command
 
 
-def make(protocol, device, reply_s=0.5):
-    """A driver as patient as a loaded machine needs it, or as impatient as silence does."""
-    amplifier = amplifier_class(protocol)(device.url, FULL_SCALE_A)
-    amplifier.reply_s = amplifier._boot_s = reply_s
-    return amplifier
+def keep(device):
+    """From now on no watchdog of the device ends what flows."""
+    device.coils.watchdog_s, device.coils._deadline_s = None, math.inf
 
 
-def readings(amplifier, count):
-    found = []
-    while len(found) < count:
-        found += amplifier.poll(1.0)
-    return found
+def given_back(device):
+    return not any(line.host for line in device.lines)
 
 
-def drive(amplifier, device):
-    """Currents flow; on a slow line it is polling that brings them out."""
-    amplifier.write(DRIVING)
-    device.until(lambda: (amplifier.poll(0.005), device.currents())[1] == pytest.approx(
-        DRIVING, abs=0.022))
+def urls(protocol):
+    return VirtualAmplifier(protocol).url
 
 
-def test_each_has_an_emulator(protocol):
-    assert protocol in MEASURED
-    assert len(MEASURED) == len(PROTOCOLS)
-
-def test_connecting_leaves_zero(amplifier, device):
-    assert readings(amplifier, 1)
-    assert {tuple(entry['currents_A']) for entry in device.entries()} == {(0.0,) * 4}
+def test_each_has_an_emulator():
+    registered = {entry.name for entry in entry_points(group='microbot_ros.amplifiers')}
+    assert {name for name in registered if amplifier_class(name).reads_back} == {*MEASURED}
 
 
-def test_a_command_flows_and_is_acknowledged(amplifier, device):
-    for currents in (DRIVING, [-2.0, 2.0, 0.0, -0.2]):
-        command = amplifier.write(currents)
-        reading = next(reading for _ in range(1000) for reading in amplifier.poll(1.0)
-                       if reading.acknowledges)
-        assert reading.acknowledges is command
-        assert reading.currents_A == pytest.approx(currents, abs=0.06)
-        device.eventually_at(currents)
+def test_an_amplifier_that_nobody_registered_is_refused():
+    with pytest.raises(InputError, match=r'expected one of .*modbus'):
+        amplifier_class('steam')
 
 
+# Connecting ---------------------------------------------------------------------------------
+
+@every_protocol
+def test_connecting_moves_no_current(amplifier, device):
+    amplifier.connect()
+    assert read(amplifier)
+    assert {*device.flowed} == {ZERO}
+    assert amplifier.unreachable == ()
+
+
+@every_protocol
+def test_connecting_ends_what_flows(amplifier, device):
+    device.energise(DRIVING)
+    amplifier.fault = 'of before'
+    amplifier.connect()
+    assert device.flows(ZERO)
+    assert amplifier.fault == ''
+
+
+@every_protocol
+def test_connecting_again_ends_what_flows(amplifier, device):
+    drive(amplifier, device)
+    keep(device)
+    amplifier.connect()
+    assert device.flows(ZERO)
+    assert len(amplifier._lines) == len(device.lines)
+
+
+@every_protocol
+def test_a_second_driver_on_a_port_is_refused(amplifier, device):
+    amplifier.connect()
+    with pytest.raises(PortBusyError):
+        device.amplifier().connect()
+    assert amplifier.close() is Zero.CONFIRMED
+    device.amplifier().connect()
+
+
+@every_protocol
+def test_silence_is_named_and_the_port_given_back(amplifier, device):
+    device.fault('silence')
+    with pytest.raises(NoAnswerError, match='no answer'):
+        amplifier.connect()
+    assert given_back(device)
+    assert device.flows(ZERO)
+    device.mend()
+    amplifier.connect()
+
+
+@every_protocol
+def test_another_model_is_refused(amplifier, device):
+    device.fault('wrong_reply')
+    with pytest.raises((WrongDeviceError, NoAnswerError)):
+        amplifier.connect()
+    assert device.flows(ZERO)
+
+
+# Currents -----------------------------------------------------------------------------------
+
+@every_protocol
+def test_each_coil_gets_its_own_current(amplifier, device):
+    amplifier.connect()
+    for currents in ((2.0, 0, 0, 0), (0, -2.0, 0, 0), (0, 0, 1.0, 0), (0, 0, 0, -0.2), DRIVING,
+                     (-1.0, 1.0, -2.0, 2.0), ZERO):
+        command = amplifier.write(currents, 'tag')
+        reading = read(amplifier, lambda reading, own=command: reading.acknowledges is own)
+        assert device.flows(currents)
+        assert at(currents)(reading)
+        assert (command.tag, command.t_monotonic_s <= reading.t_monotonic_s) == ('tag', True)
+
+
+@every_protocol
 def test_reading_never_moves_current(amplifier, device):
     drive(amplifier, device)
-    before = device.entries()
-    assert all(np.isfinite(reading.currents_A).all() for reading in readings(amplifier, 4))
-    assert [e for e in device.entries() if e['cause'] == 'command'] == [
-        e for e in before if e['cause'] == 'command']
+    keep(device)
+    before = device.flowed.copy()
+    for _ in range(4):
+        assert np.isfinite(read(amplifier).currents_A).all()
+    assert device.flowed == before
 
 
-def test_closing_zeroes_and_reads_back(amplifier, device):
-    drive(amplifier, device)
-    assert amplifier.close() is Zero.CONFIRMED
-    assert device.currents() == ZERO
-    with pytest.raises(NoAnswerError):
-        amplifier.poll()
-    with pytest.raises(NoAnswerError):
-        amplifier.write(ZERO)
-    assert amplifier.close() is False
+@every_protocol
+def test_a_current_outside_is_refused_before_any_byte(amplifier, device):
     amplifier.connect()
-
-
-def test_an_answer_that_comes_too_late_hides_no_zero(amplifier, device):
-    drive(amplifier, device)
-    os.kill(device.process.pid, signal.SIGSTOP)
-    going_on = threading.Timer(0.1, os.kill, (device.process.pid, signal.SIGCONT))
-    going_on.start()
-    amplifier.poll(0.03)  # something is asked, whose answer comes when others are waited for
-    confirmed = amplifier.close()
-    going_on.join()
-    assert confirmed
-    assert device.currents() == ZERO
-
-
-def test_a_current_outside_is_refused_before_any_byte(amplifier, monkeypatch):
-    monkeypatch.setattr(transport.Port, 'send', lambda *_: pytest.fail('a byte was written'))
+    sent = [len(line.sent) for line in device.lines]
     for value in (math.nan, math.inf, -math.inf, math.nextafter(2.0, 3), -5.0):
         for coil in range(4):
             currents = list(DRIVING)
@@ -127,80 +188,360 @@ def test_a_current_outside_is_refused_before_any_byte(amplifier, monkeypatch):
     for shape in ([], [0.0] * 3, [0.0] * 5, [[0.0] * 4]):
         with pytest.raises(ValueError, match='4 values'):
             amplifier.write(shape)
-    monkeypatch.undo()
+    assert [len(line.sent) for line in device.lines] == sent
 
 
-@pytest.mark.parametrize('full_scale_A', [0.0, -1.0, math.nan, math.inf, [1.0, 1.0, 0.0, 1.0]])
+@every_protocol
+@pytest.mark.parametrize('full_scale_A', [[1.0, 2.0, 1.0, 2.0]])
+def test_full_scale_is_of_each_coil(protocol, full_scale_A):
+    amplifier = amplifier_class(protocol)(urls(protocol), full_scale_A)
+    assert amplifier.fault == ''
+    for currents in ((1.1, 0, 0, 0), (0, 0, -1.1, 0), (0, 2.1, 0, 0), (math.nan, 0, 0, 0),
+                     (0, 0, 0, math.inf), (0, 0, 0), [ZERO]):
+        with pytest.raises(ValueError, match='4 values within'):
+            amplifier.write(currents)
+
+
+@every_protocol
+@pytest.mark.parametrize('full_scale_A', [0.0, -1.0, math.nan, math.inf, [1.0, 0.0, 1.0, 1.0]])
 def test_a_full_scale_that_is_none_is_refused(protocol, full_scale_A):
     with pytest.raises(InputError, match='amperes above 0'):
         amplifier_class(protocol)('a,b,c,d', full_scale_A)
 
 
-def test_another_model_is_refused(device, protocol):
-    device.fault('wrong_reply')
-    with pytest.raises((WrongDeviceError, NoAnswerError)):
-        make(protocol, device, 0.2).connect()
-    assert device.currents() == ZERO
+@polled_protocols
+@pytest.mark.parametrize('ports', ['a,b,c', 'a,b,c,d,e', ''])
+def test_the_number_of_ports_is_checked(protocol, ports):
+    if ports.count(',') != urls(protocol).count(','):
+        with pytest.raises(InputError, match='serial ports'):
+            amplifier_class(protocol)(ports, FULL_SCALE_A)
 
 
-def test_silence_is_named(device, protocol):
-    device.fault('silence')
-    with pytest.raises(NoAnswerError, match='no answer'):
-        make(protocol, device, 0.2).connect()
-
-
-def test_two_drivers_on_one_port_is_an_error(amplifier, device, protocol):
-    with pytest.raises(PortBusyError):
-        make(protocol, device).connect()
-    assert readings(amplifier, 1)
-
-
-def test_a_host_that_dies_leaves_it_to_the_watchdog(amplifier, device, protocol):
-    drive(amplifier, device)
-    amplifier._release()
-    if protocol in WITH_WATCHDOG:
-        device.eventually_at(ZERO, 'watchdog')
-    else:
-        threading.Event().wait(0.3)
-        device.eventually_at(DRIVING)
-    amplifier.connect()
-    assert device.currents() == ZERO
-
-
-def test_an_unplugged_line_is_an_error(amplifier, device):
-    def use() -> None:
-        for _ in range(1000):
-            amplifier.write(ZERO)
-            amplifier.poll(0.1)
-
-    device.fault('unplug')
-    with pytest.raises(AmplifierError):
-        use()
-    assert amplifier.close() is False
-
-
+@every_protocol
 @pytest.mark.parametrize('fault', ['open=3', 'over_temperature'])
 def test_a_coil_that_does_not_conduct_is_measured(amplifier, device, fault):
     drive(amplifier, device)
     device.fault(fault)
-    device.until(lambda: device.currents()[2] == 0.0)
-    for _ in range(1000):
-        amplifier.write(DRIVING)
-        reading = readings(amplifier, 1)[-1]
-        if abs(reading.currents_A[2]) < 0.05:
-            return
-    pytest.fail('the open coil was never seen')
+    amplifier.write(DRIVING)
+    read(amplifier, lambda reading: abs(reading.currents_A[2]) < 0.05)
 
 
-def test_nothing_is_left_open(device, protocol):
-    before = len(os.listdir('/proc/self/fd'))
-    for _ in range(3):
-        amplifier = make(protocol, device)
+@pytest.mark.parametrize('protocol', ['serial_transfer'])
+@pytest.mark.parametrize('sign', [1, -1])
+def test_a_reading_far_beyond_full_scale_is_damage(amplifier, device, sign):
+    """One packet in 256 that is damaged passes a CRC of 8 bits."""
+    amplifier.connect()
+    keep(device)
+    device.coils.command([sign * 4.1, 0, 0, 0], feeds=False)
+    errors = amplifier.counters.crc_errors
+    assert amplifier.poll(0.1) == []
+    assert amplifier.counters.crc_errors > errors
+    device.coils.command([sign * 3.9, 0, 0, 0], feeds=False)
+    read(amplifier, lambda reading: abs(reading.currents_A[0]) > 3.0)
+
+
+@every_protocol
+def test_readings_acknowledge_the_oldest_command_they_agree_with(protocol):
+    amplifier = amplifier_class(protocol)(urls(protocol), FULL_SCALE_A)
+    sent = [_command(currents) for currents in
+            ([1.0, 0, 0, 0], [0, 1.0, 0, 0], [1.0, 0, 0, 0], [0, 0, 1.0, 0])]
+    amplifier._unacknowledged.extend(sent)
+    tolerance_A = float(amplifier._tolerance_A[0])
+    assert tolerance_A == pytest.approx(0.02 * FULL_SCALE_A + amplifier.resolution_A / 2)
+    assert tolerance_A < 0.05 * FULL_SCALE_A
+
+    def acknowledged(*currents):
+        return amplifier._reading(2.0, 1.0, np.array(currents)).acknowledges
+
+    assert acknowledged(0, 0, 0, 0) is None
+    assert acknowledged(1.0 + 1.01 * tolerance_A, 0, 0, 0) is None
+    assert acknowledged(0, 1.0 - 0.99 * tolerance_A, 0, 0) is sent[1]
+    assert acknowledged(1.0, 0, 0, 0) is sent[2]
+    assert acknowledged(1.0, 0, 0, 0) is None
+    reading = amplifier._reading(2.0, 1.0, np.array([0, 0, 1.0, 0.0]))
+    assert (reading.acknowledges, reading.t_monotonic_s, reading.since_s) == (sent[3], 2.0, 1.0)
+    assert not amplifier._unacknowledged
+
+
+def _command(currents):
+    return Command(0.0, np.array(currents, float))
+
+
+# Ending -------------------------------------------------------------------------------------
+
+@every_protocol
+def test_closing_zeroes_and_reads_back(amplifier, device):
+    drive(amplifier, device)
+    began_s = device.clock.now_s
+    assert amplifier.close() is Zero.CONFIRMED
+    assert device.flowed[-1] == ZERO
+    assert device.times[-1] - began_s <= (amplifier.gap_s if device.protocol in POLLED else 0.02)
+    assert given_back(device)
+    assert amplifier.unreachable == ()
+    for use in (amplifier.poll, amplifier.zero, amplifier.last_words):
+        with pytest.raises(NoAnswerError, match='a connection'):
+            use()
+    assert amplifier.close() is Zero.UNREACHABLE
+    assert amplifier.unreachable == amplifier.urls
+    amplifier.connect()
+
+
+@every_protocol
+def test_a_zero_that_nothing_confirms_is_none(amplifier, device):
+    drive(amplifier, device)
+    keep(device)
+    device.coils._settle = lambda _: None  # the stages are fused: currents stay
+    began_s = device.clock.now_s
+    assert amplifier.close() is Zero.SENT
+    assert READ_BACK_S <= device.clock.now_s - began_s <= READ_BACK_S + 0.1
+    with pytest.raises(NoAnswerError, match='measured currents of zero'):
         amplifier.connect()
-        amplifier.close()
-    assert len(os.listdir('/proc/self/fd')) == before
+    assert given_back(device)
 
 
-def test_an_amplifier_that_nobody_registered_is_refused(protocol):
-    with pytest.raises(InputError, match=f'expected one of .*{protocol}'):
-        amplifier_class('steam')
+@pytest.mark.parametrize('coil', [0, 1, 2, 3])
+@pytest.mark.parametrize('sign', [1, -1])
+@every_protocol
+def test_one_coil_that_stays_on_is_not_zero(amplifier, device, coil, sign):
+    """By a hundredth of an ampere beyond the tolerance, or short of it."""
+    amplifier.connect()
+    keep(device)
+    device.coils._settle = lambda _: None
+    device.coils.currents_A = tuple(
+        sign * (float(amplifier._tolerance_A[k]) + 0.06) if k == coil else 0.0 for k in range(4))
+    assert not amplifier.shows_zero(np.array(device.coils.currents_A))
+    assert amplifier.close() is Zero.SENT
+    device.coils.currents_A = tuple(
+        sign * 0.9 * 0.02 * FULL_SCALE_A if k == coil else 0.0 for k in range(4))
+    amplifier.connect()
+    assert amplifier.close() is Zero.CONFIRMED
+
+
+@every_protocol
+@pytest.mark.parametrize('wrong', [math.nan, math.inf, -math.inf])
+def test_what_is_not_finite_is_no_zero(amplifier, wrong):
+    for coil in range(4):
+        currents = np.zeros(4)
+        currents[coil] = wrong
+        assert not amplifier.shows_zero(currents)
+    assert amplifier.shows_zero(np.zeros(4))
+
+
+@every_protocol
+def test_an_answer_that_comes_too_late_hides_no_zero(amplifier, device):
+    drive(amplifier, device)
+    device.fault('delay=25+0.05')
+    amplifier.poll(0.02)  # something is asked, whose answer comes when others are waited for
+    assert amplifier.close() is Zero.CONFIRMED
+    assert device.flows(ZERO)
+
+
+@every_protocol
+def test_a_host_that_dies_leaves_it_to_the_watchdog(amplifier, device):
+    drive(amplifier, device)
+    last_s = max(at_s for line in device.lines for at_s, _ in line.sent)
+    amplifier._release()
+    device.clock.sleep(0.3)
+    if amplifier.watchdog is Watchdog.NONE:
+        assert amplifier_class(device.protocol).watchdog is Watchdog.NONE
+        assert device.flows(DRIVING)
+    else:
+        assert device.flows(ZERO)
+        assert device.causes[-1] == 'watchdog'
+        assert device.times[-1] - last_s <= 0.1 + 2e-6
+
+
+def test_the_watchdogs_that_there_are():
+    assert {protocol for protocol in MEASURED
+            if amplifier_class(protocol).watchdog is Watchdog.NONE} == {*WITHOUT_WATCHDOG}
+
+
+@polled_protocols
+def test_the_words_that_zero_the_lines_zero_all_coils(amplifier, device):
+    drive(amplifier, device)
+    keep(device)
+    for line, words in zip(device.lines, amplifier._zeros(), strict=True):
+        line.take(words)
+    device.clock.sleep(0.02)
+    assert device.flows(ZERO)
+    assert device.causes[-1] == 'command'
+
+
+@every_protocol
+def test_a_line_that_is_lost_is_an_error(amplifier, device):
+    drive(amplifier, device)
+    device.fault('unplug')
+    with pytest.raises(AmplifierError):  # noqa: PT012 — which of both sees it is chance
+        while True:
+            amplifier.write(DRIVING)
+            amplifier.poll(0.05)
+    assert amplifier.close() is Zero.UNREACHABLE
+    assert amplifier.unreachable == amplifier.urls
+    with pytest.raises(NoAnswerError):
+        amplifier.write(ZERO)
+
+
+@pytest.mark.parametrize('protocol', ['modbus', 'scpi'])
+def test_closing_switches_the_outputs_off(amplifier, device):
+    drive(amplifier, device)
+    amplifier.close()
+    enabled = getattr(device.device, '_enabled', None)
+    assert not any(enabled or [values[0] for values in device.device._values.values()])
+
+
+# Waiting ------------------------------------------------------------------------------------
+
+@every_protocol
+def test_a_waiting_poll_can_be_woken(amplifier, device):
+    amplifier.wake()  # whatever state it is in
+    drive(amplifier, device)
+    device.fault('silence')
+    amplifier.reply_s = 60.0
+    amplifier.poll(0.1)
+    began_s = device.clock.now_s
+    device.clock.plan(0.01, amplifier.wake)
+    assert amplifier.poll(5.0) == []
+    assert device.clock.now_s == pytest.approx(began_s + 0.01)
+
+
+@every_protocol
+@pytest.mark.parametrize('timeout_s', [0.0, 0.003, 0.05])
+def test_a_poll_returns_in_its_time(amplifier, device, timeout_s):
+    drive(amplifier, device)
+    device.fault('silence')
+    amplifier.reply_s = 60.0
+    amplifier.poll(0.1)
+    began_s = device.clock.now_s
+    assert amplifier.poll(timeout_s) == []
+    assert device.clock.now_s == pytest.approx(began_s + timeout_s)
+
+
+# Devices that answer only when asked --------------------------------------------------------
+
+@polled_protocols
+def test_a_zero_goes_ahead_of_an_answer_that_stays_away(amplifier, device):
+    drive(amplifier, device)
+    keep(device)
+    device.fault('silence')
+    amplifier.reply_s = 60.0
+    amplifier.poll(0.1)  # it waits for an answer now
+    began_s = device.clock.now_s
+    amplifier.zero()
+    assert device.flows(ZERO)
+    assert device.times[-1] - began_s == pytest.approx(amplifier.gap_s)
+    device.mend()
+    amplifier.reply_s = 0.3
+    assert at(ZERO)(read(amplifier, at(ZERO)))
+    drive_on = amplifier.write(DRIVING)
+    read(amplifier, lambda reading: reading.acknowledges is drive_on)
+    assert device.flows(DRIVING)
+
+
+@pytest.mark.parametrize('protocol', ['modbus'])
+def test_a_zero_comes_after_the_silence_that_ends_what_was_said(amplifier, device):
+    drive(amplifier, device)
+    before, line = len(device.lines[0].sent), device.lines[0]
+    began_s = device.clock.now_s
+    amplifier.zero()
+    assert line.sent[before:] == [(began_s + amplifier.gap_s, *amplifier._zeros())]
+    assert amplifier.gap_s >= 0.00175  # above 19,200 Bd (Modbus over serial line, 2.5.1.1)
+
+
+@polled_protocols
+def test_a_zero_is_said_again_and_made_sure_of(amplifier, device):
+    drive(amplifier, device)
+    keep(device)
+    receive, deaf = device.device.receive, []
+
+    def hear(port, data, now_s):
+        if len(deaf) < device.device.ports:  # the first on each line is lost on the way
+            deaf.append(data)
+            return b''
+        return receive(port, data, now_s)
+
+    device.device.receive = hear
+    amplifier.zero()
+    assert device.flows(DRIVING)
+    read(amplifier, at(ZERO))
+    assert device.flows(ZERO)
+
+
+@polled_protocols
+def test_a_zero_that_is_written_takes_the_place_of_a_command_that_waits(amplifier, device):
+    drive(amplifier, device, ZERO)
+    amplifier.poll(0.3)
+    before = len(device.flowed)
+    amplifier.write(DRIVING)
+    amplifier.zero()
+    amplifier.poll(0.3)
+    assert device.flowed[before:] == []
+
+
+@polled_protocols
+def test_the_newest_command_takes_the_place_of_one_that_waits(amplifier, device):
+    drive(amplifier, device)
+    before = len(device.flowed)
+    for share in range(1, 21):
+        amplifier.write([share / 20, 0.0, 0.0, 0.0])
+    read(amplifier, at([1.0, 0, 0, 0]))
+    assert all(flowed[0] == pytest.approx(1.0, abs=0.02) for flowed in device.flowed[before:])
+
+
+@polled_protocols
+def test_readings_tell_since_when_the_device_had_what_it_had(amplifier, device):
+    first = drive(amplifier, device)
+    assert read(amplifier).since_s == first.t_monotonic_s
+    second = amplifier.write([0.5, 0, 0, 0])
+    reading = read(amplifier, at([0.5, 0, 0, 0]))
+    assert reading.since_s == second.t_monotonic_s <= reading.t_monotonic_s
+
+
+@polled_protocols
+def test_what_gets_lost_is_asked_for_once_more(amplifier, device):
+    drive(amplifier, device)
+    device.fault(f'silence+{amplifier.reply_s / 2}')
+    for _ in range(5):
+        read(amplifier)
+    device.fault('silence')
+    with pytest.raises(NoAnswerError, match='no answer'):
+        read(amplifier, lambda _: False)
+
+
+@polled_protocols
+@pytest.mark.parametrize('fault', ['drop=0.02', 'flip=0.02', 'double=0.02', 'truncate=0.05'])
+def test_a_line_that_damages_bytes_ends_in_a_confirmed_zero_or_an_error(protocol, fault):
+    for seed in range(20):
+        device = VirtualAmplifier(protocol)
+        device.faults._random.seed(seed)
+        amplifier = device.amplifier()
+        drive(amplifier, device)
+        keep(device)
+        device.fault(fault)
+        try:
+            for _ in range(20):
+                amplifier.write(DRIVING)
+                amplifier.poll(0.02)
+        except AmplifierError:
+            pass
+        zero = amplifier.close()
+        assert zero is not Zero.CONFIRMED or device.flows(ZERO)
+
+
+@polled_protocols
+def test_a_device_that_is_too_hot_says_so_until_it_cools(amplifier, device):
+    amplifier.connect()
+    assert amplifier.fault == ''
+    device.fault('over_temperature')
+    read(amplifier, lambda _: amplifier.fault)
+    assert any(word in amplifier.fault for word in ('hot', 'heat', 'temperature'))
+    amplifier.close()
+    amplifier.connect()
+    assert amplifier.fault
+    device.mend()
+    read(amplifier, lambda _: not amplifier.fault)
+
+
+@polled_protocols
+def test_an_answer_comes_in_the_patience_of_the_gate(protocol):
+    driver = amplifier_class(protocol)
+    assert driver.period_s + driver.reply_s <= 0.2  # `feedback_timeout_ms`, unless it is set

@@ -9,6 +9,8 @@ from microbot_ros.drive.amplifier import amplifier_class
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.gate import Limits, Reason
 
+pytestmark = pytest.mark.rig
+
 ZERO = (0.0,) * 4
 
 FULL_SCALE_A = 2.0

@@ -6,10 +6,12 @@ from dataclasses import replace
 import pytest
 
 from bench._served import FULL_SCALE_A, LIMITS, MEASURED, Served, until
-from microbot_ros.drive.amplifier import amplifier_class
+from microbot_ros.drive.amplifier import Zero, amplifier_class
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.gate import Gate, Reason
 from microbot_ros.errors import InputError
+
+pytestmark = pytest.mark.rig
 
 CHANNELS = [(protocol, channels) for protocol in MEASURED for channels in (2, 3, 6, 16)
             if not (protocol == 'serial_transfer' and channels > 6)]
@@ -60,6 +62,7 @@ def test_a_driver_checks_drives_and_zeroes_all_of_its_coils(served):
         assert driver.gains == pytest.approx([1.0] * channels, abs=0.12)  # steps of 0.1 A
         pulsed = {k for flowed in device.flowed for k, current in enumerate(flowed) if current}
         assert pulsed == set(range(channels))
+        driver.command((0.0,) * channels)
         driver.command(pattern(channels))
         device.eventually(pattern(channels))
         driver.disarm()

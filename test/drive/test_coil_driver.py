@@ -1,376 +1,875 @@
-"""The dead-man at work: whatever fails, the emulated amplifier's log ends in zero."""
+"""Every way to zero of the driver of the coils, on virtual time: exact, and quick for mutants."""
 
-import glob
 import math
-import os
-import signal
-import subprocess
-import sys
 import threading
-import time
 
+import numpy as np
 import pytest
 
-from microbot_ros.drive.amplifier import amplifier_class
-from microbot_ros.drive.coil_driver import CoilDriver
+from microbot_ros.drive import coil_driver, polled
+from microbot_ros.drive.amplifier import Zero, amplifier_class
+from microbot_ros.drive.coil_driver import STOPPED, CoilDriver
+from microbot_ros.drive.emulator.process import DEVICES
+from microbot_ros.drive.emulator.virtual import VirtualAmplifier
 from microbot_ros.drive.errors import NoAnswerError
-from microbot_ros.drive.gate import Limits, Reason
-from microbot_ros.drive.serial_transfer.driver import SerialTransferAmplifier
+from microbot_ros.drive.gate import UNATTENDED_S, Limits, Reason
+from microbot_ros.drive.rotation import Turning
 from microbot_ros.errors import InputError
 
 FULL_SCALE_A = 2.0
+ZERO = (0.0,) * 4
+DRIVING = (1.0, -1.0, 0.5, 0.2)
 LIMITS = Limits(
     current_A=FULL_SCALE_A, step_A=2 * FULL_SCALE_A, slew_A_per_s=1e4, command_timeout_s=0.8,
-    deviation_A=0.1, settling_s=0.5, feedback_timeout_s=0.8, rated_current_A=1.5, thermal_s=60.0,
+    deviation_A=0.15, settling_s=0.1, feedback_timeout_s=0.8, rated_current_A=3.0, thermal_s=60.0,
     idle_s=60.0)
-DRIVING = [1.0, -1.0, 0.5, 0.0]
-HOST = """
-import sys, time
-from microbot_ros.drive.coil_driver import CoilDriver
-from microbot_ros.drive.gate import Limits
-from microbot_ros.drive.amplifier import amplifier_class
-driver = CoilDriver(amplifier_class(sys.argv[3])(sys.argv[1], 2.0), Limits(*eval(sys.argv[2])),
-                    lambda _: None, accept_no_watchdog=True)
-driver.start()
-while True:
-    driver.arm()
-    driver.command([1.0, -1.0, 0.5, 0.0])
-    time.sleep(0.01)
-"""
+MEASURED = sorted({*DEVICES} - {'sabertooth'})
+"""The protocols whose devices read currents back."""
+WITHOUT_WATCHDOG = ('modbus', 'scpi')
+SOON_S = 0.2
+
+every_protocol = pytest.mark.parametrize('protocol', MEASURED)
+
+
+class Rig:
+    """A driver and its emulated amplifier, both stepped in this thread."""
+
+    def __init__(self, protocol='serial_transfer', watchdog_s=0.1, *, on_reading=lambda _: None,
+                 on_sent=lambda _: None, self_check=False, accept_no_watchdog=True, heat=None,
+                 **limits):
+        self.device = VirtualAmplifier(protocol, watchdog_s=watchdog_s)
+        self.clock = self.device.clock
+        self.driver = CoilDriver(
+            self.device.amplifier(), Limits(**{**vars(LIMITS), **limits}), on_reading,
+            on_sent=on_sent, self_check=self_check, accept_no_watchdog=accept_no_watchdog,
+            heat=heat)
+        self.gate = self.driver.gate
+
+    def connect(self):
+        self.driver._connect()
+        return self
+
+    def until(self, condition, seconds=30.0):
+        """Let the driver turn until something is true; return it, and fail after `seconds`."""
+        end_s = self.clock.now_s + seconds
+        while not (value := condition()):
+            assert self.clock.now_s < end_s, 'the awaited condition never came true'
+            before_s = self.clock.now_s
+            self.driver._turn()
+            if self.clock.now_s == before_s:
+                self.clock.sleep(1e-5)  # what a turn takes
+        return value
+
+    def turn(self, seconds):
+        """Let the driver turn for so many seconds."""
+        end_s = self.clock.now_s + seconds
+        self.until(lambda: self.clock.now_s >= end_s, seconds + 30.0)
+
+    def ask(self, epoch=None):
+        """Ask for arming; the answer."""
+        driver = self.driver
+        answer = driver.request_arming(driver.epoch if epoch is None else epoch)
+        self.until(answer.done)
+        return answer.result()
+
+    def arm(self):
+        self.until(lambda: self.ask() is None)
+        self.driver.command(ZERO)
+
+    def drive(self, currents=DRIVING):
+        self.arm()
+        assert self.driver.command(currents)
+        self.until(lambda: self.device.flows(currents))
+        return self
+
+    def command_for(self, seconds, currents=DRIVING):
+        end_s = self.clock.now_s + seconds
+        while self.clock.now_s < end_s:
+            self.driver.command(currents)
+            self.turn(0.01)
+
+    def tripped(self, reason):
+        """The fault, once it is there and the coils are at zero."""
+        fault = self.until(lambda: self.gate.fault)
+        assert fault.reason is reason
+        self.until(lambda: self.device.flows(ZERO), SOON_S)
+        assert not self.gate.armed
+        assert not self.driver.command(DRIVING)
+        return fault
+
+    def finish(self):
+        self.driver._finish()
+        return self.driver.zero
 
 
 @pytest.fixture
-def board(emulate):
-    return emulate('serial_transfer')
+def protocol():
+    return 'serial_transfer'
 
 
 @pytest.fixture
-def driver(board):
-    driver = CoilDriver(SerialTransferAmplifier(board.url, FULL_SCALE_A), LIMITS, lambda _: None,
-                        self_check=False, accept_no_watchdog=True)
-    driver.start()
-    yield driver
-    driver.stop()
+def watchdog_s():
+    return 0.1
 
 
-def drive(driver, board):
-    board.until(lambda: driver.arm() is None)
-    assert driver.command(DRIVING)
-    board.eventually_at(DRIVING)
+@pytest.fixture
+def make(protocol, watchdog_s):
+    """A function that makes a connected rig, in other limits if told."""
+    return lambda **options: Rig(protocol, watchdog_s, **options).connect()
 
 
-def test_the_thread_goes_first_where_the_system_grants_it(driver, board, real_time):
-    drive(driver, board)
-    thread = next(t for t in threading.enumerate() if t.name == 'coil driver')
-    policy = os.sched_getscheduler(thread.native_id)
-    assert driver.real_time == real_time == (policy == os.SCHED_FIFO)
+@pytest.fixture
+def rig(make):
+    return make()
 
 
-def test_nothing_goes_out_before_arming(driver, board):
-    assert not driver.command(DRIVING)
-    drive(driver, board)
-    assert {entry['cause'] for entry in board.entries()} == {'reset', 'command'}
+@every_protocol
+def test_nothing_flows_before_arming(rig):
+    assert not rig.driver.command(DRIVING)
+    rig.turn(0.5)
+    assert (rig.driver.connected, rig.gate.armed, rig.gate.fault) == (True, False, None)
+    assert set(rig.device.flowed) == {ZERO}
+    rig.drive()  # and the command of before is forgotten
+    assert {*rig.device.flowed[:-1]} == {ZERO} or rig.device.protocol != 'serial_transfer'
 
 
-def test_a_command_that_goes_stale_ends_in_zero(driver, board):
-    drive(driver, board)
-    assert board.until(lambda: driver.gate.fault).reason is Reason.STALE
-    board.eventually_at([0] * 4, 'command')
+@every_protocol
+def test_arming_tries_each_coil_and_then_lets_commands_flow(make, protocol):
+    told, tags = [], []
+    rig = make(on_reading=told.append, on_sent=tags.append, self_check=True,
+               accept_no_watchdog=protocol in WITHOUT_WATCHDOG)
+    driver, device = rig.driver, rig.device
+    assert driver.gains is None
+    rig.until(lambda: told)
+    assert rig.ask() is None
+    assert not driver.arming
+    assert driver.gains == pytest.approx([1.0] * 4, abs=0.15)
+    pulses = [[abs(current) > 0.1 for current in flowed]
+              for flowed in device.flowed if any(flowed)]
+    assert pulses == [[coil == pulsed for coil in range(4)] for pulsed in range(4)]
+    assert driver.warning.startswith('no watchdog') == (protocol in WITHOUT_WATCHDOG)
+    if protocol == 'serial_transfer':
+        assert 0.09 < driver.watchdog_s < 0.15
+        assert device.causes[-1] == 'watchdog'
+    else:
+        assert driver.watchdog_s is None
+    driver.command(ZERO)
+    assert driver.command(DRIVING, 'tag')
+    rig.until(lambda: device.flows(DRIVING))
+    assert tags[0].tag == 'tag'
+    rig.until(lambda: any(one.acknowledges is tags[0] for one in told))
+    assert tags[0].currents_A == pytest.approx(DRIVING)
+    count = len(device.flowed)
+    assert rig.ask() is None  # armed already: nothing is tried again
+    assert len(device.flowed) == count
+    assert rig.finish() is Zero.CONFIRMED
+    assert device.flowed[-1] == ZERO
+    assert not driver.connected
 
 
-def test_commands_that_keep_coming_keep_driving(driver, board):
-    drive(driver, board)
-    for _ in range(30):
-        threading.Event().wait(0.03)
-        assert driver.command(DRIVING)
-    assert driver.gate.fault is None
-    assert board.currents() == pytest.approx(DRIVING)
+@pytest.mark.parametrize('watchdog_s', [0.4])
+def test_the_zero_of_the_watchdog_is_no_fault_of_the_coils(make):
+    """Though the pulse lasted for longer than a reading may be late."""
+    rig = make(self_check=True, accept_no_watchdog=False, settling_s=0.05, feedback_timeout_s=0.2)
+    rig.arm()
+    assert rig.driver.watchdog_s == pytest.approx(0.4, abs=0.03)
 
 
-def test_a_held_command_feeds_the_watchdog_of_the_device(emulate):
-    board = emulate('serial_transfer', '--watchdog-ms', '100')
-    limits = Limits(**{**vars(LIMITS), 'command_timeout_s': 60.0})
-    driver = CoilDriver(SerialTransferAmplifier(board.url, FULL_SCALE_A), limits, lambda _: None)
-    driver.start()
-    drive(driver, board)
-    threading.Event().wait(0.5)
-    assert board.entries()[-1]['cause'] == 'command'
-    assert board.currents() == pytest.approx(DRIVING)
-    assert driver.stop()
+@pytest.mark.parametrize('watchdog_s', [None])
+def test_a_firmware_without_a_watchdog_is_found_out(make):
+    rig = make(self_check=True, accept_no_watchdog=False)
+    refusal = rig.until(lambda: 'watchdog' in (said := rig.ask() or '') and said)
+    assert 'the amplifier has no watchdog' in refusal
+    assert rig.gate.fault.reason is Reason.SELF_CHECK
+    rig.until(lambda: rig.device.flows(ZERO), SOON_S)
+    assert (rig.gate.armed, rig.driver.gains, rig.driver.watchdog_s) == (False, None, None)
 
 
-@pytest.mark.parametrize('bad', [math.nan, math.inf, 2.1])
-def test_a_bad_command_ends_in_zero_until_armed_again(driver, board, bad):
-    drive(driver, board)
-    driver.command([bad, 0, 0, 0])
-    board.eventually_at([0] * 4, 'command')
-    assert driver.gate.fault.reason in (Reason.MALFORMED, Reason.LIMIT)
-    assert not driver.command(DRIVING)
-    drive(driver, board)
+@pytest.mark.parametrize('fault', ['open=2', 'reversed=3', 'half_gain=4'])
+def test_a_coil_that_is_wrong_refuses_arming(make, fault):
+    rig = make(self_check=True)
+    rig.device.fault(fault)
+    refusal = rig.until(lambda: 'coil_' in (said := rig.ask() or '') and said)
+    assert refusal.startswith('self-check: coil_')
+    rig.until(lambda: rig.device.flows(ZERO), SOON_S)
+    assert not rig.gate.armed
+    assert rig.driver.gains is None
+    assert not rig.driver.command(DRIVING)
+    rig.device.mend()
+    rig.arm()
+    assert rig.gate.fault is None
+    rig.drive()
 
 
-def test_disarming_zeroes_at_once(driver, board):
-    drive(driver, board)
-    driver.disarm()
-    board.eventually_at([0] * 4, 'command')
-    assert not driver.command(DRIVING)
+def test_a_refusal_tells_the_reason(rig):
+    rig.device.coils.command(DRIVING)  # a hand at the board
+    assert rig.until(lambda: rig.gate.fault).reason is Reason.UNCOMMANDED
+    assert rig.ask().startswith('current flows without a command')
+    rig.until(lambda: rig.device.flows(ZERO), SOON_S)  # as it is said again and again
+
+
+def test_commands_during_the_check_go_nowhere(make):
+    rig = make(self_check=True)
+    rig.turn(0.1)
+    answer = rig.driver.request_arming(rig.driver.epoch)
+
+    def armed():
+        assert not rig.driver.command((0.0, 0.0, 0.0, 1.9)) or answer.done()
+        return answer.done()
+
+    rig.until(armed)
+    assert answer.result() is None
+    assert all(abs(current) < 1.0 for one in rig.device.flowed for current in one)
+
+
+@pytest.mark.parametrize('watchdog_s', [0.4])
+def test_a_pulse_that_lasts_is_not_a_stale_command(make):
+    rig = make(self_check=True, accept_no_watchdog=False, command_timeout_s=0.25)
+    rig.arm()
+    assert rig.driver.watchdog_s > 0.3
+
+
+def test_a_held_command_feeds_the_watchdog_of_the_device_and_does_not_flood_it(make):
+    rig = make(command_timeout_s=60.0).drive()
+    sent = rig.driver.amplifier.counters.frames_sent
+    rig.turn(2.0)
+    assert rig.device.flows(DRIVING)
+    assert 'watchdog' not in rig.device.causes
+    assert rig.driver.amplifier.counters.frames_sent - sent == pytest.approx(50, abs=7)
+
+
+@every_protocol
+def test_a_command_that_goes_stale_ends_in_zero(make, protocol):
+    rig = make(command_timeout_s=0.075 if protocol != 'scpi' else 0.3).drive()
+    last_s = rig.device.times[-1]
+    assert rig.tripped(Reason.STALE).detail.startswith('none for')
+    # The dead-man's own time, a tick, and what the line takes.
+    assert rig.device.times[-1] - last_s < rig.gate.limits.command_timeout_s + 0.025
+    assert rig.driver.await_zero() is not None
+
+
+def test_commands_that_keep_coming_keep_driving(make):
+    rig = make(command_timeout_s=0.05).drive()
+    rig.command_for(1.0)
+    assert rig.gate.fault is None
+    assert rig.device.flows(DRIVING)
+
+
+def test_a_command_that_waited_too_long_goes_nowhere(make):
+    waiting_s = [0.0]
+    rig = make(on_reading=lambda _: rig.clock.sleep(waiting_s.pop() if waiting_s else 0.0),
+               command_timeout_s=0.5)
+    rig.arm()
+    rig.turn(0.1)
+    rig.driver.command(DRIVING)
+    rig.clock.sleep(0.6)  # the thread is held up
+    assert rig.tripped(Reason.STALE).detail.startswith('given')
+    assert {*rig.device.flowed} == {ZERO}
+
+
+def test_the_newest_command_takes_the_place_of_one_that_waits(rig):
+    rig.drive()
+    count = len(rig.device.flowed)
+    for share in range(1, 21):
+        rig.driver.command([share / 20, 0, 0, 0])
+    rig.turn(0.1)
+    assert rig.device.flowed[count:] == [pytest.approx([1.0, 0, 0, 0])]
+
+
+def test_nobody_there_ends_the_permission(make):
+    rig = make(idle_s=0.5)
+    rig.arm()
+    rig.turn(0.45)
+    assert rig.gate.armed
+    rig.tripped(Reason.IDLE)
+
+
+@pytest.mark.parametrize(('bad', 'reason'), [
+    ((math.nan, 0, 0, 0), Reason.MALFORMED), ((0, math.inf, 0, 0), Reason.MALFORMED),
+    ((0, 0, 0), Reason.MALFORMED), ((0, 0, -2.1, 0), Reason.LIMIT)])
+def test_a_bad_command_ends_in_zero_until_armed_again(rig, bad, reason):
+    rig.drive()
+    rig.driver.command(bad)
+    rig.tripped(reason)
+    rig.drive()
+    assert rig.gate.fault is None
+
+
+def test_disarming_zeroes_at_once(rig):
+    rig.drive()
+    before_s = rig.clock.now_s
+    assert not rig.driver.request_zero().is_set()
+    rig.until(lambda: rig.device.flows(ZERO))
+    assert rig.clock.now_s - before_s < 0.006
+    assert (rig.gate.fault, rig.gate.armed) == (None, False)
+    assert not rig.driver.command(DRIVING)
+    rig.driver.disarm((Reason.COMMANDER, 'nothing to tell of'))
+    rig.turn(0.1)
+    assert rig.gate.fault is None
+    rig.drive()
+    rig.driver.disarm((Reason.COMMANDER, 'somebody else'))
+    assert rig.tripped(Reason.COMMANDER).detail == 'somebody else'
+
+
+def test_a_request_to_zero_is_done_when_it_went_out(rig):
+    rig.drive()
+    done = rig.driver.request_zero()
+    rig.until(done.is_set)
+    assert rig.driver._sent == ZERO
+    rig.until(lambda: rig.device.flows(ZERO), 0.01)
+    rig.device.fault('unplug')
+    rig.turn(0.1)
+    rig.until(rig.driver.request_zero().is_set)  # there is no line, and nobody waits for it
+
+
+@every_protocol
+@pytest.mark.parametrize('fault', ['open=1', 'silence', 'reset=9000'])
+def test_a_fault_of_the_device_ends_in_zero(make, fault, protocol):
+    rig = make(feedback_timeout_s=0.4).drive()
+    rig.command_for(0.8)  # then zeros are no late reading of what was before
+    rig.device.fault(fault)
+    begin_s = rig.clock.now_s
+    while not rig.gate.fault:
+        rig.driver.command(DRIVING)
+        rig.turn(0.005)
+        assert rig.gate.fault or rig.clock.now_s - begin_s < 1.0
+    polled_silence = fault != 'open=1' and protocol != 'serial_transfer'
+    assert rig.gate.fault.reason is (
+        Reason.DEVIATION if fault == 'open=1' else Reason.LINE if polled_silence
+        else Reason.SILENCE)
+    rig.until(lambda: rig.device.flows(ZERO), SOON_S)
+    assert rig.device.times[-1] - begin_s < 0.4 + SOON_S
+
+
+@pytest.mark.parametrize('protocol', ['roboteq', 'roboclaw', 'modbus', 'scpi'])
+def test_what_the_device_says_of_itself_is_a_fault(make, monkeypatch):
+    monkeypatch.setattr(polled, '_INSPECT_S', 0.02)
+    rig = make(self_check=True, feedback_timeout_s=30.0, settling_s=20.0)
+    rig.arm()
+    rig.device.fault('over_temperature')
+    fault = rig.until(lambda: rig.gate.fault)
+    assert fault.reason is Reason.DEVICE
+    assert rig.ask() == fault.detail
+    assert not rig.gate.armed
+
+
+@every_protocol
+def test_a_lost_line_comes_back_at_zero_and_disarmed(rig):
+    rig.drive()
+    rig.device.coils.watchdog_s, rig.device.coils._deadline_s = None, math.inf
+    rig.device.coils.feed = lambda: None  # no watchdog helps
+    rig.device.fault('unplug+3')
+    assert rig.until(lambda: rig.gate.fault).reason is Reason.LINE
+    rig.until(lambda: not rig.driver.connected)
+    assert rig.driver.zero is Zero.UNREACHABLE
+    assert rig.driver.amplifier.unreachable
+    assert rig.ask() == 'the amplifier is not connected'
+    assert not rig.driver.command(DRIVING)
+    rig.until(lambda: rig.driver.connected, 10.0)
+    assert rig.device.flows(ZERO)
+    assert rig.gate.fault.reason is Reason.LINE
+    assert rig.driver.zero is Zero.CONFIRMED
+    rig.arm()
+    assert rig.device.flows(ZERO)  # what was commanded in between is forgotten
+    rig.drive()
+
+
+@every_protocol
+def test_a_line_that_is_back_is_at_zero_within_a_moment(rig):
+    """However long it was away: the pause between attempts does not grow."""
+    rig.drive()
+    rig.device.coils.feed = lambda: None
+    rig.device.coils._deadline_s = math.inf
+    rig.device.fault('unplug+10')
+    rig.until(lambda: not rig.driver.connected)
+    rig.turn(9.0)
+    rig.until(lambda: rig.device.lines[0]._plugged, 10.0)
+    rig.until(lambda: rig.device.flows(ZERO), SOON_S)
+
+
+def test_stopping_while_the_line_is_away(rig):
+    rig.device.fault('unplug')
+    rig.until(lambda: not rig.driver.connected)
+    assert rig.finish() is Zero.UNREACHABLE
+
+
+def checking(make, **options):
+    """A rig in a self-check that never ends, and what arming will answer."""
+    rig = make(self_check=True, **options)
+    rig.driver._go_on_checking = lambda *_: None
+    rig.turn(0.1)
+    answer = rig.driver.request_arming(rig.driver.epoch)
+    rig.until(lambda: rig.driver.arming)
+    return rig, answer
+
+
+def test_stopping_during_the_check_answers(make):
+    rig, answer = checking(make, settling_s=5.0)
+    assert rig.ask() == 'the self-check is going on'
+    assert not rig.driver.command(DRIVING)
+    rig.finish()
+    assert answer.result() == 'the driver stopped'
+
+
+def test_disarming_during_the_check_ends_it(make):
+    rig, answer = checking(make)
+    rig.driver.disarm()
+    rig.until(answer.done)
+    assert answer.result() == 'disarmed meanwhile'
+    rig.until(lambda: rig.device.flows(ZERO), SOON_S)
+    del rig.driver._go_on_checking
+    rig.drive()
 
 
 @pytest.mark.parametrize(('fault', 'reason'), [
-    ('open=1', Reason.DEVIATION), ('over_temperature', Reason.DEVIATION),
-    ('silence', Reason.SILENCE), ('reset=3000', Reason.SILENCE),
-])
-def test_a_fault_of_the_device_is_latched(driver, board, fault, reason):
-    drive(driver, board)
-    # Only then are zeros no late reading of what was before.
-    board.until(lambda: driver.command(DRIVING) and not driver.gate._replaced)
-    board.fault(fault)
-    assert command_until_fault(driver).reason is reason
-    board.eventually_at([0] * 4)
+    ('unplug', Reason.LINE), ('silence', Reason.SILENCE)])
+def test_a_line_that_fails_during_the_check_ends_it(make, fault, reason):
+    rig, answer = checking(make)
+    rig.device.fault(fault)
+    rig.until(answer.done)
+    assert answer.result().startswith(reason.value)
+    assert not rig.gate.armed
 
 
-def command_until_fault(driver):
-    while driver.gate.fault is None:
-        driver.command(DRIVING)
-        threading.Event().wait(0.02)
-    return driver.gate.fault
+@pytest.mark.parametrize('where', ['on_reading', 'on_sent', 'write'])
+def test_whatever_fails_ends_in_zero_and_the_thread_goes_on(make, where, monkeypatch):
+    failing = []
+
+    def fail(_):
+        if failing:
+            raise RuntimeError('subscriber gone')
+
+    rig = make(**{where: fail} if where != 'write' else {}).drive()
+    write = rig.driver.amplifier.write
+
+    def refuse(currents, *more):
+        if failing and any(currents):
+            raise RuntimeError('subscriber gone')
+        return write(currents, *more)
+
+    if where == 'write':
+        monkeypatch.setattr(rig.driver.amplifier, 'write', refuse)
+    failing.append(True)
+    rig.driver.command((0.5, 0, 0, 0), 'tag')
+    assert 'subscriber gone' in rig.tripped(Reason.INTERNAL).detail
+    failing.clear()
+    rig.drive()
+
+
+def test_a_failing_device_does_not_take_all_of_the_processor(rig, monkeypatch):
+    tries = []
+
+    def poll(_):
+        tries.append(rig.clock.now_s)
+        raise RuntimeError('driver broken')
+
+    monkeypatch.setattr(rig.driver.amplifier, 'poll', poll)
+    rig.until(lambda: len(tries) > 10)
+    assert tries[10] - tries[0] >= 9 * coil_driver._TICK_S
+
+
+@pytest.mark.parametrize('protocol', ['roboclaw'])
+def test_a_device_that_cannot_be_read_any_more_is_zeroed(rig, monkeypatch):
+    rig.drive()
+    rig.device.coils.feed = lambda: None
+    rig.device.coils._deadline_s = math.inf
+
+    def poll(_):
+        raise RuntimeError('driver broken')
+
+    monkeypatch.setattr(rig.driver.amplifier, 'poll', poll)
+    rig.until(lambda: rig.device.flows(ZERO), SOON_S)
+
+
+def test_an_error_on_the_way_to_zero_does_not_end_the_thread(rig, monkeypatch):
+    rig.drive()
+
+    def broken(*_):
+        raise RuntimeError('broken')
+
+    monkeypatch.setattr(rig.driver.amplifier, 'write', broken)
+    assert rig.until(lambda: rig.gate.fault).reason is Reason.INTERNAL
+    monkeypatch.undo()
+    rig.until(lambda: rig.device.flows(ZERO), SOON_S)
+    rig.drive()
 
 
 @pytest.mark.parametrize('fault', ['drop=0.02', 'double=0.02', 'truncate=0.3'])
-def test_a_damaged_line_never_drives_a_wrong_current(driver, board, fault):
-    drive(driver, board)
-    board.fault(fault)
-    for _ in range(100):
-        driver.command(DRIVING)
-        threading.Event().wait(0.002)
-    driver.stop()
-    counters = driver.amplifier.counters
-    assert counters.discarded_bytes > 0
-    flowed = {tuple(entry['currents_A']) for entry in board.entries()}
-    assert flowed <= {(0.0,) * 4, tuple(DRIVING)}
+def test_a_damaged_line_never_drives_a_wrong_current(rig, fault):
+    rig.drive()
+    rig.device.fault(fault)
+    rig.command_for(1.0)
+    rig.finish()
+    assert rig.driver.amplifier.counters.discarded_bytes > 0
+    assert all(max(abs(a - b) for a, b in zip(flowed, want, strict=True)) < 0.02
+               for flowed in rig.device.flowed
+               for want in [DRIVING if any(flowed) else ZERO])
 
 
-def test_bits_that_flip_in_pairs_and_pass_a_crc_of_8_bits_do_not_last(driver, board):
-    # One damaged packet in 256 gets through: what then flows deviates, or the next packet ends it.
-    drive(driver, board)
-    board.fault('flip=0.05')
-    for _ in range(200):
-        driver.command(DRIVING)
-        threading.Event().wait(0.002)
-    driver.stop()
-    board.eventually_at([0] * 4)
-    assert all(abs(current) <= FULL_SCALE_A for entry in board.entries()
-               for current in entry['currents_A'])
+def test_bits_that_flip_in_pairs_and_pass_a_crc_of_8_bits_do_not_last(rig):
+    """One damaged packet in 256 gets through: what then flows deviates, or the next ends it."""
+    rig.drive()
+    rig.device.fault('flip=0.05')
+    rig.command_for(2.0)
+    rig.device.mend()
+    rig.finish()
+    assert rig.device.flows(ZERO)
+    assert all(abs(current) <= FULL_SCALE_A for flowed in rig.device.flowed for current in flowed)
 
 
-def test_an_unplugged_line_comes_back_at_zero_and_disarmed(driver, board):
-    drive(driver, board)
-    board.fault('unplug+0.3')
-    assert command_until_fault(driver).reason is Reason.LINE
-    assert 'connected' in driver.arm()
-    board.eventually_at([0] * 4, 'watchdog')
-    board.until(lambda: driver.connected)
-    assert not driver.gate.armed
-    assert not driver.command(DRIVING)
-    assert driver.gate.fault.reason is Reason.LINE
-    drive(driver, board)
-    assert driver.gate.fault is None
+# What is refused before anything moves ----------------------------------------------------------
 
-
-def test_stopping_works_while_the_line_is_away(driver, board):
-    board.fault('unplug')
-    board.until(lambda: not driver.connected)
-    assert driver.stop() is False
-
-
-@pytest.mark.parametrize(('protocol', 'options', 'cause'), [
-    ('roboclaw', (), 'watchdog'), ('roboteq', (), 'watchdog'), ('modbus', (), 'command'),
-    ('scpi', (), 'command'), ('serial_transfer', ('--no-watchdog',), 'command')])
-@pytest.mark.parametrize('number', [signal.SIGKILL, signal.SIGSTOP])
-def test_a_host_that_dies_or_hangs_ends_in_zero(emulate, number, protocol, options, cause):
-    """By the watchdog of the device, and where it has none, by the process that watches ours."""
-    board = emulate(protocol, *options)
-    limits = str(tuple(vars(LIMITS).values()))
-    with subprocess.Popen([sys.executable, '-c', HOST, board.url, limits, protocol]) as host:
-        try:
-            board.eventually_at(DRIVING)
-            host.send_signal(number)
-            ended_s = time.monotonic()
-            zeroed = board.eventually_at([0] * 4, cause)
-            assert zeroed['t_monotonic_s'] - ended_s < 1.0  # how long it takes is benched
-            threading.Event().wait(0.3)
-            assert board.currents() == pytest.approx([0] * 4)
-        finally:
-            host.kill()
-    board.until(lambda: not sentinels(board))
-
-
-def sentinels(board):
-    """The processes that hold the line: neither the host nor its sentinel is to stay."""
-    ports = {os.path.realpath(url) for url in board.url.split(',')}
-    return [link for link in glob.glob('/proc/[0-9]*/fd/*')
-            if link_target(link) in ports]
-
-
-def link_target(link):
-    try:
-        return os.readlink(link)
-    except OSError:
-        return ''
-
-
-def test_without_its_sentinel_an_unwatched_device_is_not_driven(emulate):
-    board = emulate('serial_transfer', '--no-watchdog')
-    driver = CoilDriver(SerialTransferAmplifier(board.url, FULL_SCALE_A), LIMITS, lambda _: None,
-                        accept_no_watchdog=True)
-    driver.start()
-    try:
-        drive(driver, board)
-        driver._last_resort._process.kill()
-        assert command_until_fault(driver).detail.startswith('the process that watches over')
-        board.eventually_at([0] * 4)
-        drive(driver, board)  # with another one
-    finally:
-        assert driver.stop()
-    assert not sentinels(board)
-
-
-def test_a_firmware_without_a_watchdog_is_found_out_on_arming(emulate):
-    board = emulate('serial_transfer', '--no-watchdog')
-    driver = CoilDriver(SerialTransferAmplifier(board.url, FULL_SCALE_A), LIMITS, lambda _: None)
-    driver.start()
-    try:
-        board.until(lambda: 'the amplifier has no watchdog' in driver.arm())
-        board.eventually_at([0] * 4, 'command')
-        assert not driver.gate.armed
-    finally:
-        driver.stop()
-
-
-def test_a_firmware_with_a_watchdog_shows_it_on_arming(board):
-    driver = CoilDriver(SerialTransferAmplifier(board.url, FULL_SCALE_A), LIMITS, lambda _: None)
-    driver.start()
-    try:
-        board.until(lambda: driver.arm() is None)
-        assert 0.09 < driver.watchdog_s < 0.5
-        assert board.entries()[-1]['cause'] == 'watchdog'
-        assert driver.command(DRIVING)
-        board.eventually_at(DRIVING)
-    finally:
-        driver.stop()
-
-
-@pytest.mark.parametrize(('protocol', 'self_check'), [
-    ('modbus', True), ('scpi', True), ('serial_transfer', False)])
-def test_what_has_no_watchdog_must_be_accepted(protocol, self_check):
-    amplifier = amplifier_class(protocol)('a,b,c,d' if protocol == 'scpi' else 'a', FULL_SCALE_A)
-    with pytest.raises(InputError, match='accept_no_watchdog'):
-        CoilDriver(amplifier, LIMITS, print, self_check=self_check)
-    assert 'loses its power' in CoilDriver(amplifier, LIMITS, print, self_check=self_check,
-                                           accept_no_watchdog=True).warning
-
-
-def test_the_newest_command_takes_the_place_of_one_that_waits(driver, board, monkeypatch):
-    drive(driver, board)
-    busy, sent = threading.Event(), []
-    write = driver.amplifier.write
-
-    def slow(currents, *more):
-        sent.append(list(currents))
-        busy.wait(0.3)
-        return write(currents, *more)
-
-    monkeypatch.setattr(driver.amplifier, 'write', slow)
-    for share in range(1, 21):
-        driver.command([share / 20, 0, 0, 0])
-        threading.Event().wait(0.02)
-    busy.set()
-    board.eventually_at([1.0, 0, 0, 0])
-    assert 2 <= len({tuple(currents) for currents in sent}) < 10
-
-
-def test_the_thread_alone_writes(driver, board, monkeypatch):
-    writers = set()
-    write = driver.amplifier.write
-
-    def watched(currents, *more):
-        writers.add(threading.current_thread().name)
-        return write(currents, *more)
-
-    monkeypatch.setattr(driver.amplifier, 'write', watched)
-    drive(driver, board)
-    driver.disarm()
-    board.eventually_at([0] * 4)
-    assert writers == {'coil driver'}
-
-
-def test_what_went_out_is_told_with_its_tag(board):
-    told = []
-    driver = CoilDriver(SerialTransferAmplifier(board.url, FULL_SCALE_A), LIMITS,
-                        lambda reading: told.append(reading.acknowledges), on_sent=told.append)
-    driver.start()
-    try:
-        board.until(lambda: driver.arm() is None)
-        driver.command(DRIVING, 'frame 1')
-        board.until(lambda: sum(one is not None and one.tag == 'frame 1' for one in told) == 2)
-        driver.command([math.nan] * 4, 'frame 2')
-        last = board.until(lambda: next((one for one in told if one and one.tag == 'frame 2'), 0))
-        assert last.currents_A == pytest.approx([0] * 4)
-    finally:
-        driver.stop()
-
-
-def test_firmware_without_a_watchdog_keeps_its_last_command(emulate):
-    board = emulate('serial_transfer', '--no-watchdog')
-    amplifier = SerialTransferAmplifier(board.url, FULL_SCALE_A)
-    amplifier.connect()
-    amplifier.write(DRIVING)
-    board.eventually_at(DRIVING)
-    amplifier._release()  # as a host that dies
-    threading.Event().wait(0.4)
-    assert board.currents() == pytest.approx(DRIVING)
-
-
-def test_an_exception_in_the_thread_ends_in_zero_and_the_thread_goes_on(board):
-    failing = threading.Event()
-
-    def publish(_):
-        if failing.is_set():
-            raise RuntimeError('subscriber gone')
-
-    driver = CoilDriver(SerialTransferAmplifier(board.url, FULL_SCALE_A), LIMITS, publish)
-    driver.start()
-    drive(driver, board)
-    failing.set()
-    fault = board.until(lambda: driver.gate.fault)
-    assert (fault.reason, 'subscriber gone' in fault.detail) == (Reason.INTERNAL, True)
-    board.eventually_at([0] * 4, 'command')
-    assert not driver.command(DRIVING)
-    failing.clear()
-    drive(driver, board)  # no restart is needed
-    assert driver.stop()
-
-
-def test_it_leaves_no_thread_and_no_port(driver, board):
-    before = threading.active_count()
-    assert driver.stop()
-    assert threading.active_count() == before - 1
-    again = SerialTransferAmplifier(board.url, FULL_SCALE_A)
-    again.connect()
-    assert again.close()
+def test_without_a_device_it_does_not_start():
+    rig = Rig()
+    assert rig.driver.zero is Zero.UNREACHABLE
+    rig.device.fault('silence')
+    with pytest.raises(NoAnswerError):
+        rig.driver.start()
+    assert not rig.driver.connected
+    assert rig.driver.arm() == 'the amplifier is not connected'
+    assert not rig.driver.command(DRIVING)
+    assert rig.driver.stop() is Zero.UNREACHABLE
 
 
 @pytest.mark.parametrize('full_scale_A', [math.nextafter(FULL_SCALE_A, 0), [9.0, 9.0, 1.0, 9.0]])
-def test_a_limit_beyond_what_the_amplifier_gives_is_refused(full_scale_A):
+def test_limits_that_allow_too_much_are_refused(full_scale_A):
     with pytest.raises(InputError, match='at most the full scale'):
-        CoilDriver(SerialTransferAmplifier('nowhere', full_scale_A), LIMITS, print)
+        CoilDriver(amplifier_class('serial_transfer')('nowhere', full_scale_A), LIMITS, print)
 
 
-def test_it_does_not_start_without_an_amplifier(board):
-    board.fault('silence')
-    driver = CoilDriver(SerialTransferAmplifier(board.url, 2.0, boot_s=0.1), LIMITS, print)
-    threads = threading.active_count()
-    with pytest.raises(NoAnswerError):
-        driver.start()
-    assert threading.active_count() == threads
-    assert driver.arm() == 'the amplifier is not connected'
+@pytest.mark.parametrize(('protocol', 'self_check', 'accepted', 'right'), [
+    ('modbus', True, False, False), ('modbus', True, True, True), ('modbus', False, True, True),
+    ('scpi', True, False, False), ('scpi', True, True, True),
+    ('serial_transfer', False, False, False), ('serial_transfer', True, False, True),
+    ('serial_transfer', False, True, True), ('roboclaw', False, False, True),
+    ('roboclaw', True, True, True)])
+def test_what_has_no_watchdog_must_be_accepted(protocol, self_check, accepted, right):
+    amplifier = amplifier_class(protocol)('a,b,c,d' if protocol == 'scpi' else 'a', FULL_SCALE_A)
+    if right:
+        driver = CoilDriver(amplifier, LIMITS, print, self_check=self_check,
+                            accept_no_watchdog=accepted)
+        assert bool(driver.warning) == (accepted and protocol != 'roboclaw')
+        assert ('loses its power' in driver.warning) == bool(driver.warning)
+    else:
+        with pytest.raises(InputError, match='accept_no_watchdog'):
+            CoilDriver(amplifier, LIMITS, print, self_check=self_check)  # which is not accepted
+
+
+@pytest.mark.parametrize(('url', 'accepted', 'right'), [
+    ('rfc2217://box:4000', False, False), ('rfc2217://box:4000', True, True),
+    ('/dev/ttyUSB0', False, True)])
+def test_a_port_that_no_sentinel_can_hold_must_be_accepted(url, accepted, right):
+    """A sabertooth never says whether its timeout is armed: a sentinel watches as well."""
+    options = {'self_check': False, 'accept_no_feedback': True, 'accept_no_watchdog': accepted}
+    amplifier = amplifier_class('sabertooth')(url, FULL_SCALE_A)
+    if right:
+        driver = CoilDriver(amplifier, LIMITS, print, **options)
+        assert ('no process can watch' in driver.warning) == (not amplifier.watchable)
+    else:
+        with pytest.raises(InputError, match='accept_no_watchdog: no process can watch'):
+            CoilDriver(amplifier, LIMITS, print, **options)
+
+
+def test_the_warning_of_a_port_that_no_sentinel_can_hold_says_what_follows():
+    amplifier = amplifier_class('modbus')('rfc2217://box:4000', FULL_SCALE_A)
+    driver = CoilDriver(amplifier, LIMITS, print, accept_no_watchdog=True)
+    assert 'this program is killed' in driver.warning
+
+
+def test_limits_without_room_for_a_pulse_are_refused_at_once():
+    limits = Limits(**{**vars(LIMITS), 'deviation_A': 1.0})
+    with pytest.raises(InputError, match='self-check'):
+        CoilDriver(amplifier_class('roboclaw')('a', FULL_SCALE_A), limits, print)
+    CoilDriver(amplifier_class('roboclaw')('a', FULL_SCALE_A), limits, print, self_check=False)
+
+
+# What is known of a zero ------------------------------------------------------------------------
+
+@every_protocol
+def test_a_zero_is_confirmed_by_a_reading_that_was_taken_after_it(rig):
+    rig.drive()
+    assert rig.driver.zero is None
+    rig.driver.disarm()
+    states = []
+
+    def confirmed():
+        states.append(rig.driver.zero)
+        assert states[-1] is not Zero.CONFIRMED or rig.device.flows(ZERO)
+        return states[-1] is Zero.CONFIRMED
+
+    rig.until(confirmed, 0.5)
+    assert states[-2] in (Zero.SENT, None)
+
+
+def test_a_zero_that_nothing_reads_back_is_sent_and_not_confirmed(make):
+    rig = make(feedback_timeout_s=0.3).drive()
+    rig.device.fault('silence')
+    rig.driver.disarm()
+    rig.turn(1.0)
+    assert rig.driver.zero is Zero.SENT
+    rig.device.mend()
+    rig.until(lambda: rig.driver.zero is Zero.CONFIRMED)
+    rig.device.fault('silence')
+    rig.turn(0.3 + 0.05)
+    assert rig.driver.zero is Zero.SENT  # what was seen once is not seen for ever
+
+
+def test_a_reading_from_before_the_zero_does_not_confirm_it(rig):
+    rig.turn(0.1)
+    driver, amplifier = rig.driver, rig.driver.amplifier
+    since_s = rig.clock.now_s
+    driver._zero_since_s, driver._zero_seen_s = since_s, -math.inf
+    for after_s, currents, zero in (
+            (0.0, ZERO, Zero.SENT), (0.024, ZERO, Zero.SENT), (0.0251, ZERO, Zero.CONFIRMED),
+            (0.026, (0.0, 0.3, 0.0, 0.0), Zero.SENT), (0.03, (math.nan,) * 4, Zero.SENT),
+            (0.04, ZERO, Zero.CONFIRMED)):
+        rig.clock.now_s = since_s + after_s
+        driver._look_for_zero(amplifier._reading(
+            since_s + after_s, since_s + after_s, np.array(currents)))
+        assert driver.zero is zero
+
+
+def test_current_that_stays_is_no_zero_and_outranks_what_stopped_it(make):
+    rig = make(command_timeout_s=0.3).drive()
+    stuck = rig.device.coils._settle
+    rig.device.coils._settle = lambda _: None  # a bridge that conducts whatever it is told
+    assert rig.until(lambda: rig.gate.fault).reason is Reason.STALE
+    rig.until(lambda: rig.gate.fault.reason is Reason.UNCOMMANDED, 1.0)
+    assert rig.driver.zero is Zero.SENT
+    sent = rig.driver.amplifier.counters.frames_sent
+    rig.turn(0.2)
+    assert rig.driver.amplifier.counters.frames_sent >= sent + 4  # and zero is said again
+    rig.device.coils._settle = stuck
+    rig.until(lambda: rig.device.flows(ZERO), SOON_S)
+    rig.until(lambda: rig.driver.zero is Zero.CONFIRMED, SOON_S)
+
+
+LINES = [('scpi', line) for line in (1, 2, 3, 4)] + [('roboteq', 1), ('roboteq', 2)]
+
+
+@pytest.mark.parametrize(('protocol', 'line'), LINES)
+@pytest.mark.parametrize('when', ['armed', 'zeroing', 'reconnecting'])
+def test_of_several_lines_the_others_are_at_zero_and_the_lost_one_is_named(rig, line, when):
+    """Until it is back, and then it is at zero too."""
+    rig.device.coils.feed = lambda: None  # no watchdog helps
+    rig.drive()
+    if when == 'zeroing':
+        rig.driver.request_zero()
+    if when == 'reconnecting':
+        rig.device.fault('unplug+1')
+        rig.until(lambda: not rig.driver.connected)
+        rig.device.fault(f'unplug/{line}@1+6')
+        rig.turn(1.0)
+    else:
+        rig.device.fault(f'unplug/{line}+6')
+    per_line = 4 // len(rig.device.lines)
+    others = [coil for coil in range(4) if coil // per_line != line - 1]
+    rig.until(lambda: not any(rig.device.coils.currents_A[coil] for coil in others), SOON_S)
+    rig.turn(2.0)
+    assert not any(rig.device.coils.currents_A[coil] for coil in others)
+    assert rig.driver.zero is Zero.UNREACHABLE
+    assert rig.driver.amplifier.unreachable == (rig.device.urls[line - 1],)
+    assert rig.ask() == 'the amplifier is not connected'
+    rig.turn(6.0)
+    rig.until(lambda: rig.driver.zero is Zero.CONFIRMED, 5.0)
+    assert rig.device.flows(ZERO)
+
+
+class Sentinel:
+    """Writes down how it ends."""
+
+    ended: list[str] = []  # noqa: RUF012 — emptied by its fixture
+
+    def __init__(self, words):
+        pass
+
+    def feed(self):
+        return True
+
+    def dismiss(self):
+        self.ended.append('dismissed')
+
+    def abandon(self):
+        self.ended.append('abandoned')
+
+
+@pytest.fixture
+def sentinel(monkeypatch):
+    Sentinel.ended.clear()
+    monkeypatch.setattr(coil_driver, 'LastResort', Sentinel)
+    return Sentinel.ended
+
+
+@pytest.mark.parametrize(('protocol', 'fault', 'end'), [
+    ('scpi', None, 'dismissed'), ('modbus', None, 'dismissed'), ('scpi', 'unplug/3', 'abandoned'),
+    ('scpi', 'silence/1', 'abandoned'), ('modbus', 'silence', 'abandoned'),
+    ('modbus', 'unplug', 'abandoned')])
+def test_the_sentinel_is_dismissed_by_a_confirmed_zero_alone(protocol, fault, end, sentinel):
+    rig = Rig(protocol)
+    rig.driver.amplifier.last_words = lambda: [(0, b'')]
+    rig.connect().drive()
+    if fault:
+        rig.device.fault(fault)
+    rig.finish()
+    assert sentinel == [end]
+
+
+# Arming is asked in an epoch --------------------------------------------------------------------
+
+@pytest.mark.parametrize('stop', ['disarm', 'fault', 'trip', 'line'])
+def test_arming_from_before_a_stop_is_refused(make, stop):
+    rig = make(command_timeout_s=0.3)
+    rig.turn(0.1)
+    epoch, wall_s = rig.driver.epoch, rig.driver.epoch_wall_s
+    if stop == 'disarm':
+        rig.driver.disarm()
+    elif stop == 'fault':
+        rig.device.coils.command(DRIVING)
+    elif stop == 'trip':
+        rig.drive()
+    else:
+        rig.device.fault('unplug+0.1')
+    rig.until(lambda: rig.gate.fault or stop == 'disarm')
+    rig.until(lambda: rig.driver.connected and rig.device.flows(ZERO))
+    assert rig.driver.epoch > epoch
+    assert rig.driver.epoch_wall_s > wall_s
+    assert rig.ask(epoch) == STOPPED
+    assert not rig.gate.armed
+    rig.arm()
+
+
+def test_a_stop_that_is_queued_before_arming_goes_first(make):
+    """ARM, STOP, ARM: what would arm again was asked before the stop."""
+    rig = make(self_check=True)
+    rig.turn(0.1)
+    epoch = rig.driver.epoch
+    answers = [rig.driver.request_arming(epoch)]
+    rig.driver.request_zero()
+    answers.append(rig.driver.request_arming(epoch))
+    rig.until(answers[-1].done)
+    assert [answer.result() for answer in answers] == [STOPPED] * 2
+    assert not rig.gate.armed
+    assert set(rig.device.flowed) == {ZERO}
+
+
+# Nothing from before arming flows ---------------------------------------------------------------
+
+def test_a_command_from_before_arming_flows_only_after_a_zero(rig):
+    rig.until(lambda: rig.ask() is None)
+    rig.command_for(1.0)
+    assert rig.gate.armed
+    assert rig.gate.holding
+    rig.driver.command(ZERO)
+    rig.driver.command(DRIVING)  # takes the place of the zero in the mailbox
+    rig.until(lambda: rig.device.flows(DRIVING))
+    assert {*rig.device.flowed[:-1]} == {ZERO}
+
+
+def test_a_zero_from_before_arming_does_not_count(rig):
+    rig.driver.command(ZERO)
+    rig.turn(0.1)
+    rig.until(lambda: rig.ask() is None)
+    rig.command_for(0.5)
+    assert rig.gate.holding
+    assert rig.device.flows(ZERO)
+
+
+def test_a_zero_during_the_self_check_counts(make):
+    rig = make(self_check=True)
+    rig.turn(0.1)
+    answer = rig.driver.request_arming(rig.driver.epoch)
+    rig.until(lambda: rig.driver.arming)
+    rig.driver.command(ZERO)
+    rig.until(answer.done)
+    rig.driver.command(DRIVING)
+    rig.until(lambda: rig.device.flows(DRIVING), 0.1)
+
+
+def test_currents_that_cancel_the_field_of_the_room_are_no_command_to_move(rig):
+    rig.until(lambda: rig.ask() is None)
+    cancelling = (0.03, 0.0, -0.03, 0.0)
+    rig.driver.command(cancelling, neutral=True)
+    rig.until(lambda: rig.device.flows(cancelling), 0.1)
+    assert not rig.gate.holding
+
+
+def test_a_field_that_turns_waits_for_a_zero_too(rig):
+    rig.until(lambda: rig.ask() is None)
+    turning = Turning(_array(ZERO), _array([[1.0, 0, 0], [0, 1.0, 0], [-1, 0, 0], [0, -1, 0]]),
+                      _array((0, 0, 1.0)), 30.0, _array((1.0, 0, 0)))
+    for _ in range(30):
+        rig.driver.turn(turning)
+        rig.turn(0.01)
+    assert rig.device.flows(ZERO)
+    rig.driver.command(ZERO)
+    rig.turn(0.01)
+    for _ in range(30):
+        rig.driver.turn(turning)
+        rig.turn(0.01)
+    assert rig.gate.fault is None
+    assert max(abs(current) for current in rig.device.flowed[-1]) > 0.5
+
+
+def _array(values):
+    return np.array(values, float)
+
+
+def test_an_operator_who_leaves_ends_the_permission(rig):
+    rig.driver.attend()
+    rig.drive()
+    while not rig.gate.fault:
+        rig.driver.command(DRIVING)
+        rig.turn(0.05)
+    rig.tripped(Reason.UNATTENDED)
+    rig.turn(UNATTENDED_S)
+    rig.drive()  # unattended, as no heartbeat came since
+    rig.command_for(2 * UNATTENDED_S)
+    assert rig.gate.armed
+
+
+# What time does ---------------------------------------------------------------------------------
+
+@pytest.mark.parametrize('protocol', ['scpi', 'modbus'])
+def test_a_machine_that_was_suspended_wakes_at_zero_and_disarmed(rig):
+    """The clock of the drive goes on meanwhile; nothing else does."""
+    rig.drive()
+    rig.clock.now_s += 3600.0
+    rig.tripped(Reason.STALE if rig.gate.fault is None else rig.gate.fault.reason)
+    assert rig.gate.heat[0] == pytest.approx((1.0 / 3.0)**2, rel=0.01)
+
+
+def test_the_heat_of_before_keeps_a_hot_coil_from_being_driven(make):
+    rig = make(heat=(0.0, 1.2, 0.0, 0.0))
+    rig.turn(0.1)
+    assert rig.ask().startswith('a coil is too hot: 120%')
+    rig.turn(20.0)
+    rig.drive()
+
+
+# A board that turns the field by itself ---------------------------------------------------------
+
+@pytest.mark.parametrize(('amplitude_A', 'hertz', 'reason'), [
+    (1.0, 5.0, None), (1.0, 24.0, None), (1.0, 26.0, Reason.SLEW), (1.3, 5.0, None)])
+def test_what_a_board_turns_is_judged_before_it_is_sent(make, amplitude_A, hertz, reason):
+    """A sine of 1 A and 26 Hz changes by 104 A/s, whatever samples of it look like."""
+    rig = make(slew_A_per_s=100.0, command_timeout_s=60.0)
+    rig.driver.amplifier.swings = True
+    rig.arm()
+    rig.turn(0.05)
+    part = amplitude_A * _array([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
+    rig.driver.turn(Turning(_array(ZERO), part, _array((0, 0, 1.0)), math.tau * hertz,
+                            _array((1.0, 0, 0))))
+    if reason is None:
+        rig.turn(0.5)
+        assert rig.gate.fault is None
+        assert rig.driver._swinging
+    else:
+        rig.tripped(reason)
+
+
+def test_requests_come_from_any_thread(rig):
+    thread = threading.Thread(target=rig.driver.request_zero)
+    rig.drive()
+    thread.start()
+    thread.join()
+    rig.until(lambda: rig.device.flows(ZERO), SOON_S)

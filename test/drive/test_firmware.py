@@ -23,6 +23,8 @@ from microbot_ros.drive.gate import Limits
 from microbot_ros.drive.serial_transfer import codec
 from microbot_ros.drive.serial_transfer.driver import SerialTransferAmplifier
 
+pytestmark = pytest.mark.rig
+
 SOURCE = Path(__file__).parents[2] / 'firmware'
 NEEDED = {
     'make': shutil.which('make'), 'cc': shutil.which('cc'), 'avr-gcc': shutil.which('avr-gcc'),
@@ -442,6 +444,7 @@ def test_a_host_within_its_limits_does_not_notice_the_limits_of_the_board(board)
     driver.start()
     try:
         board.until(lambda: driver.arm() is None)
+        driver.command([0.0] * 4)
         for sign in [1, -1] * 20:  # the largest step, as often as it may come
             assert driver.command([2.0 * sign, -2.0 * sign, 0.0, 2.0 * sign])
             threading.Event().wait(0.022)

@@ -199,7 +199,7 @@ def test_current_without_a_command_trips_a_disarmed_gate_too(coil, value, within
     assert gate.measured(only(coil, value), 0.0) == ZERO
     assert (gate.fault is None) == within
     assert within or tripped(
-        gate, Reason.DEVIATION if math.isfinite(value) else Reason.MALFORMED)
+        gate, Reason.UNCOMMANDED if math.isfinite(value) else Reason.MALFORMED)
 
 
 @pytest.mark.parametrize(('age', 'settled'), [
@@ -381,7 +381,167 @@ def test_after_disarming_the_current_may_still_fall():
     assert gate.fault is None
     assert 'no measured currents' in gate.arm(math.nextafter(0.3125, 0))
     gate.measured((1.0,) * 4, 0.3125)
+    assert tripped(gate, Reason.UNCOMMANDED)
+
+
+@pytest.mark.parametrize('first', [Reason.STALE, Reason.HEAT, Reason.LINE, Reason.SELF_CHECK])
+def test_current_that_nobody_commands_outranks_the_fault_that_stands(first):
+    gate = driving((1.0,) * 4)
+    gate.trip(first, 'first')
+    gate.measured((1.0, 1.0, 1.0, -1.0), 0.03)  # as of a coil that is reversed, while it settles
+    assert tripped(gate, first)
+    gate.measured(only(1, 0.7), 0.5)
+    assert tripped(gate, Reason.UNCOMMANDED)
+    assert gate.fault.detail == '(0, 0.7, 0, 0) A measured while zero is commanded'
+    gate.measured(ZERO, 0.75)
+    assert tripped(gate, Reason.UNCOMMANDED)  # latched, as every fault
+
+
+def test_a_coil_that_settles_alone_is_not_at_rest():
+    gate = driving(only(0, 1.0))
+    gate.trip(Reason.SELF_CHECK, 'first')
+    gate.measured(only(0, -1.0), 0.03)
+    assert tripped(gate, Reason.SELF_CHECK)
+
+
+def test_current_at_rest_ends_the_permission_of_an_armed_gate():
+    gate = armed()
+    assert gate.measured(only(1, 0.7), 0.1) == ZERO
     assert tripped(gate, Reason.DEVIATION)
+
+
+def test_nothing_from_before_flows_until_a_zero_is_commanded():
+    gate = armed()
+    gate.hold()
+    for value in (2.0, -1e-9, 1.0):
+        assert gate.command(only(2, value), 0.01) == ZERO
+    assert (gate.armed, gate.fault, gate.holding) == (True, None, True)
+    assert gate.command(ZERO, 0.02) == ZERO
+    gate.release()
+    assert gate.command(only(2, 1.0), 0.03) == only(2, 1.0)
+
+
+@pytest.mark.parametrize('bad', [(math.nan, 0, 0, 0), (0, math.inf, 0, 0), (2.1, 0, 0, 0)])
+def test_a_bad_command_trips_though_the_gate_holds(bad):
+    gate = armed()
+    gate.hold()
+    assert gate.command(bad, 0.01) == ZERO
+    assert tripped(gate, Reason.LIMIT if bad[0] == 2.1 else Reason.MALFORMED)
+    assert not gate.holding
+    gate.hold()  # a gate that is disarmed holds nothing
+    assert not gate.holding
+
+
+def test_who_never_commands_zero_loses_the_permission():
+    gate = armed(Limits(**{**vars(LIMITS), 'feedback_timeout_s': 1e3}))
+    gate.hold()
+    for now in (16.0, 32.0, 64.0):
+        assert gate.command(only(0, 1.0), now) == ZERO
+    assert gate.armed
+    assert gate.command(only(0, 1.0), math.nextafter(64.0, 65.0)) == ZERO
+    assert tripped(gate, Reason.IDLE)
+    assert gate.fault.detail == 'no command of zero for 64 s'
+
+
+PATIENT = Limits(**{**vars(LIMITS), 'feedback_timeout_s': 1e3, 'idle_s': 1e3})
+
+
+@pytest.mark.parametrize(('before_s', 'attended'), [
+    (0.0, True), (3.0, True), (3.001, False), (50.0, False), (math.inf, False)])
+def test_it_is_attended_where_a_heartbeat_came_just_before_arming(before_s, attended):
+    gate = Gate(PATIENT)
+    gate.measured(ZERO, 100.0 - min(before_s, 100.0))
+    gate.attend(100.0 - before_s)
+    gate.measured(ZERO, 100.0)
+    assert gate.arm(100.0) is None
+    gate.tick(103.0 - min(before_s, 3.0))
+    assert gate.armed
+    gate.tick(math.nextafter(103.0, 104.0))
+    assert gate.armed != attended
+
+
+@pytest.mark.parametrize(('pause_s', 'holds'), [
+    (0.1, True), (3.0, True), (math.nextafter(3.0, 4.0), False), (1e3, False)])
+def test_an_attended_gate_lives_by_heartbeats(pause_s, holds):
+    gate = armed(PATIENT)
+    gate.attend(0.0)
+    gate.tick(pause_s)
+    assert holds == gate.armed
+    assert holds or tripped(gate, Reason.UNATTENDED)
+
+
+def test_who_stays_away_is_told_for_how_long():
+    gate = armed(PATIENT)
+    gate.attend(1.0)
+    gate.tick(5.25)
+    assert gate.fault.detail == 'no heartbeat of the operator for 4.2 s'
+
+
+def swinging(**limits):
+    return driving((1.0, 0.0, 0.0, 0.0), Limits(**{
+        **vars(LIMITS), 'current_A': 2.0, 'step_A': 3.0, 'slew_A_per_s': 10.0, **limits}))
+
+
+@pytest.mark.parametrize('coil', COILS)
+@pytest.mark.parametrize(('largest', 'within'), around(2.0))
+def test_what_a_device_turns_stays_within_the_limit(coil, largest, within):
+    gate = swinging()
+    gate.swing(only(coil, largest), ZERO, 1.0)
+    assert gate.armed == within
+    assert within or tripped(gate, Reason.LIMIT if math.isfinite(largest) else Reason.MALFORMED)
+
+
+@pytest.mark.parametrize(('amplitude', 'rate', 'within'), [
+    (1.5, 1.0, True), (math.nextafter(1.5, 2), 1.0, False), (0.0, 1e9, True),
+    (1.0, 5 * math.pi, True), (1.0, -5 * math.pi, True), (1.0, 5.01 * math.pi, False),
+    (1.0, -5.01 * math.pi, False), (-1.6, 1.0, False), (-1.0, 5.01 * math.pi, False)])
+def test_what_a_device_turns_is_no_faster_than_the_slew_limit(amplitude, rate, within):
+    """A sine of amplitude I and frequency f changes by 4 I f a second, and by 2 I in a half turn.
+    """
+    gate = swinging()
+    flows = gate.output
+    assert gate.swing(ZERO, only(3, amplitude), rate) == (flows if within else ZERO)
+    assert gate.armed == within
+    assert within or tripped(gate, Reason.SLEW)
+
+
+def test_a_swing_that_is_too_fast_is_told_in_turns():
+    gate = swinging()
+    gate.swing(ZERO, only(3, 1.0), -6.0 * math.tau)
+    assert gate.fault.detail == 'a swing of ±(0, 0, 0, 1) A at 6 turns a second'
+
+
+@pytest.mark.parametrize(('amplitude', 'rate'), [
+    (math.nan, 1.0), (math.inf, 1.0), (1.0, math.nan), (1.0, math.inf), (1.0, -math.inf)])
+def test_a_swing_that_is_no_number_trips(amplitude, rate):
+    gate = swinging()
+    assert gate.swing(ZERO, only(0, amplitude), rate) == ZERO
+    assert tripped(gate, Reason.MALFORMED)
+
+
+def test_a_disarmed_gate_lets_nothing_swing():
+    gate = swinging()
+    gate.revoke()
+    assert gate.swing(ZERO, ZERO, 1.0) == ZERO
+    assert gate.fault is None
+
+
+@pytest.mark.parametrize('heat', [0.0, 0.5, 1.0, math.nextafter(1.0, 2.0)])
+def test_the_heat_of_before_is_where_it_begins_and_cools(heat):
+    gate = Gate(PATIENT, heat=(0.0, heat, 0.0, 0.0))
+    gate.measured(ZERO, 1000.0)
+    assert gate.heat == only(1, heat)
+    assert bool(gate.arm(1000.0)) == (heat > 1.0)
+    gate.tick(1000.0 + LIMITS.thermal_s)
+    assert gate.heat[1] == pytest.approx(heat / math.e)
+
+
+def test_a_machine_that_was_suspended_finds_a_stale_command_and_a_hot_coil():
+    gate = driving((1.5, 0.0, 0.0, 0.0))
+    gate.measured((1.5, 0.0, 0.0, 0.0), 0.1)
+    assert gate.command((1.5, 0.0, 0.0, 0.0), 3600.0) == ZERO  # CLOCK_BOOTTIME went on
+    assert gate.heat[0] == pytest.approx(1.5**2)
+    assert gate.fault is not None
 
 
 def test_readings_that_come_late_are_no_fault_of_the_coils_but_of_the_line():

@@ -5,7 +5,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from microbot_ros.drive import amplifier as base
 from microbot_ros.drive import polled
 from microbot_ros.drive.errors import NoAnswerError
 
@@ -15,12 +14,12 @@ ONE_COIL = (1.0, 0.0, 0.0, 0.0)
 
 
 class Clock:
-    """In place of `time`, and of what wakes a driver."""
+    """A clock that goes on while somebody waits."""
 
     def __init__(self) -> None:
         self.now_s, self._looks = 0.0, 0
 
-    def monotonic(self) -> float:
+    def now(self) -> float:
         self._looks += 1
         assert self._looks < 10_000, 'it fills the processor with looking at the clock'
         return self.now_s
@@ -28,14 +27,9 @@ class Clock:
     def sleep(self, seconds: float) -> None:
         self.now_s += max(seconds, 0.0)
 
-    def wait(self, seconds: float) -> None:
+    def wait(self, _: object, seconds: float) -> bool:
         self.sleep(seconds)
-
-    def is_set(self) -> bool:
         return False
-
-    def clear(self) -> None:
-        """Nobody wakes it."""
 
 
 class Line:
@@ -75,19 +69,20 @@ class Device(polled.PolledAmplifier):
     """What drives it."""
 
     period_s, reply_s = PERIOD_S, REPLY_S
+    channels_per_device = 4
 
-    def _identify(self):
+    def _identify(self, device):
         yield from ()
 
-    def _drive(self, currents_A):
-        yield polled.Exchange([f'set {currents_A[0]:g}'.encode()])
+    def _drive(self, device, currents_A):
+        yield polled.Exchange(f'set {currents_A[0]:g}'.encode())
 
-    def _measure(self):
-        answer, = yield polled.Exchange([b'tell'], parse, 'a current')
-        return np.array([answer, 0.0, 0.0, 0.0])
+    def _measure(self, device):
+        answer = yield polled.Exchange(b'tell', parse, 'a current')
+        return [answer, 0.0, 0.0, 0.0]
 
-    def _inspect(self):
-        answer, = yield polled.Exchange([b'inspect'], parse)
+    def _inspect(self, device):
+        answer = yield polled.Exchange(b'inspect', parse)
         return f'at {answer:g}'
 
     def _zeros(self):
@@ -101,8 +96,7 @@ def parse(received: bytes) -> float | None:
 @pytest.fixture
 def clock(monkeypatch):
     clock = Clock()
-    for module in (polled, base):
-        monkeypatch.setattr(module, 'time', clock)
+    monkeypatch.setattr(Device, 'clock', clock)
     monkeypatch.setattr(polled, '_STRAY_S', STRAY_S)
     return clock
 
@@ -113,9 +107,9 @@ def line(clock):
 
 
 @pytest.fixture
-def device(clock, line):
+def device(line):
     device = Device('line', 2.0)
-    device._lines, device._woken = [line], clock
+    device._lines = [line]
     return device
 
 
@@ -168,7 +162,7 @@ def test_silence_is_asked_once_more_and_then_an_error(device, line, clock):
     line.silent = True
     with pytest.raises(NoAnswerError, match='a current'):
         device.poll(1.0)
-    assert line.said == [(0.0, b'tell'), (REPLY_S, b'tell')]
+    assert line.said == [(0.0, b'tell'), (REPLY_S, b'tell'), (2 * REPLY_S, b'set 0 at once')]
     assert clock.now_s == 2 * REPLY_S
 
 
@@ -189,7 +183,7 @@ def test_what_is_wrong_is_asked_for_half_a_second_after_the_last_answer(device, 
     inspection, answers, asked_s = device._inspect_again(), None, []
     for clock.now_s in np.arange(0.0, 2.25, 1 / 8).tolist():
         question = inspection.send(answers)
-        answers = None if question is None else [0.0]  # which comes at the next look
+        answers = None if question is None else {0: 0.0}  # which comes at the next look
         asked_s += [clock.now_s] if answers else []
     assert asked_s == [0.5, 1.125, 1.75]
 

@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+from microbot_ros.drive.amplifier import Zero
 from microbot_ros.drive.errors import NoAnswerError, WrongDeviceError
 from microbot_ros.drive.roboclaw import codec
 from microbot_ros.drive.roboclaw.driver import RoboclawAmplifier
@@ -71,10 +72,9 @@ def test_an_answer_passes_whole_and_undamaged_only(parse, data, value):
 
 def connecting(timeout: bytes = b'\x01', temperatures: tuple[str, str] = ('015e', '015e'),
                ) -> list[tuple[str, bytes, bytes]]:
-    exchanges = []
+    exchanges = [('line', *answer(address + '15', VERSION)) for address in ('80', '81')]
     for address in ('80', '81'):
         exchanges += [
-            ('line', *answer(address + '15', VERSION)),
             ('line', packet(address + '22 0000 0000'), b'\xff'),
             ('line', packet(address + '0e 01'), b'\xff'),
             ('line', *answer(address + '0f', timeout))]
@@ -95,6 +95,7 @@ def inspecting(first: str, second: str) -> list[tuple[str, bytes, bytes]]:
             ('line', *answer('81 52', bytes.fromhex(second)))]
 
 
+AT_ONCE = ('line', packet('80 22 0000 0000') + packet('81 22 0000 0000'), b'')
 ZEROING = [*driving('0000 0000', '0000 0000'), *measuring(bytes(4), bytes(4))]
 
 
@@ -115,7 +116,7 @@ def test_the_transcript_of_a_session(scripted):
         *connecting(),
         *driving('7fff c000', '0000 2000'),
         *measuring(bytes.fromhex('00c8 ff9c'), bytes.fromhex('0000 0032')),
-        ('line', packet('80 22 0000 0000') + packet('81 22 0000 0000'), b''), *ZEROING])
+        AT_ONCE, *ZEROING])
     amplifier = RoboclawAmplifier('line', 2.0)
     amplifier.connect()
     command = amplifier.write([2.0, -1.00003, 0.0, 0.5])
@@ -137,15 +138,17 @@ def test_a_damaged_answer_is_asked_for_again(scripted):
 
 
 def test_a_timeout_that_is_not_taken_stops_the_connection(scripted):
-    scripted(connecting(timeout=b'\x00')[:4])
+    scripted([*connecting(timeout=b'\x00')[:8], AT_ONCE, *ZEROING])
     with pytest.raises(WrongDeviceError, match='timeout'):
         RoboclawAmplifier('line', 2.0).connect()
 
 
 def test_no_acknowledgement_is_an_error(scripted):
     zero = packet('80 22 0000 0000')
-    scripted([*connecting()[:1], ('line', zero, b''), ('line', zero, b'')])
+    # The other controller is configured all the same.
+    scripted([*connecting()[:2], ('line', zero, b''), ('line', zero, b''), *connecting()[5:8]])
     amplifier = RoboclawAmplifier('line', 2.0)
     amplifier.reply_s = 0.01
+    amplifier._abort = lambda _: None  # what that says is in test_lines
     with pytest.raises(NoAnswerError, match='FF'):
         amplifier.connect()

@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+from microbot_ros.drive.amplifier import Zero
 from microbot_ros.drive.errors import WrongDeviceError
 from microbot_ros.drive.roboteq import codec
 from microbot_ros.drive.roboteq.driver import RoboteqAmplifier
@@ -87,6 +88,7 @@ def test_another_model_is_refused(scripted):
 
 
 def test_a_watchdog_that_is_not_taken_stops_the_connection(scripted):
-    scripted([*IDENTIFYING[:-2], *on_both(b'~RWD\r', b'RWD=1000\r')])
+    scripted([*IDENTIFYING[:-2], *on_both(b'~RWD\r', b'RWD=1000\r'),
+              *on_both(b'\r!G 1 0\r!G 2 0\r', b''), *ZEROING])
     with pytest.raises(WrongDeviceError, match='watchdog of 100 ms'):
         RoboteqAmplifier('a,b', 2.0).connect()

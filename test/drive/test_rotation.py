@@ -15,6 +15,8 @@ from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.gate import Reason
 from microbot_ros.drive.rotation import Rotation, Turning
 
+pytestmark = pytest.mark.rig
+
 SLEW = 200.0
 PER_AXIS = np.kron(np.eye(3), [[1.0], [-1.0]])
 """Six coils, a pair an axis."""
@@ -96,6 +98,7 @@ def rig(tmp_path, request):
                         names=[f'coil_{k}' for k in range(6)])
     driver.start()
     until(lambda: driver.arm() is None)
+    driver.command([0.0] * 6)
     del device.flowed[:-1]
     yield driver, device, told
     driver.stop()

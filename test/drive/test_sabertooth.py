@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from bench._served import FULL_SCALE_A, LIMITS, Served, until
 from microbot_ros.cli import doctor
-from microbot_ros.drive.amplifier import Watchdog
+from microbot_ros.drive.amplifier import Watchdog, Zero
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.emulator.coils import Coils
 from microbot_ros.drive.errors import NoAnswerError, PortBusyError, PortLostError
@@ -20,6 +20,8 @@ from microbot_ros.drive.sabertooth import codec
 from microbot_ros.drive.sabertooth.driver import SabertoothAmplifier
 from microbot_ros.drive.sabertooth.emulated import Controllers
 from microbot_ros.errors import InputError
+
+pytestmark = pytest.mark.rig
 
 ZERO = (0.0,) * 4
 DRIVING = (1.0, -1.0, 0.5, 0.2)
@@ -85,10 +87,12 @@ class Line:
     """A port that keeps what is sent, and a clock that its bytes and the waits drive."""
 
     def __init__(self, monkeypatch):
-        self.now, self.sent, self.discarded = 100.0, [], 0
-        driver = 'microbot_ros.drive.sabertooth.driver.'
-        monkeypatch.setattr(driver + 'Port', self.open)
-        monkeypatch.setattr(driver + 'time.monotonic', lambda: self.now)
+        self.now_s, self.sent, self.discarded = 100.0, [], 0
+        monkeypatch.setattr(SabertoothAmplifier, 'open_port', self.open)
+        monkeypatch.setattr(SabertoothAmplifier, 'clock', self)
+
+    def now(self):
+        return self.now_s
 
     def open(self, url, baud):
         self.opened = (url, baud)
@@ -97,7 +101,7 @@ class Line:
     descriptor = 7
 
     def send(self, data):
-        self.sent.append((self.now, data))
+        self.sent.append((self.now_s, data))
 
     def discard_output(self):
         self.discarded += 1
@@ -105,8 +109,12 @@ class Line:
     def close(self):
         self.opened = None
 
-    def wait(self, seconds):
-        self.now += max(seconds, 1e-6)
+    def wait(self, event, seconds):
+        self.now_s += max(seconds, 1e-6)
+        return event.is_set()
+
+    def wake(self):
+        """Nothing waits in it."""
 
     def packets(self):
         """What was sent since it was asked last."""
@@ -120,10 +128,9 @@ def line(monkeypatch):
 
 
 @pytest.fixture
-def blind(line, monkeypatch):
+def blind(line):
     """A driver of four channels that is connected, on that line and clock."""
     amplifier = SabertoothAmplifier('line', 2.0)
-    monkeypatch.setattr(amplifier._woken, 'wait', line.wait)
     amplifier.connect()
     amplifier.poll(1.0)
     line.sent.clear()
@@ -135,26 +142,26 @@ def test_the_transcript_of_a_session(line):
     amplifier.connect()
     assert line.opened == ('line', 9600)
     assert line.packets() == [b'\xaa' + ZEROS + bytes.fromhex('800e010f 810e0110')]
-    line.now += 1.0
+    line.now_s += 1.0
     amplifier.write([2.0, -1.0, 0.0, 0.5])
     amplifier.write(ZERO)
-    line.now += 1.0
+    line.now_s += 1.0
     amplifier.zero()
     assert line.packets() == [
         bytes.fromhex('800e010f 80007f7f 80054045 81000001 81042025'), ZEROS,
         # A zero that is said again comes with the timeout of the other controller.
         bytes.fromhex('810e0110') + ZEROS]
-    assert amplifier.close() is False  # for nothing confirms it
+    assert amplifier.close() is Zero.SENT  # for nothing confirms it
     assert line.opened is None
     assert amplifier.counters.frames_sent == 5
     for use in (amplifier.zero, amplifier.poll, amplifier.last_words):
         with pytest.raises(NoAnswerError):
             use()
-    assert amplifier.close() is False
+    assert amplifier.close() is Zero.UNREACHABLE
 
 
 def test_only_the_newest_waits_for_a_slow_line(line, blind):
-    began = line.now
+    began = line.now_s
     for duty in (0.1, 0.2, 0.3, 0.4):
         blind.write([2 * duty, 0.0, 0.0, 0.0])
     assert blind.poll(1.0) == []
@@ -164,15 +171,15 @@ def test_only_the_newest_waits_for_a_slow_line(line, blind):
     # 20 bytes of ten bits at 9600 a second.
     assert (first_s, second_s) == (began, pytest.approx(began + 20 * 10 / 9600, abs=1e-4))
     assert blind.sample_s == pytest.approx(20 * 10 / 9600)
-    assert line.now == pytest.approx(began + 1.0, abs=1e-3)
+    assert line.now_s == pytest.approx(began + 1.0, abs=1e-3)
 
 
 def test_the_next_goes_out_in_the_moment_in_which_the_line_is_free(line, blind):
     blind.write([0.1, 0.0, 0.0, 0.0])
-    line.now = math.nextafter(blind._free_s, 0)
+    line.now_s = math.nextafter(blind._free_s, 0)
     blind.write([0.2, 0.0, 0.0, 0.0])
     assert len(line.sent) == 1
-    line.now = blind._free_s
+    line.now_s = blind._free_s
     blind.write([0.3, 0.0, 0.0, 0.0])
     assert len(line.sent) == 2
 
@@ -188,12 +195,12 @@ def test_zero_waits_for_nothing_and_nothing_comes_after_it(line, blind):
 
 
 def test_a_poll_is_woken(line, blind):
-    began = line.now
+    began = line.now_s
     blind.wake()
     assert blind.poll(1.0) == []
-    assert line.now == began
+    assert line.now_s == began
     assert blind.poll(1.0) == []  # and the next one waits again
-    assert line.now == pytest.approx(began + 1.0, abs=1e-3)
+    assert line.now_s == pytest.approx(began + 1.0, abs=1e-3)
 
 
 @pytest.mark.parametrize(('channels', 'timeout_s'), [(1, 0.1), (4, 0.1), (6, 0.1), (16, 0.2)])
@@ -205,7 +212,7 @@ def test_the_timeout_leaves_time_for_the_next_packet(line, channels, timeout_s):
     amplifier.connect()
     for address in range(0x80, 0x80 + -(-channels // 2)):
         assert codec.set_timeout(address, timeout_s) in line.sent[0][1]
-    assert amplifier.last_words() == [(7, amplifier._zeros())]
+    assert amplifier.last_words() == [(7, *amplifier._zeros())]
 
 
 @pytest.mark.parametrize('value', [math.nan, math.inf, -math.inf, math.nextafter(2, 3), -5.0])
@@ -243,6 +250,7 @@ def drive(device):
         driver.start()
         started.append(driver)
         assert driver.arm() is None
+        driver.command(ZERO)
         assert driver.command(DRIVING)
         device.eventually(DRIVING)
         return driver
@@ -319,7 +327,8 @@ def test_a_line_that_is_lost_says_so(device):
 
     with pytest.raises(PortLostError):
         until(use)
-    assert amplifier.close() is False
+    assert amplifier.close() is Zero.UNREACHABLE
+    assert amplifier.unreachable == (device.url,)
 
 
 def test_it_is_watched_by_a_process_as_nothing_says_that_its_timeout_is_armed(drive):

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from microbot_ros.drive.amplifier import Zero
 from microbot_ros.drive.errors import WrongDeviceError
 from microbot_ros.drive.scpi import codec
 from microbot_ros.drive.scpi.driver import ScpiAmplifier
@@ -94,7 +95,8 @@ def test_another_maker_is_refused(scripted):
     (0.1, b'1.0000E-01', b'1.50E-1'), (100.0, b'1.0000E+02', b'1.02E2'),
 ])
 def test_a_protection_limit_that_is_not_taken_is_refused(scripted, full_scale_A, limit, taken):
-    scripted([*identifying(), *limiting(limit, taken)])
+    scripted([*identifying(), *limiting(limit, taken), *on_each(b'\x1bCURR 0\n', b''), *ZEROING,
+              *on_each(b'OUTP OFF\n', b'')])
     with pytest.raises(WrongDeviceError, match=f'limit of {full_scale_A:g} A'):
         ScpiAmplifier('a,b,c,d', full_scale_A).connect()
 

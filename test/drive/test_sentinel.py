@@ -10,7 +10,10 @@ import pytest
 
 from bench._served import until
 from microbot_ros.drive import last_resort, sentinel
+from microbot_ros.drive.amplifier import amplifier_class
 from microbot_ros.drive.roboclaw import driver as roboclaw
+
+pytestmark = pytest.mark.rig
 
 DRIVING = (1.0, -1.0, 0.5, 0.2)
 
@@ -37,7 +40,7 @@ def said(reading):
 WORDS = (b'zero\xff', b'nought')
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGHUP])
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGHUP, signal.SIGTERM])
 def test_the_sentinel_says_the_last_words_when_it_is_not_fed(lines, number):
     heard, writing = lines
     last = last_resort.LastResort(list(zip(writing, WORDS, strict=True)))
@@ -124,6 +127,82 @@ def test_the_sentinel_outlives_its_host_until_all_is_at_zero(lines):
     assert time.monotonic() - begin >= sentinel.REPEATS * sentinel.AGAIN_S
     assert said(heard[0]) == sentinel.REPEATS * WORDS[0]
     assert said(heard[1]) == sentinel.REPEATS * WORDS[1]
+
+
+def test_an_abandoned_sentinel_zeroes_and_ends_and_leaves_no_zombie(lines):
+    heard, writing = lines
+    last = last_resort.LastResort(list(zip(writing, WORDS, strict=True)))
+    assert last.feed()
+    begin = time.monotonic()
+    last.abandon()
+    assert time.monotonic() - begin < sentinel.REPEATS * sentinel.AGAIN_S  # it does not wait
+    until(lambda: last._process.returncode is not None)
+    assert last._process.returncode == 0
+    with pytest.raises(ChildProcessError):
+        os.waitpid(last._process.pid, 0)  # reaped already
+    # As often, or oftener where it was not fed for long before.
+    said_s = [said(line) for line in heard]
+    for word, words in zip(WORDS, said_s, strict=True):
+        assert words == word * (len(words) // len(word))
+        assert len(words) >= sentinel.REPEATS * len(word)
+
+
+def test_a_dismissed_sentinel_says_nothing(lines):
+    heard, writing = lines
+    last = last_resort.LastResort(list(zip(writing, WORDS, strict=True)))
+    assert last.feed()
+    last.dismiss()
+    assert last._process.returncode == 0
+    assert said(heard[0]) == said(heard[1]) == b''
+
+
+def test_an_abandoned_sentinel_that_hangs_holds_nobody_up():
+    last = last_resort.LastResort([])
+    os.kill(last._process.pid, signal.SIGSTOP)
+    last.abandon()
+    assert last._process.returncode is None
+    os.kill(last._process.pid, signal.SIGKILL)
+    until(lambda: last._process.returncode == -signal.SIGKILL)
+
+
+@pytest.mark.parametrize(('group', 'aside'), [
+    ('/user.slice/app.slice/microbot.service', '/user.slice/app.slice/microbot_sentinels'),
+    ('/microbot.service', '/microbot_sentinels')])
+def test_the_sentinel_moves_to_a_control_group_beside_that_of_its_host(tmp_path, group, aside):
+    own = tmp_path / 'own'
+    own.write_text(f'1:name=systemd:/old\n0::{group}\n')
+    (tmp_path / group[1:]).mkdir(parents=True)
+    for _ in range(2):
+        assert sentinel.step_aside(str(tmp_path), str(own)) is True
+        assert (tmp_path / aside[1:] / 'cgroup.procs').read_text() == str(os.getpid())
+
+
+@pytest.mark.parametrize('group', ['0::/', '1:name=systemd:/old', ''])
+def test_the_sentinel_stays_where_there_is_no_group_beside(tmp_path, group):
+    own = tmp_path / 'own'
+    own.write_text(group)
+    assert sentinel.step_aside(str(tmp_path), str(own)) is False
+    assert sentinel.step_aside(str(tmp_path), str(tmp_path / 'gone')) is False
+    assert sorted(tmp_path.iterdir()) == [own]
+
+
+def test_the_sentinel_stays_where_it_may_not_move(tmp_path):
+    own = tmp_path / 'own'
+    own.write_text('0::/a/b')
+    (tmp_path / 'a').write_text('no folder')
+    assert sentinel.step_aside(str(tmp_path), str(own)) is False
+
+
+@pytest.mark.parametrize(('url', 'watchable'), [
+    ('/dev/ttyACM0', True), ('/dev/serial/by-id/usb-a', True), ('socket://host:1', True),
+    ('hwgrep://usb', True), ('rfc2217://host:1', False), ('loop://', False),
+    ('cp2110://a', False)])
+def test_it_is_known_beforehand_whether_a_sentinel_can_hold_a_line(url, watchable):
+    assert amplifier_class('modbus')(url, 2.0).watchable is watchable
+    for number in range(4):
+        urls = ['/dev/ttyUSB0'] * 4
+        urls[number] = url
+        assert amplifier_class('scpi')(','.join(urls), 2.0).watchable is watchable
 
 
 def test_a_line_that_is_gone_does_not_keep_the_others_from_being_zeroed(lines):

@@ -22,7 +22,7 @@ from stolen import Processors
 from microbot_ros.cli.demo import GOALS_UM, places_within, tell_shortcomings
 from microbot_ros.cli.demo_results import goals_reached
 
-pytestmark = [pytest.mark.graph, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.rig, pytest.mark.timeout(600)]
 
 
 def watchdogs(out: Path) -> int:

@@ -26,7 +26,7 @@ from microbot_ros.errors import InputError, RigError
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.graph_client import GraphClient
 
-pytestmark = [pytest.mark.graph, pytest.mark.timeout(120)]
+pytestmark = [pytest.mark.rig, pytest.mark.timeout(120)]
 
 ZERO_S = 0.1
 _LAUNCHER = """

@@ -14,6 +14,8 @@ from microbot_ros.errors import InputError
 from microbot_ros.first_compilation import COMPILES
 from microbot_ros.nodes.graph import Graph
 
+pytestmark = pytest.mark.rig
+
 Said = list[tuple[str, str]]
 _TOLD = """
 import signal, sys, time

@@ -17,16 +17,16 @@ from microbot_ros.nodes.graph_client import GraphClient
 from microbot_ros.session import open_recording
 from microbot_ros.session.from_recording import session_of
 
-pytestmark = [pytest.mark.graph, pytest.mark.timeout(400)]
+pytestmark = [pytest.mark.soak, pytest.mark.timeout(400)]
 
 CUT_IN_HZ, SECONDS, LEG_S = 1.5, 36.0, 1.5
 PATIENT = {'command_timeout_ms': 500.0, 'max_command_age_ms': 500.0}
 
 
 @pytest.fixture
-def emulator_options() -> tuple[str, ...]:
+def emulator_options() -> dict[str, Any]:
     """A board of six coils."""
-    return '--channels', '6'
+    return {'channels': 6}
 
 
 def _there_and_back(file: Path) -> None:
@@ -59,7 +59,6 @@ def _rig(folder: Path, emulator: Any) -> Path:
 
 
 # By the stamps of several processes: one that stands still for a moment is a step of its own.
-@pytest.mark.clocked
 def test_a_hidden_cut_in_is_named_and_the_gap_closes(tmp_path: Path, emulator: Any) -> None:
     with Graph(lambda *_: None) as graph, GraphClient('test') as client:
         file = _rig(tmp_path, emulator)

@@ -16,7 +16,7 @@ import pytest
 from microbot_ros.nodes.graph_client import GraphClient
 from microbot_ros.nodes.transport import asked_reach, clear_shared_memory
 
-pytestmark = [pytest.mark.graph, pytest.mark.timeout(120)]
+pytestmark = [pytest.mark.rig, pytest.mark.timeout(120)]
 
 FORGOTTEN_S = 4.0
 """A lease of 3 s, and a look around each second."""

@@ -5,6 +5,10 @@ from __future__ import annotations
 import subprocess
 import sys
 
+import pytest
+
+pytestmark = pytest.mark.rig
+
 _PROGRAM = """
 import importlib, pkgutil
 import numpy as np

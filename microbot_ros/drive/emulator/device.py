@@ -18,8 +18,8 @@ class Device(ABC):
         self.coils = coils
         self.ports = math.ceil(coils.channels / (self.channels_per_port or coils.channels))
         """How many serial lines it has."""
-        self.wrong_device = False
-        """Whether it answers as another model would."""
+        self.wrong_ports: frozenset[int] = frozenset()
+        """The lines on which it answers as another model would."""
         self.hot = False
         """Whether it is too hot to drive: no current flows, and it says so where it can."""
         self.reset()

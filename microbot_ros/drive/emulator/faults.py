@@ -30,34 +30,36 @@ _SHARES = {'open': 0.0, 'reversed': -1.0, 'half_gain': 0.5}
 """Fault of one coil → the share of its current that flows."""
 _MOST_COILS = 16
 _BYTE_FAULTS = frozenset({'drop', 'flip', 'double'})
-_SYNTAX = re.compile(r'([a-z_]+)(?:=([\d.]+))?(?:@([\d.]+))?(?:\+([\d.]+))?')
+_SYNTAX = re.compile(r'([a-z_]+)(?:=([\d.]+))?(?:/(\d+))?(?:@([\d.]+))?(?:\+([\d.]+))?')
 
 
 @dataclass(frozen=True)
 class Fault:
     """A fault of a `kind`, with the `value` that the kind takes, from `start_s` to `end_s` on the
-    monotonic clock."""
+    monotonic clock; of one serial `line`, counted from 1, or of all (0)."""
 
     kind: str
     value: float
     start_s: float
     end_s: float
+    line: int = 0
 
 
 def parse(text: str, now_s: float) -> Fault:
-    """A fault from a `text` `KIND[=VALUE][@START][+DURATION]`, in seconds from `now_s`.
+    """Return the fault that a `text` `KIND[=VALUE][/LINE][@START][+DURATION]` describes.
 
-    Without START it begins at once, without DURATION it stays. Raises InputError.
+    Times are in seconds from `now_s`. Without LINE, which counts from 1, it is a fault of all
+    lines; without START it begins at once; without DURATION it stays. Raises InputError.
     """
     match = _SYNTAX.fullmatch(text.strip())
     try:
-        kind, *numbers = match.groups() if match else ('', None, None, None)
-        value, start, duration = (None if n is None else float(n) for n in numbers)
+        kind, *numbers = match.groups() if match else ('', None, None, None, None)
+        value, line, start, duration = (None if n is None else float(n) for n in numbers)
     except ValueError:
         kind = ''
     if kind not in KINDS:
         known = ', '.join(KINDS)
-        raise InputError('--fault', f"expected KIND[=VALUE][@START][+DURATION] with one of "
+        raise InputError('--fault', f"expected KIND[=VALUE][/LINE][@START][+DURATION] with one of "
                          f"{known}; received '{text}'")
     value = KINDS[kind][0] if value is None else value
     if not _valid(kind, value):
@@ -65,7 +67,8 @@ def parse(text: str, now_s: float) -> Fault:
     if kind == 'reset':
         duration = value * 1e-3
     begin = now_s + (start or 0.0)
-    return Fault(kind, value, begin, math.inf if duration is None else begin + duration)
+    end = math.inf if duration is None else begin + duration
+    return Fault(kind, value, begin, end, int(line or 0))
 
 
 def _valid(kind: str, value: float) -> bool:
@@ -86,10 +89,24 @@ class Faults:
         """Let one more fault happen."""
         self._faults.append(fault)
 
-    def value(self, kind: str, now_s: float) -> float | None:
-        """The value of a `kind` of fault that holds at `now_s`, None where it does not."""
-        return next((fault.value for fault in self._faults
-                     if fault.kind == kind and fault.start_s <= now_s < fault.end_s), None)
+    def clear(self) -> None:
+        """End all faults."""
+        self._faults.clear()
+
+    def due_s(self, now_s: float) -> float:
+        """When the next fault begins or ends after `now_s` [s]; inf for never."""
+        moments = (moment_s for fault in self._faults for moment_s in (fault.start_s, fault.end_s))
+        return min((moment_s for moment_s in moments if moment_s > now_s), default=math.inf)
+
+    def value(self, kind: str, now_s: float, port: int = 0) -> float | None:
+        """The value of a `kind` of fault that the line of a `port`, counted from 0, has at
+        `now_s`; None where it has none.
+        """
+        for fault in self._faults:
+            if (fault.kind == kind and fault.line in (0, port + 1)
+                    and fault.start_s <= now_s < fault.end_s):
+                return fault.value
+        return None
 
     def conducted(self, now_s: float, coils: int) -> tuple[tuple[float, ...], str]:
         """The share of its current that each of so many `coils` carries at `now_s`, and the fault
@@ -110,15 +127,15 @@ class Faults:
         self._reset_done |= due
         return bool(due)
 
-    def damage(self, message: bytes, now_s: float) -> bytes:
-        """What arrives of a `message` that goes on the line at `now_s`."""
+    def damage(self, message: bytes, now_s: float, port: int = 0) -> bytes:
+        """What arrives of a `message` that goes on the line of a `port` at `now_s`."""
         if not self._faults:
             return message
-        cut = self.value('truncate', now_s)
+        cut = self.value('truncate', now_s, port)
         if cut is not None and message and self._random.random() < cut:
             message = message[:self._random.randrange(len(message))]
         for kind in sorted(_BYTE_FAULTS):
-            probability = self.value(kind, now_s)
+            probability = self.value(kind, now_s, port)
             if probability is not None:
                 message = b''.join(self._damaged(kind, byte, probability) for byte in message)
         return message

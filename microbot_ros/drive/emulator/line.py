@@ -28,8 +28,15 @@ class Line:
             raise InputError(link, 'expected a name that is free for the link, found a file')
         self.plug()
 
+    @property
+    def plugged(self) -> bool:
+        """Whether there is a line to open."""
+        return self.master is not None
+
     def plug(self) -> None:
-        """Make the line there to be opened."""
+        """Make the line there to be opened; harmless the second time."""
+        if self.plugged:
+            return
         self.master, slave = pty.openpty()
         tty.setraw(slave)
         self._device = os.ttyname(slave)

@@ -71,7 +71,7 @@ class Bridges(Device):
         if request.dev_id not in self._values:
             return b''
         answer = self._answer(request)
-        answer.dev_id = request.dev_id + len(self._values) if self.wrong_device else request.dev_id
+        answer.dev_id = request.dev_id + len(self._values) if self.wrong_ports else request.dev_id
         return self._framer.buildFrame(answer)
 
     def _answer(self, request: ModbusPDU) -> ModbusPDU:

@@ -60,7 +60,7 @@ class Controllers(Device):
 
     def _report(self, address: int, command: int) -> bytes:
         if command == codec.GET_VERSION:
-            name = b'Sabertooth 2x32' if self.wrong_device else b'USB Roboclaw 2x15a v4.1.34'
+            name = b'Sabertooth 2x32' if self.wrong_ports else b'USB Roboclaw 2x15a v4.1.34'
             return name + b'\n\0'
         if command == codec.GET_TIMEOUT:
             return bytes((self._timeouts[address],))

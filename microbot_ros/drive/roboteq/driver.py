@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -22,42 +23,38 @@ class RoboteqAmplifier(PolledAmplifier):
     """
 
     watchdog = Watchdog.ARMED
-    channels_per_port = 2
+    channels_per_device = 2
     resolution_A = codec.CURRENT_STEP_A
 
-    def _identify(self) -> Talk[None]:
+    def _identify(self, device: int) -> Talk[None]:
         # Once more than needed: the echo of what switches it off comes before the answer.
-        yield Exchange([codec.END + codec.line('^ECHOF 1')] * self.ports,
+        yield Exchange(codec.END + codec.line('^ECHOF 1'),
                        lambda received: received.endswith(b'+' + codec.END) or None,
                        'no more echo')
-        names = yield Exchange([codec.line('?FID')] * self.ports, partial(codec.text, 'FID'),
-                               'a firmware name')
-        for port, name in zip(self._lines, names, strict=True):
-            if not name.startswith(_MODEL):
-                raise WrongDeviceError(port.url, f'a {_MODEL} controller', name)
-        yield Exchange([codec.drive(0.0, 0.0)] * self.ports, partial(codec.accepted, 2),
-                       'a zero accepted')
-        yield Exchange([codec.line(f'^RWD {_WATCHDOG_MS}')] * self.ports,
-                       partial(codec.accepted, 1), 'a watchdog accepted')
-        armed = yield Exchange([codec.line('~RWD')] * self.ports, partial(codec.text, 'RWD'),
-                               'its watchdog')
-        if armed != [str(_WATCHDOG_MS)] * self.ports:
-            raise WrongDeviceError(self.url, f'a watchdog of {_WATCHDOG_MS} ms', f'{armed} ms')
+        name = yield Exchange(codec.line('?FID'), partial(codec.text, 'FID'), 'a firmware name')
+        if not name.startswith(_MODEL):
+            raise WrongDeviceError(self.urls[device], f'a {_MODEL} controller', name)
 
-    def _drive(self, currents_A: np.ndarray) -> Talk[None]:
-        shares = [*(currents_A / self.full_scale_A).tolist(), 0.0]  # of a channel that is spare
-        yield Exchange([codec.drive(first, second) for first, second
-                        in zip(shares[::2], shares[1::2], strict=False)],
-                       partial(codec.accepted, 2), 'a command accepted')
+    def _configure(self, device: int) -> Talk[None]:
+        yield Exchange(codec.drive(0.0, 0.0), partial(codec.accepted, 2), 'a zero accepted')
+        yield Exchange(codec.line(f'^RWD {_WATCHDOG_MS}'), partial(codec.accepted, 1),
+                       'a watchdog accepted')
+        armed = yield Exchange(codec.line('~RWD'), partial(codec.text, 'RWD'), 'its watchdog')
+        if armed != str(_WATCHDOG_MS):
+            raise WrongDeviceError(self.urls[device], f'a watchdog of {_WATCHDOG_MS} ms',
+                                   f'{armed} ms')
 
-    def _measure(self) -> Talk[np.ndarray]:
-        found = yield Exchange([codec.line('?A')] * self.ports, codec.currents, 'currents')
-        return np.ravel(found)[:self.channels]
+    def _drive(self, device: int, currents_A: np.ndarray) -> Talk[None]:
+        yield Exchange(codec.drive(*self._duties(device, currents_A)), partial(codec.accepted, 2),
+                       'a command accepted')
 
-    def _inspect(self) -> Talk[str]:
-        found = yield Exchange([codec.line('?FF')] * self.ports, codec.faults, 'fault flags')
-        return '; '.join(f'{port.url}: {", ".join(faults)}'
-                         for port, faults in zip(self._lines, found, strict=True) if faults)
+    def _measure(self, device: int) -> Talk[Sequence[float]]:
+        measured: Sequence[float] = yield Exchange(codec.line('?A'), codec.currents, 'currents')
+        return measured
+
+    def _inspect(self, device: int) -> Talk[str]:
+        faults = yield Exchange(codec.line('?FF'), codec.faults, 'fault flags')
+        return f'{self.urls[device]}: {", ".join(faults)}' if faults else ''
 
     def _zeros(self) -> list[bytes]:
-        return [codec.END + codec.drive(0.0, 0.0)] * self.ports
+        return [codec.END + codec.drive(0.0, 0.0)] * len(self.devices)

@@ -42,7 +42,8 @@ class Controllers(Device):
             return self._drive(port, int(command[1]), int(command[2]))
         match text.split(' '):
             case ['?FID']:
-                return 'FID=' + ('Sabertooth' if self.wrong_device else 'Roboteq v2.1 SDC2130')
+                wrong = port in self.wrong_ports
+                return 'FID=' + ('Sabertooth' if wrong else 'Roboteq v2.1 SDC2130')
             case ['?A']:
                 both = (*self.coils.currents_A, 0.0)[2 * port:2 * port + 2]
                 tenths = [round(current / codec.CURRENT_STEP_A) for current in both]

@@ -5,17 +5,13 @@ Nothing comes back from them, neither currents nor a yes: what they do is what t
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Sequence
 from itertools import cycle
 
 import numpy as np
 
-from microbot_ros.drive.amplifier import COILS, Amplifier, Command, Watchdog
-from microbot_ros.drive.errors import NoAnswerError
+from microbot_ros.drive.amplifier import COILS, Amplifier, Command, Watchdog, Zero
 from microbot_ros.drive.sabertooth import codec
-from microbot_ros.drive.transport import Port
 
 ADDRESSES = range(0x80, 0x88)
 """Of the controllers; each has two channels."""
@@ -43,36 +39,31 @@ class SabertoothAmplifier(Amplifier):
         super().__init__(url, full_scale_A, channels)
         self._addresses = ADDRESSES[:-(-channels // 2)]
         self._turns = cycle(self._addresses)
-        self.sample_s = _BYTE_S * (len(self._zeros()) + codec.PACKET_BYTES)
+        self.sample_s = _BYTE_S * (len(self._zeros()[0]) + codec.PACKET_BYTES)
         steps = -(-(self.sample_s + _LATEST_S) // codec.TIMEOUT_STEP_S)
         self.timeout_s = float(steps * codec.TIMEOUT_STEP_S)
         """After which the controllers are told to stop without a packet."""
-        self._port: Port | None = None
         self._order: Command | None  # the newest, until it goes out
         self._flowing: bool
         self._free_s: float  # when the line has taken all
-        self._woken = threading.Event()
-
-    def wake(self) -> None:
-        self._woken.set()
-
-    def last_words(self) -> list[tuple[int, bytes]]:
-        descriptor = self._require_port().descriptor
-        return [] if descriptor is None else [(descriptor, self._zeros())]
 
     def _open(self) -> None:
         self._order, self._flowing = None, False
-        self._port = Port(self.url, _BAUD)
-        self._say(codec.BAUDING + self._zeros() + b''.join(
+        self._lines.append(self._open_port(self.url, _BAUD))
+        self._say(codec.BAUDING + self._zeros()[0] + b''.join(
             codec.set_timeout(address, self.timeout_s) for address in self._addresses))
 
+    def _end(self) -> Zero:
+        self._flowing = True  # the last zero goes out at once, not when the line is free
+        return super()._end()
+
     def _send(self, command: Command) -> None:
-        port = self._require_port()
+        self._require_lines()
         flows = bool(np.any(command.currents_A))
         if self._flowing and not flows:
-            port.discard_output()  # a packet that this cuts is none to the controllers
+            self._lines[0].discard_output()  # a packet that this cuts is none to the controllers
             self._order = None
-            self._say(self._zeros())
+            self._say(*self._zeros())
         else:
             self._order = command
             self._go_on()
@@ -81,38 +72,28 @@ class SabertoothAmplifier(Amplifier):
 
     def _receive(self, timeout_s: float) -> list[tuple[float, float, np.ndarray]]:
         """Nothing ever; meanwhile what waits goes out as soon as the line is free."""
-        self._require_port()
-        until_s = time.monotonic() + timeout_s
-        while not self._woken.is_set() and (now := time.monotonic()) < until_s:
+        self._require_lines()
+        until_s = self.clock.now() + timeout_s
+        while not self._woken.is_set() and (now := self.clock.now()) < until_s:
             next_s = until_s if self._order is None else min(self._free_s, until_s)
-            self._woken.wait(max(next_s - now, 0.0))
+            self.clock.wait(self._woken, next_s - now)
             self._go_on()
         self._woken.clear()
         return []
 
     def _go_on(self) -> None:
-        if self._order is not None and time.monotonic() >= self._free_s:
+        if self._order is not None and self.clock.now() >= self._free_s:
             currents, self._order = self._order.currents_A, None
             self._say(codec.set_timeout(next(self._turns), self.timeout_s)
                       + self._drive((currents / self.full_scale_A).tolist()))
 
     def _say(self, data: bytes) -> None:
-        self._require_port().send(data)
-        self._free_s = time.monotonic() + _BYTE_S * len(data)
+        self._lines[0].send(data)
+        self._free_s = self.clock.now() + _BYTE_S * len(data)
 
-    def _zeros(self) -> bytes:
-        return self._drive([0.0] * self.channels)
+    def _zeros(self) -> list[bytes]:
+        return [self._drive([0.0] * self.channels)]
 
     def _drive(self, duties: list[float]) -> bytes:
         return b''.join(codec.drive(self._addresses[channel // 2], channel % 2, duty)
                         for channel, duty in enumerate(duties))
-
-    def _release(self) -> None:
-        if self._port is not None:
-            self._port.close()
-            self._port = None
-
-    def _require_port(self) -> Port:
-        if self._port is None:
-            raise NoAnswerError(self.url, 'a connection')
-        return self._port

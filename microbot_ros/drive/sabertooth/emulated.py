@@ -37,7 +37,7 @@ class Controllers(Device):
 
     def _take(self, packet: bytes) -> None:
         address, command, value, check = packet
-        if self.wrong_device or address not in self._timeouts or (
+        if self.wrong_ports or address not in self._timeouts or (
                 check != (address + command + value) % 128):
             return
         if command in _MOTOR_COMMANDS:

@@ -5,7 +5,7 @@ The supply has no watchdog: when the host dies it keeps its last current.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,49 +21,47 @@ _LIMIT_AGREES = 1e-2  # supplies answer with three digits
 class ScpiAmplifier(PolledAmplifier):
     """A supply a coil; `full_scale_A` becomes their own protection limit."""
 
-    channels_per_port = 1
     baud = 9_600
     xon_xoff = True
+    queues = True  # 1 ms a character
     period_s = 0.05
     reply_s = 0.1
 
-    def _identify(self) -> Talk[None]:
-        yield Exchange([codec.CLEAR_INPUT] * self.ports)
-        identities = yield self._query('*IDN?', codec.text, 'an identity')
-        for port, identity in zip(self._lines, identities, strict=True):
-            if not identity.upper().startswith(_MAKER):
-                raise WrongDeviceError(port.url, f'a {_MAKER} supply', identity)
-        limits = self.full_scale_A.tolist()
-        yield Exchange([codec.line('FUNC:MODE CURR', codec.current(0.0),
-                                   f'CURR:PROT:LIM {limit:.4E}') for limit in limits])
+    def _identify(self, device: int) -> Talk[None]:
+        yield Exchange(codec.CLEAR_INPUT)
+        identity = yield self._query('*IDN?', codec.text, 'an identity')
+        if not identity.upper().startswith(_MAKER):
+            raise WrongDeviceError(self.urls[device], f'a {_MAKER} supply', identity)
+
+    def _configure(self, device: int) -> Talk[None]:
+        limit = float(self.full_scale_A[device])
+        yield Exchange(codec.line('FUNC:MODE CURR', codec.current(0.0),
+                                  f'CURR:PROT:LIM {limit:.4E}'))
         taken = yield self._query('CURR:PROT:LIM?', codec.number, 'the protection limit')
-        for port, limit, value in zip(self._lines, limits, taken, strict=True):
-            if not abs(value - limit) <= _LIMIT_AGREES * limit:
-                raise WrongDeviceError(port.url, f'a limit of {limit:g} A', f'{value:g} A')
-        yield Exchange([codec.line('OUTP ON')] * self.ports)
+        if not abs(taken - limit) <= _LIMIT_AGREES * limit:
+            raise WrongDeviceError(self.urls[device], f'a limit of {limit:g} A', f'{taken:g} A')
 
-    def _drive(self, currents_A: np.ndarray) -> Talk[None]:
-        yield Exchange([codec.line(codec.current(current)) for current in currents_A.tolist()])
+    def _enable(self, device: int) -> Talk[None]:
+        yield Exchange(codec.line('OUTP ON'))
 
-    def _measure(self) -> Talk[np.ndarray]:
-        return np.array((yield self._query('MEAS:CURR?', codec.number, 'a measured current')))
+    def _drive(self, device: int, currents_A: np.ndarray) -> Talk[None]:
+        yield Exchange(codec.line(codec.current(float(currents_A[0]))))
 
-    def _inspect(self) -> Talk[str]:
-        found = yield self._query('STAT:QUES:COND?', codec.number, 'the questionable condition')
-        return '; '.join(f'{port.url}: {fault}' for port, condition
-                         in zip(self._lines, found, strict=True)
-                         if (fault := codec.fault(condition)))
+    def _measure(self, device: int) -> Talk[Sequence[float]]:
+        return [(yield self._query('MEAS:CURR?', codec.number, 'a measured current'))]
+
+    def _inspect(self, device: int) -> Talk[str]:
+        condition = yield self._query('STAT:QUES:COND?', codec.number,
+                                      'the questionable condition')
+        fault = codec.fault(condition)
+        return fault and f'{self.urls[device]}: {fault}'
 
     def _zeros(self) -> list[bytes]:
-        return [codec.CLEAR_INPUT + codec.line('CURR 0')] * self.ports
+        # ESC discards what waits in the supply.
+        return [codec.CLEAR_INPUT + codec.line('CURR 0')] * len(self.devices)
 
-    def _zero_at_once(self) -> None:
-        for port in self._lines:  # 9600 baud: what waits there takes 1 ms a character
-            port.discard_output()
-        super()._zero_at_once()
-
-    def _switch_off(self) -> Talk[None]:
-        yield Exchange([codec.line('OUTP OFF')] * self.ports)
+    def _switch_off(self, device: int) -> Talk[None]:
+        yield Exchange(codec.line('OUTP OFF'))
 
     def _query(self, query: str, parse: Callable[[bytes], Any | None], expected: str) -> Exchange:
-        return Exchange([codec.line(query)] * self.ports, parse, expected)
+        return Exchange(codec.line(query), parse, expected)

@@ -38,7 +38,7 @@ class Supplies(Device):
     def _execute(self, port: int, command: str) -> str:
         match command.split(' '):
             case ['*IDN?']:
-                maker = 'HEWLETT-PACKARD' if self.wrong_device else 'KEPCO'
+                maker = 'HEWLETT-PACKARD' if port in self.wrong_ports else 'KEPCO'
                 return f'{maker},BOP 20-5,E1234,3.05'
             case ['CURR?']:
                 return f'{self._wanted[port]:.2E}'

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 
 import numpy as np
 
-from microbot_ros.drive.amplifier import COILS, Amplifier, Command, Watchdog
+from microbot_ros.drive.amplifier import AGAIN_S, COILS, Amplifier, Command, Watchdog
 from microbot_ros.drive.errors import NoAnswerError, WrongDeviceError
 from microbot_ros.drive.serial_transfer import codec
-from microbot_ros.drive.transport import Port
 
 _EXPECTED = 'SerialTransfer packets of six measured currents'
 _RUNNING_S = 0.035  # two periods: longer than a board that opening the port resets lives on
@@ -30,6 +28,9 @@ class SerialTransferAmplifier(Amplifier):
     """
 
     watchdog = Watchdog.FIRMWARE
+    report_age_s = 0.025
+    """A packet on the line (1 ms), held back by a USB adapter (16 ms from the factory), and room
+    for a busy machine: a board reports by itself, of whatever it had then."""
     can_swing = True
 
     most_channels = codec.COILS
@@ -40,16 +41,22 @@ class SerialTransferAmplifier(Amplifier):
         self._baud = baud
         self.sample_s = max(self.sample_s, _ROOM * _BITS * _PACKET_BYTES / baud)
         self._boot_s = boot_s
-        self._port: Port | None = None
         self._decoder = codec.Decoder(codec.MEASUREMENT_BYTES)
 
     def _open(self) -> None:
-        self._port = Port(self.url, self._baud)
-        deadline = time.monotonic() + self._boot_s
+        port = self._open_port(self.url, self._baud)
+        self._lines.append(port)
+        now = zeroed = self.clock.now()
+        if self._known:
+            port.send(*self._zeros())
+        deadline = now + self._boot_s
         heard, first = b'', None
-        while (left := deadline - time.monotonic()) > 0:
-            data = self._port.receive(left)
-            now = time.monotonic()
+        while (left := deadline - self.clock.now()) > 0:
+            data = port.receive(min(left, AGAIN_S))
+            now = self.clock.now()
+            if self._known and now - zeroed >= AGAIN_S:
+                zeroed = now
+                port.send(*self._zeros())
             if self._decoder.feed(data, now):
                 first = first or now
                 if now - first >= _RUNNING_S:
@@ -60,14 +67,8 @@ class SerialTransferAmplifier(Amplifier):
             raise WrongDeviceError(self.url, _EXPECTED, received)
         raise NoAnswerError(self.url, _EXPECTED)
 
-    def wake(self) -> None:
-        if (port := self._port) is not None:
-            port.wake()
-
-    def last_words(self) -> list[tuple[int, bytes]]:
-        descriptor = self._require_port().descriptor
-        zero = codec.encode(codec.command([0.0] * self.channels))
-        return [] if descriptor is None else [(descriptor, zero)]
+    def _zeros(self) -> list[bytes]:
+        return [codec.encode(codec.command([0.0] * self.channels))]
 
     def _send(self, command: Command) -> None:
         if (swing := command.swing) is not None:
@@ -77,12 +78,14 @@ class SerialTransferAmplifier(Amplifier):
         else:
             duties = (command.currents_A / self.full_scale_A).tolist()
             packet = codec.encode(codec.command(duties))
-        self._require_port().send(packet)
+        self._require_lines()
+        self._lines[0].send(packet)
         self.counters.frames_sent += 1
 
     def _receive(self, timeout_s: float) -> list[tuple[float, float, np.ndarray]]:
-        data = self._require_port().receive(timeout_s)
-        now = time.monotonic()
+        self._require_lines()
+        data = self._lines[0].receive(timeout_s)
+        now = self.clock.now()
         readings = []
         for payload in self._decoder.feed(data, now):
             currents = np.array(codec.currents(payload))
@@ -102,13 +105,3 @@ class SerialTransferAmplifier(Amplifier):
                  for index, current in enumerate(currents_A.tolist())
                  if not abs(current) <= _STRAY * self.full_scale_A.max()]
         return '; '.join(stray)
-
-    def _release(self) -> None:
-        if self._port is not None:
-            self._port.close()
-            self._port = None
-
-    def _require_port(self) -> Port:
-        if self._port is None:
-            raise NoAnswerError(self.url, 'a connection')
-        return self._port

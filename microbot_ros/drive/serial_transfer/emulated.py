@@ -86,4 +86,4 @@ class Board(Device):
     def _report(self) -> bytes:
         spare = (0.0,) * (codec.COILS - self.coils.channels)
         report = codec.measurement((*self.coils.currents_A, *spare))
-        return codec.encode(report[:-4] if self.wrong_device else report)
+        return codec.encode(report[:-4] if self.wrong_ports else report)

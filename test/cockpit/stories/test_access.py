@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-pytestmark = pytest.mark.graph
+pytestmark = pytest.mark.rig
 
 _SIZES = [(1440, 900), (1920, 1080), (1100, 700), (1024, 768), (820, 1180), (390, 844), (844, 390)]
 

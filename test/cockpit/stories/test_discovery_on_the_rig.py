@@ -1,13 +1,11 @@
 """A lag hidden in the virtual rig is found from the page, without a terminal.
 
-Takes some six minutes, and two cores for the rig, the browser and the search are too few: played
-where MICROBOT_LONG_STORIES is set.
+Takes some six minutes: two cores are too few for the rig, the browser and the search.
 """
 
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +13,9 @@ import pytest
 from cockpit.virtual import VirtualRig
 from hands import arm, take_control
 
-pytestmark = [
-    pytest.mark.graph, pytest.mark.timeout(900),
-    pytest.mark.skipif('MICROBOT_LONG_STORIES' not in os.environ,
-                       reason='takes six minutes: set MICROBOT_LONG_STORIES')]
+pytestmark = [pytest.mark.soak, pytest.mark.timeout(900)]
 
 
-@pytest.mark.clocked
 def test_a_hidden_lag_is_found(browser: Any, tmp_path: Path) -> None:
     with VirtualRig(
             tmp_path, controller={'deadline_ms': 100.0},

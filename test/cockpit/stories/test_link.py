@@ -12,7 +12,7 @@ import pytest
 from microbot_ros.cockpit.discovery import Discovery
 from microbot_ros.cockpit.server import Server
 
-pytestmark = pytest.mark.graph
+pytestmark = pytest.mark.rig
 
 _LINKED = 'body:not(.lost)'
 

@@ -17,7 +17,7 @@ from cockpit.virtual import VirtualRig
 from hands import HEIGHT, PIXEL_UM, WIDTH, arm, draw, mode, on_page, switch, take_control
 from lines import farthest
 
-pytestmark = [pytest.mark.graph, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.rig, pytest.mark.timeout(240)]
 STOP_S, VANISHED_S, TOPIC_S = 0.1, 0.4, 0.2
 """Asked for: from STOP, or from letting go, to zero; from a page's end while it steers to zero;
 from a click to its topic."""
@@ -96,7 +96,6 @@ def _steer(page: Any, virtual: VirtualRig, *keys: str) -> None:
     assert not virtual.zero
 
 
-@pytest.mark.clocked
 def test_v_and_phi_are_the_truth(page, truth) -> None:
     """As they are read on the page, of each particle, once it was steered every way: first of all
     stories, while none is at a wall."""
@@ -154,7 +153,6 @@ def test_rings_are_where_the_tracker_has_particles_at_the_stamp_shown(page, list
     assert compared > 20
 
 
-@pytest.mark.clocked
 def test_a_goal_arrives_in_time_and_is_marked_once_it_was_taken(page, listener) -> None:
     from geometry_msgs.msg import PoseArray
 
@@ -339,7 +337,6 @@ _WAYS = {'click': lambda page: page.click('#stop'),
          'pad': lambda page: page.evaluate(_PAD)}
 
 
-@pytest.mark.clocked
 @pytest.mark.parametrize('way', _WAYS)
 def test_stop_is_zero(page, virtual, way) -> None:
     switch(page, 'teleop')
@@ -354,7 +351,6 @@ def test_stop_is_zero(page, virtual, way) -> None:
     page.wait_for_selector('#rig-chip[data-state=disarmed]')
 
 
-@pytest.mark.clocked
 def test_a_viewer_stops_a_rig_whose_controller_hangs(page, visit, virtual) -> None:
     switch(page, 'teleop')
     arm(page)
@@ -371,7 +367,6 @@ def test_a_viewer_stops_a_rig_whose_controller_hangs(page, visit, virtual) -> No
         virtual.signal('controller', signal.SIGCONT)
 
 
-@pytest.mark.clocked
 @pytest.mark.parametrize(('keys', 'angle'), [(['ArrowRight'], 0), (['KeyW', 'KeyA'], 135)])
 def test_keys_steer_and_letting_go_is_zero(page, virtual, keys, angle) -> None:
     switch(page, 'teleop')
@@ -401,7 +396,6 @@ def _renderer(page: Any) -> psutil.Process:
     return max(every, key=lambda one: sum(one.cpu_times()[:2]) - before[one])
 
 
-@pytest.mark.clocked
 @pytest.mark.parametrize('way', ['killed', 'frozen', 'hidden'])
 def test_a_page_that_vanishes_steers_no_more(page, virtual, way) -> None:
     switch(page, 'teleop')

@@ -12,7 +12,7 @@ from hands import draw, mode, on_page
 from lines import farthest
 from stand_in import HEIGHT, PIXEL_UM, WIDTH
 
-pytestmark = pytest.mark.graph
+pytestmark = pytest.mark.rig
 
 # Where rings and marks are, in pixels of the camera, and which picture is under them.
 _SHOWN = """(layer) => {

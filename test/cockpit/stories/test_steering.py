@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytestmark = pytest.mark.graph
+pytestmark = pytest.mark.rig
 
 # A gamepad that tests move: `pad(axes, buttons)` sets it, `pad(null)` unplugs it.
 _PAD = """

@@ -1,0 +1,257 @@
+"""Fault-injection matrix of the drive: how long current flows that can be ended, whatever fails.
+
+A fault comes while the rig is being armed, is armed, is being zeroed or reconnects, and in that
+moment nobody commands any more. After 200 ms no coil that can be reached may carry current, and
+what the driver says of the zero must be true. Each figure is the longest time for which a coil
+that can be reached goes on carrying current after the fault. Watchdogs of the devices are switched
+off, so that the driver alone must end it; only where the driver itself ends are they, or the
+sentinel, what does.
+
+    python -m bench._matrix        prints the table
+"""
+
+from __future__ import annotations
+
+import math
+import random
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+from microbot_ros.drive.amplifier import Zero
+from microbot_ros.drive.coil_driver import CoilDriver
+from microbot_ros.drive.emulator.process import DEVICES
+from microbot_ros.drive.emulator.virtual import VirtualAmplifier
+from microbot_ros.drive.errors import AmplifierError
+from microbot_ros.loop.allocation import GateParameters, limits
+
+PHASES = ('arming', 'armed', 'zeroing', 'reconnecting')
+FAULTS = {'line lost': 'unplug', 'silent': 'silence', 'garbled': 'flip=0.01',
+          'slow, 16 ms': 'delay=16', 'slow, 40 ms': 'delay=40'}
+"""What is wrong with a line → the emulator's fault."""
+HOST_FAULTS = ('suspended', 'restarted')
+BOUND_S = 0.2
+FULL_SCALE_A = 2.0
+DRIVING = (1.0, -1.0, 0.5, 0.6)
+ZERO = (0.0,) * 4
+_TRIES = 12
+_SUSPENDED_S = 0.5
+_NONE_A = 0.05 * FULL_SCALE_A
+_LATER_S = 1.5
+"""How long the currents and the answers are watched after a fault."""
+
+
+@dataclass
+class Cell:
+    """What became of all tries of one fault in one phase."""
+
+    spent_s: list[float] = field(default_factory=list)
+    """How long a coil that can be reached carried current after the fault [s], of each try."""
+    unreachable: int = 0
+    """Tries in which the driver said of a line that it cannot be reached."""
+    wrong: list[str] = field(default_factory=list)
+    """What was said and was not true."""
+
+    @property
+    def ok(self) -> bool:
+        """Whether the bound held in every try, and every answer was true."""
+        return bool(self.spent_s) and max(self.spent_s) <= BOUND_S and not self.wrong
+
+    def __str__(self) -> str:
+        worst = f'{1e3 * max(self.spent_s):.0f}' if self.spent_s else '–'
+        said = ' n.r.' if self.unreachable else ''
+        return f'{worst}{said}{"" if self.ok else " FAILS"}'
+
+
+class Rig:
+    """A driver and its emulated amplifier, stepped in this thread."""
+
+    def __init__(self, protocol: str, seed: int) -> None:
+        self.random = random.Random(seed)
+        self.device = VirtualAmplifier(protocol, full_scale_A=FULL_SCALE_A)
+        self.device.coils.feed = lambda: None  # type: ignore[method-assign]
+        self.device.faults._random.seed(seed)
+        self.clock = self.device.clock
+        self.driver = self.new_driver()
+        self.driver._connect()
+        self.turn(0.05)
+
+    def new_driver(self) -> CoilDriver:
+        """A driver as the node makes it; a device that measures nothing has no self-check."""
+        amplifier = self.device.amplifier()
+        return CoilDriver(amplifier, limits(GateParameters()), lambda _: None,
+                          self_check=amplifier.reads_back, accept_no_watchdog=True,
+                          accept_no_feedback=True)
+
+    def turn(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
+        """Let the driver turn for some seconds, or until something is true."""
+        end_s = self.clock.now_s + seconds
+        while self.clock.now_s < end_s and not until():
+            before_s = self.clock.now_s
+            self.driver._turn()
+            if self.clock.now_s == before_s:
+                self.clock.sleep(1e-5)  # what a turn takes
+
+    def command(self, seconds: float) -> None:
+        """Command for some seconds at 60 Hz."""
+        end_s = self.clock.now_s + seconds
+        while self.clock.now_s < end_s:
+            self.driver.command(DRIVING)
+            self.turn(min(1 / 60, end_s - self.clock.now_s))
+
+    def arm(self) -> None:
+        """Arm, and begin from zero as a controller does."""
+        answer = self.driver.request_arming(self.driver.epoch)
+        self.turn(5.0, answer.done)
+        if (refusal := answer.result(0.0)) is not None:
+            raise RuntimeError(f'{self.device.protocol}: {refusal}')
+        self.driver.command(ZERO)
+        self.turn(0.02)
+
+    def drive(self) -> None:
+        """Arm and drive until the currents flow."""
+        self.arm()
+        end_s = self.clock.now_s + 1.0
+        while not self.device.flows(DRIVING):
+            if self.clock.now_s > end_s:
+                raise RuntimeError(f'{self.device.protocol}: the coils were never driven')
+            self.command(0.02)
+        self.command(self.random.uniform(0.05, 0.1))
+
+    def coils_of(self, number: int) -> set[int]:
+        """The coils on a line, counted from 1."""
+        per_line = self.device.coils.channels // len(self.device.lines)
+        return set(range((number - 1) * per_line, number * per_line))
+
+
+def _into(rig: Rig, phase: str, number: int) -> None:
+    """Bring a rig into a phase in which the line of a `number` is about to fail."""
+    if phase == 'arming':
+        answer = rig.driver.request_arming(rig.driver.epoch)
+        rig.turn(rig.random.uniform(0.0, 0.15), answer.done)
+        return
+    rig.drive()
+    if phase == 'zeroing':
+        rig.driver.request_zero()
+        rig.turn(rig.random.choice([0.0, 1e-5, 1e-3, 0.02, 0.05]))
+    if phase == 'reconnecting':
+        # Another line is away, where there is one; its current flows on.
+        other = number % len(rig.device.lines) + 1
+        rig.device.fault(f'unplug/{other}')
+        rig.turn(rig.random.uniform(0.3, 0.8))
+        rig.device.mend()
+
+
+def line_fault(protocol: str, fault: str, phase: str) -> Cell:
+    """A fault of each line in turn, in a phase: when reconnecting, as another line comes back."""
+    cell = Cell()
+    lines = len(VirtualAmplifier(protocol).lines)
+    for number in range(1, lines + 1):
+        for seed in range(_TRIES):
+            rig = Rig(protocol, seed)
+            _into(rig, phase, number)
+            rig.device.fault(f'{FAULTS[fault]}/{number}')
+            away = rig.coils_of(number) if fault == 'line lost' else set()
+            _watch(rig, cell, away)
+    return cell
+
+
+def device_fault(protocol: str, phase: str) -> Cell:
+    """One device of several on a line falls silent."""
+    cell = Cell()
+    addresses = {'modbus': range(1, 5), 'roboclaw': range(0x80, 0x82)}[protocol]
+    for address in addresses:
+        for seed in range(_TRIES):
+            rig = Rig(protocol, seed)
+            _into(rig, phase, 1)
+            rig.device.mute(address)
+            _watch(rig, cell, set())
+    return cell
+
+
+def host_fault(protocol: str, fault: str, phase: str) -> Cell:
+    """The machine is suspended, or the driver is killed and started again."""
+    cell = Cell()
+    for seed in range(_TRIES):
+        rig = Rig(protocol, seed)
+        _into(rig, phase, 1)
+        if fault == 'suspended':
+            rig.clock.sleep(_SUSPENDED_S)
+        else:
+            rig.driver.amplifier._release()
+            rig.driver = rig.new_driver()
+            try:
+                rig.driver._connect()
+            except AmplifierError as error:
+                cell.wrong.append(str(error))
+        _watch(rig, cell, set())
+    return cell
+
+
+def _watch(rig: Rig, cell: Cell, away: set[int]) -> None:
+    """Let it go on without commands, and write down when the reachable coils came to zero."""
+    device = rig.device
+    changes = [(rig.clock.now_s, device.coils.currents_A)]
+    before = len(device.flowed)
+    flowing_s = [rig.clock.now_s]
+
+    def lies() -> bool:
+        if not any(_reached(device.coils.currents_A, set())):
+            flowing_s[0] = rig.clock.now_s
+        elif rig.driver.zero is Zero.CONFIRMED and rig.clock.now_s - flowing_s[0] > BOUND_S:
+            cell.wrong.append(f'confirmed, and {device.coils.currents_A} A')
+        return False
+
+    rig.turn(_LATER_S, lies)
+    changes += zip(device.times[before:], device.flowed[before:], strict=True)
+    longest_s, since_s = 0.0, math.inf
+    for moment_s, flowed in [*changes, (rig.clock.now_s, device.coils.currents_A)]:
+        longest_s = max(longest_s, moment_s - since_s)
+        if not any(_reached(flowed, away)):
+            since_s = math.inf
+        elif math.isinf(since_s):
+            since_s = moment_s
+    cell.spent_s.append(longest_s)
+    zero = rig.driver.zero
+    cell.unreachable += zero is Zero.UNREACHABLE
+    if away and zero is not Zero.UNREACHABLE:
+        cell.wrong.append(f'{zero} while a line is lost')
+
+
+def _reached(currents_A: tuple[float, ...], away: set[int]) -> list[float]:
+    """The currents that are none: more than any amplifier's reading may be off by."""
+    return [current for coil, current in enumerate(currents_A)
+            if coil not in away and not abs(current) <= _NONE_A]
+
+
+def cells() -> Iterator[tuple[str, str, str, Cell]]:
+    """Protocol, fault, phase and what became of it, of everything on virtual time."""
+    for protocol in DEVICES:
+        for fault in FAULTS:
+            for phase in PHASES:
+                yield protocol, fault, phase, line_fault(protocol, fault, phase)
+        if protocol in ('modbus', 'roboclaw'):
+            for phase in PHASES:
+                yield protocol, 'one device silent', phase, device_fault(protocol, phase)
+        for fault in HOST_FAULTS:
+            for phase in PHASES:
+                yield protocol, fault, phase, host_fault(protocol, fault, phase)
+
+
+def table(found: Iterator[tuple[str, str, str, Cell]]) -> Iterator[str]:
+    """The table, a line at a time: worst milliseconds from the fault to zero."""
+    yield '| protocol | fault | ' + ' | '.join(PHASES) + ' |'
+    yield '|---|---|' + '---|' * len(PHASES)
+    row: list[str] = []
+    for protocol, fault, _, cell in found:
+        for sentence in sorted(set(cell.wrong)):
+            print(protocol, fault, sentence, file=sys.stderr)
+        row.append(str(cell))
+        if len(row) == len(PHASES):
+            yield f'| `{protocol}` | {fault} | ' + ' | '.join(row) + ' |'
+            row = []
+
+
+if __name__ == '__main__':
+    for line in table(cells()):
+        print(line, flush=True)

@@ -1,0 +1,153 @@
+"""Whatever happens on the lines, in any order: no coil that can be reached keeps its current."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from microbot_ros.drive.amplifier import Zero
+from microbot_ros.drive.emulator.virtual import VirtualAmplifier
+from microbot_ros.drive.errors import AmplifierError
+
+QUICKLY = settings(max_examples=60, deadline=None, derandomize=True)
+AT_LENGTH = settings(max_examples=10_000, deadline=None, derandomize=True)
+PROTOCOLS = ('scpi', 'roboteq', 'roboclaw', 'modbus', 'serial_transfer', 'sabertooth')
+DRIVING = (1.0, -1.0, 0.5, 0.7)
+CHECKED = {'roboclaw', 'modbus', 'serial_transfer'}
+"""Those that find every damaged byte of a command and of a reading."""
+
+moments = st.integers(0, 600_000).map(lambda microseconds: microseconds * 1e-6)
+currents = st.lists(st.sampled_from([0.0, 0.5, -1.0, 2.0]), min_size=4, max_size=4)
+loud = st.sampled_from(['unplug', 'silence', 'delay=5', 'delay=40', 'reset=30'])
+lasting = st.sampled_from([0.001, 0.03, 0.1, 0.3, 9.0])
+faults = st.tuples(loud, st.integers(0, 4), moments, lasting)
+waits = st.sampled_from([0.0, 0.005, 0.05, 0.3])
+acts = st.one_of(
+    st.tuples(st.just('write'), currents), st.tuples(st.just('poll'), waits),
+    st.tuples(st.just('zero'), st.none()), st.tuples(st.just('close'), st.none()),
+    st.tuples(st.just('connect'), st.none()))
+
+
+class Story:
+    """A driver and an emulated amplifier without any watchdog, to which things happen."""
+
+    def __init__(self, protocol, planned):
+        self.rig = VirtualAmplifier(protocol)
+        self.rig.coils.feed = lambda: None
+        self.amplifier = self.rig.amplifier()
+        self.amplifier.connect()
+        self.amplifier.write(DRIVING)
+        self.rig.clock.wait_for(
+            lambda: bool(self.amplifier.poll(0.01)) and self.rig.flows(DRIVING), 1.0)
+        for kind, line, start_s, duration_s in planned:
+            where = f'/{line}' if line and not kind.startswith('reset') else ''
+            self.rig.fault(f'{kind}{where}@{start_s:.6f}+{duration_s:.6f}')
+
+    def do(self, act, value, undamaged=True):
+        """Do it; after an error no coil on a line that is there and undamaged carries current."""
+        try:
+            match act:
+                case 'write':
+                    self.amplifier.write(value)
+                case 'poll':
+                    self.amplifier.poll(value)
+                case 'zero':
+                    self.amplifier.zero()
+                case 'connect':
+                    self.amplifier.connect()
+                case 'close':
+                    self.check_closed(self.amplifier.close())
+        except AmplifierError:
+            if undamaged and act in ('poll', 'connect', 'zero'):
+                assert not self.reached().any()
+
+    def reached(self, *, without=()):
+        """The currents of the coils whose lines are there, and which hear what is said."""
+        rig, now_s = self.rig, self.rig.clock.now_s
+        per_line = rig.coils.channels // len(rig.lines)
+        return np.array([current for coil, current in enumerate(rig.coils.currents_A)
+                         if (port := coil // per_line) is not None
+                         and rig.faults.value('unplug', now_s, port) is None
+                         and rig.lines[port].host is not None
+                         and not rig.lines[port].host.lost
+                         and rig.urls[port] not in without])
+
+    def check_closed(self, zero):
+        rig = self.rig
+        assert not any(line.host for line in rig.lines)
+        if zero is Zero.CONFIRMED:
+            assert not any(rig.coils.currents_A)
+            assert self.amplifier.unreachable == ()
+
+
+def confirmed_or_named(amplifier, rig):
+    """After the end: every coil is at zero, or on a line that is named."""
+    zero = amplifier.close()
+    per_line = rig.coils.channels // len(rig.lines)
+    for coil, current in enumerate(rig.coils.currents_A):
+        assert not current or rig.urls[coil // per_line] in amplifier.unreachable
+    if zero is Zero.CONFIRMED:
+        assert not any(rig.coils.currents_A)
+
+
+every_protocol = pytest.mark.parametrize('protocol', PROTOCOLS)
+happenings = st.lists(acts, min_size=1, max_size=12)
+
+
+def lost_silent_and_slow_lines(protocol, planned, happening):
+    story = Story(protocol, planned)
+    for act, value in happening:
+        story.do(act, value)
+    if story.amplifier._lines:
+        confirmed_or_named(story.amplifier, story.rig)
+
+
+def damaged_lines(protocol, planned, happening, seed):
+    """What is damaged may keep a current; no zero is called confirmed that is none."""
+    story = Story(protocol, planned)
+    story.rig.faults._random.seed(seed)
+    for act, value in happening:
+        if act != 'close' or protocol in CHECKED:
+            story.do(act, value, undamaged=False)
+    if story.amplifier._lines and protocol in CHECKED:
+        zero = story.amplifier.close()
+        assert zero is not Zero.CONFIRMED or not any(story.rig.coils.currents_A)
+
+
+of_lines = given(st.lists(faults, min_size=1, max_size=4), happenings)
+damaged = st.sampled_from(['drop=0.05', 'flip=0.05', 'double=0.05', 'truncate=0.1'])
+damages = st.tuples(damaged, st.integers(0, 4), moments, lasting)
+of_bytes = given(st.lists(damages | faults, min_size=1, max_size=4), happenings,
+                 st.integers(0, 1000))
+
+
+@every_protocol
+@of_lines
+@QUICKLY
+def test_any_order_of_lost_silent_and_slow_lines(protocol, planned, happening):
+    lost_silent_and_slow_lines(protocol, planned, happening)
+
+
+@every_protocol
+@of_bytes
+@QUICKLY
+def test_any_order_of_damaged_lines(protocol, planned, happening, seed):
+    damaged_lines(protocol, planned, happening, seed)
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(7200)
+@every_protocol
+@of_lines
+@AT_LENGTH
+def test_ten_thousand_orders_of_lost_silent_and_slow_lines(protocol, planned, happening):
+    lost_silent_and_slow_lines(protocol, planned, happening)
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(7200)
+@every_protocol
+@of_bytes
+@AT_LENGTH
+def test_ten_thousand_orders_of_damaged_lines(protocol, planned, happening, seed):
+    damaged_lines(protocol, planned, happening, seed)

@@ -1,0 +1,116 @@
+"""The three suites, and the retries of one of them: no failure is hidden, no skip unnoticed."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+HERE = Path(__file__).parent
+TESTS = """
+from pathlib import Path
+import pytest
+
+def runs(name):
+    with Path(name).open('a') as file:
+        file.write('x')
+    return len(Path(name).read_text())
+
+def test_passes():
+    pass
+
+def test_fails_once():
+    assert runs('once') > 1
+
+def test_fails_always():
+    assert runs('always') < 0, 'the reason'
+
+def test_fails_and_then_skips():
+    if runs('skips') > 1:
+        pytest.skip('no luck')
+    raise RuntimeError
+
+@pytest.fixture
+def broken():
+    yield
+    assert runs('teardown') > 2
+
+def test_fails_twice_at_its_end(broken):
+    pass
+"""
+CONFTEST = f"""
+import sys
+sys.path.insert(0, {str(HERE)!r})
+from retries import Retries
+
+def pytest_addoption(parser):
+    parser.addoption('--retries', type=int, default=0)
+
+def pytest_configure(config):
+    if config.getoption('--retries'):
+        config.pluginmanager.register(Retries(config.getoption('--retries')))
+"""
+
+
+def run(folder: Path, *words: str, **variables: str) -> subprocess.CompletedProcess[str]:
+    kept = {name: value for name, value in os.environ.items()
+            if name not in ('CI', 'MICROBOT_MAY_SKIP')}
+    return subprocess.run([sys.executable, '-m', 'pytest', '-p', 'no:cacheprovider', *words],
+                          cwd=folder, env={**kept, **variables}, capture_output=True, text=True)
+
+
+@pytest.mark.rig
+def test_a_failed_test_is_run_again_and_only_one_that_passes_then_has_passed(
+        tmp_path: Path) -> None:
+    (tmp_path / 'test_some.py').write_text(TESTS)
+    (tmp_path / 'conftest.py').write_text(CONFTEST)
+    done = run(tmp_path, '-q', '--retries', '3', 'test_some.py')
+    assert done.returncode == 1
+    assert done.stdout.splitlines()[-1].startswith('2 failed, 3 passed')
+    assert '4 of 5 tests were run again' in done.stdout
+    ledger = json.loads((tmp_path / 'out' / 'retries.json').read_text())
+    assert (ledger['tests'], ledger['retried']) == (5, 4)
+    runs = {name: [entry['passed'] for entry in ledger['runs'] if entry['test'].endswith(name)]
+            for name in ('once', 'always', 'skips', 'end')}
+    assert runs == {'once': [False, True], 'always': [False] * 4, 'skips': [False] * 4,
+                    'end': [False, False, True]}
+    assert any('the reason' in entry['said'] for entry in ledger['runs'])
+    (tmp_path / 'always').write_text('')
+    assert run(tmp_path, 'test_some.py::test_passes', '--retries', '3').returncode == 0
+    assert run(tmp_path, 'test_some.py::test_fails_always').returncode == 1
+
+
+SKIPS = """
+import pytest
+
+def test_named():
+    pytest.skip('no recordings here')
+
+@pytest.fixture(scope='module')
+def nothing():
+    pytest.skip('no browser here')
+
+def test_fixture(nothing):
+    pass
+
+@pytest.mark.xfail
+def test_expected_to_fail():
+    raise RuntimeError
+"""
+
+
+@pytest.mark.rig
+@pytest.mark.parametrize(('variables', 'summary'), [
+    ({}, '2 skipped, 1 xfailed'), ({'CI': 'true'}, '1 failed, 1 xfailed, 1 error'),
+    ({'CI': 'true', 'MICROBOT_MAY_SKIP': 'recordings,Aravis'}, '1 skipped, 1 xfailed, 1 error'),
+    ({'CI': 'true', 'MICROBOT_MAY_SKIP': 'recordings,browser'}, '2 skipped, 1 xfailed')])
+def test_where_all_should_be_there_a_skip_is_a_failure(
+        tmp_path: Path, variables: dict[str, str], summary: str) -> None:
+    (tmp_path / 'test_some.py').write_text(SKIPS)
+    done = run(tmp_path, '-q', '-p', 'conftest', 'test_some.py', PYTHONPATH=str(HERE), **variables)
+    assert done.stdout.splitlines()[-1].startswith(summary), done.stdout
+    assert done.returncode == ('skipped' not in summary or 'error' in summary)
