@@ -24,7 +24,7 @@ from microbot_ros.control.deadline_worker import (
 CONFIGURING = 30.0
 """How long [s] taking new parameters may last: files are read and code is compiled meanwhile."""
 
-AGAIN = 'is still being configured, aside: set it again'
+AGAIN = 'set it again'
 """How the refusal of parameters ends that are not taken yet; asked again they will be."""
 
 
@@ -73,7 +73,7 @@ class ControllerThread:
         _, fresh, call = self._prepared
         if not self._aside.finished(call, seconds):
             if time.monotonic() - call.begun <= CONFIGURING:
-                raise ConfiguringError(AGAIN)
+                raise ConfiguringError(f'is still being configured, aside: {AGAIN}')
             self._drop_prepared()
             raise LateError(f'took longer than {CONFIGURING:g} s')
         if call.error is not None:

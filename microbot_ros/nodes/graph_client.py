@@ -166,7 +166,7 @@ class GraphClient:
         return name
 
     def arm(self, armed: bool = True) -> str:
-        """Arm or disarm the gate of the coil driver; return what the driver answered.
+        """Arm the gate of the coil driver, or disarm it if not `armed`; return what it answered.
 
         A request to arm is sent once: a second one could arm after a STOP that came in between.
         Without an answer to it the driver is asked to disarm. A request to disarm is repeated

@@ -517,7 +517,7 @@ def test_no_tick_waits_for_parameters_and_what_drives_goes_on(slow):
                           seconds=0.01)
     assert time.monotonic() - began < 2.0
     assert not refused.ok
-    assert refused.message == f'slow {AGAIN}'
+    assert refused.message == f'slow is still being configured, aside: {AGAIN}'
     outcome = run(slow, 20)[-1]
     assert outcome.result is Result.OK
     assert outcome.command.field.any()

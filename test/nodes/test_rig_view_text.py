@@ -1,4 +1,4 @@
-"""Texts of topics on the page's way are read strictly: what is wrong is reported, never acted on."""
+"""Texts of topics in the cockpit are read strictly: a wrong one is reported, never acted on."""
 
 from __future__ import annotations
 
