@@ -75,7 +75,8 @@ class _Bench:
         """A cockpit in a process of its own: its address, and the process."""
         said: list[str] = []
         parameters = self._folder / 'cockpit.yaml'
-        parameters.write_text(json.dumps({'cockpit': {'ros__parameters': {'port': 0, 'token': False}}}))
+        parameters.write_text(json.dumps(
+            {'cockpit': {'ros__parameters': {'port': 0, 'token': False}}}))
         with Graph(lambda _, line: said.append(line)) as graph:
             graph.start_nodes(['cockpit'], parameters)
             graph.wait_ready(60.0)

@@ -8,7 +8,8 @@ from microbot_ros.cli.options import namespace_option
 
 
 @click.command()
-@click.option('--off', is_flag=True, help='Disarm: zero is sent to the coils, and it is told whether they are at zero.')
+@click.option('--off', is_flag=True,
+              help='Disarm: send zero to the coils, and tell what is known of it.')
 @namespace_option
 def command(off: bool, namespace: str) -> None:
     """Arm the safety gate of the running coil driver, or disarm it.

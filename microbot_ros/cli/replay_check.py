@@ -34,7 +34,8 @@ def run_check(session: Path, nodes: Collection[str], end: float, tolerance: floa
 
     By `nodes`, none for all, up to `end` [s], with parameters of `config`, those recorded where
     it is None, and the network `policy` in place of one that the recording names. Numbers may
-    differ by `tolerance` of their size. What they say goes to `out`, differences to `json_path`, where given.
+    differ by `tolerance` of their size. What they say goes to `out`, differences to `json_path`,
+    where given.
     """
     console = Console(highlight=False, width=None if Console().is_terminal else 150)
     if session.exists() and not is_recording(session):

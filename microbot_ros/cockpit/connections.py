@@ -36,12 +36,13 @@ class BriefConnection(H11Protocol):
             min(brief, key=lambda one: one.number)._abort()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Let go of it."""
+        """Let go of a connection that has ended, by an error `exc` or None."""
         self._end.cancel()
         super().connection_lost(exc)
 
     def handle_websocket_upgrade(self, event: Any) -> None:
-        """Hand the connection over to a socket, which has its own limits."""
+        """Hand the connection over, by its request `event`, to a socket with limits of its own.
+        """
         self._end.cancel()
         super().handle_websocket_upgrade(event)
 

@@ -271,7 +271,8 @@ class Controller(ABC):
     """Base of all controllers.
 
     A subclass states the `interface_version` it was written for, a one-line `summary`, what it
-    `takes`, and as `Parameters` a frozen dataclass of `settings.setting` fields whose names end in their units.
+    `takes`, and as `Parameters` a frozen dataclass of `settings.setting` fields whose names end in
+    their units.
     """
 
     interface_version: ClassVar[int]

@@ -7,6 +7,7 @@ import logging
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,12 @@ from microbot_ros.control.contract import (
     Result,
     no_field,
 )
-from microbot_ros.control.controller_thread import ControllerThread, reason
+from microbot_ros.control.controller_thread import (
+    CONFIGURING,
+    ConfiguringError,
+    ControllerThread,
+    reason,
+)
 from microbot_ros.control.deadline_worker import DeadlineWorker, LateError
 from microbot_ros.control.field_record import FieldRecord
 from microbot_ros.control.forecast import look_ahead
@@ -92,33 +98,48 @@ class ControllerManager:
         """Why the active controller is not asked any more; '' while it is."""
         return self._fault
 
-    def configure(self, name: str, parameters: Any) -> SwitchResult:
-        """Give one controller new parameters, whether it drives or not; all or nothing."""
-        try:
-            self._threads[name].configure(parameters)
-        except Exception as error:
-            return SwitchResult(False, f'{name}: {reason(error)}')
-        return SwitchResult(True)
+    def configure(self, name: str, parameters: Any, seconds: float = CONFIGURING) -> SwitchResult:
+        """Give one controller new parameters, whether it drives or not; all or nothing.
 
-    def change(self, parameters: Mapping[str, Any], drives: str = '') -> SwitchResult:
+        Waits `seconds` at most, as `change` does.
+        """
+        return self._try(name, lambda: self._threads[name].configure(parameters, seconds))
+
+    def change(self, parameters: Mapping[str, Any], drives: str = '',
+               seconds: float = CONFIGURING) -> SwitchResult:
         """New parameters for the controllers named, then another one that drives: all or nothing.
 
-        `drives` is '' where the same goes on driving.
+        `drives` is '' where the same goes on driving. A controller that takes its parameters for
+        more than `seconds` does so aside: the change is refused with a message that ends in
+        `AGAIN`, and the same change, asked again once it is ready, is made at once.
         """
         before = {name: self._threads[name].parameters for name in parameters}
         taken: list[str] = []
         answer = SwitchResult(True)
+        for name, values in parameters.items():  # so that one that is not ready undoes no other
+            if answer.ok:
+                answer = self._try(name, partial(self._threads[name].prepare, values, seconds))
         for name, values in parameters.items():
-            answer = self.configure(name, values)
             if not answer.ok:
                 break
-            taken.append(name)
+            answer = self.configure(name, values, seconds)
+            if answer.ok:
+                taken.append(name)
         if answer.ok and drives:
             answer = self.switch_controller(drives)
         if not answer.ok:
             for name in taken:
-                self._threads[name].restore(before[name])
+                self._threads[name].restore(before[name], seconds)
         return answer
+
+    def _try(self, name: str, work: Callable[[], None]) -> SwitchResult:
+        try:
+            work()
+        except ConfiguringError as error:
+            return SwitchResult(False, f'{name} {error}')
+        except Exception as error:
+            return SwitchResult(False, f'{name}: {reason(error)}')
+        return SwitchResult(True)
 
     def switch_controller(self, name: str) -> SwitchResult:
         """Let another controller drive from the next tick on; if it can't, nothing changes.

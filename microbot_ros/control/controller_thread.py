@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -23,6 +24,13 @@ from microbot_ros.control.deadline_worker import (
 CONFIGURING = 30.0
 """How long [s] taking new parameters may last: files are read and code is compiled meanwhile."""
 
+AGAIN = 'set it again'
+"""How the refusal of parameters ends that are not taken yet; asked again they will be."""
+
+
+class ConfiguringError(LateError):
+    """Parameters are being taken aside, and are not there yet."""
+
 _log = logging.getLogger(__name__)
 
 
@@ -41,6 +49,9 @@ class ControllerThread:
         self._parameters = controller.parameters
         self._worker = worker(patience)
         self._configured: Call | None = None
+        self._aside = worker(patience)
+        self._prepared: tuple[Any, Controller, Call] | None = None
+        """Parameters, a controller that takes them aside, and the call in which it does."""
         self._active = False
 
     @property
@@ -48,28 +59,60 @@ class ControllerThread:
         """What it was configured with."""
         return self._parameters
 
-    def configure(self, parameters: Any) -> None:
-        """Give it other parameters; if it raises, it keeps those it has.
+    def prepare(self, parameters: Any, seconds: float) -> None:
+        """Have a fresh controller configured with `parameters`, in a thread beside that of ticks.
 
-        Where that is late it is replaced: it may take them after all, when nobody waits.
+        Returns once it is; ConfiguringError where that takes more than `seconds`: it goes on, and
+        to prepare the same again finds it. Raises what `configure` raises.
         """
-        controller = self._controller
+        if self._prepared is None or self._prepared[0] != parameters:
+            self._aside.leave_behind()
+            fresh = type(self._controller)()
+            self._prepared = parameters, fresh, self._aside.post(
+                lambda: fresh.configure(parameters))
+        _, fresh, call = self._prepared
+        if not self._aside.finished(call, seconds):
+            if time.monotonic() - call.begun <= CONFIGURING:
+                raise ConfiguringError(f'is still being configured, aside: {AGAIN}')
+            self._drop_prepared()
+            raise LateError(f'took longer than {CONFIGURING:g} s')
+        if call.error is not None:
+            self._drop_prepared()
+            raise call.error if isinstance(call.error, Exception) else RuntimeError(
+                f'raised {type(call.error).__name__}')
+
+    def _drop_prepared(self) -> None:
+        self._aside.leave_behind()
+        self._prepared = None
+
+    def configure(self, parameters: Any, seconds: float = CONFIGURING) -> None:
+        """Give it other parameters, within `seconds`; if it raises, it keeps those it has.
+
+        They are taken by a fresh controller first (`prepare`), so that neither what is refused
+        nor what takes long touches the one that may drive. That one takes them then; where it
+        is late, the fresh one takes its place.
+        """
+        self.prepare(parameters, seconds)
+        assert self._prepared is not None
+        fresh, controller = self._prepared[1], self._controller
+        self._drop_prepared()
         try:
-            self._call(lambda: controller.configure(parameters), CONFIGURING)
+            self._call(lambda: controller.configure(parameters), seconds)
         except BusyError:
             raise
         except LateError:
-            self.renew()
-            raise
+            self.close()
+            self._controller = fresh
         except Exception:
             controller.parameters = self._parameters
             raise
         self._parameters, self._configured = parameters, None
 
-    def restore(self, parameters: Any) -> None:
-        """Give back parameters that it had. If it can't, it does not drive before it has them."""
+    def restore(self, parameters: Any, seconds: float = CONFIGURING) -> None:
+        """Give back parameters that it had, within `seconds`. If it can't, it does not drive
+        before it has them."""
         try:
-            self.configure(parameters)
+            self.configure(parameters, seconds)
         except Exception:
             self._parameters = parameters
             self.renew()

@@ -93,6 +93,10 @@ class DeadlineWorker:
         self._calls.put(call)
         return call
 
+    def finished(self, call: Call[T], seconds: float) -> bool:
+        """Whether a `call` that was posted returns within so many `seconds`."""
+        return call.returned.wait(seconds)
+
     def leave_behind(self) -> None:
         """Let go of the thread: if idle it ends at once, otherwise when its call lets it."""
         busy = self._newest is not None and not self._newest.returned.is_set()

@@ -20,6 +20,7 @@ from microbot_ros.control.contract import (
     Workspace,
 )
 from microbot_ros.control.controller_manager import ControllerManager, Outcome, SwitchResult
+from microbot_ros.control.controller_thread import CONFIGURING
 from microbot_ros.control.deadline_worker import DeadlineWorker
 from microbot_ros.control.registry import PluginError, controller_classes
 from microbot_ros.control.waypoint import Waypoint
@@ -115,14 +116,15 @@ class ControllerStage:
         return '' if self.classes[name].repeatable else f'{name} thinks for as long as it may'
 
     def configure(self, parameters: ControllerParameters, controllers: Mapping[str, Any],
-                  restart: bool = False) -> SwitchResult:
+                  restart: bool = False, seconds: float = CONFIGURING) -> SwitchResult:
         """Take new parameters, its own and those of the controllers named: all, or none and why.
 
-        `restart` lets the controller that drives begin anew after a fault.
+        Within `seconds`, see `ControllerManager.change`. `restart` lets the controller that
+        drives begin anew after a fault.
         """
         wanted = parameters.controller
         switch = wanted != self.manager.active or (restart and self.manager.fault)
-        answer = self.manager.change(controllers, wanted if switch else '')
+        answer = self.manager.change(controllers, wanted if switch else '', seconds)
         if answer.ok:
             self.parameters = parameters
         return answer
@@ -273,7 +275,7 @@ class ControllerStage:
         values, age = self.parameters, t - self._joystick_t
         self.joystick_remark = ''
         if self._held:
-            self.joystick_remark = 'the joystick was deflected when the coils were armed: centre it'
+            self.joystick_remark = 'the joystick was deflected at arming: centre it'
             return np.zeros(2)
         fresh = -values.pose_timeout_ms * 1e-3 <= age <= values.joy_timeout_ms * 1e-3
         if fresh or not self._joystick.any():

@@ -74,11 +74,12 @@ class ControllerNode(RigNode):
 
     def take(self, changed: Mapping[str, Any], named: Collection[str]) -> str:
         """Configure with what has `changed`, then switch. Where the controller that drives is
-        among those `named`, it is restarted after a fault."""
+        among those `named`, it is restarted after a fault. No frame waits for it for longer than
+        for a controller that computes."""
         answer = self.stage.configure(
             changed.get('', self.settings),
             {prefix.removesuffix('.'): values for prefix, values in changed.items() if prefix},
-            restart='controller' in named)
+            restart='controller' in named, seconds=self.settings.deadline_ms * 1e-3)
         if answer.message:
             self.get_logger().info(answer.message)
         return '' if answer.ok else answer.message

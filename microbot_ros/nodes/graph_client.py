@@ -24,6 +24,7 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
+from microbot_ros.control.controller_thread import AGAIN, CONFIGURING
 from microbot_ros.drive.amplifier import Zero
 from microbot_ros.errors import InputError, RigError, clipped
 from microbot_ros.loop.points import GOAL
@@ -165,7 +166,7 @@ class GraphClient:
         return name
 
     def arm(self, armed: bool = True) -> str:
-        """Arm or disarm the gate of the coil driver; return what the driver answered.
+        """Arm the gate of the coil driver, or disarm it if not `armed`; return what it answered.
 
         A request to arm is sent once: a second one could arm after a STOP that came in between.
         Without an answer to it the driver is asked to disarm. A request to disarm is repeated
@@ -213,7 +214,8 @@ class GraphClient:
         return done[0]
 
     def set(self, node: str, **values: Any) -> None:
-        """Set parameters of a node. InputError with its reason if it refuses a value."""
+        """Set parameters of a node, again while it still takes them aside. InputError with its
+        reason if it refuses a value."""
         try:
             request = SetParameters.Request(parameters=[
                 Parameter(name, value=value).to_parameter_msg()
@@ -221,7 +223,13 @@ class GraphClient:
         except (TypeError, ValueError, AssertionError):
             raise InputError(node, 'expected booleans, numbers, texts or lists of one of them; '
                                    f'received {values}') from None
-        answer = self._call(SetParameters, f'{node}/set_parameters', request)[-1]
+        deadline = time.monotonic() + CONFIGURING + _ANSWER_SECONDS
+        while True:
+            answer = self._call(SetParameters, f'{node}/set_parameters', request)[-1]
+            going_on = any(result.reason.endswith(AGAIN) for result in answer.results)
+            if not going_on or time.monotonic() > deadline:
+                break
+            self.spin(_REPEAT_SECONDS)
         for result in answer.results:
             if not result.successful:
                 raise InputError(node, result.reason)
@@ -272,8 +280,8 @@ class GraphClient:
     def _hand_over(self, topic: str, message: Any, what: str) -> Taken:
         """Publish to the controller, again and again, until it says that it has this stamp.
 
-        RigError with its reason where it refuses. That somebody listens says nothing: it may be a recorder. To be told twice changes
-        nothing for a controller, whose goals are the same then.
+        RigError with its reason where it refuses. That somebody listens says nothing: it may be a
+        recorder. To be told twice changes nothing for a controller, whose goals are the same then.
         """
         stamp = messages.to_seconds(message.header.stamp)
         self._progress = {}

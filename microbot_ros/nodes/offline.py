@@ -22,7 +22,7 @@ from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
 from rclpy.time import Time
 
-from microbot_ros.control.deadline_worker import DeadlineWorker, HungError, LateError
+from microbot_ros.control.deadline_worker import Call, DeadlineWorker, HungError, LateError
 from microbot_ros.control.policy import EXECUTED_FILE
 from microbot_ros.errors import InputError
 from microbot_ros.nodes.account import Account
@@ -74,6 +74,9 @@ class ScriptedWorker(DeadlineWorker):
                 super().call(function, _CALL_SECONDS)
             raise LateError(f'took longer than {deadline * 1e3:g} ms')
         return super().call(function, _CALL_SECONDS)
+
+    def finished(self, call: Call[Any], seconds: float) -> bool:
+        return super().finished(call, _CALL_SECONDS)
 
 
 class _Outlet:

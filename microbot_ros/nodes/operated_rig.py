@@ -23,6 +23,7 @@ from std_msgs.msg import Empty, Header
 from std_srvs.srv import SetBool
 
 from microbot_ros.cockpit.rig import BY_HAND, Answer, RefusedError
+from microbot_ros.control.controller_thread import AGAIN, CONFIGURING
 from microbot_ros.drive.amplifier import Zero
 from microbot_ros.loop.points import GOAL
 from microbot_ros.nodes import messages
@@ -279,8 +280,11 @@ class OperatedRig(RigView):
 
     async def _change(self, client: Client, name: str, value: Any) -> Answer:
         parameter = Parameter(name, value=value).to_parameter_msg()
-        answer = await self._ask(client, SetParameters.Request(parameters=[parameter]), _ANSWER_S)
-        result = answer.results[0]
+        request = SetParameters.Request(parameters=[parameter])
+        deadline = time.monotonic() + CONFIGURING
+        while (result := (await self._ask(client, request, _ANSWER_S)).results[0]
+               ).reason.endswith(AGAIN) and time.monotonic() < deadline:
+            await asyncio.sleep(_REPEAT_S)
         if not result.successful:
             raise RefusedError(result.reason or f'{name} was refused')
         return f'{name} is set'

@@ -120,8 +120,8 @@ def recorded_parameters(recording: Recording, nodes: Collection[str], folder: Pa
         if values.get(EXECUTED_FILE):
             values[EXECUTED_FILE] = str(policy.resolve()) if policy else ''
             if not policy and values.get('controller') == 'policy':
-                raise InputError(recording.path, 'a policy drove: expected its network by --policy '
-                                 'FILE; one that a recording names is not executed')
+                raise InputError(recording.path, 'a policy drove: expected its network by '
+                                 '--policy FILE; one that a recording names is not executed')
         # ROS has no way to write an empty list into a parameter file.
         found[node] = {name: value for name, value in values.items() if value != []}
     return found

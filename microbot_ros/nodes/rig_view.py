@@ -186,7 +186,10 @@ class RigView:
         return [self.kinds[number] if number < len(self.kinds) else None for number in numbers]
 
     def _on_kinds(self, message: String) -> None:
-        self.kinds = json.loads(message.data)
+        kinds = _json_in(message.data, 'tracker/kinds')
+        if not (isinstance(kinds, list) and all(isinstance(kind, str) for kind in kinds)):
+            raise messages.MessageError('tracker/kinds: expected a list of names')
+        self.kinds = kinds
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         here = self._node.get_namespace()
@@ -214,7 +217,7 @@ class RigView:
                            for name, summary in summaries.items()]
 
     def _on_verdict(self, message: String) -> None:
-        found = json.loads(message.data)
+        found = _json_in(message.data, 'discovery/verdict')
         self._verdict = found if isinstance(found, dict) else {}
 
     def _on_goals(self, message: PointCloud2) -> None:
@@ -267,7 +270,8 @@ class RigView:
         """All but the parameters: a part by its name; None for what is not known."""
         rig, sentence, age = self._rig()
         return {
-            'rig': rig, 'sentence': sentence, 'zero': self._zero(rig), 'link': {'age_ms': _finite(1e3 * age)},
+            'rig': rig, 'sentence': sentence, 'zero': self._zero(rig),
+            'link': {'age_ms': _finite(1e3 * age)},
             'latency_ms': self._latency_ms(), 'picture_age_ms': self._picture_age_ms(),
             'recording': self.recording(), 'field': self._field(),
             'estimates': self._estimates(), 'currents_a': self._currents(),
@@ -391,6 +395,14 @@ def _stamp_of(data: bytes) -> int:
     """The stamp [ns] of a serialised message that begins with a header."""
     seconds, nanoseconds = struct.unpack_from('<iI' if data[1] & 1 else '>iI', data, 4)
     return int(seconds * 1_000_000_000 + nanoseconds)
+
+
+def _json_in(text: str, topic: str) -> Any:
+    """What a `text` of a `topic` holds; MessageError where it is no JSON."""
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        raise messages.MessageError(f'{topic}: expected JSON') from None
 
 
 def _millitesla(vector: Any) -> list[float | None] | None:

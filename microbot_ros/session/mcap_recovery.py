@@ -39,7 +39,8 @@ from microbot_ros.session.mcap_writer import (
     empty_summary,
 )
 
-BROKEN = (McapError, zstandard.ZstdError, struct.error, ValueError, LookupError, OverflowError, MemoryError)
+BROKEN = (McapError, zstandard.ZstdError, struct.error, ValueError, LookupError,
+          OverflowError, MemoryError)
 """What reading a damaged chunk raises."""
 
 

@@ -28,7 +28,8 @@ def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_only_its_user_can_read_the_file(runtime: Path) -> None:
+@pytest.mark.usefixtures('runtime')
+def test_only_its_user_can_read_the_file() -> None:
     path = address.write(HERE, 8642)
     assert path.read_text() == HERE + '\n'
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
@@ -61,7 +62,8 @@ def test_without_a_runtime_folder_it_is_in_one_of_its_own(
     assert address.write(HERE, 1).parent.parent == tmp_path
 
 
-def test_the_token_is_shown_on_a_terminal_alone(runtime: Path) -> None:
+@pytest.mark.usefixtures('runtime')
+def test_the_token_is_shown_on_a_terminal_alone() -> None:
     line = f'cockpit: {address.WORDS}{address.write(HERE, 8642)}'
     assert address.shown(line, Terminal()) == f'cockpit: open {HERE}'
     assert address.shown(line, io.StringIO()) == line

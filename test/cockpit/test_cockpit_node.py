@@ -133,6 +133,11 @@ def test_the_state_tells_how_the_rig_is(page: Page) -> None:
 
 
 def test_a_goal_is_shown_once_the_controller_has_it(page: Page) -> None:
+    refused = page.ask('goal', x_um=12.5, y_um=-7.0)
+    assert refused['ok'] is False
+    assert refused['reason'].startswith('hold takes no goals; these do: ')
+    assert 'waypoint' in refused['reason']
+    assert page.ask('switch_controller', name='waypoint')['ok']
     assert page.ask('goal', x_um=12.5, y_um=-7.0)['ok']
     told = page.until(lambda message: (message.get('controller') or {}).get('goals'))
     goal, = told['controller']['goals']
@@ -141,6 +146,7 @@ def test_a_goal_is_shown_once_the_controller_has_it(page: Page) -> None:
         assert page.ask('goal', x_um=3.0 * particle, y_um=1.0, particle=particle)['ok']
     told = page.until(lambda message: len((message.get('controller') or {}).get('goals', ())) == 2)
     assert [goal['id'] for goal in told['controller']['goals']] == [0, 1]
+    assert page.ask('switch_controller', name='path_following')['ok']
     assert page.ask('path', points_um=[[0, 0], [10, 5], [20, 0]])['ok']
     told = page.until(lambda message: (message.get('controller') or {}).get('path'))
     assert told['controller']['path'] == [[0, 0], [10, 5], [20, 0]]

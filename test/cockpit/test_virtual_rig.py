@@ -191,6 +191,7 @@ def test_the_cockpit_leaves_the_processors_to_the_loop(virtual: VirtualRig) -> N
 
 def test_the_death_of_the_cockpit_harms_nothing(page: Any, virtual: VirtualRig) -> None:
     """What drives by itself drives on."""
+    assert page.ask('switch_controller', name='waypoint')['ok']
     assert page.ask('goal', x_um=100.0, y_um=80.0)['ok']
     armed(page, 'waypoint')
     virtual.until(lambda: not virtual.zero)

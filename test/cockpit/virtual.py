@@ -59,7 +59,8 @@ class VirtualRig:
             'coil_driver': {'port': str(port), 'full_scale_A': 2.0},
             'recorder': {'recording': False, 'folder': str(self.folder / 'recording'),
                          'frame_every': 0},
-            'cockpit': {'port': 0, 'token': False, 'discoveries': str(self.folder / 'discoveries')}}
+            'cockpit': {'port': 0, 'token': False,
+                        'discoveries': str(self.folder / 'discoveries')}}
         parameters.write_text(yaml.safe_dump({
             name: {'ros__parameters': values | self._more.get(name, {})}
             for name, values in nodes.items()}))

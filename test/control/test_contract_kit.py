@@ -93,7 +93,8 @@ def test_the_kit_accepts_an_honest_controller():
     exercise(Honest)
 
 
-@pytest.mark.parametrize('kind', [TooStrong, NotANumber, TooFast, Meddler, Silent, Old, Unsaid, Follower, Grabber])
+@pytest.mark.parametrize('kind', [
+    TooStrong, NotANumber, TooFast, Meddler, Silent, Old, Unsaid, Follower, Grabber])
 def test_the_kit_notices(kind):
     with pytest.raises(AssertionError, match=r'\w+ .*'):
         exercise(kind)

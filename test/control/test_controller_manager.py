@@ -1,6 +1,7 @@
 """Nothing unsafe leaves the controller manager, whatever a controller does."""
 
 import threading
+import time
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -17,6 +18,7 @@ from microbot_ros.control.contract import (
     no_field,
 )
 from microbot_ros.control.controller_manager import ControllerManager
+from microbot_ros.control.controller_thread import AGAIN
 from microbot_ros.control.hold import Hold
 from microbot_ros.control.open_loop import OpenLoop, OpenLoopParameters
 from microbot_ros.control.registry import controller_classes
@@ -463,7 +465,7 @@ def test_a_change_is_taken_whole_or_not_at_all(parameters, drives, said):
     assert said in answer.message
     assert manager.active == 'hold'
     assert [one.parameters.strength for one in (fussy, other)] == [1.0, 1.0]
-    assert fussy.given == 1.0
+    assert getattr(fussy, 'given', 1.0) == 1.0, 'what is refused by another does not touch it'
 
 
 def test_a_change_that_all_take_is_made_before_the_swap():
@@ -490,24 +492,62 @@ def test_what_can_not_be_taken_back_does_not_drive(tmp_path):
     assert not np.any(outcomes[-1].command.field)
 
 
-def test_parameters_that_are_taken_too_late_are_not_taken(monkeypatch):
-    """It was refused, so what goes on with them is another one, which nobody asks."""
-    monkeypatch.setattr('microbot_ros.control.controller_thread.CONFIGURING', 0.05)
+class Slow(Fussy):
+    """Takes 2 as its strength for as long as the test wants."""
+
     goes_on = threading.Event()
 
-    class Slow(Fussy):
-        def configure(self, parameters):
-            if parameters.strength == 2.0:
-                goes_on.wait(30)
-            super().configure(parameters)
+    def configure(self, parameters):
+        if parameters.strength == 2.0:
+            type(self).goes_on.wait(30)
+        super().configure(parameters)
 
-    manager = ControllerManager({'slow': Slow()}, 'slow', deadline=AMPLE)
-    refused = manager.configure('slow', Slow.Parameters(2.0))
+
+@pytest.fixture
+def slow():
+    Slow.goes_on = threading.Event()
+    yield ControllerManager({'slow': Slow(), 'fussy': Fussy()}, 'slow', deadline=AMPLE)
+    Slow.goes_on.set()
+
+
+def test_no_tick_waits_for_parameters_and_what_drives_goes_on(slow):
+    run(slow, 20)
+    began = time.monotonic()
+    refused = slow.change({'fussy': Fussy.Parameters(3.0), 'slow': Slow.Parameters(2.0)},
+                          seconds=0.01)
+    assert time.monotonic() - began < 2.0
     assert not refused.ok
-    goes_on.set()
-    run(manager, 1)
-    assert manager._threads['slow']._controller.parameters.strength == 1.0
-    assert manager._threads['slow'].parameters.strength == 1.0
+    assert refused.message == f'slow is still being configured, aside: {AGAIN}'
+    outcome = run(slow, 20)[-1]
+    assert outcome.result is Result.OK
+    assert outcome.command.field.any()
+    assert [thread.parameters.strength for thread in slow._threads.values()] == [1.0, 1.0]
+    assert not slow.change({'slow': Slow.Parameters(2.0)}, seconds=0.0).ok
+    Slow.goes_on.set()
+    assert slow._threads['slow']._prepared[2].returned.wait(10)
+    assert slow.change({'fussy': Fussy.Parameters(3.0), 'slow': Slow.Parameters(2.0)},
+                       seconds=5.0).ok
+    assert [thread.parameters.strength for thread in slow._threads.values()] == [2.0, 3.0]
+    assert run(slow, 1)[0].result is Result.OK
+
+
+def test_other_parameters_take_the_place_of_those_still_being_taken(slow):
+    assert not slow.configure('slow', Slow.Parameters(2.0), 0.0).ok
+    assert slow.configure('slow', Slow.Parameters(3.0), 5.0).ok
+    Slow.goes_on.set()
+    run(slow, 1)
+    assert slow._threads['slow']._controller.parameters.strength == 3.0
+
+
+def test_parameters_that_are_taken_too_late_are_not_taken(slow, monkeypatch):
+    monkeypatch.setattr('microbot_ros.control.controller_thread.CONFIGURING', 0.0)
+    refused = slow.configure('slow', Slow.Parameters(2.0), 0.02)
+    assert not refused.ok
+    assert 'took longer than' in refused.message
+    Slow.goes_on.set()
+    run(slow, 1)
+    assert slow._threads['slow']._controller.parameters.strength == 1.0
+    assert slow._threads['slow'].parameters.strength == 1.0
 
 
 @pytest.mark.parametrize('field', [np.array([[1e-3], [0]]), [1e-3, 0], (np.float32(1e-3), 0)])

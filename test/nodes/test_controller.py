@@ -19,7 +19,7 @@ from numpy.lib.recfunctions import repack_fields
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Joy, PointCloud2
-from std_msgs.msg import String
+from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
@@ -226,7 +226,8 @@ def test_what_there_is_is_latched(ros: Any) -> None:
 @pytest.mark.parametrize(('controller', 'refused'), [
     ('manual', {'goals', 'goal_pose', 'particle_goals', 'path', 'plan'}),
     ('hold', {'goals', 'goal_pose', 'particle_goals', 'path', 'plan'}),
-    ('waypoint', {'path', 'plan'}), ('experiment', {'goals', 'goal_pose', 'particle_goals', 'path'}),
+    ('waypoint', {'path', 'plan'}),
+    ('experiment', {'goals', 'goal_pose', 'particle_goals', 'path'}),
     ('path_following', {'goals', 'goal_pose', 'particle_goals', 'plan'})])
 def test_what_a_controller_does_not_take_is_refused_and_who_takes_it_is_named(
         ros: Any, controller: str, refused: set[str]) -> None:
@@ -261,6 +262,84 @@ def test_what_a_controller_does_not_take_is_refused_and_who_takes_it_is_named(
     assert len(loop.node.stage.goals) == (0 if 'goals' in refused else 1)
     assert len(loop.node.stage.path) == (0 if 'path' in refused else 2)
     assert (loop.node.stage.plan is None) == ('plan' in refused)
+
+
+class Armed:
+    """A driver that says whether it is armed."""
+
+    def __init__(self, loop: Loop) -> None:
+        self._loop = loop
+        self._publisher = loop.graph.probe.create_publisher(Bool, 'coil_driver/armed', LATCHED)
+        loop.graph.until(lambda: self._publisher.get_subscription_count() == 1)
+
+    def is_(self, armed: bool) -> None:
+        """Say so, and wait until the controller knows it."""
+        self._publisher.publish(Bool(data=armed))
+        self._loop.graph.until(lambda: self._loop.node.stage.armed is armed)
+
+
+def test_the_first_command_after_arming_is_zero_and_the_next_starts_from_there(ros: Any) -> None:
+    loop = Loop(ros, controller='open_loop', slew_mT_per_s=20.0)
+    driver = Armed(loop)
+    driver.is_(False)
+    loop.graph.until(lambda: loop.see() or (loop.fields and loop.strength() > 4e-3))
+    count = len(loop.fields)
+    driver.is_(True)
+    loop.graph.until(lambda: any(field.vector.x == field.vector.y == 0.0
+                                 for field in loop.fields[count:]))
+    zero = next(k for k, field in enumerate(loop.fields) if k >= count
+                and field.vector.x == field.vector.y == 0.0)
+    loop.graph.until(lambda: loop.keep_seeing() or len(loop.fields) > zero + 1)
+    after = loop.fields[zero + 1].vector
+    assert math.hypot(after.x, after.y) <= 20e-3 * 0.1 * (1 + 1e-9)
+
+
+def test_zero_is_commanded_on_arming_though_no_pose_came(ros: Any) -> None:
+    """The driver waits for it."""
+    loop = Loop(ros)
+    Armed(loop).is_(True)
+    loop.graph.until(lambda: loop.fields)
+    assert loop.strength() == 0
+
+
+def test_what_was_being_carried_out_is_forgotten_when_disarmed(ros: Any) -> None:
+    loop = Loop(ros, controller='waypoint')
+    goals = loop.graph.hear(PointCloud2, 'controller/goals', LATCHED)
+    driver = Armed(loop)
+    loop.go((50e-6, 0.0))
+    driver.is_(False)
+    loop.graph.until(lambda: len(loop.node.stage.goals) == 1)
+    assert 'not armed: starts when armed' in loop.node.health()[1]
+    driver.is_(True)
+    assert len(loop.node.stage.goals) == 1, 'goals that waited start'
+    assert 'not armed' not in loop.node.health()[1]
+    driver.is_(False)
+    assert len(loop.node.stage.goals) == 0
+    assert loop.node.health()[2]['goals_stamp_s'] == '0.0'
+    loop.graph.until(lambda: goals and goals[-1].width == 0)
+    driver.is_(True)
+    loop.see()
+    loop.graph.until(lambda: loop.node.health()[1].endswith('waits for a goal'))
+
+
+def test_a_stick_held_while_arming_has_to_be_centred_once(ros: Any) -> None:
+    loop = Loop(ros, controller='teleop', joy_timeout_ms=2000.0)
+    driver = Armed(loop)
+    joy = loop.graph.probe.create_publisher(Joy, 'joy', 1)
+    loop.graph.until(lambda: joy.get_subscription_count() == 1)
+
+    def push(x: float) -> bool:
+        joy.publish(Joy(axes=[x, 0.0]))
+        loop.keep_seeing()
+        return bool(loop.fields) and loop.strength() > 1e-3
+    loop.graph.until(lambda: push(1.0))
+    driver.is_(True)
+    loop.graph.until(lambda: (push(1.0), 'centre it' in loop.node.health()[1])[1])
+    loop.fields.clear()
+    loop.graph.until(lambda: (push(1.0), len(loop.fields) > 3)[1])
+    assert not any(field.vector.x or field.vector.y for field in loop.fields)
+    loop.graph.until(lambda: (push(0.1), 'centre it' not in loop.node.health()[1])[1])
+    loop.graph.until(lambda: push(1.0))
 
 
 def test_to_cancel_is_never_refused(ros: Any) -> None:

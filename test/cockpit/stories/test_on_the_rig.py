@@ -161,6 +161,7 @@ def test_a_goal_arrives_in_time_and_is_marked_once_it_was_taken(page, listener) 
         PoseArray, 'goals',
         lambda message: heard.append((time.monotonic(), message.poses[0].position)), 10)
     listener.spin(1.0)
+    switch(page, 'waypoint')
     mode(page, 'goal')
     place = on_page(page, 400, 150)
     began = time.monotonic()
@@ -188,6 +189,7 @@ def test_a_path_arrives_as_it_was_drawn_and_is_shown_once_it_was_taken(page, lis
     listener.node.create_subscription(Path, 'path', lambda message: heard.append(
         [(p.pose.position.x * 1e6, p.pose.position.y * 1e6) for p in message.poses]), 10)
     listener.spin(1.0)
+    switch(page, 'path_following')
     mode(page, 'path')
     angles = np.linspace(0, 1.5 * math.pi, 40)
     drawn = np.column_stack([320 + 120 * np.cos(angles), 240 + 120 * np.sin(angles)])
@@ -208,6 +210,7 @@ def test_goals_from_before_the_page_are_shown(visit, listener) -> None:
 
     from microbot_ros.nodes import messages
 
+    listener.set('controller', controller='waypoint')
     message = PoseStamped()
     message.pose.position.x, message.pose.position.y = 20e-6, -10e-6
     message.header.stamp = listener.node.get_clock().now().to_msg()
