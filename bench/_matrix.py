@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 import random
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 from microbot_ros.drive.amplifier import Zero
@@ -55,7 +55,8 @@ class Cell:
     @property
     def ok(self) -> bool:
         """Whether the bound held in every try, and every answer was true."""
-        return bool(self.spent_s) and max(self.spent_s) <= BOUND_S and not self.wrong
+        in_time = bool(self.spent_s) and round(max(self.spent_s), 3) <= BOUND_S
+        return in_time and not self.wrong
 
     def __str__(self) -> str:
         worst = f'{1e3 * max(self.spent_s):.0f}' if self.spent_s else '–'
@@ -204,18 +205,27 @@ def _watch(rig: Rig, cell: Cell, away: set[int]) -> None:
 
     rig.turn(_LATER_S, lies)
     changes += zip(device.times[before:], device.flowed[before:], strict=True)
-    longest_s, since_s = 0.0, math.inf
-    for moment_s, flowed in [*changes, (rig.clock.now_s, device.coils.currents_A)]:
-        longest_s = max(longest_s, moment_s - since_s)
-        if not any(_reached(flowed, away)):
-            since_s = math.inf
-        elif math.isinf(since_s):
-            since_s = moment_s
-    cell.spent_s.append(longest_s)
+    cell.spent_s.append(longest_s(changes, rig.clock.now_s, away))
     zero = rig.driver.zero
     cell.unreachable += zero is Zero.UNREACHABLE
     if away and zero is not Zero.UNREACHABLE:
         cell.wrong.append(f'{zero} while a line is lost')
+
+
+def longest_s(changes: Sequence[tuple[float, tuple[float, ...]]], until_s: float,
+              away: set[int]) -> float:
+    """The longest time for which a coil carried current [s], but for coils that are away.
+
+    `changes` are moments [s] and the currents [A] from then on; the last lasts `until_s`.
+    """
+    longest, since_s = 0.0, math.inf
+    for moment_s, flowed in changes:
+        longest = max(longest, moment_s - since_s)
+        if not any(_reached(flowed, away)):
+            since_s = math.inf
+        elif math.isinf(since_s):
+            since_s = moment_s
+    return max(longest, until_s - since_s)
 
 
 def _reached(currents_A: tuple[float, ...], away: set[int]) -> list[float]:
@@ -238,7 +248,7 @@ def cells() -> Iterator[tuple[str, str, str, Cell]]:
                 yield protocol, fault, phase, host_fault(protocol, fault, phase)
 
 
-def table(found: Iterator[tuple[str, str, str, Cell]]) -> Iterator[str]:
+def table(found: Iterable[tuple[str, str, str, Cell]]) -> Iterator[str]:
     """The table, a line at a time: worst milliseconds from the fault to zero."""
     yield '| protocol | fault | ' + ' | '.join(PHASES) + ' |'
     yield '|---|---|' + '---|' * len(PHASES)

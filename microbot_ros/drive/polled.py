@@ -193,7 +193,7 @@ class PolledAmplifier(Amplifier):
 
     def _abort(self, error: BaseException) -> None:
         reached = [device for device in self.devices if device not in self._others]
-        # The next attempt to reconnect confirms or repeats the zero; after the first there is none.
+        # An attempt to reconnect is repeated soon, and the zero with it; the first is not.
         if self._lines:
             self._make_safe(reached, 0.0 if self._known else self.read_back_s)
 
@@ -205,14 +205,13 @@ class PolledAmplifier(Amplifier):
         """Zero these devices, read back for `patience_s` [s] and disable them; return the worst
         that holds of one.
         """
-        self._order = None
         self._zero_lines(devices)
         self._carry_out(self._let_strays_in())
         until_s = self.clock.now() + patience_s
         waiting = set(devices)
         while waiting and (began_s := self.clock.now()) < until_s:
             # What is damaged or lost is said again in the next pass, the zero with it.
-            sent = self._with_each(partial(self._zero, until_s=until_s), waiting, attempts=1)
+            sent = self._with_each(self._zero, waiting, attempts=1)
             found = self._with_each(partial(self._is_at_zero, until_s=until_s), waiting,
                                     attempts=1)
             self._lose_all((*sent.values(), *found.values()))
@@ -224,9 +223,8 @@ class PolledAmplifier(Amplifier):
             return Zero.UNREACHABLE
         return Zero.SENT if waiting else Zero.CONFIRMED
 
-    def _zero(self, device: int, until_s: float) -> Talk[None]:
-        if self.clock.now() < until_s:
-            yield from self._drive(device, np.zeros(self.channels_per_device))
+    def _zero(self, device: int) -> Talk[None]:
+        return self._drive(device, np.zeros(self.channels_per_device))
 
     def _is_at_zero(self, device: int, until_s: float) -> Talk[bool]:
         if self.clock.now() >= until_s:

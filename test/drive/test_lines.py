@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from microbot_ros.drive.amplifier import Zero
+from microbot_ros.drive.amplifier import READ_BACK_S, Amplifier, Zero
 from microbot_ros.drive.emulator.virtual import VirtualAmplifier
 from microbot_ros.drive.errors import (
     AmplifierError,
@@ -25,6 +25,12 @@ ADDRESSES = [('modbus', slave, 'mute') for slave in (1, 2, 3, 4)] + [
 
 each_line = pytest.mark.parametrize(('protocol', 'number', 'kind'), LINES)
 each = pytest.mark.parametrize(('protocol', 'number', 'kind'), LINES + ADDRESSES)
+
+
+@pytest.fixture(autouse=True)
+def unhurried(monkeypatch):
+    """What tests of other files are patient with: here no machine is late."""
+    monkeypatch.setattr(Amplifier, 'read_back_s', READ_BACK_S)
 
 
 class Rig(VirtualAmplifier):
@@ -143,8 +149,10 @@ def test_while_a_zero_is_written(rig):
 def test_while_closing(rig, after_s):
     amplifier = drive(rig)
     rig.clock.plan(after_s, rig.fail)
+    began_s = rig.clock.now_s
     zero = amplifier.close()
     assert not rig.others.any()
+    assert rig.clock.now_s - began_s <= (0.04 if rig.away else READ_BACK_S + 0.25)
     assert not any(line.host for line in rig.lines)
     if after_s < 0.03:  # before the read-back
         rig.check_answer(amplifier, zero)
@@ -236,6 +244,43 @@ def test_a_supply_that_falls_silent_once_it_is_enabled_is_switched_off_with_all_
         rig.amplifier().connect()
     assert not rig.enabled()
     assert all(any(b'OUTP OFF' in data for _, data in line.sent) for line in rig.lines)
+
+
+def test_all_lines_that_are_lost_are_named():
+    def lost(do):
+        rig = Rig('scpi', 0, '')
+        amplifier = drive(rig)
+        for number in (2, 4):
+            rig.fault(f'unplug/{number}')
+        with pytest.raises(PortLostError):
+            do(amplifier)
+        assert amplifier.unreachable == ('scpi-2', 'scpi-4')
+        assert amplifier.close() is Zero.UNREACHABLE
+        with pytest.raises(PortMissingError):
+            amplifier.connect()
+        assert amplifier.unreachable == ('scpi-2', 'scpi-4')
+
+    lost(lambda amplifier: amplifier.zero())
+    lost(lambda amplifier: amplifier.poll(1.0))
+    rig = Rig('scpi', 0, '')
+    amplifier = drive(rig)
+    for number in (1, 3):
+        rig.fault(f'unplug/{number}')
+    assert amplifier.close() is Zero.UNREACHABLE
+    assert amplifier.unreachable == ('scpi-1', 'scpi-3')
+
+
+def test_many_silent_devices_do_not_hold_up_the_end():
+    rig = VirtualAmplifier('modbus', channels=16)
+    amplifier = rig.amplifier()
+    amplifier.connect()
+    for slave in range(1, 17):
+        rig.mute(slave)
+    began_s = rig.clock.now_s
+    assert amplifier.close() is Zero.SENT
+    # The outputs are switched off one after the other, each with two attempts.
+    longest_s = READ_BACK_S + 0.1 + 16 * 2 * amplifier.reply_s
+    assert rig.clock.now_s - began_s <= longest_s
 
 
 @pytest.mark.parametrize('protocol', ['scpi', 'roboteq'])

@@ -197,6 +197,8 @@ class VirtualAmplifier:
         self.device = make_device(protocol, self.coils)
         self.lines = [MemoryLine(self.clock) for _ in range(self.device.ports)]
         self.faults = Faults([])
+        self.opened: list[tuple[str, int, bool]] = []
+        """Url, baud rate and flow control of each port that was opened."""
         self.urls = [f'{protocol}-{number}' for number in range(1, self.device.ports + 1)]
         self.url = ','.join(self.urls)
         self.clock.serve(Emulation(self.device, self.lines, self.faults, lambda: self.clock.now_s))
@@ -211,6 +213,7 @@ class VirtualAmplifier:
 
     def _open(self, url: str, baud: int, *, xon_xoff: bool = False) -> MemoryPort:
         self.clock.wait_for(lambda: True, 0.0)
+        self.opened.append((url, baud, xon_xoff))
         return self.lines[self.urls.index(url)].open(url)
 
     def write(self, line: str) -> None:
