@@ -42,7 +42,7 @@ TESTS = {
                 'test_roboclaw'], ''),
     'last_resort': (['test_sentinel'], ''),
     'sentinel': (['test_sentinel'], ''),
-    'serial_transfer.driver': (['test_amplifiers', 'test_serial_transfer_driver'],
+    'serial_transfer.driver': (['test_amplifiers', 'test_lines', 'test_serial_transfer_driver'],
                                'serial_transfer'),
     'roboclaw.driver': (['test_roboclaw', 'test_amplifiers', 'test_lines'], 'roboclaw'),
     'sabertooth.driver': (['test_sabertooth'], ''),

@@ -218,6 +218,26 @@ def test_a_full_scale_that_is_none_is_refused(protocol, full_scale_A):
         amplifier_class(protocol)('a,b,c,d', full_scale_A)
 
 
+@every_protocol
+def test_a_small_full_scale_is_driven_to_its_end(protocol):
+    device = VirtualAmplifier(protocol, full_scale_A=0.5)
+    amplifier = device.amplifier()
+    amplifier.connect()
+    amplifier.write([0.5, -0.5, 0.25, 0.0])
+    for _ in range(5):
+        amplifier.poll(0.05)
+    assert device.coils.currents_A == pytest.approx([0.5, -0.5, 0.25, 0.0], abs=0.01)
+
+
+@pytest.mark.parametrize(('baud', 'sample_s'), [
+    (500_000, 1.25 * 10 * 74 / 500_000), (57_600, 1.25 * 10 * 74 / 57_600),
+    (50_000_000, 0.0008)])
+def test_a_board_is_not_sent_more_than_its_line_takes(baud, sample_s):
+    amplifier = amplifier_class('serial_transfer')('a', FULL_SCALE_A, baud=baud)
+    assert amplifier.sample_s == pytest.approx(sample_s)
+    assert amplifier.can_swing
+
+
 @polled_protocols
 @pytest.mark.parametrize('ports', ['a,b,c', 'a,b,c,d,e', ''])
 def test_the_number_of_ports_is_checked(protocol, ports):

@@ -265,7 +265,7 @@ def test_a_command_flows_and_ends_by_itself(drive, device):
     assert until(lambda: driver.gate.fault).reason is Reason.STALE
     device.eventually(ZERO)
     assert device.causes[-1] == 'command'
-    assert driver.stop() is False  # nothing confirmed it
+    assert driver.stop() is Zero.SENT  # nothing confirmed it
 
 
 def test_it_is_armed_and_fed_for_as_long_as_a_command_holds(drive, device):
