@@ -66,9 +66,9 @@ lint: $(VENV)/.development
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports --no-logo
 
-# `make bench ONLY=tracker` runs one group.
+# Within an hour; `make bench FULL=1` takes all runs of every group, `make bench ONLY=tracker` one.
 bench: $(VENV)/.development
-	@$(BIN)/python -m bench $(if $(ONLY),--only $(ONLY))
+	@$(BIN)/python -m bench $(if $(ONLY),--only $(ONLY)) $(if $(FULL),--full)
 
 # The documents as HTML, in out/docs; what is made from the code is made anew.
 docs: $(VENV)/.development

@@ -29,7 +29,7 @@ development = [
     *documents, *training, *policies, *cameras, *archive, *cockpit, *tests,
     'axe-playwright-python', 'mm-test-adapters', 'catkin_pkg', 'colcon-common-extensions',
     'coverage', 'duckdb', 'import-linter', 'magpylib', 'mypy', 'playwright>=1.48', 'polars',
-    'pyoperon>=0.6', 'pysindy', 'pytest-xdist', 'ruff', 'StochasticForceInference', 'trackpy',
+    'pyoperon>=0.6', 'pysindy', 'pytest-cov', 'pytest-xdist', 'ruff', 'StochasticForceInference', 'trackpy',
     'types-PyYAML',
     'types-pyserial', 'wheel',
 ]

@@ -20,7 +20,7 @@ from microbot_ros.drive.real_time import LOOP, set_realtime_priority_of_all
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.graph import READY
 from microbot_ros.nodes.lifecycle import IMAGES_OUT
-from microbot_ros.nodes.transport import stay_local
+from microbot_ros.nodes.transport import BY_PROFILE, NODE, transport
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 
 PIXEL_SIZE_UM = 0.45
@@ -42,9 +42,9 @@ def main() -> None:
     """Publish until a signal."""
     width, height, rate = int(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3])
     film = pictures(width, height, rate)
-    stay_local()
-    rclpy.init(args=[])
-    node = rclpy.create_node('camera')
+    with transport(BY_PROFILE, NODE):
+        rclpy.init(args=[])
+        node = rclpy.create_node('camera')
     outlet = node.create_publisher(Image, 'camera/image_raw', IMAGES_OUT)
     while not outlet.get_subscription_count():
         time.sleep(0.05)

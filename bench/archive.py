@@ -18,7 +18,7 @@ import psutil
 from bench import _archive_worlds as worlds
 from bench._dask_by_hand import by_hand, kill_children, results
 from bench._kept import run_kept
-from bench.figure import Figure
+from bench.figure import Figure, sized
 from microbot_ros.archive import Progress, conclude, read_table, run_batch
 from microbot_ros.archive.cluster import ClusterError
 from microbot_ros.archive.measure import measure
@@ -30,7 +30,8 @@ from microbot_ros.session import read_session
 from microbot_ros.session.spreadsheets.sheets import Answers
 
 ISSUE = 23
-SESSIONS, FILMS, ARCHIVES, IN_ARCHIVE = 200, 20, 50, 20
+SESSIONS, FILMS = sized(200, 60), sized(20, 6)
+ARCHIVES, IN_ARCHIVE = sized(50, 4), 20
 LAG, SPREAD = 0.2, 0.04
 """Mean lag [s] and its standard deviation between the sessions of an archive."""
 

@@ -32,7 +32,7 @@ from bench._asks_worlds import hidden_world
 from bench._driven_rig import SimulatedRig
 from bench._hidden_effects import LISTED, UNLISTED
 from bench._kept import run_kept
-from bench.figure import Figure
+from bench.figure import Figure, sized
 from microbot_ros.discovery.driven.design import Design, Question, Range, Search, random_steps
 from microbot_ros.discovery.driven.drive import Driven, drive
 from microbot_ros.estimation.model_fit import ModelFit
@@ -40,8 +40,8 @@ from microbot_ros.model.effects import EFFECTS
 
 ISSUE = 18
 MINUTES, PAIR_MINUTES, OTHER_MINUTES = 6.0, 10.0, 6.0
-SEEDS, NULLS = 4, 200
-RIVAL_NULLS, RIVAL_UNLISTED = 20, 2
+SEEDS, NULLS = sized(4, 1), sized(200, 12)
+RIVAL_NULLS, RIVAL_UNLISTED = sized(20, 2), sized(2, 1)
 """Worlds without anything hidden, and seeds of what is in no list, that rules are tried on."""
 
 PAIRS = (

@@ -31,22 +31,23 @@ from bench._score_card import (
     under_narrow_commands,
     unlisted_cases,
 )
-from bench.figure import Figure
+from bench.figure import Figure, sized
 from microbot_ros.files import write_text
 
 
 def figures() -> list[Figure]:
     """All cards."""
     outcomes = run([
-        *null_cases(240), *one_each('plain', 40.0, 4, 10_000),
-        *one_each('strong', 100.0, 4, 20_000), *under_narrow_commands(1, 100.0),
-        *two_at_once(24, 100.0), *unlisted_cases(3, 100.0), *power_cases(10),
+        *null_cases(sized(240, 24)), *one_each('plain', 40.0, sized(4, 1), 10_000),
+        *one_each('strong', 100.0, sized(4, 1), 20_000), *under_narrow_commands(1, 100.0),
+        *two_at_once(sized(24, 6), 100.0), *unlisted_cases(sized(3, 1), 100.0),
+        *power_cases(sized(10, 3)),
     ], judge)
     entries = [dataclasses.asdict(outcome) for outcome in outcomes]
     write_text(Path('out/discovery_suite.json'), json.dumps(entries, indent=1) + '\n')
-    covered = run(_coverage.cases(6), _coverage.judge)
+    covered = run(_coverage.cases(sized(6, 1)), _coverage.judge)
     return [*score(outcomes), *_covered([c for found in covered for c in found]),
-            _null_e_values(run(range(1000), null_e_value)), _time()]
+            _null_e_values(run(range(sized(1000, 100)), null_e_value)), _time()]
 
 
 def score(outcomes: Iterable[Outcome]) -> list[Figure]:

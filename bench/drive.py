@@ -22,27 +22,28 @@ from bench import (
     _matrix,
     _mutants,
 )
-from bench.figure import Figure
+from bench.figure import FULL, Figure, sized
 
 _ISSUE, _SAFETY, _MATRIX = 6, 14, 32
 _GATE = 'microbot_ros.drive.gate'
 _GATE_TESTS = Path('test/drive/test_gate.py')
-_SWEPT = 10_000_000
-_FUZZ_S = 60.0
-_TRIES = 50
-_HOST_TRIES = 10
+_SWEPT = sized(10_000_000, 1_000_000)
+_FUZZ_S = sized(60, 10)
+_DAY_H = sized(24, 2)
+_TRIES = sized(50, 8)
+_HOST_TRIES = sized(10, 2)
 """Each starts a host anew, for each protocol, delay and way to end."""
-_END_TRIES = 2
-"""Of each protocol, way to end and phase: 144 hosts, five minutes."""
+_END_TRIES = sized(3, 1)
+"""Of each protocol, way to end and phase: 72 hosts a try, some two seconds each."""
 _WITHOUT_DRIVER_S, _WITH_DRIVER_S = 0.2, 0.1
 _JOYSTICK_S = 0.35
 """The joystick's own 0.25 s, and what a command may outlive its giver."""
 
 
 def figures() -> list[Figure]:
-    """All figures; some forty minutes on two cores, most of them for the dead-man."""
+    """All figures; in full some eighty minutes on two cores, half of them for the mutants."""
     with ProcessPoolExecutor(2, multiprocessing.get_context('spawn')) as pool:
-        day = pool.submit(_day.run, 24.0)
+        day = pool.submit(_day.run, float(_DAY_H))
         swept = pool.submit(_gate_sweep.values_outside, _SWEPT)
         tally = pool.submit(_fuzz.run, _FUZZ_S)
         computed = [*_sweep_figures(*swept.result()), *_codec_figures(tally.result()),
@@ -97,7 +98,12 @@ def _sweep_figures(wrong: int, passed: int) -> list[Figure]:
 def _gate_figures() -> list[Figure]:
     covered = _branch_coverage()
     return [Figure(_ISSUE, 'gate, lines and branches covered', covered, '%', '100', 'coverage.py',
-                   covered == 100.0), *map(_mutant_figure, _mutants.TESTS)]
+                   covered == 100.0), *map(_mutant_figure, _mutated())]
+
+
+def _mutated() -> list[str]:
+    """Modules whose mutants are tried; `make soak` tries all."""
+    return list(_mutants.TESTS) if FULL else ['gate']
 
 
 def _mutant_figure(module: str) -> Figure:
@@ -128,11 +134,11 @@ def _codec_figures(tally: _fuzz.Tally) -> list[Figure]:
 
 def _day_figures(day: _day.Day) -> list[Figure]:
     return [
-        Figure(_ISSUE, f'24 h, {day.commands} commands, {day.faults} faults, {day.trips} trips: '
-               'wrong currents', day.wrong, 'commands', '0', 'none',
+        Figure(_ISSUE, f'{_DAY_H} h, {day.commands} commands, {day.faults} faults, '
+               f'{day.trips} trips: wrong currents', day.wrong, 'commands', '0', 'none',
                day.wrong == 0 and day.trips > 0),
-        Figure(_ISSUE, '24 h: memory grown in the second half', day.resident_growth_kB, 'kB',
-               '<= 1024', 'none', day.resident_growth_kB <= 1024),
+        Figure(_ISSUE, f'{_DAY_H} h: memory grown in the second half', day.resident_growth_kB,
+               'kB', '<= 1024', 'none', day.resident_growth_kB <= 1024),
     ]
 
 

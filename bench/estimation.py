@@ -23,15 +23,15 @@ from bench._estimation_runs import (
     rolling_robot,
     told_of_change,
 )
-from bench.figure import Figure
+from bench.figure import Figure, sized
 from microbot_ros.estimation.batch import fit
 from microbot_ros.estimation.one_leg_regression import one_leg
 from microbot_ros.estimation.online import Estimator
 from microbot_ros.records import Conditions
 
 ISSUE = 4
-RUNS = 400
-CHANGES = 40
+RUNS = sized(400, 60)
+CHANGES = sized(40, 10)
 
 
 @dataclass(frozen=True)

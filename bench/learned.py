@@ -22,11 +22,11 @@ from bench._kept import run_kept
 from bench._learned_gap import Foretold, first_order, gaps, only_session
 from bench._unlisted_worlds import KINDS, Filmed, HiddenWorld, Law, film
 from bench.discovery import interval
-from bench.figure import Figure
+from bench.figure import Figure, sized
 from microbot_ros.control.predictive import Predictive
 from microbot_ros.discovery import held_out
 from microbot_ros.discovery.discover import discover
-from microbot_ros.discovery.learned.candidates import columns
+from microbot_ros.discovery.learned.candidates import accumulated, steps
 from microbot_ros.discovery.learned.learn import learn_terms, relearn, told
 from microbot_ros.discovery.result import Discovery
 from microbot_ros.model.learned_term import LearnedTerm
@@ -61,7 +61,8 @@ def figures() -> list[Figure]:
     return [*score(outcomes), *wheel(), *beside(outcomes)]
 
 
-def cases(worlds: int = 5, nulls: int = 200, named: int = 100) -> list[tuple[str, int]]:
+def cases(worlds: int = sized(5, 1), nulls: int = sized(200, 20),
+          named: int = sized(100, 20)) -> list[tuple[str, int]]:
     """(what is hidden, seed) of every session."""
     from bench._hidden_effects import LISTED
 
@@ -222,7 +223,7 @@ def _covered(term: LearnedTerm, filmed: Filmed) -> float:
     times = session.times + filmed.session.tracks.t.min()
     done = filmed.velocities(times) * np.diff(times)[:, None]
     gram, right = 0.0, 0.0
-    for n, column in enumerate(columns(fit, p, term)):
+    for n, column in enumerate(map(accumulated, steps(fit, p, term))):
         used = session.joined()[:, n]
         step, moved = np.diff(column, axis=0)[used], done[used, session.ids[n]]
         design = np.concatenate([step.real, step.imag])

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 
 from bench import _rig
-from bench.figure import Figure
+from bench.figure import Figure, sized
 from microbot_ros.control.contract import Goals
 from microbot_ros.loop.controller import ControllerParameters
 from microbot_ros.loop.loop import Loop, LoopParameters
@@ -31,7 +31,7 @@ from microbot_ros.virtual_rig.world import FieldHistory, World
 _ISSUE = 15
 _RATE_HZ, _PARTICLES = 100.0, 4
 _FILMED, _FRAMES, _WARM = 400, 10_000, 1_000
-_PLAYED, _COMPARED = 100_000, 10_000
+_PLAYED, _COMPARED = sized(100_000, 10_000), sized(10_000, 3_000)
 """Frames in real time: of the figure itself, and of what it is compared with."""
 _PERCENTILES = (50.0, 99.0, 99.9)
 _WORLDS, _STEPS = 64, 200

@@ -20,7 +20,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Image, PointCloud2, TimeReference
 
 from bench._camera_load import PIXEL_SIZE_UM
-from bench.figure import Figure
+from bench.figure import Figure, sized
 from bench.recording import _session
 from microbot_ros.errors import InputError
 from microbot_ros.loop.points import PARTICLE
@@ -40,7 +40,7 @@ WARM_SECONDS = 10
 """In which the tracker learns what particles look like."""
 SETTLE_SECONDS = 3.0
 """After somebody has come or gone."""
-KILLS = 20
+KILLS = sized(20, 5)
 ASKED = 25
 STEERING = Path(__file__).parents[1] / 'test' / 'data' / 'steering.mcap'
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.figure import Figure
+from bench.figure import Figure, sized
 from microbot_ros.control.contract import ControllerInput, FieldCommand, Goals
 from microbot_ros.control.controller_manager import Outcome
 from microbot_ros.control.pushing import Pushing, PushingParameters
@@ -21,12 +21,12 @@ from microbot_ros.control.swarm import Swarm, SwarmParameters
 from microbot_ros.virtual_rig.rolling_loop import Rollers, RollingLoop
 
 ISSUE = 19
-SEEDS = 100
+SEEDS = sized(100, 8)
 COUNT = 10
 WALLS_UM = (0.0, -104.0, 0.0, -20.0, 0.0, 20.0, 0.0, 104.0)
 """A wall across the view, with a slit of 40 µm, that is 9 diameters."""
 RADIUS = 2.3e-6
-_PUSHES = 20
+_PUSHES = sized(20, 3)
 _NEAR = 5e-6
 _KNOWN = 0.04
 """How well gain and φ are known: what the model node reaches."""

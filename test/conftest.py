@@ -31,7 +31,9 @@ os.environ.setdefault('OMP_NUM_THREADS', '1')
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 # The same examples on every run, and no deadline: how long one takes depends on the machine.
-hypothesis.settings.register_profile('seeded', derandomize=True, deadline=None)
+hypothesis.settings.register_profile(
+    'seeded', derandomize=True, deadline=None,
+    suppress_health_check=[hypothesis.HealthCheck.too_slow])
 hypothesis.settings.load_profile('seeded')
 
 COMPLETE = os.environ.get('CI', '') not in ('', '0', 'false')

@@ -89,6 +89,9 @@ def test_colcon_runs_the_tests(workspace: Path) -> None:
 MORE = ('axe_playwright_python', 'dask', 'distributed', 'duckdb', 'furo', 'gymnasium', 'magpylib',
         'mm_test_adapters', 'myst_parser', 'onnx', 'onnxruntime', 'playwright', 'polars',
         'pyarrow', 'pymmcore', 'pypylon', 'pysindy', 'sphinx', 'starlette', 'trackpy', 'uvicorn')
+NEED_MORE = ('archive/test_batch', 'archive/test_cluster', 'control/test_policy',
+             'magnetics/test_allocation', 'magnetics/test_allocation_anywhere',
+             'magnetics/test_shapes', 'magnetics/test_sources', 'nodes/test_calibrated_coils')
 WITHOUT = """
 import sys
 from importlib.machinery import PathFinder
@@ -105,12 +108,15 @@ sys.exit(pytest.main(sys.argv[1:]))
 def test_all_tests_are_found_where_only_the_extra_for_them_is() -> None:
     """`colcon test` counts what pytest collects: what needs more than that is skipped."""
     found = subprocess.run(
-        [sys.executable, '-c', WITHOUT, ','.join(MORE), '--collect-only',
+        [sys.executable, '-c', WITHOUT, ','.join(MORE), '--collect-only', '-qq',
          '-p', 'pytest_timeout', '-o', 'addopts=--import-mode=importlib', str(ROOT / 'test')],
-        cwd=ROOT, env={**os.environ, 'PYTEST_DISABLE_PLUGIN_AUTOLOAD': '1'},
+        cwd=ROOT, env={**os.environ, 'CI': '', 'PYTEST_DISABLE_PLUGIN_AUTOLOAD': '1'},
         capture_output=True, text=True, timeout=280)
     assert found.returncode == 0, found.stdout[-2000:] + found.stderr
-    assert int(re.findall(r'(\d+) tests collected', found.stdout)[-1]) > 4000
+    here = {str(path.relative_to(ROOT)) for path in (ROOT / 'test').rglob('test_*.py')}
+    missing = here - set(re.findall(r'^(test/\S+\.py): [1-9]\d*$', found.stdout, re.MULTILINE))
+    assert {file for file in missing if not file.startswith(('test/cockpit/', 'test/gym/'))} == {
+        f'test/{name}.py' for name in NEED_MORE}
 
 
 @pytest.mark.rig

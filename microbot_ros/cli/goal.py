@@ -21,11 +21,6 @@ if TYPE_CHECKING:
 
 Places = list[tuple[float, float]]
 
-_NO_GOALS = ('experiment', 'hold', 'open_loop', 'teleop', 'path_following')
-_NO_PATHS = ('experiment', 'hold', 'open_loop', 'teleop', 'waypoint', 'ensemble', 'formation',
-             'predictive', 'roller')
-"""The controllers of this package that do not act on goals, on a path."""
-
 _HEALTH_SECONDS = 1.5
 """Within this a node says on `/diagnostics` how it is, once a second."""
 
@@ -50,7 +45,8 @@ def command(positions_um: tuple[str, ...], file: Path | None, as_path: bool, can
     """Send goals to the running controller, in micrometres of the workspace, in order.
 
     Ends when the controller has taken them; with 1 and the reason where it is not there, does not
-    answer or refuses. Says so where the controller is not one for them, or the coils are disarmed.
+    answer or refuses: goals outside the workspace, or a controller that takes none, with the names
+    of those that do. Says so where the coils are disarmed: it starts when they are armed.
 
     \b
     Examples:
@@ -77,24 +73,12 @@ def command(positions_um: tuple[str, ...], file: Path | None, as_path: bool, can
         taken = client.send_path(places) if as_path else client.send_goals(places, particles)
         count = len(places)
         what = f'path of {count} points' if as_path else f'{count} goal{"s" * (count > 1)}'
-        idle = taken.controller in (_NO_PATHS if as_path else _NO_GOALS)
-        said = f"{what} taken by controller '{taken.controller}'" + (
-            ', which does not go there: ' + _swap(as_path, namespace) if idle else '')
-        if not idle:
-            _refuse(client, 'path' if as_path else 'goals', taken.stamp)
+        _refuse(client, 'path' if as_path else 'goals', taken.stamp)
         if seconds is None:
-            click.echo(said)
+            click.echo(f"{what} taken by controller '{taken.controller}'")
             coils.listen()
             return
-        if idle:
-            click.echo(said, err=True)
         _wait(client, taken.stamp, seconds)
-
-
-def _swap(path: bool, namespace: str) -> str:
-    """The command that puts a controller for a path, or for goals, in charge."""
-    where = '' if namespace == '/' else f' --namespace {namespace}'
-    return f'microbot set controller controller {"path_following" if path else "waypoint"}{where}'
 
 
 def _position(text: str) -> tuple[float, float]:

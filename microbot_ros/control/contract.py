@@ -47,6 +47,20 @@ class Result(enum.Enum):
     FAULT = 'fault'
 
 
+class Input(enum.Enum):
+    """What a person or a program may give a controller beside the particles; the value is its
+    name for people. `GOALS` are a list without particles, `PARTICLE_GOALS` name whose each is."""
+
+    GOALS = 'goals'
+    PARTICLE_GOALS = 'goals of particles'
+    PATH = 'path'
+    PLAN = 'plan'
+    JOYSTICK = 'joystick'
+
+
+ANY_GOALS = frozenset({Input.GOALS, Input.PARTICLE_GOALS})
+
+
 class ControllerError(Exception):
     """The controller can't act now, and says why: zero field, and it is asked again next tick.
 
@@ -256,8 +270,8 @@ class NoParameters:
 class Controller(ABC):
     """Base of all controllers.
 
-    A subclass states the `interface_version` it was written for, a one-line `summary`, and as
-    `Parameters` a frozen dataclass of `settings.setting` fields whose names end in their units.
+    A subclass states the `interface_version` it was written for, a one-line `summary`, what it
+    `takes`, and as `Parameters` a frozen dataclass of `settings.setting` fields whose names end in their units.
     """
 
     interface_version: ClassVar[int]
@@ -265,6 +279,14 @@ class Controller(ABC):
     Parameters: ClassVar[type] = NoParameters
     repeatable: ClassVar[bool] = True
     """Whether its commands follow from what it is given, and not from how fast the machine is."""
+    takes: ClassVar[frozenset[Input] | None] = None
+    """What it acts on beside the particles: goals, paths and plans that it does not take are
+    refused. None, for controllers that do not say so, takes everything."""
+
+    @classmethod
+    def accepts(cls, what: Input) -> bool:
+        """Whether it acts on `what`."""
+        return cls.takes is None or what in cls.takes
 
     def __init__(self) -> None:
         self.parameters: Any = self.Parameters()

@@ -14,6 +14,7 @@ import numpy as np
 from microbot_ros import units
 from microbot_ros.control.assignment import Assignment
 from microbot_ros.control.contract import (
+    ANY_GOALS,
     Controller,
     ControllerInput,
     FieldCommand,
@@ -139,6 +140,7 @@ class Ensemble(SharedField):
 
     interface_version = 1
     summary = 'All particles as near to their goals as one field allows.'
+    takes = ANY_GOALS
 
     def reset(self) -> None:
         """Forget the goals."""

@@ -6,6 +6,7 @@ from microbot_ros.control.contract import (
     Controller,
     ControllerInput,
     FieldCommand,
+    Input,
     Progress,
     no_field,
 )
@@ -22,6 +23,7 @@ class Experiment(Controller):
 
     interface_version = 1
     summary = 'A plan of fields that comes by topic, played once.'
+    takes = frozenset({Input.PLAN})
 
     def __init__(self) -> None:
         super().__init__()

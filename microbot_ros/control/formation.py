@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from microbot_ros import units
-from microbot_ros.control.contract import NO_IDS, ControllerInput
+from microbot_ros.control.contract import ANY_GOALS, NO_IDS, ControllerInput
 from microbot_ros.control.ensemble import Aim, SharedField, SharedFieldParameters
 from microbot_ros.control.shared import allowed_corners, as_complex, borders
 from microbot_ros.control.steering import goals_in_reach
@@ -40,6 +40,7 @@ class Formation(SharedField):
 
     interface_version = 1
     summary = 'Gather, spread, arrange or carry all particles.'
+    takes = ANY_GOALS
     Parameters = FormationParameters
 
     def reset(self) -> None:

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
-from microbot_ros.control.contract import Controller, ControllerInput, FieldCommand, no_field
+from microbot_ros.control.contract import (
+    Controller,
+    ControllerInput,
+    FieldCommand,
+    Input,
+    no_field,
+)
 
 
 class Hold(Controller):
@@ -10,6 +16,7 @@ class Hold(Controller):
 
     interface_version = 1
     summary = 'No field.'
+    takes = frozenset[Input]()
 
     def compute(self, inputs: ControllerInput) -> FieldCommand:
         """Zero, whatever the `inputs`."""

@@ -8,7 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from microbot_ros import units
-from microbot_ros.control.contract import Controller, ControllerInput, FieldCommand, Progress
+from microbot_ros.control.contract import (
+    Controller,
+    ControllerInput,
+    FieldCommand,
+    Input,
+    Progress,
+)
 from microbot_ros.settings import setting
 
 
@@ -37,6 +43,7 @@ class Manual(Controller):
 
     interface_version = 1
     summary = 'A field set by hand, standing or turning, in three axes.'
+    takes = frozenset[Input]()
     Parameters = ManualParameters
 
     def compute(self, inputs: ControllerInput) -> FieldCommand:

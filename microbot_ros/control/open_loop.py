@@ -13,6 +13,7 @@ from microbot_ros.control.contract import (
     Controller,
     ControllerInput,
     FieldCommand,
+    Input,
     Limits,
     NoSolutionError,
     Progress,
@@ -43,6 +44,7 @@ class OpenLoop(Controller):
 
     interface_version = 1
     summary = 'A timed list of directions.'
+    takes = frozenset[Input]()
     Parameters = OpenLoopParameters
 
     def __init__(self) -> None:

@@ -15,6 +15,7 @@ from microbot_ros.control.contract import (
     ControllerInput,
     FieldCommand,
     GoalError,
+    Input,
     ParticleLostError,
     Progress,
     no_field,
@@ -51,6 +52,7 @@ class PathFollowing(Controller):
 
     interface_version = 1
     summary = 'One particle along a path, against drift.'
+    takes = frozenset({Input.PATH})
     Parameters = PathFollowingParameters
 
     def __init__(self) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 
 from microbot_ros import units
 from microbot_ros.control.contract import (
+    ANY_GOALS,
     Controller,
     ControllerInput,
     FieldCommand,
@@ -60,6 +61,7 @@ class Policy(Controller):
 
     interface_version = 1
     summary = 'A learned policy brings each particle to its goal once.'
+    takes = ANY_GOALS
     Parameters = PolicyParameters
 
     def __init__(self) -> None:

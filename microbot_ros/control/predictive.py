@@ -15,6 +15,7 @@ import numpy as np
 
 from microbot_ros import units
 from microbot_ros.control.contract import (
+    ANY_GOALS,
     NO_IDS,
     ControllerInput,
     FieldCommand,
@@ -74,6 +75,7 @@ class Predictive(Ensemble):
 
     interface_version = 1
     summary = 'All particles to their goals by planning with all the model knows.'
+    takes = ANY_GOALS
     Parameters = PredictiveParameters
     repeatable = False
 

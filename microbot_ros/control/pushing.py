@@ -12,6 +12,7 @@ from microbot_ros import units
 from microbot_ros.control.contract import (
     ControllerInput,
     FieldCommand,
+    Input,
     ModelError,
     ParticleLostError,
     Progress,
@@ -66,6 +67,7 @@ class Pushing(PathFollowing):
     """
 
     summary = 'One roller pushes a bead along a path.'
+    takes = frozenset({Input.PATH})
     Parameters = PushingParameters
 
     def configure(self, parameters: PushingParameters) -> None:

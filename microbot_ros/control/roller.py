@@ -7,7 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from microbot_ros import units
-from microbot_ros.control.contract import ControllerInput, FieldCommand, ModelError, no_field
+from microbot_ros.control.contract import (
+    ANY_GOALS,
+    ControllerInput,
+    FieldCommand,
+    ModelError,
+    no_field,
+)
 from microbot_ros.control.goal_controller_base import GoalControllerBase, GoalControllerParameters
 from microbot_ros.control.steering import field_along
 from microbot_ros.settings import setting
@@ -36,6 +42,7 @@ class Roller(GoalControllerBase):
 
     interface_version = 1
     summary = 'One rolling particle to a goal or through a list.'
+    takes = ANY_GOALS
     Parameters = RollerParameters
     rolling = True
 

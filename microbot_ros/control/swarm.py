@@ -14,6 +14,7 @@ import numpy as np
 from microbot_ros import units
 from microbot_ros.control.assignment import Assignment
 from microbot_ros.control.contract import (
+    ANY_GOALS,
     NO_IDS,
     Controller,
     ControllerError,
@@ -80,6 +81,7 @@ class Swarm(Controller):
 
     interface_version = 1
     summary = 'Many rollers, each to its own goal, by frequencies at which they step out.'
+    takes = ANY_GOALS
     Parameters = SwarmParameters
 
     def __init__(self) -> None:

@@ -10,6 +10,7 @@ from microbot_ros.control.contract import (
     Controller,
     ControllerInput,
     FieldCommand,
+    Input,
     NotLearnedError,
     Progress,
     no_field,
@@ -37,6 +38,7 @@ class Teleop(Controller):
 
     interface_version = 1
     summary = 'By joystick.'
+    takes = frozenset({Input.JOYSTICK})
     Parameters = TeleopParameters
 
     def activate(self, inputs: ControllerInput) -> None:

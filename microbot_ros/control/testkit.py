@@ -22,9 +22,19 @@ from microbot_ros.control.contract import (
     ControllerError,
     ControllerInput,
     Goals,
+    Input,
     Limits,
     Workspace,
 )
+from microbot_ros.records import Commands
+
+_PLACES = np.array([[20e-6, 10e-6], [-30e-6, 0], [0, 40e-6]])
+_MORE: dict[Input, dict[str, Any]] = {
+    Input.GOALS: {'goals': Goals(_PLACES)},
+    Input.PARTICLE_GOALS: {'goals': Goals(_PLACES[:2], np.array([2, 0]))},
+    Input.PATH: {'path': np.column_stack((np.linspace(-50e-6, 50e-6, 21), np.zeros(21)))},
+    Input.PLAN: {'plan': Commands(np.array([0.0, 60.0]), np.array([[1e-3, 0.0], [0.0, 0.0]]))},
+    Input.JOYSTICK: {'joystick': np.array([0.6, 0.8])}}
 
 VIEW = Workspace(np.array([-144e-6, -108e-6]), np.array([144e-6, 108e-6]))
 
@@ -61,21 +71,50 @@ def controller_input(
 def exercise(kind: type[Controller]) -> None:
     """AssertionError, saying what is wrong, unless controllers of a `kind` keep the contract.
 
-    It must state version, summary and described parameters; configure its defaults; and answer
+    It must state version, summary, what it takes and described parameters; act on nothing that it
+    does not take; configure its defaults; and answer
     each of a series of inputs, common and odd, with a finite command within the limits or
     with a ControllerError, without changing what it was shown; also after `reset` and when it
     is activated again.
     """
     assert kind.interface_version == INTERFACE_VERSION, 'written for another interface version'
     assert kind.summary.strip(), 'has no summary'
+    assert kind.takes is not None, "does not say what it takes: 'takes = frozenset({Input.GOALS})'"
+    assert set(kind.takes) <= set(Input), f"'takes' must hold members of Input: {kind.takes}"
     for name in settings.defaults(kind.Parameters):
         assert settings.about(kind.Parameters, name).description, f'{name} is not described'
+    _acts_on_nothing_else(kind)
     controller = kind()
     controller.configure(kind.Parameters())
     for prepare in (controller.deactivate, controller.reset, controller.deactivate):
         for shown in odd_inputs():
             _answer(controller, shown)
         prepare()
+
+
+def _acts_on_nothing_else(kind: type[Controller]) -> None:
+    """AssertionError where answers depend on what the controller says it does not take."""
+    if not kind.repeatable:
+        return  # not even the same inputs need have the same answers
+    for what in Input:
+        if not kind.accepts(what):
+            with_it, without = (_answers(kind, what, given) for given in (True, False))
+            assert with_it == without, f"acts on {what.value}, which is not among its 'takes'"
+
+
+def _answers(kind: type[Controller], what: Input, given: bool) -> list[Any]:
+    """What a controller commands for some inputs, with or without one more."""
+    controller, answers = kind(), list[Any]()
+    controller.configure(kind.Parameters())
+    for k in range(4):
+        shown = controller_input(t=0.02 * k, **_MORE[what] if given else {})
+        try:
+            controller.activate(shown)
+            command = controller.compute(shown)
+            answers.append((np.asarray(command.field).tolist(), command.frequency))
+        except ControllerError as error:
+            answers.append(error.result)
+    return answers
 
 
 def odd_inputs() -> Iterator[ControllerInput]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from microbot_ros import units
-from microbot_ros.control.contract import ControllerInput, FieldCommand
+from microbot_ros.control.contract import ANY_GOALS, ControllerInput, FieldCommand
 from microbot_ros.control.goal_controller_base import GoalControllerBase, GoalControllerParameters
 from microbot_ros.control.steering import approach
 from microbot_ros.settings import setting
@@ -26,6 +26,7 @@ class Waypoint(GoalControllerBase):
 
     interface_version = 1
     summary = 'One particle to a goal or through a list.'
+    takes = ANY_GOALS
     Parameters = WaypointParameters
 
     def drive(self, inputs: ControllerInput, offset: complex, strength: float) -> FieldCommand:

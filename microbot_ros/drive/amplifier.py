@@ -159,6 +159,8 @@ class Amplifier(ABC):
     """How long this one waits for the read-back."""
     unreachable: tuple[str, ...] = ()
     """The ports that could not be reached since `connect` was called."""
+    report_age_s = 0.0
+    """How long before `Reading.since_s` [s] the currents may have been measured at most."""
     resolution_A = 0.0
     """The step in which the device reports currents."""
 

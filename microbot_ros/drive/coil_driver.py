@@ -464,9 +464,7 @@ class CoilDriver:
 
     def _judge(self, reading: Reading, now: float) -> None:
         currents: list[float] = reading.currents_A.tolist()
-        if (self._zero_since_s is not None and reading.since_s >= self._zero_since_s
-                and self.amplifier.shows_zero(reading.currents_A)):
-            self._zero_seen_s = reading.t_monotonic_s
+        self._look_for_zero(reading)
         if self._check is not None:
             # Before the gate, which would trip at the same current and could not name the coil.
             self._check.measured(currents, now, reading.since_s)
@@ -475,6 +473,14 @@ class CoilDriver:
             elif self._check.wanted != self.gate.output:
                 self.gate.command(self._check.wanted, now)
         self.gate.measured(currents, now, reading.since_s)
+
+    def _look_for_zero(self, reading: Reading) -> None:
+        """Note whether a reading that was taken after the zero shows it; one that does not
+        revokes those before."""
+        if (self._zero_since_s is not None
+                and reading.since_s - self.amplifier.report_age_s >= self._zero_since_s):
+            seen = self.amplifier.shows_zero(reading.currents_A)
+            self._zero_seen_s = reading.t_monotonic_s if seen else -math.inf
 
     def _begin_arming(self, answer: Future[str | None], epoch: int) -> None:
         if epoch != self.epoch:

@@ -11,7 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from microbot_ros.control.contract import ControllerInput, Goals, Limits, Result, Workspace
+from microbot_ros.control.contract import (
+    ControllerInput,
+    Goals,
+    Input,
+    Limits,
+    Result,
+    Workspace,
+)
 from microbot_ros.control.controller_manager import ControllerManager, Outcome, SwitchResult
 from microbot_ros.control.deadline_worker import DeadlineWorker
 from microbot_ros.control.registry import PluginError, controller_classes
@@ -55,6 +62,10 @@ class ControllerParameters:
     model_file: str = setting('', 'model.yaml with the effects that controllers may use.')
 
 
+AT_REST = 0.15
+"""Deflection of a stick, of 1, up to which it is centred: as the dead zone of `teleop`."""
+
+
 class ControllerStage:
     """The controller that drives, and what it is told beside the particles.
 
@@ -87,11 +98,13 @@ class ControllerStage:
         """Whether a field may flow by the last command."""
         self.outcome = Outcome(None, Result.STALE, 'no poses yet')
         """What came of the last frame."""
-        self.goals, self.path = Goals(), np.empty((0, 2))
-        self.plan: Commands | None = None
+        self.armed: bool | None = None
+        """Whether the coil driver is armed; None where there is none that says so."""
+        self.forget()
         self.joystick_remark = ''
         """Why a joystick that was deflected counts as centred; '' where none does."""
         self._joystick, self._joystick_t = np.zeros(2), -math.inf
+        self._held = False
         self._last_t = -math.inf
         self._model: tuple[str, Model | None] = ('', None)
 
@@ -113,6 +126,45 @@ class ControllerStage:
         if answer.ok:
             self.parameters = parameters
         return answer
+
+    def forget(self) -> None:
+        """No goals, no path and no plan any more."""
+        self.goals, self.path = Goals(), np.empty((0, 2))
+        self.plan: Commands | None = None
+
+    def be_armed(self) -> None:
+        """Start from zero: what is given from now on may drive.
+
+        A stick that is deflected now counts as centred until it has been centred once.
+        """
+        self.armed = True
+        self._held = bool(np.hypot(*self._joystick) > AT_REST)
+        self.let_go()
+
+    def be_disarmed(self) -> None:
+        """Forget goals, path and plan that were being carried out: nothing resumes by itself.
+
+        Those that came before the first word of the driver are kept.
+        """
+        if self.armed:
+            self.forget()
+            self._begin_anew()
+        self.armed = False
+
+    @property
+    def waits(self) -> bool:
+        """Whether goals, a path or a plan wait for the coil driver to be armed."""
+        given = len(self.goals) or len(self.path) or self.plan is not None
+        return self.armed is False and bool(given)
+
+    def refusal(self, what: Input) -> str:
+        """Why the controller that drives is not given `what`, and which ones take it; '' where it
+        takes it."""
+        name = self.manager.active
+        if self.classes[name].accepts(what):
+            return ''
+        others = [other for other, kind in self.classes.items() if kind.accepts(what)]
+        return f'{name} takes no {what.value}; these do: {", ".join(others) or "none"}'
 
     def go_to(self, goals: Goals) -> None:
         """New goals, from the next frame on."""
@@ -153,6 +205,7 @@ class ControllerStage:
                              'centred')
         self._joystick = axes / max(1.0, float(np.hypot(*axes)))
         self._joystick_t = t
+        self._held = self._held and bool(np.hypot(*self._joystick) > AT_REST)
 
     def step(self, estimates: np.ndarray, t: float, now: float) -> Outcome:
         """The command after a frame that was exposed at `t` [s] and whose estimates (N,), of type
@@ -209,7 +262,8 @@ class ControllerStage:
             position=rows[:2].T.copy(), sigma=x_std, theta=theta, speed=speed, phi=phi,
             speed_std=speed_std, phi_std=phi_std, limits=self._limits, workspace=self._workspace,
             delay=values.delay_ms * 1e-3, goals=self.goals, path=self.path,
-            joystick=self._joystick_at(t), model=self._present_model(), plan=self.plan)
+            joystick=self._joystick_at(t), model=self._present_model(),
+            plan=None if self.armed is False else self.plan)
 
     def _joystick_at(self, t: float) -> np.ndarray:
         """The stick (2,) at an exposure `t` [s]: centred where it was silent for too long.
@@ -218,6 +272,9 @@ class ControllerStage:
         """
         values, age = self.parameters, t - self._joystick_t
         self.joystick_remark = ''
+        if self._held:
+            self.joystick_remark = 'the joystick was deflected when the coils were armed: centre it'
+            return np.zeros(2)
         fresh = -values.pose_timeout_ms * 1e-3 <= age <= values.joy_timeout_ms * 1e-3
         if fresh or not self._joystick.any():
             return self._joystick

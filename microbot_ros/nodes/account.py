@@ -48,9 +48,13 @@ class Account:
         self._publisher = self._node.publisher(String, '~/account')
 
     def keeping(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
-        """The callback of a topic, with its messages noted."""
+        """The callback of a topic, with its messages noted; as it is for those without a header,
+        which cannot be told apart: see `RigNode.noted`."""
         @functools.wraps(callback)
         def take(message: Any) -> None:
+            if not hasattr(message, 'header'):
+                callback(message)
+                return
             stamp = message.header.stamp
             self._note(topic, stamp.sec * 1_000_000_000 + stamp.nanosec)
             try:

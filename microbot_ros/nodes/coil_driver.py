@@ -26,6 +26,8 @@ from microbot_ros.settings import setting
 
 _WARM = 0.01
 """Heat of a coil, as a part of what it bears, from which on it is kept for a restart."""
+_REMIND_SECONDS = 0.2
+"""Pause between two messages that the gate is armed, while it waits for a zero."""
 _COMMANDER_SECONDS = 2.0
 """How long arming waits for whoever commands to be seen: both may just have been started."""
 
@@ -118,6 +120,7 @@ class CoilDriverNode(RigNode):
         self._latencies = self.publisher(TimeReference, '~/latency')
         self._armed, self._told_armed = self.publisher(Bool, '~/armed', LATCHED), False
         self._armed.publish(Bool(data=False))
+        self._told_armed_s = 0.0
         self._told_zero: Zero | None = None
         self.subscribe(Vector3Stamped, 'field/command', self._on_command, NEWEST,
                        on_matched=self._on_commanders)
@@ -277,10 +280,16 @@ class CoilDriverNode(RigNode):
             self._latencies.publish(message)
 
     def _tell_changes(self) -> None:
-        """Publish at once whether the gate is armed, and what is known of a zero."""
+        """Publish at once whether the gate is armed, and what is known of a zero.
+
+        Again and again while the driver waits for a zero after arming: the controller commands
+        one when it is told, and a node that is held up takes the newest command alone.
+        """
         armed, zero = self._driver.gate.armed, self._driver.zero
-        if armed != self._told_armed:
-            self._told_armed = armed
+        again = (armed and self._driver.gate.holding
+                 and time.monotonic() - self._told_armed_s >= _REMIND_SECONDS)
+        if armed != self._told_armed or again:
+            self._told_armed, self._told_armed_s = armed, time.monotonic()
             self._armed.publish(Bool(data=armed))
             self._report()
         if not armed and zero is not self._told_zero:

@@ -17,12 +17,12 @@ from geometry_msgs.msg import Point, PoseArray, PoseStamped, Vector3Stamped
 from nav_msgs.msg import Path
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Joy, PointCloud2
-from std_msgs.msg import Header, String
+from std_msgs.msg import Bool, Header, String
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
-from microbot_ros.control.contract import FieldCommand, Goals, Result, no_field
+from microbot_ros.control.contract import FieldCommand, Goals, Input, Result, no_field
 from microbot_ros.control.registry import controller_classes
 from microbot_ros.errors import InputError, shown
 from microbot_ros.loop.controller import ControllerParameters, ControllerStage
@@ -91,6 +91,7 @@ class ControllerNode(RigNode):
     def setup(self) -> None:
         self.stage.begin()
         self._goals_stamp = self._path_stamp = self._plan_stamp = 0.0
+        self._refused = 0.0, ''
         self._turning = False
         self._commands = self.publisher(Vector3Stamped, 'field/command')
         self._markers = self.publisher(MarkerArray, 'markers')
@@ -106,6 +107,9 @@ class ControllerNode(RigNode):
         self.subscribe(Path, 'path', self._on_path)
         self.subscribe(JointTrajectory, 'field/plan', self._on_plan)
         self.subscribe(Joy, 'joy', self._on_joy, NEWEST)
+        armed, disarmed = self.noted(self._be_armed), self.noted(self._be_disarmed)
+        self.subscribe(Bool, 'coil_driver/armed',
+                       lambda message: armed() if message.data else disarmed(), LATCHED)
         self.every(0.05, self._watch)
         self.service(AddDiagnostics, '~/switch_controller', self._on_switch)
         self.service(Trigger, '~/list_controllers', self._on_list)
@@ -133,12 +137,29 @@ class ControllerNode(RigNode):
         values: dict[str, object] = {
             'controller': name, 'result': outcome.result.value, 'goals': len(self.stage.goals),
             'goals_stamp_s': repr(self._goals_stamp), 'path_stamp_s': repr(self._path_stamp),
-            'plan_stamp_s': repr(self._plan_stamp)}
+            'plan_stamp_s': repr(self._plan_stamp), 'refused_stamp_s': repr(self._refused[0]),
+            'refused': self._refused[1], 'takes': ', '.join(self._takes(name))}
         if outcome.command is not None:
             values['distance_um'] = outcome.command.progress.distance * 1e6
             values['done'] = outcome.command.progress.done
         level = {Result.OK: OK, Result.FAULT: ERROR}.get(outcome.result, WARN)
-        return level, f'{name}: {outcome.message or "driving"}', values
+        waits = 'not armed: starts when armed; ' * self.stage.waits
+        return level, f'{name}: {waits}{outcome.message or "driving"}', values
+
+    def _be_armed(self) -> None:
+        """The coils are armed: zero first, which the driver waits for, and on from there."""
+        self.stage.be_armed()
+        self._publish_zero()
+
+    def _be_disarmed(self) -> None:
+        """The coils are not, or no longer, armed: what was being carried out is forgotten."""
+        was_armed = self.stage.armed
+        self.stage.be_disarmed()
+        if was_armed:
+            self._goals_stamp = self._path_stamp = self._plan_stamp = 0.0
+            self._tell_goals(self.get_clock().now().to_msg())
+            self._path_taken.publish(Path())
+            self._tell()
 
     def _on_state(self, message: PointCloud2) -> None:
         estimates, stamp = messages.estimates(message), message.header.stamp
@@ -166,9 +187,26 @@ class ControllerNode(RigNode):
         self._take_goals(message.header, [Point(x=float(g['x']), y=float(g['y'])) for g in goals],
                          goals['id'].astype(int))
 
+    def _takes(self, name: str) -> list[str]:
+        """What a controller acts on, by the names of `Input`."""
+        return [what.name.lower() for what in Input if self.stage.classes[name].accepts(what)]
+
+    def _refuses(self, what: Input, header: Header) -> bool:
+        """Whether the controller that drives takes no such thing; it is said then, with the stamp
+        of what was refused."""
+        refusal = self.stage.refusal(what)
+        if refusal:
+            self._refused = messages.to_seconds(header.stamp), refusal
+            self.complain(refusal)
+            self._tell()  # at once, for those who wait for it
+        return bool(refusal)
+
     def _take_goals(self, header: Header, places: list[Point],
                     ids: np.ndarray | None = None) -> None:
         messages.in_workspace(header)
+        # To cancel is not to ask for something.
+        if places and self._refuses(Input.GOALS if ids is None else Input.PARTICLE_GOALS, header):
+            return
         self.stage.go_to(Goals(np.array([(p.x, p.y) for p in places]).reshape(-1, 2), ids))
         self._goals_stamp = messages.to_seconds(header.stamp)
         self._tell_goals(header.stamp)
@@ -185,6 +223,8 @@ class ControllerNode(RigNode):
 
     def _on_path(self, message: Path) -> None:
         messages.in_workspace(message.header)
+        if message.poses and self._refuses(Input.PATH, message.header):
+            return
         self.stage.follow(np.array([
             (p.pose.position.x, p.pose.position.y) for p in message.poses]).reshape(-1, 2))
         self._path_stamp = messages.to_seconds(message.header.stamp)
@@ -195,6 +235,8 @@ class ControllerNode(RigNode):
         stamp = messages.to_seconds(message.header.stamp)
         if stamp == self._plan_stamp:
             return  # told twice, it is not played twice
+        if self._refuses(Input.PLAN, message.header):
+            return
         try:
             self.stage.play(messages.plan_rows(message))
         except ValueError as error:
@@ -225,7 +267,8 @@ class ControllerNode(RigNode):
         answer.success = True
         answer.message = json.dumps([
             {'name': name, 'state': 'active' if name == active else 'inactive',
-             'summary': kind.summary} for name, kind in self.stage.classes.items()],
+             'summary': kind.summary, 'takes': self._takes(name)}
+            for name, kind in self.stage.classes.items()],
             ensure_ascii=False)
         return answer
 

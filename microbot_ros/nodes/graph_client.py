@@ -272,7 +272,7 @@ class GraphClient:
     def _hand_over(self, topic: str, message: Any, what: str) -> Taken:
         """Publish to the controller, again and again, until it says that it has this stamp.
 
-        That somebody listens says nothing: it may be a recorder. To be told twice changes
+        RigError with its reason where it refuses. That somebody listens says nothing: it may be a recorder. To be told twice changes
         nothing for a controller, whose goals are the same then.
         """
         stamp = messages.to_seconds(message.header.stamp)
@@ -280,6 +280,9 @@ class GraphClient:
 
         def taken() -> bool:
             return float(self._progress.get(f'{what}_stamp_s', 'nan')) == stamp
+
+        def answered() -> bool:
+            return taken() or float(self._progress.get('refused_stamp_s', 'nan')) == stamp
         self._find('controller', lambda: self._listens('controller', topic), f'takes no {topic}')
         publisher = self.node.create_publisher(type(message), topic, 10)
         try:
@@ -288,13 +291,15 @@ class GraphClient:
                 self.node.get_subscriptions_info_by_topic(topic)), _MATCH_SECONDS)
             deadline = time.monotonic() + _TAKE_SECONDS
             while not taken():
+                if answered():
+                    raise RigError(f'controller: {self._progress["refused"]}')
                 if time.monotonic() > deadline:
                     answer = ('it answers, but not to these' if self._progress else
                               'it says nothing; is it active?')
                     raise RigError(f'controller did not take the {what} within '
                                    f'{_TAKE_SECONDS:g} s: {answer}')
                 publisher.publish(message)
-                self.until(taken, _REPEAT_SECONDS)
+                self.until(answered, _REPEAT_SECONDS)
             publisher.wait_for_all_acked(Duration(seconds=_MATCH_SECONDS))
         finally:
             self.node.destroy_publisher(publisher)

@@ -53,7 +53,8 @@ class RigNode(LifecycleNode):
     An exception in a transition or callback is logged with its traceback and shown on
     `/diagnostics`, and `make_safe` runs at once; a bad message is reported and dropped.
     Subscriptions and timers act only while the node is active. A transition (`on_…`) is given the
-    `state` that it leaves. Nodes that share a `rig` speak to each other through it.
+    `state` that it leaves. Nodes that share a `rig` speak to each other through it. `arguments` are
+    the node's own, `--ros-args` and what follows, beside those of its process.
     """
 
     Parameters: ClassVar[type]
@@ -63,8 +64,9 @@ class RigNode(LifecycleNode):
     unrepeatable = ''
     """Why the same inputs need not have the same answers; '' where they do."""
 
-    def __init__(self, name: str, rig: Rig | None = None) -> None:
-        super().__init__(name)
+    def __init__(self, name: str, rig: Rig | None = None,
+                 arguments: Sequence[str] | None = None) -> None:
+        super().__init__(name, cli_args=arguments)
         self.active = False
         self.starting = False
         """Whether its process starts it, and says why where that fails."""
@@ -174,6 +176,14 @@ class RigNode(LifecycleNode):
         clock = self._steady if steady else self.get_clock()
         made = self.create_timer(seconds, self._guarded(callback), clock=clock)
         self._created.append((self.destroy_timer, made))
+
+    def noted(self, callback: Callable[[], None]) -> Callable[[], None]:
+        """A `callback` whose calls are noted on `~/account`, as those of timers that act: what
+        calls it need not be recorded for a replay."""
+        def act() -> None:
+            self.account.act(callback.__name__)
+            callback()
+        return act
 
     def service(self, kind: type, name: str, callback: Callable[[Any, Any], Any]) -> None:
         """A service of a `kind` that goes with the next cleanup."""

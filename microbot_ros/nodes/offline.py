@@ -159,6 +159,10 @@ class Offline(RigNode):
     def every(self, seconds: float, callback: Callable[[], None], steady: bool = True) -> None:
         self.alarms[callback.__name__] = self._guarded(callback)
 
+    def noted(self, callback: Callable[[], None]) -> Callable[[], None]:
+        self.alarms[callback.__name__] = self._guarded(callback)
+        return callback
+
     def service(self, kind: type, name: str, callback: Callable[[Any, Any], Any]) -> None:
         """A service `kind`, `name`, `callback` that nobody calls."""
 

@@ -270,6 +270,8 @@ class OperatedRig(RigView):
                 while time.monotonic() < again:
                     if taken():
                         return f'{self.progress("controller")} has it'
+                    if float(self.progress('refused_stamp_s') or 'nan') == stamp:
+                        raise RefusedError(self.progress('refused'))
                     await asyncio.sleep(_LOOK_S)
         said = ('it answers, but not to these' if self.progress('controller') else
                 'it says nothing; is it running?')

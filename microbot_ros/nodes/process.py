@@ -51,10 +51,13 @@ def processes(names: Sequence[str], joined: bool) -> list[list[str]]:
     return [*filter(None, [loop]), *([name] for name in names if name not in loop)]
 
 
-def make(name: str, rig: Rig | None = None) -> RigNode:
-    """The node of that `name`, joined with others by their `rig`. rclpy must be initialised."""
+def make(name: str, rig: Rig | None = None, arguments: Sequence[str] | None = None) -> RigNode:
+    """Make the node of that `name`, joined with others by their `rig`; rclpy must be initialised.
+
+    `arguments` are the ROS arguments of this node alone, `--ros-args` and what follows.
+    """
     module = importlib.import_module(f'microbot_ros.nodes.{name}')
-    node: RigNode = getattr(module, NODES[name])(name, rig)
+    node: RigNode = getattr(module, NODES[name])(name, rig, arguments)
     return node
 
 

@@ -279,6 +279,7 @@ class RigView:
         if not name:
             return None
         return {'name': name, 'sentence': self.progress('sentence'),
+                'takes': self.progress('takes').split(', '),
                 'available': self._available, 'goals': self._taken_goals, 'path': self._taken_path}
 
     def _rig(self) -> tuple[str, str, float]:

@@ -129,11 +129,8 @@ def test_goals_that_others_replaced_are_waited_for_no_longer(monkeypatch):
 
 @pytest.mark.parametrize(('controller', 'arguments', 'said'), [
     ('waypoint', ('1,1',), "1 goal taken by controller 'waypoint'\n"),
-    ('hold', ('1,1', '2,2'), "2 goals taken by controller 'hold', which does not go there: "
-     'microbot set controller controller waypoint\n'),
-    ('waypoint', ('--path', '1,1', '2,2', '--namespace', 'rig_2'),
-     "path of 2 points taken by controller 'waypoint', which does not go there: microbot set "
-     'controller controller path_following --namespace rig_2\n')])
+    ('path_following', ('--path', '1,1', '2,2', '--namespace', 'rig_2'),
+     "path of 2 points taken by controller 'path_following'\n")])
 def test_who_took_them_is_told_and_what_keeps_them_from_being_acted_on(
         monkeypatch, controller, arguments, said):
     monkeypatch.setattr(Graph, 'controller', controller)

@@ -98,7 +98,7 @@ class Page:
         """The answer to the verb with that id."""
         return self.until(lambda message: message.get('kind') == 'answer' and message['to'] == to)
 
-    def until(self, true: Callable[[dict[str, Any]], Any], seconds: float = 10.0,
+    def until(self, true: Callable[[dict[str, Any]], Any], seconds: float = 30.0,
               ) -> dict[str, Any]:
         """Read until a message is as wanted; pictures are left unseen."""
         deadline = time.monotonic() + seconds

@@ -8,7 +8,7 @@ import time
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from microbot_ros.cockpit import verbs
@@ -199,7 +199,6 @@ class TestNumbers:
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(
         st.sampled_from(['verb', 'id', 'x', 'y', 'name', 'value', 'stop', 'x_um']), inner,
         max_size=4), max_leaves=8).map(json.dumps))
-@settings(suppress_health_check=[HealthCheck.too_slow])
 def test_whatever_a_page_sends_is_a_verb_or_one_sentence(text: str) -> None:
     try:
         said = verbs.read_verb(text).verb

@@ -89,82 +89,6 @@ def steering(page: Any, virtual: VirtualRig, x: float, y: float, seconds: float 
     assert not virtual.zero
 
 
-def test_particles_lie_where_the_tracker_has_them(page: Any) -> None:
-    camera = [one for one in page.told if one['kind'] == 'hello'][-1]['camera']
-    assert camera == {'width_px': 640, 'height_px': 480, 'pixel_size_um': 0.45, 'to_um': [
-        [0.45, 0.0, -143.775], [0.0, -0.45, 107.775]]}
-    seen = page.until(lambda message: message['kind'] == 'particles' and message['particles'])
-    assert int(seen['stamp']) in page.pictures
-    for one in seen['particles']:
-        # 640×480 px of 0.45 µm, the workspace's origin in the middle, y up.
-        assert one['x_px'] == pytest.approx(319.5 + one['x_um'] / 0.45, abs=0.01)
-        assert one['y_px'] == pytest.approx(239.5 - one['y_um'] / 0.45, abs=0.01)
-
-
-def test_the_state_tells_how_the_rig_is(page: Any) -> None:
-    page.drain(1.5)
-    known = page.known
-    assert known['rig'] == 'disarmed'
-    assert 'zero' in known['sentence']
-    assert 0 <= known['picture_age_ms'] < 1000
-    assert known['recording']['on'] is False
-    assert {one['name'] for one in known['health']} >= {
-        'tracker', 'model', 'controller', 'coil_driver', 'recorder', 'virtual_rig'}
-    assert {'waypoint', 'hold', 'teleop'} <= {
-        one['name'] for one in known['controller']['available']}
-    json.dumps(known, allow_nan=False)
-
-
-def test_a_goal_is_shown_once_the_controller_has_it(page: Any) -> None:
-    assert page.ask('goal', x_um=12.5, y_um=-7.0)['ok']
-    told = page.until(lambda message: (message.get('controller') or {}).get('goals'))
-    goal, = told['controller']['goals']
-    assert (goal['x_um'], goal['y_um'], goal['id']) == (12.5, -7.0, None)
-    for particle in (0, 1):
-        assert page.ask('goal', x_um=3.0 * particle, y_um=1.0, particle=particle)['ok']
-    told = page.until(lambda message: len((message.get('controller') or {}).get('goals', ())) == 2)
-    assert [goal['id'] for goal in told['controller']['goals']] == [0, 1]
-    assert page.ask('path', points_um=[[0, 0], [10, 5], [20, 0]])['ok']
-    told = page.until(lambda message: (message.get('controller') or {}).get('path'))
-    assert told['controller']['path'] == [[0, 0], [10, 5], [20, 0]]
-    assert page.ask('clear_goals')['ok']
-    page.until(lambda message: (message.get('controller') or {}).get('goals') == []
-               and message['controller']['path'] == [])
-
-
-def test_a_refused_switch_leaves_the_old_one_and_says_why(page: Any) -> None:
-    assert page.ask('switch_controller', name='waypoint')['ok']
-    answer = page.ask('switch_controller', name='nonsense')
-    assert not answer['ok']
-    assert 'nonsense' in answer['reason']
-    assert 'waypoint' in answer['reason']
-    page.until(lambda message: (message.get('controller') or {}).get('name') == 'waypoint')
-
-
-def test_parameters_are_set_as_their_descriptors_say(page: Any) -> None:
-    assert page.ask('switch_controller', name='teleop')['ok']
-    told = page.until(lambda message: any(
-        one['name'] == 'teleop.field_mT'
-        for one in (message.get('controller') or {}).get('parameters', ())))
-    parameters = {one['name']: one for one in told['controller']['parameters']}
-    field = parameters['teleop.field_mT']
-    assert (field['type'], field['unit'], field['minimum'], field['maximum']) == (
-        'number', 'mT', 0.01, 100.0)
-    assert not any(name.startswith('waypoint.') for name in parameters)
-    assert not {'controller', 'model_file', 'use_sim_time'} & set(parameters)
-    before = field['value']
-    assert page.ask('set', name='teleop.field_mT', value=3)['ok']
-    page.until(lambda message: any(
-        one['name'] == 'teleop.field_mT' and one['value'] == 3.0 and one['type'] == 'number'
-        for one in (message.get('controller') or {}).get('parameters', ())))
-    for name, value in (('teleop.field_mT', 1e6), ('teleop.field_mT', 'x'),
-                        ('teleop.field_mT', True), ('teleop.field_mT', [1.0]),
-                        ('max_field_mT', 1.0), ('model_file', '/etc/passwd'),
-                        ('controller', 'hold'), ('nonsense', 1)):
-        assert not page.ask('set', name=name, value=value)['ok'], (name, value)
-    assert page.ask('set', name='teleop.field_mT', value=before)['ok']
-
-
 def test_stop_ends_what_flows(page: Any, virtual: VirtualRig) -> None:
     armed(page, 'teleop')
     steering(page, virtual, 1.0, 0.0)
@@ -238,45 +162,6 @@ with connect('ws://{address}/socket', origin='http://{address}') as s:
             assert virtual.zero
         finally:
             child.kill()
-    page.ask('take_control')
-
-
-def test_a_refusal_to_arm_comes_word_for_word(page: Any, virtual: VirtualRig) -> None:
-    """A second one who commands, and the driver says so."""
-    from microbot_ros.nodes.graph_client import GraphClient
-
-    with GraphClient('intruder') as client:
-        from geometry_msgs.msg import Vector3Stamped
-
-        client.node.create_publisher(Vector3Stamped, 'field/command', 1)
-        virtual.until(lambda: client.spin(0.05) or len(
-            client.node.get_publishers_info_by_topic('field/command')) == 2)
-        answer = page.ask('arm', attended=False)
-        assert not answer['ok']
-        assert '2 publish field/command, expected one' in answer['reason']
-        assert 'intruder' in answer['reason']
-
-
-def test_what_is_noted_is_in_the_recording(page: Any, virtual: VirtualRig) -> None:
-    from microbot_ros.session import open_recording
-
-    assert page.ask('note', text='too early')['ok'] is False
-    assert page.ask('record', on=True, title='batch 7')['ok']
-    told = page.until(lambda message: (message.get('recording') or {}).get('on'))
-    assert told['recording']['title'] == 'batch 7'
-    assert page.ask('record', on=True, title='another')['ok'] is False
-    assert page.ask('note', text='5 % peroxide')['ok']
-    assert page.ask('note', text='bubbles')['ok']
-    with page_of(virtual) as again:  # a reload
-        told = again.until(lambda message: (message.get('recording') or {}).get('on'))
-        assert told['recording']['title'] == 'batch 7'
-        assert told['recording']['seconds'] > 0
-        assert again.ask('record', on=False)['ok']
-    with open_recording(virtual.folder / 'recording') as recording:
-        kept = recording.metadata()['recording']
-    assert kept['title'] == 'batch 7'
-    assert [line.partition(' ')[2] for line in kept['notes'].splitlines()] == [
-        '5 % peroxide', 'bubbles']
     page.ask('take_control')
 
 

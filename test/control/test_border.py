@@ -62,7 +62,7 @@ def test_it_is_the_field_at_the_particle_that_is_turned():
     assert model.field(command.field)[0] == pytest.approx(0, abs=1e-6)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, 10**6), st.integers(1, 5), st.floats(-np.pi, np.pi))
 def test_no_direction_keeps_more_and_none_that_keeps_as_many_is_nearer(seed, count, angle):
     """Against all directions, half a degree apart."""

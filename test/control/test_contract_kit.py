@@ -10,6 +10,7 @@ from microbot_ros.control.contract import (
     Controller,
     FieldCommand,
     Goals,
+    Input,
     ParticleLostError,
     Workspace,
     no_field,
@@ -27,6 +28,7 @@ def test_controller_keeps_the_contract(name):
 class Honest(Controller):
     interface_version = 1
     summary = 'Does nothing.'
+    takes = frozenset({Input.GOALS, Input.PARTICLE_GOALS})
 
     def compute(self, inputs):
         return no_field('')
@@ -63,6 +65,26 @@ class Careless(Honest):
         return FieldCommand(inputs.goals.position[0])
 
 
+class Unsaid(Honest):
+    takes = None
+
+
+class Follower(Honest):
+    """Acts on goals, and does not say so."""
+
+    takes = frozenset({Input.PATH})
+
+    def compute(self, inputs):
+        return FieldCommand(1e-3 * np.sign(inputs.goals.position.sum(0)))
+
+
+class Grabber(Honest):
+    takes = frozenset()
+
+    def compute(self, inputs):
+        return FieldCommand(1e-3 * inputs.joystick)
+
+
 class Old(Honest):
     interface_version = 0
 
@@ -71,7 +93,7 @@ def test_the_kit_accepts_an_honest_controller():
     exercise(Honest)
 
 
-@pytest.mark.parametrize('kind', [TooStrong, NotANumber, TooFast, Meddler, Silent, Old])
+@pytest.mark.parametrize('kind', [TooStrong, NotANumber, TooFast, Meddler, Silent, Old, Unsaid, Follower, Grabber])
 def test_the_kit_notices(kind):
     with pytest.raises(AssertionError, match=r'\w+ .*'):
         exercise(kind)

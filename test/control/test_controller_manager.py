@@ -100,6 +100,10 @@ class SpinsInTurn(East):
         self._maybe('deactivate')
 
 
+AMPLE = 30.0
+"""Deadline [s] that a controller misses on no machine."""
+
+
 def look(t, **changes):
     return controller_input(2, t=t, dt=DT, limits=LIMITS, **changes)
 
@@ -110,7 +114,7 @@ def run(manager, ticks, t=0.0):
 
 def make(**controllers):
     return ControllerManager({'hold': Hold(), 'east': East(), **controllers}, 'hold',
-                       deadline=0.2, patience=0.3)
+                       deadline=AMPLE, patience=60)
 
 
 def test_field_rises_and_falls_no_faster_than_the_slew():
@@ -209,6 +213,7 @@ def test_a_controller_that_spins_is_late_then_given_up_and_a_fresh_one_can_retur
     assert 'spins' in manager.fault
     spinning.join(30)
     assert not spinning.is_alive()
+    manager._deadline = AMPLE
     assert manager.switch_controller('hold').ok
     assert run(manager, 1)[0].result is Result.OK
 
@@ -229,6 +234,7 @@ def test_a_thread_that_can_not_be_ended_does_not_hold_up_the_others():
                         deadline=0.5, patience=0.05)
     assert run(manager, 1)[0].result is Result.FAULT
     thread = manager._threads['clings']._worker._thread
+    manager._deadline = AMPLE
     assert manager.switch_controller('east').ok
     assert {outcome.result for outcome in run(manager, 20)} == {Result.OK}
     assert thread.is_alive()
@@ -243,6 +249,7 @@ def test_a_late_answer_is_not_used_and_not_a_lasting_fault():
     manager = ControllerManager({'waits': waits}, 'waits', deadline=0.02, patience=60)
     assert 'took longer than' in run(manager, 1)[0].message
     assert 'tick before' in run(manager, 1)[0].message
+    manager._deadline = AMPLE
     waits.gate.set()
     assert manager._threads['waits']._worker._newest.returned.wait(10)
     assert run(manager, 1)[0].result is Result.OK
@@ -255,6 +262,7 @@ def test_swapping_away_from_a_controller_that_hangs():
     manager = ControllerManager(
         {'hold': Hold(), 'waits': waits}, 'waits', deadline=0.02, patience=60)
     run(manager, 1)
+    manager._deadline = AMPLE
     assert manager.switch_controller('hold').ok
     assert run(manager, 1)[0].result is Result.OK
     waits.gate.set()
@@ -263,7 +271,7 @@ def test_swapping_away_from_a_controller_that_hangs():
 @pytest.mark.parametrize('where', ['activate', 'deactivate'])
 def test_what_hangs_in_a_swap_costs_a_deadline_and_a_fresh_one_stands_in(where):
     it = SpinsInTurn()
-    manager = ControllerManager({'hold': Hold(), 'it': it}, 'hold', deadline=0.04, patience=0.1)
+    manager = ControllerManager({'hold': Hold(), 'it': it}, 'hold', deadline=1.0, patience=0.1)
     run(manager, 1)
     assert manager.configure('it', SpinsInTurn.Parameters(where)).ok
     thread = manager._threads['it']._worker._thread
@@ -282,7 +290,7 @@ def test_a_fresh_one_that_can_not_be_configured_does_not_take_over(tmp_path):
     """The file has gone meanwhile: rather no controller than one with other parameters."""
     file = tmp_path / 'commands.csv'
     file.write_text('t_s,bx_mT,by_mT\n0,1,0\n9,0,0\n')
-    manager = ControllerManager({'hold': Hold(), 'open_loop': OpenLoop()}, 'hold', deadline=2.0)
+    manager = ControllerManager({'hold': Hold(), 'open_loop': OpenLoop()}, 'hold', deadline=AMPLE)
     run(manager, 1)
     played = OpenLoopParameters(file=str(file))
     assert manager.configure('open_loop', played).ok
@@ -314,7 +322,7 @@ def test_a_delay_that_the_model_knows_adds_to_that_of_the_rig():
             return super().compute(inputs)
 
     looks = Looks()
-    manager = ControllerManager({'looks': looks}, 'looks', deadline=0.2)
+    manager = ControllerManager({'looks': looks}, 'looks', deadline=AMPLE)
     manager.tick(look(0.0, delay=0.03, model=Model(5e-3, effects=(CommandDelay(0.2),))))
     assert looks.seen == (pytest.approx(0.23), 0)
 
@@ -339,7 +347,7 @@ def test_without_time_the_field_stays(dt):
 
 
 def test_a_long_gap_does_not_let_the_field_jump():
-    manager = ControllerManager({'east': East()}, 'east', deadline=0.2)
+    manager = ControllerManager({'east': East()}, 'east', deadline=AMPLE)
     slow = Limits(field=5e-3, slew=0.01)
     outcome = manager.tick(controller_input(2, dt=100.0, limits=slow))
     assert np.hypot(*outcome.command.field) == pytest.approx(1e-3)
@@ -352,14 +360,14 @@ def test_particles_without_a_position_are_left_out():
             return no_field('')
 
     counts = Counts()
-    manager = ControllerManager({'counts': counts}, 'counts', deadline=0.2)
+    manager = ControllerManager({'counts': counts}, 'counts', deadline=AMPLE)
     position = np.array([[0, 0], [np.nan, 0], [0, np.inf], [1e-6, 0]])
     manager.tick(controller_input(4, position=position))
     assert counts.seen == ([0, 3], 2, 2)
 
 
 def test_each_controller_keeps_its_parameters_and_a_bad_set_changes_nothing():
-    manager = ControllerManager({'hold': Hold(), 'open_loop': OpenLoop()}, 'hold', deadline=0.2)
+    manager = ControllerManager({'hold': Hold(), 'open_loop': OpenLoop()}, 'hold', deadline=AMPLE)
     good = OpenLoopParameters(directions_deg=[90.0], durations_s=[5.0])
     assert manager.configure('open_loop', good).ok
     refused = manager.configure('open_loop', OpenLoopParameters(directions_deg=[1.0, 2.0]))
@@ -380,7 +388,7 @@ def test_expected_positions_follow_the_commands_on_their_way():
 
     looks = Looks()
     fast = Limits(field=5e-3, slew=10.0)
-    manager = ControllerManager({'looks': looks}, 'looks', deadline=0.2)
+    manager = ControllerManager({'looks': looks}, 'looks', deadline=AMPLE)
     speed, phi = np.array([4e-6, 2e-6]), np.array([np.pi / 2, np.nan])
     for t in (0.0, 0.01, 0.02):
         manager.tick(controller_input(2, t=t, dt=DT, limits=fast, age=0.02, delay=0.03,
@@ -405,7 +413,7 @@ def test_nothing_unsafe_comes_out_of_random_switches_among_all_controllers_and_f
               'fast': FieldCommand(np.zeros(2), 1e9), 'raises': RuntimeError('on purpose')}
     controllers = {name: kind() for name, kind in kinds.items()}
     controllers |= {name: Answers(value) for name, value in faulty.items()} | {'no': Refuses()}
-    manager = ControllerManager(controllers, 'hold', deadline=10.0)
+    manager = ControllerManager(controllers, 'hold', deadline=AMPLE)
     rng, before = np.random.default_rng(0), np.zeros(2)
     goals = Goals(np.array([[20e-6, 0], [0, 20e-6]]))
     for k in range(300):
@@ -470,7 +478,7 @@ def test_what_can_not_be_taken_back_does_not_drive(tmp_path):
     for file in (first, second):
         file.write_text('t_s,bx_mT,by_mT\n0,1,0\n9,0,0\n')
     manager = ControllerManager(
-        {'open_loop': OpenLoop(), 'refuses': Refuses()}, 'open_loop', deadline=2.0)
+        {'open_loop': OpenLoop(), 'refuses': Refuses()}, 'open_loop', deadline=AMPLE)
     assert manager.configure('open_loop', OpenLoopParameters(file=str(first))).ok
     assert np.any(run(manager, 1)[0].command.field)
     first.unlink()
@@ -493,7 +501,7 @@ def test_parameters_that_are_taken_too_late_are_not_taken(monkeypatch):
                 goes_on.wait(30)
             super().configure(parameters)
 
-    manager = ControllerManager({'slow': Slow()}, 'slow', deadline=0.5)
+    manager = ControllerManager({'slow': Slow()}, 'slow', deadline=AMPLE)
     refused = manager.configure('slow', Slow.Parameters(2.0))
     assert not refused.ok
     goes_on.set()
@@ -504,6 +512,6 @@ def test_parameters_that_are_taken_too_late_are_not_taken(monkeypatch):
 
 @pytest.mark.parametrize('field', [np.array([[1e-3], [0]]), [1e-3, 0], (np.float32(1e-3), 0)])
 def test_a_field_of_another_shape_leaves_as_two_numbers(field):
-    manager = ControllerManager({'answers': Answers(FieldCommand(field))}, 'answers', deadline=0.2,
-                        border=0.0)
+    manager = ControllerManager({'answers': Answers(FieldCommand(field))}, 'answers',
+                                deadline=AMPLE, border=0.0)
     assert run(manager, 2)[-1].command.field == pytest.approx([1e-3, 0])

@@ -27,7 +27,7 @@ def draw(seed, count):
     return position, velocity, wanted, complex(rng.normal(), rng.normal())
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(0, 10**6), st.integers(1, 8))
 def test_best_displacement_is_least_squares(seed, count):
     _, velocity, wanted, _ = draw(seed, count)
@@ -49,7 +49,7 @@ def test_nobody_and_particles_at_rest():
     assert best_displacement(np.zeros(2, complex), np.ones(2, complex)) == 0
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 10**6), st.integers(1, 6))
 def test_borders_say_exactly_who_would_be_outside(seed, count):
     position, velocity, _, U = draw(seed, count)
@@ -59,7 +59,7 @@ def test_borders_say_exactly_who_would_be_outside(seed, count):
     assert ((normal.conj() * U).real <= room).all() == inside.all()
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 10**6), st.integers(1, 6))
 def test_nearest_allowed_agrees_with_an_optimiser(seed, count):
     position, velocity, _, U = draw(seed, count)

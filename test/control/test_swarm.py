@@ -58,7 +58,7 @@ def test_ways_pass_a_slit_one_after_the_other():
         assert abs(way[last].imag) < 15e-6
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(st.integers(0, 2**32 - 1))
 def test_ways_keep_apart_and_end_at_the_goals(seed):
     rng = np.random.default_rng(seed)

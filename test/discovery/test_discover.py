@@ -81,11 +81,14 @@ def test_rollers_whose_speed_is_not_proportional_to_the_frequency(film):
 def test_several_sessions_are_explained_together(film):
     drift = {'uniform_drift': {'wx_um_s': 0.25, 'wy_um_s': 0.0}}
     sessions = [film(seed, drift, duration=20.0)[0] for seed in (16, 17)]
-    one, both = discover(sessions[:1]), discover(sessions)
+    one, other, both = (discover(some) for some in (sessions[:1], sessions[1:], sessions))
     assert [e.id for e in both.effects] == ['uniform_drift']
-    spread = [f.effects[0].parameters['wx_um_s'].std for f in (one, both) if f.effects]
-    assert spread[-1] < 0.2e-6
     assert len(both.baseline) == 6
+    wx, *alone = (f.effects[0].parameters['wx_um_s'] for f in (both, one, other))
+    assert abs(wx.value - 0.25e-6) < 3 * wx.std
+    # Two independent estimates of the same drift: variances combine by their inverses.
+    assert 1 / wx.std**2 == pytest.approx(sum(1 / each.std**2 for each in alone), rel=0.2)
+    assert both.effects[0].delta_bic > max(f.effects[0].delta_bic for f in (one, other))
 
 
 def test_json_is_complete_and_finite(consistent):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -190,14 +191,22 @@ def test_experiments_must_come_one_after_the_other():
 # Odds -------------------------------------------------------------------------------------------
 
 def _asked(seed, effects, evidence=10.0, experiments=2):
-    rig, hidden = hidden_world(seed, effects, evidence)
+    """A rig with hidden effects, and what random steps showed of it."""
+    rig, _ = hidden_world(seed, effects, evidence)
     rng = np.random.default_rng(seed)
     played = [rig.play(random_steps(rng, 20.0, rig.limits)).session for _ in range(experiments)]
-    return rig, played, hidden
+    return rig, played
+
+
+@cache
+def _considered(*asked, experiments=2):
+    """What random steps show of a world, and what is known by it; several tests share one."""
+    _, played = _asked(*asked, experiments=experiments)
+    return played, consider(prepare(join(played)))
 
 
 def test_the_evidence_is_the_integral_over_the_strength():
-    _, played, _ = _asked(3, ('coil_pull',), 40.0)
+    _, played = _asked(3, ('coil_pull',), 40.0)
     session = prepare(join(played))
     plain = fit_sessions(Model.baseline(session.conditions, session.commands), [session])
     found = fit_candidate(plain, 'coil_pull')
@@ -215,8 +224,7 @@ def test_the_evidence_is_the_integral_over_the_strength():
 
 
 def test_what_is_hidden_is_likeliest_and_odds_are_odds():
-    _, played, _ = _asked(1, ('coil_gain_mismatch',), 60.0)
-    known = consider(prepare(join(played)))
+    _, known = _considered(1, ('coil_gain_mismatch',), 60.0)
     assert known.names == ('coil_gain_mismatch',)
     odds = known.odds()
     assert odds['coil_gain_mismatch'] > 0.9
@@ -225,8 +233,7 @@ def test_what_is_hidden_is_likeliest_and_odds_are_odds():
 
 
 def test_where_nothing_is_hidden_nothing_is_likelier():
-    _, played, _ = _asked(5, ())
-    known = consider(prepare(join(played)))
+    _, known = _considered(5, ())
     odds = known.odds()
     assert max(odds, key=odds.__getitem__) == ''
     assert sum(odds.values()) == pytest.approx(1.0)
@@ -234,8 +241,7 @@ def test_where_nothing_is_hidden_nothing_is_likelier():
 
 
 def test_a_drift_is_not_alone_before_particles_have_been_about():
-    _, played, _ = _asked(1, ('uniform_drift',), 60.0)
-    known = consider(prepare(join(played)))
+    played, known = _considered(1, ('uniform_drift',), 60.0)
     soon = judge(known)
     assert soon.named == soon.early == ('uniform_drift',)
     assert not soon.settled
@@ -253,8 +259,7 @@ def test_a_drift_is_not_alone_before_particles_have_been_about():
 
 
 def test_a_hint_that_is_rather_chance_keeps_no_name_open():
-    _, played, _ = _asked(1, ('coil_gain_mismatch',), 60.0)
-    known = consider(prepare(join(played)))
+    _, known = _considered(1, ('coil_gain_mismatch',), 60.0)
     hint = known.more[0]
     at = {evidence: judge(replace(known, more=(replace(hint, evidence=evidence),)))
           for evidence in (2.9, 3.0)}
@@ -283,8 +288,7 @@ def test_a_flow_is_told_from_the_flank_of_a_spot_and_a_drift_from_a_spot_that_ex
     ('poiseuille_flow', False), ('uniform_drift', True), ('linear_flow', True)])
 def test_a_field_of_place_is_asked_for_in_place_of_the_names_that_stand_in_for_it(
         hidden, in_a_list):
-    _, played, _ = _asked(1, (hidden,), 20.0, experiments=6)
-    known = consider(prepare(join(played)))
+    _, known = _considered(1, (hidden,), 20.0, experiments=6)
     assert known.names
     assert learn_term(known.fit) is None
     told = scrutinised(known, judge(known))
@@ -293,8 +297,7 @@ def test_a_field_of_place_is_asked_for_in_place_of_the_names_that_stand_in_for_i
 
 
 def test_what_is_surely_there_in_a_shape_that_was_not_seen_vouches_for_no_name():
-    _, played, _ = _asked(1, ('coil_gain_mismatch',), 60.0)
-    known = consider(prepare(join(played)))
+    _, known = _considered(1, ('coil_gain_mismatch',), 60.0)
     spot = fit_candidate(known.fit, 'hot_spot')
     for seen, evidence, left in ((False, 33.0, ['position']), (False, 5.0, []), (True, 33.0, [])):
         own = Candidate(replace(spot, shape_seen=seen), evidence)
@@ -310,7 +313,7 @@ def test_what_is_surely_there_in_a_shape_that_was_not_seen_vouches_for_no_name()
 @pytest.fixture(name='late', scope='module')
 def fixture_late():
     """A world with a delay, and what was seen of it."""
-    rig, played, _ = _asked(0, ('command_delay',), 25.0)
+    rig, played = _asked(0, ('command_delay',), 25.0)
     session = prepare(join(played))
     plain = fit_sessions(Model.baseline(session.conditions, session.commands), [session])
     return rig, [fit_candidate(plain, name).fit for name in ('command_delay', 'alignment_lag')]
@@ -353,7 +356,7 @@ def test_nobody_to_ask_is_said(late):
 def test_what_was_seen_for_long_is_worth_less_to_see_again():
     shown = []
     for experiments in (3, 8):
-        rig, played, _ = _asked(7, (), experiments=experiments)
+        rig, played = _asked(7, (), experiments=experiments)
         session = prepare(join(played))
         fit = fit_sessions(Model.baseline(session.conditions, session.commands), [session])
         trial = _Trial.of(fit, [], Search({}, 1.0), session.times[-1] + 1.0, rig.limits)
@@ -405,8 +408,7 @@ def test_what_is_the_same_can_not_be_told_apart(late):
 
 
 def test_before_a_name_the_likeliest_are_set_apart_by_the_odds_of_both():
-    _, played, _ = _asked(0, ('command_delay',), 25.0, experiments=1)
-    known = consider(prepare(join(played)))
+    _, known = _considered(0, ('command_delay',), 25.0, experiments=1)
     assert not known.slots
     asked = likeliest(known)
     assert len(asked) == 10
@@ -574,8 +576,7 @@ def test_nothing_seen_is_nothing_learned():
 
 
 def test_a_hint_is_asked_about_before_anything_is_named():
-    _, played, _ = _asked(0, ('command_delay',), 25.0, experiments=3)
-    known = consider(prepare(join(played)))
+    _, known = _considered(0, ('command_delay',), 25.0, experiments=3)
     asked = questions(known)
     assert asked
     assert all(question.missing > 0 for question in asked)

@@ -52,7 +52,7 @@ def test_e_value_grows_for_what_is_there_and_not_for_what_is_not(drifting):
 
 
 @given(block=st.integers(0, 3), strength=st.floats(0.1, 100.0), seed=st.integers(0, 99))
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 def test_no_change_of_a_hidden_block_moves_a_fit_by_a_bit(drifting, block, strength, seed):
     session, = drifting.sessions
     hidden = block_of(session, 4) == block

@@ -614,6 +614,21 @@ def test_a_zero_that_nothing_reads_back_is_sent_and_not_confirmed(make):
     assert rig.driver.zero is Zero.SENT  # what was seen once is not seen for ever
 
 
+def test_a_reading_from_before_the_zero_does_not_confirm_it(rig):
+    rig.turn(0.1)
+    driver, amplifier = rig.driver, rig.driver.amplifier
+    since_s = rig.clock.now_s
+    driver._zero_since_s, driver._zero_seen_s = since_s, -math.inf
+    for after_s, currents, zero in (
+            (0.0, ZERO, Zero.SENT), (0.024, ZERO, Zero.SENT), (0.0251, ZERO, Zero.CONFIRMED),
+            (0.026, (0.0, 0.3, 0.0, 0.0), Zero.SENT), (0.03, (math.nan,) * 4, Zero.SENT),
+            (0.04, ZERO, Zero.CONFIRMED)):
+        rig.clock.now_s = since_s + after_s
+        driver._look_for_zero(amplifier._reading(
+            since_s + after_s, since_s + after_s, np.array(currents)))
+        assert driver.zero is zero
+
+
 def test_current_that_stays_is_no_zero_and_outranks_what_stopped_it(make):
     rig = make(command_timeout_s=0.3).drive()
     stuck = rig.device.coils._settle

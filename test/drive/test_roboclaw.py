@@ -139,7 +139,7 @@ def test_a_damaged_answer_is_asked_for_again(scripted):
 
 def test_the_controller_that_does_not_answer_is_named(scripted):
     question = bytes.fromhex('8115')
-    scripted([('line', *answer('8015', VERSION)), ('line', question, b''), ('line', question, b'')])
+    scripted([('line', *answer('8015', VERSION)), *[('line', question, b'')] * 2])
     amplifier = RoboclawAmplifier('line', 2.0)
     amplifier.reply_s = 0.01
     amplifier._abort = lambda _: None

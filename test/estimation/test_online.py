@@ -303,7 +303,7 @@ rows = st.lists(
               st.floats(-1e-3, 1e-3)), max_size=6)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(st.tuples(
     st.floats(-0.5, 2.0), rows, st.floats(-1, 1) | st.just(np.nan), st.booleans()), max_size=25))
 def test_no_input_breaks_it(script):

@@ -30,7 +30,7 @@ def _prepared(levels, holds, seconds=60.0):
     return prepare(Session(tracks, commands, conditions, 'made'))
 
 
-@settings(max_examples=40, deadline=None)  # the first compiles
+@settings(max_examples=40)  # the first compiles
 @given(st.lists(st.tuples(st.sampled_from([0.0, 0.2, 0.5, 1.0]), st.floats(0.3, 3.0)),
                 min_size=1, max_size=6))
 def test_what_comes_before_the_field_has_aligned_headings_is_left_out(rows):

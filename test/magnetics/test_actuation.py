@@ -28,7 +28,7 @@ def rows(coils: CoilSet, field: np.ndarray) -> np.ndarray:
     return np.vstack([coils.actuation_matrix(), ((ahead - behind) / (2 * step)).T])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seeds, st.integers(0, 4))
 def test_both_are_made_as_cheaply_as_can_be(seed, rig):
     coils = CoilSet(EIGHT) if rig == 0 else scattered(rig, 6 + 2 * rig)

@@ -62,7 +62,7 @@ rigs = st.integers(0, 2**32 - 1).map(rig)
 angles = st.floats(0, 2 * np.pi)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(rigs, angles, st.floats(0.01, 0.999), st.booleans())
 def test_field_in_reach_is_made_exactly_and_as_cheaply_as_can_be(coils, angle, part, off_centre):
     allocator = Allocator(coils, (1e-3, -2e-3, 0) if off_centre else (0, 0, 0))
@@ -75,7 +75,7 @@ def test_field_in_reach_is_made_exactly_and_as_cheaply_as_can_be(coils, angle, p
     assert waste(coils, allocator, found.currents) < 1e-6
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(rigs, angles, st.floats(1.0001, 1e6), st.booleans())
 def test_field_out_of_reach_keeps_direction_and_the_most_there_is(coils, angle, beyond, cancel):
     allocator = Allocator(coils, cancel_gradient=cancel)
@@ -141,7 +141,7 @@ def test_zero_field_has_no_direction():
         Allocator(CoilSet()).largest((0, 0))
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(rigs, angles)
 def test_spare_currents_cancel_what_gradient_they_can_at_a_price(coils, angle):
     point = np.array([2e-3, 1e-3, 0])

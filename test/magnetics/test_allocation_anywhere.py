@@ -63,7 +63,7 @@ def waste(coils: CoilSet, columns: np.ndarray, currents: np.ndarray) -> float:
     return found.fun / np.abs(slope).max()
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(rigs, seeds, st.floats(0.01, 0.999))
 def test_field_in_reach_is_made_exactly_and_as_cheaply_as_can_be(coils, seed, part):
     allocator = usable(coils)
@@ -76,7 +76,7 @@ def test_field_in_reach_is_made_exactly_and_as_cheaply_as_can_be(coils, seed, pa
     assert waste(coils, allocator.matrix.T, found.currents) < 1e-6
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(rigs, seeds, st.floats(1.0001, 1e6))
 def test_field_out_of_reach_keeps_direction_and_the_most_there_is(coils, seed, beyond):
     allocator = usable(coils)
@@ -89,7 +89,7 @@ def test_field_out_of_reach_keeps_direction_and_the_most_there_is(coils, seed, b
     np.testing.assert_allclose(found.field, largest * direction, atol=1e-7 * largest)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(rigs, seeds, st.floats(0.05, 0.99))
 def test_power_lies_between_the_inverse_without_limits_and_any_other_way(coils, seed, part):
     allocator = usable(coils)

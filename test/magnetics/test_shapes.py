@@ -237,7 +237,7 @@ def test_files_that_are_no_map(tmp_path):
             read_field_map(tmp_path / name)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(st.tuples(st.floats(0.01, 2), st.floats(0.01, 2)), min_size=1, max_size=8),
        st.floats(-1, 1))
 def test_saturation_and_its_inverse_cancel_and_rise(steps, part):

@@ -40,7 +40,7 @@ def differences(source: Loop | Polyline, points: np.ndarray, step: float) -> np.
     return np.stack(columns, axis=-1)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1e-9, 1e-4, 1.0]), st.floats(-3, 3))
 def test_loop_agrees_with_magpylib_in_any_pose(seed, off_axis, distance):
     rng = np.random.default_rng(seed)
@@ -97,7 +97,7 @@ def test_loop_beside_its_wire(power):
     assert relative(found, expected) < 1e-13
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.3, 0.7, 1.4, 3, 100]),
        st.sampled_from([0, 1e-9, 1e-3, 1]))
 def test_gradient_of_a_loop_in_any_pose_is_that_of_its_field(seed, distance, off_axis):
@@ -154,7 +154,7 @@ def test_polygon_converges_to_the_loop_as_the_square_of_its_sides():
     np.testing.assert_allclose(errors[128] / errors[256], 4, rtol=0.01)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.integers(0, 2**32 - 1), st.integers(2, 9))
 def test_polyline_agrees_with_magpylib(seed, corners):
     rng = np.random.default_rng(seed)

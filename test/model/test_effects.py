@@ -128,7 +128,7 @@ def test_it_says_what_it_is_and_what_it_is_mistaken_for(effect):
 
 
 @every_effect
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(data=st.data())
 def test_at_strength_zero_it_does_nothing_whatever_its_shape(effect, data):
     shapes = {

@@ -48,7 +48,7 @@ def test_the_reachable_set_of_all_particles_together_has_two_dimensions():
     assert singular[2] < 1e-12 * singular[1]
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     switches=st.lists(st.floats(0.001, 3.99), max_size=6, unique=True),
     frames=st.lists(st.floats(0.01, 3.99), max_size=30, unique=True),

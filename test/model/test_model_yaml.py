@@ -58,7 +58,7 @@ def models(draw):
     return Model(draw(st.floats(1e-6, 1.0)), propulsion, effects)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(model=models(), numbers=st.lists(
     st.tuples(st.floats(-1e-3, 1e-3), st.floats(-10, 10)), max_size=4))
 def test_any_model_comes_back_to_the_last_bit(tmp_path_factory, model, numbers):

@@ -1,11 +1,9 @@
-"""Real nodes, a real middleware, a real pseudo-terminal: what the tests of nodes are made of."""
+"""Fixtures of the tests of nodes: a graph and an amplifier in this process, or an amplifier apart.
+"""
 
 from __future__ import annotations
 
-import gc
-import itertools
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -16,35 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import rclpy
-import yaml
-from domains import own_domain
-from rclpy.experimental.events_executor import EventsExecutor
-from rclpy.signals import SignalHandlerOptions
+from in_process import FULL_SCALE_A, Amplifier, Ros, graphs
 
 from microbot_ros.drive.real_time import set_realtime_priority
-from microbot_ros.nodes.lifecycle import RigNode
-from microbot_ros.nodes.process import make
-from microbot_ros.nodes.transport import BY_PROFILE, NODE, transport
-
-FULL_SCALE_A = 2.0
 
 
-def _elsewhere() -> Iterator[str]:
-    """Domains in turn: the middleware shows the nodes of a graph that has ended for a while yet,
-    so the next graphs of this process are in others, taken when they are needed."""
-    domains = [os.environ['ROS_DOMAIN_ID']]
-    yield domains[0]
-    for _ in range(15):
-        domains.append(str(own_domain()))
-        yield domains[-1]
-    yield from itertools.cycle(domains)
-
-
-_DOMAINS = _elsewhere()
-
-
-class Emulator:
+class EmulatorProcess:
     """The emulated amplifier in its own process."""
 
     def __init__(self, folder: Path, *options: str) -> None:
@@ -76,67 +51,6 @@ class Emulator:
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGTERM)
         self.process.communicate(timeout=10)
-
-
-class Ros:
-    """Nodes of one test in this process, a probe that talks to them, and an executor."""
-
-    def __init__(self, folder: Path, parameters: dict[str, dict[str, Any]]) -> None:
-        os.environ['ROS_DOMAIN_ID'] = next(_DOMAINS)
-        file = folder / 'parameters.yaml'
-        file.write_text(yaml.safe_dump(
-            {name: {'ros__parameters': values} for name, values in parameters.items()}))
-        with transport(BY_PROFILE, NODE):
-            rclpy.init(args=['--ros-args', '--params-file', str(file)],
-                       signal_handler_options=SignalHandlerOptions.NO)
-            self.probe = rclpy.create_node('probe')
-        self._executor = EventsExecutor()
-        self.nodes: dict[str, RigNode] = {}
-        self._executor.add_node(self.probe)
-
-    def add(self, name: str) -> RigNode:
-        """Make a node and configure and activate it; look at its `active` and `fault`."""
-        node = self.nodes[name] = make(name)
-        self._executor.add_node(node)
-        if node.trigger_configure().name == 'SUCCESS':
-            node.trigger_activate()
-        return node
-
-    def until(self, true: Callable[[], Any], seconds: float = 20.0) -> None:
-        """Spin until something is true; fail if it does not become so."""
-        deadline = time.monotonic() + seconds
-        while not true():
-            assert time.monotonic() < deadline, 'did not happen in time'
-            self._executor.spin_once(timeout_sec=0.01)
-
-    def hear(self, kind: type, topic: str, qos: Any = 100) -> list[Any]:
-        """A list that fills with the messages of a topic."""
-        heard: list[Any] = []
-        self.probe.create_subscription(kind, topic, heard.append, qos)
-        return heard
-
-    def call(self, kind: type, name: str, request: Any) -> Any:
-        """The answer of a service."""
-        client = self.probe.create_client(kind, name)
-        self.until(client.service_is_ready)
-        future = client.call_async(request)
-        self.until(future.done)
-        return future.result()
-
-    def end(self) -> None:
-        """Leave nothing running."""
-        for node in self.nodes.values():
-            node.make_safe_and_close()
-            self._executor.remove_node(node)
-            node.destroy_node()
-        self._executor.remove_node(self.probe)
-        self.probe.destroy_node()
-        self._executor.shutdown()
-        rclpy.try_shutdown()
-        # The middleware shows nodes to the next graph for as long as anything refers to them.
-        self.nodes.clear()
-        del self.probe, self._executor
-        gc.collect()
 
 
 class Machine:
@@ -179,27 +93,34 @@ def machine() -> Iterator[Machine]:
 
 
 @pytest.fixture
-def emulator_options() -> tuple[str, ...]:
-    """What the emulated amplifier is beside the ordinary."""
-    return ()
+def emulator_options() -> dict[str, Any]:
+    """How the emulated amplifier differs from an ordinary one."""
+    return {}
 
 
 @pytest.fixture
-def emulator(tmp_path: Path, emulator_options: tuple[str, ...]) -> Iterator[Emulator]:
-    """An emulated amplifier that is switched off at the end."""
-    made = Emulator(tmp_path, *emulator_options)
+def emulator(request: pytest.FixtureRequest, tmp_path: Path,
+             emulator_options: dict[str, Any]) -> Iterator[Amplifier | EmulatorProcess]:
+    """An emulated amplifier that is switched off at the end; for the rig's tests, which measure
+    times, in a process of its own.
+    """
+    apart = any(request.node.get_closest_marker(suite) for suite in ('rig', 'soak'))
+    options = [word for name, value in emulator_options.items()
+               for word in (f'--{name}', str(value))]
+    made = (EmulatorProcess(tmp_path, *options) if apart
+            else Amplifier(tmp_path, **emulator_options))
     yield made
     made.end()
 
 
 @pytest.fixture
-def emulator_in() -> Iterator[Callable[[Path], Emulator]]:
+def emulator_in() -> Iterator[Callable[[Path], EmulatorProcess]]:
     """Makes emulated amplifiers, each in a folder, that are switched off at the end."""
-    made: list[Emulator] = []
+    made: list[EmulatorProcess] = []
 
-    def start(folder: Path) -> Emulator:
+    def start(folder: Path) -> EmulatorProcess:
         folder.mkdir()
-        made.append(Emulator(folder))
+        made.append(EmulatorProcess(folder))
         return made[-1]
 
     yield start
@@ -210,13 +131,4 @@ def emulator_in() -> Iterator[Callable[[Path], Emulator]]:
 @pytest.fixture
 def ros(tmp_path: Path) -> Iterator[Callable[[dict[str, dict[str, Any]]], Ros]]:
     """Makes a graph in this process from parameters; ends it afterwards."""
-    made: list[Ros] = []
-
-    def start(parameters: dict[str, dict[str, Any]]) -> Ros:
-        made.append(Ros(tmp_path, parameters))
-        return made[-1]
-
-    assert os.environ['ROS_DOMAIN_ID']
-    yield start
-    for graph in made:
-        graph.end()
+    yield from graphs(tmp_path)

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import csv
-import itertools
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +10,13 @@ import numpy as np
 import pytest
 import yaml
 from geometry_msgs.msg import Vector3Stamped
+from in_process import command
+from std_srvs.srv import SetBool
 
 from microbot_ros.magnetics import CoilSettings
 from microbot_ros.nodes import messages
-from microbot_ros.nodes.graph_client import GraphClient
 
 magpylib = pytest.importorskip('magpylib')
-
-pytestmark = [pytest.mark.rig, pytest.mark.timeout(120)]
 
 GAIN = np.array([0.8, 1.15, -0.95, 1.05])
 BACKGROUND_T = np.array([40e-6, -25e-6])
@@ -63,16 +59,10 @@ def _measure(file: Path, content: dict[str, Any]) -> None:
                 rows.writerow([*currents, *place, *1e3 * (field + rng.normal(0, 2e-6, 2))])
 
 
-def _microbot(*words: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, '-m', 'microbot_ros.cli', *words],
-                          capture_output=True, text=True, timeout=60)
-
-
 def _rig(folder: Path, emulator: Any, coils: Path | None) -> Path:
     """A rig's file, with nothing but the coil driver."""
     file = folder / 'rig.yaml'
-    values = {'port': str(emulator.port), 'full_scale_A': 2.0, 'command_timeout_ms': 500.0,
-              'max_command_age_ms': 500.0}
+    values = {'port': str(emulator.port), 'full_scale_A': 2.0}
     if coils:
         values['coils_file'] = str(coils)
     file.write_text(yaml.safe_dump({'coil_driver': {'ros__parameters': values}}))
@@ -80,44 +70,35 @@ def _rig(folder: Path, emulator: Any, coils: Path | None) -> Path:
 
 
 @pytest.mark.parametrize('default', [True, False])
-def test_a_rig_runs_by_what_was_calibrated(tmp_path: Path, emulator: Any, default: bool) -> None:
+def test_a_rig_is_driven_by_what_was_calibrated(
+        ros: Any, tmp_path: Path, emulator: Any, default: bool) -> None:
     content = (CoilSettings().model_dump(mode='json', exclude_none=True) if default
                else _other_coils())
     readings, out, known = tmp_path / 'readings.csv', tmp_path / 'out', tmp_path / 'known.yaml'
     _measure(readings, content)
     known.write_text(yaml.safe_dump(content))
-    start = [] if default else ['--config', str(_rig(tmp_path, emulator, known))]
-    found = _microbot('calibrate', 'coils', str(readings), '--out', str(out), *start)
-    assert found.returncode == 0, found.stderr
-    assert f'started from the coils of {"the default rig" if default else known}' in found.stdout
+    start = [] if default else ['--config', _rig(tmp_path, emulator, known)]
+    status, said, error = command('calibrate', 'coils', readings, '--out', out, *start)
+    assert status == 0, error
+    assert f'started from the coils of {"the default rig" if default else known}' in said
     config = _rig(tmp_path, emulator, out / 'coils.yaml')
-    checked = _microbot('doctor', '--config', str(config)).stdout
-    assert f'coil_driver; coils of {out / "coils.yaml"}' in checked
+    assert f'coil_driver; coils of {out / "coils.yaml"}' in command(
+        'doctor', '--config', config)[1]
+    graph = ros({'coil_driver': yaml.safe_load(config.read_text())['coil_driver'][
+        'ros__parameters']})
+    driver = graph.add('coil_driver')
+    commands = graph.probe.create_publisher(Vector3Stamped, 'field/command', 10)
+    graph.until(lambda: graph.call(
+        SetBool, 'coil_driver/arm', SetBool.Request(data=True)).success)
     wanted = np.array([1.2e-3, -0.7e-3])
-    running = subprocess.Popen(
-        [sys.executable, '-m', 'microbot_ros.cli', 'run', '--arm', '--config', str(config)],
-        stderr=subprocess.PIPE, text=True)
-    try:
-        with GraphClient('test') as client:
-            commands = client.node.create_publisher(Vector3Stamped, 'field/command', 10)
 
-            count = itertools.count()
+    def command_field(field: np.ndarray) -> None:
+        commands.publish(messages.field_vector(field, messages.to_stamp(driver.seconds())))
 
-            def made() -> bool:
-                stamp = client.node.get_clock().now().to_msg()
-                field = 0 * wanted if next(count) % 20 == 0 else wanted  # it may just be armed
-                commands.publish(messages.field_vector(field, stamp))
-                field = emulator.currents @ _field_per_ampere(content, (0, 0, 0))
-                off = field[:2] + BACKGROUND_T - wanted
-                return not emulator.zero and bool(np.hypot(*off) < 0.005 * np.hypot(*wanted))
-            assert client.until(made, 40), f'{emulator.currents} {_ended(running)}'
-    finally:
-        _ended(running)
-    assert emulator.zero
-
-
-def _ended(process: subprocess.Popen[str]) -> str:
-    """End it; what it said."""
-    if process.poll() is None:
-        process.terminate()
-    return process.communicate(timeout=30)[1] or ''
+    def made() -> bool:
+        command_field(wanted)
+        field = emulator.currents @ _field_per_ampere(content, (0, 0, 0))
+        off = field[:2] + BACKGROUND_T - wanted
+        return not emulator.zero and bool(np.hypot(*off) < 0.005 * np.hypot(*wanted))
+    graph.until(lambda: command_field(np.zeros(2)) or not driver._driver.gate.holding)
+    graph.until(made)

@@ -21,6 +21,7 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import Joy, PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from microbot_ros.control.contract import no_field
@@ -28,6 +29,7 @@ from microbot_ros.control.open_loop import OpenLoop
 from microbot_ros.loop.points import ESTIMATE, GOAL
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import LATCHED
+from microbot_ros.records import Commands
 
 
 class Loop:
@@ -222,8 +224,68 @@ def test_what_there_is_is_latched(ros: Any) -> None:
     assert {'hold', 'open_loop', 'waypoint'} <= set(yaml.safe_load(listed[0].data))
 
 
-def test_viewers_get_particles_and_goals(ros: Any) -> None:
+@pytest.mark.parametrize(('controller', 'refused'), [
+    ('manual', {'goals', 'goal_pose', 'particle_goals', 'path', 'plan'}),
+    ('hold', {'goals', 'goal_pose', 'particle_goals', 'path', 'plan'}),
+    ('waypoint', {'path', 'plan'}), ('experiment', {'goals', 'goal_pose', 'particle_goals', 'path'}),
+    ('path_following', {'goals', 'goal_pose', 'particle_goals', 'plan'})])
+def test_what_a_controller_does_not_take_is_refused_and_who_takes_it_is_named(
+        ros: Any, controller: str, refused: set[str]) -> None:
+    loop = Loop(ros, controller=controller)
+    told = loop.graph.hear(DiagnosticStatus, 'controller/progress')
+    one = np.array([[1e-5, 0.0]])
+    goal = np.zeros(1, GOAL)
+
+    def sent(what: str, stamp: Any) -> tuple[type, str, Any]:
+        poses = messages.poses(one, np.zeros(1), stamp)
+        pose = PoseStamped(header=poses.header, pose=poses.poses[0])
+        return {
+            'goals': (PoseArray, 'goals', poses), 'goal_pose': (PoseStamped, 'goal_pose', pose),
+            'particle_goals': (PointCloud2, 'particle_goals', messages.cloud(goal, stamp)),
+            'path': (Path, 'path', Path(header=poses.header, poses=[pose, pose])),
+            'plan': (JointTrajectory, 'field/plan', messages.plan(Commands(
+                np.array([0.0, 1.0]), np.zeros((2, 2))), stamp))}[what]
+    takers = {'path': 'path_following', 'plan': 'experiment'}
+    for k, what in enumerate(('goals', 'goal_pose', 'particle_goals', 'path', 'plan')):
+        kind, topic, message = sent(what, messages.to_stamp(100.0 + k))
+        publisher = loop.graph.probe.create_publisher(kind, topic, 10)
+        loop.graph.until(lambda publisher=publisher: publisher.get_subscription_count() == 1)
+        publisher.publish(message)
+        answer = 'refused_stamp_s' if what in refused else {
+            'path': 'path_stamp_s', 'plan': 'plan_stamp_s'}.get(what, 'goals_stamp_s')
+        loop.graph.until(lambda k=k, answer=answer: told and {
+            pair.key: pair.value for pair in told[-1].values}[answer] == repr(100.0 + k))
+        values = {pair.key: pair.value for pair in told[-1].values}
+        if what in refused:
+            assert values['refused'].startswith(f'{controller} takes no ')
+            assert takers.get(what, 'waypoint') in values['refused']
+    assert len(loop.node.stage.goals) == (0 if 'goals' in refused else 1)
+    assert len(loop.node.stage.path) == (0 if 'path' in refused else 2)
+    assert (loop.node.stage.plan is None) == ('plan' in refused)
+
+
+def test_to_cancel_is_never_refused(ros: Any) -> None:
+    loop = Loop(ros, controller='waypoint')
+    loop.go((50e-6, 0.0))
+    loop.graph.until(lambda: len(loop.node.stage.goals) == 1)
+    assert loop.set(controller='hold').successful
+    loop.go()
+    loop.graph.until(lambda: len(loop.node.stage.goals) == 0)
+
+
+def test_the_list_of_controllers_tells_what_each_takes(ros: Any) -> None:
     loop = Loop(ros)
+    listed = json.loads(loop.graph.call(
+        Trigger, 'controller/list_controllers', Trigger.Request()).message)
+    takes = {one['name']: set(one['takes']) for one in listed}
+    assert takes['hold'] == takes['manual'] == takes['open_loop'] == set()
+    assert takes['waypoint'] == {'goals', 'particle_goals'}
+    assert (takes['path_following'], takes['experiment'], takes['teleop']) == (
+        {'path'}, {'plan'}, {'joystick'})
+
+
+def test_viewers_get_particles_and_goals(ros: Any) -> None:
+    loop = Loop(ros, controller='waypoint')
     drawn = loop.graph.hear(MarkerArray, 'markers')
     loop.go((50e-6, 20e-6), (math.nan, 0.0))
     loop.graph.until(lambda: len(loop.node.stage.goals) == 2)

@@ -28,7 +28,6 @@ def test_the_model_estimates_with_the_drag_at_its_height() -> None:
     assert ModelStage(far).estimator.conditions.height is None
 
 
-@pytest.mark.rig
 @pytest.mark.parametrize('node', ['model', 'virtual_rig'])
 @pytest.mark.parametrize('height_um', [2.3, 1.0])
 def test_a_particle_in_the_floor_is_refused(ros: Any, tmp_path: Path, node: str,
@@ -40,7 +39,6 @@ def test_a_particle_in_the_floor_is_refused(ros: Any, tmp_path: Path, node: str,
         ros({node: values}).add(node)
 
 
-@pytest.mark.rig
 def test_what_lives_in_the_virtual_rig_lives_above_its_floor(ros: Any, tmp_path: Path) -> None:
     made = ros({'virtual_rig': {
         'radius_um': 2.3, 'height_um': 2.6, 'alignment_ms': 5.0, 'viscosity_mPa_s': 1.245,

@@ -1,150 +1,131 @@
-"""What is said to a running rig is taken, or the command says that it was not: real processes."""
+"""What commands send to a running rig is taken, or they say that it was not."""
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from geometry_msgs.msg import Vector3Stamped
+from in_process import command
 from rclpy.service import Service
 from sensor_msgs.msg import PointCloud2
 
 from microbot_ros.drive.amplifier import Zero
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.loop.points import ESTIMATE
-from microbot_ros.nodes import messages
-from microbot_ros.nodes.graph import Graph
+from microbot_ros.nodes import graph_client, messages
 from microbot_ros.nodes.graph_client import GraphClient
 
-pytestmark = [pytest.mark.rig, pytest.mark.timeout(240)]
 
-Answer = tuple[int, str, str]
-"""Exit status, standard output, standard error."""
-
-
-def _start(*words: str) -> subprocess.Popen[str]:
-    return subprocess.Popen([sys.executable, '-m', 'microbot_ros.cli', *words],
-                            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-
-
-def _end(process: subprocess.Popen[str]) -> Answer:
-    out, error = process.communicate(timeout=60)
-    return process.returncode, out, error
-
-
-def _microbot(*words: str) -> Answer:
-    return _end(_start(*words))
-
-
-def _parameters(folder: Path, nodes: dict[str, dict[str, Any]]) -> Path:
-    file = folder / 'rig.yaml'
-    file.write_text(yaml.safe_dump({
-        f'/**/{node}': {'ros__parameters': values} for node, values in nodes.items()}))
-    return file
+@pytest.fixture(autouse=True)
+def _soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give up soon what is given up, and ask again soon."""
+    for name, seconds in (('_ANSWER_SECONDS', 20.0), ('_ASK_AGAIN_SECONDS', 1.0)):
+        monkeypatch.setattr(graph_client, name, seconds)
 
 
 def test_goals_are_taken_each_time_beside_a_recorder_that_was_there_first(
-        tmp_path: Path) -> None:
-    parameters = _parameters(tmp_path, {'recorder': {'folder': str(tmp_path / 'recording')}})
-    heard: list[dict[str, str]] = []
-    with Graph(lambda *_: None) as graph, GraphClient('test') as client:
-        for node in ('recorder', 'controller'):
-            graph.start_nodes([node], parameters)
-            graph.wait_ready(60.0)
-        client.watch_progress(lambda _level, _sentence, values: heard.append(values))
-        assert client.until(lambda: heard, 10)
+        ros: Any, tmp_path: Path) -> None:
+    graph = ros({'recorder': {'folder': str(tmp_path / 'recording')},
+                 'controller': {'controller': 'waypoint'}})
+    graph.add('recorder')
+    goals = graph.add('controller').stage
 
-        def has(goals: int, path: bool) -> bool:
-            """Whether the controller holds so many goals, and a path of its own."""
-            last = heard[-1]
-            return int(last['goals']) == goals and (float(last['path_stamp_s']) > 0) == path
-        for count in range(1, 11):
-            status, out, error = _microbot('goal', *['10,10'] * count)
-            assert (status, error) == (0, '')
-            assert out.startswith(f'{count} goal')
-            assert "taken by controller 'hold', which does not go there" in out
-            # It is there when the command ends, and not some time later.
-            heard.clear()
-            assert client.until(lambda: heard, 10)
-            assert client.until(lambda count=count: has(count, False), 1.0)
-        status, out, _ = _microbot('goal', '--path', '0,0', '10,0')
-        assert (status, out[:16]) == (0, 'path of 2 points')
-        assert client.until(lambda: has(10, True), 1.0)
-        assert _microbot('goal', '--cancel') == (0, 'cancelled\n', '')
-        assert client.until(lambda: has(0, True), 1.0)
+    def has_path() -> bool:
+        """Whether the controller was given a path of its own."""
+        return len(goals.path) > 0
+    for count in range(1, 6):
+        assert graph.microbot('goal', *['10,10'] * count) == (
+            0, f"{count} goal{'s' * (count > 1)} taken by controller 'waypoint'\n", '')
+        # They are there when the command ends, and not some time later.
+        assert len(goals.goals) == count
+    graph.microbot('set', 'controller', 'controller', 'path_following')
+    assert graph.microbot('goal', '--path', '0,0', '10,0') == (
+        0, "path of 2 points taken by controller 'path_following'\n", '')
+    assert len(goals.goals) == 5
+    assert has_path()
+    graph.microbot('set', 'controller', 'controller', 'manual')
+    for words, what, who in ((('1,1',), 'goals', 'waypoint'),
+                             (('--path', '0,0', '9,9'), 'path', 'path_following')):
+        status, out, error = graph.microbot('goal', *words)
+        assert (status, out) == (1, '')
+        assert error.startswith(f'microbot: controller: manual takes no {what}; these do: ')
+        assert who in error
+        assert len(goals.goals) == 5
+        assert has_path()
+    assert graph.microbot('goal', '--cancel') == (0, 'cancelled\n', '')
+    assert len(goals.goals) == 0
 
 
 @pytest.mark.parametrize(('controller', 'words'), [
     ('waypoint', ('1000,0',)), ('path_following', ('--path', '0,0', '1000,0'))])
 def test_goals_outside_the_workspace_are_one_and_the_reason(
-        tmp_path: Path, controller: str, words: tuple[str, ...]) -> None:
-    parameters = _parameters(tmp_path, {'controller': {'controller': controller}})
+        ros: Any, controller: str, words: tuple[str, ...]) -> None:
+    graph = ros({'controller': {'controller': controller}})
     particle = np.zeros(1, ESTIMATE)
     for name in ('speed', 'x_std', 'y_std', 'speed_std', 'phi_std'):
         particle[name] = 4e-6 if name == 'speed' else 1e-8
-    with Graph(lambda *_: None) as graph, GraphClient('test') as client:
-        graph.start_nodes(['controller'], parameters)
-        graph.wait_ready(60.0)
-        seen = client.node.create_publisher(PointCloud2, 'model/state', 10)
-        client.node.create_timer(0.05, lambda: seen.publish(
-            messages.cloud(particle, client.node.get_clock().now().to_msg())))
-        asked = _start('goal', *words)
-        client.until(lambda: asked.poll() is not None, 60)
-        status, out, error = _end(asked)
+    graph.add('controller')
+    seen = graph.probe.create_publisher(PointCloud2, 'model/state', 10)
+    graph.probe.create_timer(0.05, lambda: seen.publish(
+        messages.cloud(particle, graph.probe.get_clock().now().to_msg())))
+    status, out, error = graph.microbot('goal', *words)
     assert (status, out) == (1, '')
     assert error.startswith(f'microbot: {controller}: ')
     assert 'workspace' in error
     assert len(error.splitlines()) == 1
 
 
-def test_a_node_that_is_not_there_is_one_and_the_reason() -> None:
-    asked = {('goal', '1,1'): 'controller', ('arm',): 'coil_driver', ('record',): 'recorder',
-             ('set', 'controller', 'controller', 'hold'): 'controller'}
-    commands = {words: _start(*words) for words in asked}
-    for words, node in asked.items():
-        assert _end(commands[words]) == (
-            1, '', f'microbot: {node} was not found in the namespace / within 5 s: is it '
-            'running?\n')
+@pytest.mark.parametrize(('words', 'node'), [
+    (('goal', '1,1'), 'controller'), (('arm',), 'coil_driver'), (('record',), 'recorder'),
+    (('set', 'controller', 'controller', 'hold'), 'controller')])
+def test_a_node_that_is_not_there_is_one_and_the_reason(
+        monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], node: str) -> None:
+    monkeypatch.setattr(graph_client, '_FIND_SECONDS', 0.5)
+    assert command(*words, '--namespace', 'nowhere') == (
+        1, '', f'microbot: {node} was not found in the namespace /nowhere within 0.5 s: is it '
+        'running?\n')
 
 
 def test_what_is_no_name_is_two() -> None:
-    assert _microbot('arm', '--namespace', 'rig 2') == (
+    assert command('arm', '--namespace', 'rig 2') == (
         2, '', 'microbot: --namespace: expected a name such as rig_2; received /rig 2\n')
-    assert _microbot('set', 'no node', 'a', '1') == (
+    assert command('set', 'no node', 'a', '1') == (
         2, '', "microbot: expected the name of a node; received 'no node'\n")
 
 
-def test_each_command_speaks_to_the_rig_of_its_namespace(tmp_path: Path, emulator: Any) -> None:
-    parameters = _parameters(tmp_path, {
-        'recorder': {'recording': False},
-        'coil_driver': {'port': str(emulator.port), 'full_scale_A': 2.0}})
+def test_each_command_speaks_to_the_rig_of_its_namespace(
+        ros: Any, tmp_path: Path, emulator: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    graph = ros({'recorder': {'recording': False}, 'coil_driver': {'port': str(emulator.port)}})
     nodes = ['controller', 'recorder', 'coil_driver']
-    with Graph(lambda *_: None) as graph:
-        graph.start('rig', [sys.executable, '-m', 'microbot_ros.nodes', *nodes, '--ros-args',
-                            '-r', '__ns:=/rig_2', '--params-file', str(parameters)])
-        graph.wait_ready(60.0)
-        there, folder = ('--namespace', 'rig_2'), str(tmp_path / 'run')
-        assert _microbot('goal', '1,1', *there) == (
-            0, "1 goal taken by controller 'hold', which does not go there: microbot set "
-            'controller controller waypoint --namespace rig_2\n',
-            'coil_driver: coils at zero, disarmed\n')
-        assert _microbot('set', 'controller', 'controller', 'waypoint', *there)[0] == 0
-        assert _microbot('record', '--folder', folder, *there) == (
-            0, f'recording to {folder}\n', '')
-        assert _microbot('arm', *there) == (0, 'armed\n', '')
-        assert _microbot('goal', '1,1', *there) == (
-            0, "1 goal taken by controller 'waypoint'\n", '')
-        elsewhere = [_start('goal', '1,1'), _start('arm', '--off'), _start('record', '--stop')]
-        for command, node in zip(elsewhere, nodes[:1] + nodes[:0:-1], strict=True):
-            assert _end(command) == (
-                1, '', f'microbot: {node} was not found in the namespace / within 5 s: is it '
-                'running? There is one in --namespace /rig_2\n')
+    for name in nodes:
+        assert graph.add(name, '/rig_2').active
+    there, folder = ('--namespace', 'rig_2'), str(tmp_path / 'run')
+    assert graph.microbot('set', 'controller', 'controller', 'waypoint', *there)[0] == 0
+    status, out, error = graph.microbot('goal', '1,1', *there)
+    assert (status, out) == (0, "1 goal taken by controller 'waypoint'\n")
+    assert error.startswith('coil_driver: disarmed')
+    assert graph.microbot('record', '--folder', folder, *there) == (
+        0, f'recording to {folder}\n', '')
+    assert graph.microbot('arm', *there)[0] == 0
+    assert graph.nodes['rig_2/coil_driver']._driver.gate.armed
+    assert graph.microbot('goal', '1,1', *there)[:2] == (
+        0, "1 goal taken by controller 'waypoint'\n")
+    with graph.spinning(), GraphClient(namespace='rig_2') as client:
+        heard: dict[str, str] = {}
+        client.watch_health(lambda node, _, sentence, __: heard.setdefault(node, sentence))
+        assert client.until(lambda: heard.keys() >= {*nodes}, 30.0)
+        assert client.get('controller', 'controller') == {'controller': 'waypoint'}
+    monkeypatch.setattr(graph_client, '_FIND_SECONDS', 0.5)
+    elsewhere = {('goal', '1,1'): 'controller', ('arm', '--off'): 'coil_driver',
+                 ('record', '--stop'): 'recorder'}
+    for words, node in elsewhere.items():
+        assert graph.microbot(*words) == (
+            1, '', f'microbot: {node} was not found in the namespace / within 0.5 s: is it '
+            'running? There is one in --namespace /rig_2\n')
 
 
 @pytest.fixture
@@ -163,18 +144,13 @@ def lose(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], list[str]]:
     return lose_first
 
 
-def _command(graph: Any, *words: str) -> Answer:
-    """A command beside nodes of this process, which must be served meanwhile."""
-    process = _start(*words)
-    graph.until(lambda: process.poll() is not None, 60)
-    return _end(process)
-
-
-def test_a_controller_that_does_not_answer_is_one_and_the_reason(ros: Any) -> None:
-    graph = ros({})
+def test_a_controller_that_does_not_answer_is_one_and_the_reason(
+        ros: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(graph_client, '_TAKE_SECONDS', 1.0)
+    graph = ros({'controller': {'controller': 'waypoint'}})
     graph.add('controller').trigger_deactivate()
-    assert _command(graph, 'goal', '1,1', '--wait', '60') == (
-        1, '', 'microbot: controller did not take the goals within 5 s: it says nothing; is it '
+    assert graph.microbot('goal', '1,1', '--wait', '60') == (
+        1, '', 'microbot: controller did not take the goals within 1 s: it says nothing; is it '
         'active?\n')
     assert len(graph.nodes['controller'].stage.goals) == 0
 
@@ -185,17 +161,17 @@ def test_a_recorder_whose_answer_was_lost_has_done_it(
     recorder = graph.add('recorder')
     run, twice = str(tmp_path / 'run'), ('record', '--folder', str(tmp_path / 'other'))
     lost = lose('~/record')
-    assert _command(graph, 'record', '--folder', run) == (0, f'recording to {run}\n', '')
+    assert graph.microbot('record', '--folder', run) == (0, f'recording to {run}\n', '')
     assert lost
     assert recorder.health()[1] == f'recording to {run}'
     # Without a loss the same words are a refusal.
-    assert _command(graph, *twice) == (
+    assert graph.microbot(*twice) == (
         1, '', f'microbot: recorder: already recording to {run}\n')
     lost.clear()
-    assert _command(graph, 'record', '--stop') == (0, 'the recording has ended\n', '')
+    assert graph.microbot('record', '--stop') == (0, 'the recording has ended\n', '')
     assert lost
     assert recorder.health()[1] == 'not recording'
-    assert _command(graph, 'record', '--stop') == (1, '', 'microbot: recorder: not recording\n')
+    assert graph.microbot('record', '--stop') == (1, '', 'microbot: recorder: not recording\n')
 
 
 def _driver_and_commander(ros: Any, emulator: Any) -> tuple[Any, Any]:
@@ -221,49 +197,51 @@ def test_arming_whose_answer_was_lost_is_not_asked_for_again(
     lost = lose('~/arm')
     graph, driver = _driver_and_commander(ros, emulator)
     asked = _requests(driver)
-    assert _command(graph, 'arm') == (
-        1, '', 'microbot: coil_driver did not answer within 12 s; disarmed: '
+    assert graph.microbot('arm') == (
+        1, '', 'microbot: coil_driver did not answer within 20 s; disarmed: '
         'zero, confirmed by a reading\n')
     assert lost
     assert asked == [True, False]
     assert not driver.health()[2]['armed']
+    emulator.end()
+    graph.until(lambda: driver.health()[0] == b'\x02')
+    assert graph.microbot('arm') == (
+        1, '', 'microbot: coil_driver: the amplifier is not connected\n')
 
 
-@pytest.mark.rig
+def test_arming_that_was_given_up_does_not_come_true_later(
+        ros: Any, emulator: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A driver that hangs while it is asked finds the requests when it goes on."""
+    monkeypatch.setattr(graph_client, '_ANSWER_SECONDS', 1.0)
+    monkeypatch.setattr(graph_client, '_ASK_AGAIN_SECONDS', 0.2)
+    graph, driver = _driver_and_commander(ros, emulator)
+    asked = _requests(driver)
+    assert command('arm') == (
+        1, '', 'microbot: coil_driver did not answer within 1 s; asked to disarm: coil_driver did '
+        'not answer within 1 s: not reachable, switch the amplifier off by hand\n')
+    graph.until(lambda: False in asked)
+    graph.until(lambda: driver._driver.zero is Zero.CONFIRMED)
+    assert asked.count(True) <= 1
+    assert not driver.health()[2]['armed']
+    assert emulator.zero
+
+
 def test_disarming_tells_what_the_driver_answered(
         ros: Any, emulator: Any, lose: Callable[[str], list[str]],
         monkeypatch: pytest.MonkeyPatch) -> None:
     lost = lose('~/arm')
     lost.append('~/arm')  # not yet
     graph, driver = _driver_and_commander(ros, emulator)
-    assert _command(graph, 'arm') == (0, 'armed\n', '')
+    graph.until(lambda: driver._driver.gate._measured_s > 0)
+    assert graph.microbot('arm') == (0, 'armed\n', '')
     lost.clear()  # a request to disarm is repeated
-    assert _command(graph, 'arm', '--off') == (
+    assert graph.microbot('arm', '--off') == (
         0, 'disarmed: zero, confirmed by a reading\n', '')
     for zero, words in ((Zero.SENT, 'zero sent, not confirmed'),
                         (Zero.UNREACHABLE, 'not reachable: ')):
         with monkeypatch.context() as patch:
             patch.setattr(CoilDriver, 'zero', zero)
-            status, out, error = _command(graph, 'arm', '--off')
+            status, out, error = graph.microbot('arm', '--off')
         assert (status, out) == (1, '')
         assert error.startswith(f'microbot: coil_driver: {words}')
         assert len(error.splitlines()) == 1
-    emulator.end()
-    graph.until(lambda: driver.health()[0] == b'\x02')
-    assert _command(graph, 'arm') == (
-        1, '', 'microbot: coil_driver: the amplifier is not connected\n')
-
-
-@pytest.mark.filterwarnings('ignore:failed to send response:RuntimeWarning')
-def test_arming_that_was_given_up_does_not_come_true_later(ros: Any, emulator: Any) -> None:
-    """A driver that hangs while it is asked finds the requests when it goes on."""
-    graph, driver = _driver_and_commander(ros, emulator)
-    asked = _requests(driver)
-    assert _microbot('arm') == (
-        1, '', 'microbot: coil_driver did not answer within 12 s; asked to disarm: coil_driver '
-        'did not answer within 12 s: not reachable, switch the amplifier off by hand\n')
-    graph.until(lambda: False in asked)
-    graph.until(lambda: driver._driver.zero is Zero.CONFIRMED)
-    assert asked.count(True) <= 1
-    assert not driver.health()[2]['armed']
-    assert emulator.zero

@@ -60,17 +60,6 @@ def test_a_file_that_a_namespace_would_ignore_is_refused(tmp_path: Path) -> None
 
 
 @pytest.mark.rig
-def test_a_node_that_would_ignore_its_file_does_not_start(tmp_path: Path) -> None:
-    file = write(tmp_path, {'coil_driver': {'current_limit_A': 0.1}})
-    done = subprocess.run(
-        [sys.executable, '-m', 'microbot_ros.nodes', 'coil_driver', '--ros-args',
-         '--params-file', str(file), '-r', '__ns:=/rig_2'],
-        capture_output=True, text=True, timeout=60)
-    assert done.returncode == 2
-    assert '/**/coil_driver' in done.stderr
-
-
-@pytest.mark.rig
 @pytest.mark.timeout(240)
 def test_two_rigs_are_driven_at_once(tmp_path: Path, emulator_in: Any) -> None:
     """From one file: the field of one is twice that of the other, and one is disarmed alone."""

@@ -20,6 +20,7 @@ import yaml
 from builtin_interfaces.msg import Time
 from command_line import microbot
 from geometry_msgs.msg import PoseArray, Vector3Stamped
+from in_process import command, own_context
 from rcl_interfaces.msg import ParameterEvent
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
@@ -36,7 +37,7 @@ from microbot_ros.errors import InputError
 from microbot_ros.estimation.batch import fit
 from microbot_ros.estimation.online import Estimates, Estimator
 from microbot_ros.loop.points import PARTICLE
-from microbot_ros.nodes import messages
+from microbot_ros.nodes import messages, process
 from microbot_ros.nodes.account import NotingWorker
 from microbot_ros.nodes.offline import ScriptedWorker, alone, end_offline, make_offline
 from microbot_ros.nodes.replay_check import ReplayCheck, plan_replay, recorded_parameters
@@ -54,28 +55,27 @@ ROUNDING = '1e-5'
 """Another processor may round the last bit of a single-precision number otherwise."""
 
 
-def replay(*words: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, '-m', 'microbot_ros.cli', 'replay', *map(str, words)],
-        capture_output=True, text=True, timeout=100)
+def replay(*words: object) -> tuple[int, str, str]:
+    """Exit status and outputs of `microbot replay`, whose nodes have a context of their own."""
+    with own_context():
+        return command('replay', *words)
 
 
-@pytest.mark.rig
 @pytest.mark.parametrize(('recording', 'topics', 'fewest'), [
     (TRACKING, {'/particles', '/particles/poses'}, 20),
     (STEERING, {'/model/state', '/field/command', '/coils/command'}, 500)])
 def test_todays_nodes_answer_as_they_did(
         tmp_path: Path, recording: Path, topics: set[str], fewest: int) -> None:
-    done = replay(recording, '--check', '--tolerance', ROUNDING, '--json', tmp_path / 'a.json')
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert 'every answer is the same' in done.stdout
+    status, out, error = replay(
+        recording, '--check', '--tolerance', ROUNDING, '--json', tmp_path / 'a.json')
+    assert status == 0, out + error
+    assert 'every answer is the same' in out
     found = json.loads((tmp_path / 'a.json').read_text())
     assert found['same'] is True
     assert {topic['topic'] for topic in found['topics']} == topics
     assert all(topic['compared'] >= fewest for topic in found['topics'])
 
 
-@pytest.mark.rig
 def test_frames_that_were_let_pass_when_recorded_are_left_out_and_counted(tmp_path: Path) -> None:
     shorter = tmp_path / 'shorter'
     with open_recording(STEERING) as whole, RecordingWriter(shorter) as writer:
@@ -86,10 +86,11 @@ def test_frames_that_were_let_pass_when_recorded_are_left_out_and_counted(tmp_pa
                                        '/field/command']):
             if message.topic != '/model/state' or header_stamp_ns(message.data) not in passed:
                 writer.write(*message)
-    done = replay(shorter, '--check', '--node', 'model', '--end', 4, '--tolerance', ROUNDING)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert '/model/state: left out 7 of' in done.stderr
-    assert 'every answer is the same' in done.stdout
+    status, out, error = replay(
+        shorter, '--check', '--node', 'model', '--end', 4, '--tolerance', ROUNDING)
+    assert status == 0, out + error
+    assert '/model/state: left out 7 of' in error
+    assert 'every answer is the same' in out
 
 
 def test_what_they_answered_was_more_than_nothing() -> None:
@@ -103,14 +104,14 @@ def test_what_they_answered_was_more_than_nothing() -> None:
     assert len({(c.x, c.y) for c in commands}) > 50
 
 
-@pytest.mark.rig
 def test_two_replays_are_the_same_in_every_field(tmp_path: Path) -> None:
     with open_recording(STEERING) as source:
         plan = plan_replay(source, STEERING)
         parameters = recorded_parameters(source, plan.nodes, tmp_path)
     assert plan.nodes == ('model', 'controller', 'coil_driver')
     for name in 'ab':
-        assert ReplayCheck(STEERING, tmp_path / name, plan, parameters).run() == ''
+        with own_context():
+            assert ReplayCheck(STEERING, tmp_path / name, plan, parameters).run() == ''
     with open_recording(tmp_path / 'a') as a, open_recording(tmp_path / 'b') as b:
         stamps = {header_stamp_ns(m.data) for m in a.messages(['/particles'])}
         found = compare(a, b, ['/particles', '/model/state', '/field/command'], stamps)
@@ -118,15 +119,14 @@ def test_two_replays_are_the_same_in_every_field(tmp_path: Path) -> None:
     assert min(topic.pairs for topic in found) > 500
 
 
-@pytest.mark.rig
 def test_what_a_change_does_is_shown_at_the_first_point(tmp_path: Path) -> None:
     rig = tmp_path / 'rig.yaml'
     rig.write_text(yaml.safe_dump({'model': {'ros__parameters': {
         'radius_um': 2.3, 'viscosity_mPa_s': 2.49}}}))
-    done = replay(STEERING, '--check', '--node', 'model', '--end', 4, '--config', rig,
-                  '--json', tmp_path / 'a.json')
-    assert done.returncode == 1, done.stdout + done.stderr
-    assert 'answers differ' in done.stdout
+    status, out, error = replay(STEERING, '--check', '--node', 'model', '--end', 4,
+                                '--config', rig, '--json', tmp_path / 'a.json')
+    assert status == 1, out + error
+    assert 'answers differ' in out
     [topic] = json.loads((tmp_path / 'a.json').read_text())['topics']
     assert topic['topic'] == '/model/state'
     assert topic['differ'] > 0
@@ -244,7 +244,6 @@ def filtered(session: Session, conditions: Conditions) -> Estimates:
     return estimates
 
 
-@pytest.mark.rig
 def test_a_rolling_robot_is_the_same_by_topics_as_by_rows(
         recordings: Path, tmp_path: Path) -> None:
     source = recordings / 'rolling_robot'
@@ -252,7 +251,9 @@ def test_a_rolling_robot_is_the_same_by_topics_as_by_rows(
     with open_source(source) as played:
         plan = plan_replay(played, source, ['model'])
     parameters = {'model': {'propulsion': 'rolling'}}
-    assert ReplayCheck(source, tmp_path / 'run', plan, parameters, end_s=100.0).run() == ''
+    with own_context():
+        assert ReplayCheck(
+            source, tmp_path / 'run', plan, parameters, end_s=100.0).run() == ''
     by_topics = read_session(tmp_path / 'run')
     # Positions cross in single precision, nothing else is lost.
     assert by_topics.tracks.position == pytest.approx(rows.tracks.position, rel=1e-7)
@@ -287,41 +288,39 @@ def past(folder: Path) -> Path:
     return session
 
 
-class Playing:
-    """`microbot replay` in its own process, while the executor of a graph spins."""
+def playing(graph: Any, monkeypatch: pytest.MonkeyPatch, *words: object,
+            ) -> tuple[int, list[str]]:
+    """`microbot replay` beside a graph: its exit status, and what it says on standard error.
 
-    def __init__(self, *words: object) -> None:
-        self.process = subprocess.Popen(
-            [sys.executable, '-m', 'microbot_ros.cli', 'replay', *map(str, words)],
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-
-    def end(self, graph: Any, seconds: float = 60.0) -> tuple[int, list[str]]:
-        """Its exit status and what it said on standard error."""
-        graph.until(lambda: self.process.poll() is not None, seconds)
-        _, errors = self.process.communicate()
-        return self.process.returncode, errors.strip().splitlines()
+    What is for a process of its own is left out: real-time priority and a frozen heap.
+    """
+    for name in ('_settle', 'set_realtime_priority_of_all'):
+        monkeypatch.setattr(process, name, lambda *_: None)
+    with graph.spinning(), own_context():
+        status, _, error = command('replay', *words)
+    return status, error.strip().splitlines()
 
 
-@pytest.mark.rig
 def test_beside_a_live_coil_driver_a_replay_is_refused_and_drives_nothing(
-        ros: Any, emulator: Any, tmp_path: Path) -> None:
+        ros: Any, emulator: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     graph = ros({'coil_driver': {'port': str(emulator.port)}})
     driver = graph.add('coil_driver')
     fields = graph.hear(Vector3Stamped, 'field/command')
-    status, errors = Playing(past(tmp_path), '--topic', 'field/command').end(graph)
+    status, errors = playing(
+        graph, monkeypatch, past(tmp_path), '--topic', 'field/command')
     assert status == 1
     [line] = errors
     assert '/coil_driver is live' in line
     assert '--into-live-rig' in line
     assert fields == []
     assert driver.active
-    status, errors = Playing(
-        past(tmp_path / 'again'), '--topic', 'field/command', '--into-live-rig').end(graph)
+    status, errors = playing(
+        graph, monkeypatch, past(tmp_path / 'again'), '--topic', 'field/command',
+        '--into-live-rig')
     assert (status, errors) == (0, [])
     assert len(fields) == 90
 
 
-@pytest.mark.rig
 @pytest.mark.parametrize('follows', [False, True])
 def test_a_live_controller_gets_no_goals_of_the_past_one_that_follows_the_clock_does(
         ros: Any, tmp_path: Path, follows: bool) -> None:
@@ -335,7 +334,6 @@ def test_a_live_controller_gets_no_goals_of_the_past_one_that_follows_the_clock_
     assert len(controller.stage.goals) == follows
 
 
-@pytest.mark.rig
 def test_a_replay_ends_when_a_rig_comes_alive(ros: Any, emulator: Any, tmp_path: Path) -> None:
     graph = ros({'player': {'session': str(past(tmp_path)), 'topics': ['field/command'],
                             'loop': True},
@@ -344,7 +342,7 @@ def test_a_replay_ends_when_a_rig_comes_alive(ros: Any, emulator: Any, tmp_path:
     player = graph.add('player')
     graph.until(lambda: fields)
     graph.add('coil_driver')
-    graph.until(lambda: player.finished, 3.0)
+    graph.until(lambda: player.finished)
     assert player.fault.startswith('/coil_driver is live')
 
 
@@ -360,7 +358,7 @@ def steered_live(ros: Any, folder: Path) -> Path:
     out = folder / 'live'
     graph = ros({'recorder': {'folder': str(out), 'topics': KEPT},
                  'model': {'radius_um': 10.0, 'viscosity_mPa_s': 1.245},
-                 'controller': {'deadline_ms': 500.0}})
+                 'controller': {'pose_timeout_ms': 800.0}})
     for name in ('recorder', 'model', 'controller'):
         graph.add(name)
     states = graph.hear(PointCloud2, 'model/state')
@@ -437,13 +435,12 @@ def copied(source: Path, out: Path, apart_ms: float, without: str = 'nothing') -
     return out
 
 
-@pytest.mark.rig
 def test_a_recording_that_came_in_another_order_is_answered_alike(
         steered: Path, tmp_path: Path) -> None:
     shuffled = copied(steered, tmp_path / 'shuffled', 80.0)
     for nodes in ([], ['--node', 'model'], ['--node', 'controller']):
-        done = replay(shuffled, '--check', *nodes, '--json', tmp_path / 'a.json')
-        assert done.returncode == 0, done.stdout + done.stderr
+        status, out, error = replay(shuffled, '--check', *nodes, '--json', tmp_path / 'a.json')
+        assert status == 0, out + error
         found = {topic['topic']: topic
                  for topic in json.loads((tmp_path / 'a.json').read_text())['topics']}
         assert all(topic['not_judged'] == {} for topic in found.values())
@@ -457,24 +454,22 @@ def test_a_recording_that_came_in_another_order_is_answered_alike(
     assert len({(field.x, field.y) for field in fields}) > 10
 
 
-@pytest.mark.rig
 def test_an_order_that_nobody_kept_is_named_and_no_difference(
         steered: Path, tmp_path: Path) -> None:
     shuffled = copied(steered, tmp_path / 'shuffled', 2.0, 'account')
-    done = replay(shuffled, '--check', '--json', tmp_path / 'a.json')
-    assert done.returncode == 0, done.stdout + done.stderr
+    status, out, error = replay(shuffled, '--check', '--json', tmp_path / 'a.json')
+    assert status == 0, out + error
     for topic in json.loads((tmp_path / 'a.json').read_text())['topics']:
         assert topic['differ'] == topic['only_recorded'] == topic['only_replayed'] == 0
         for reason in topic['not_judged']:
             assert reason.startswith(('the order of', 'why a frame was not answered'))
 
 
-@pytest.mark.rig
 def test_what_was_not_recorded_is_named(steered: Path, tmp_path: Path) -> None:
     lacking = copied(steered, tmp_path / 'lacking', 0.0, 'goals')
-    done = replay(lacking, '--check', '--node', 'controller')
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert 'cannot be judged: what the controller took from goals was not rec' in done.stdout
+    status, out, error = replay(lacking, '--check', '--node', 'controller')
+    assert status == 0, out + error
+    assert 'cannot be judged: what the controller took from goals was not rec' in out
 
 
 @pytest.fixture

@@ -20,15 +20,13 @@ from microbot_ros.loop.points import ESTIMATE
 from microbot_ros.magnetics import CoilSet
 from microbot_ros.nodes import messages
 
-pytestmark = pytest.mark.rig
-
 B, HERTZ = 3e-3, 4.0
 
 
 @pytest.fixture
-def emulator_options() -> tuple[str, ...]:
+def emulator_options() -> dict[str, Any]:
     """A board of six coils."""
-    return '--channels', '6'
+    return {'channels': 6}
 
 
 @pytest.fixture
@@ -36,8 +34,7 @@ def graph(emulator: Any, ros: Any, tmp_path: Path) -> Any:
     """A coil driver for it, armed, and who commands it."""
     coils = tmp_path / 'coils.yaml'
     coils.write_text(yaml.safe_dump({'coils': three_pairs().model_dump(mode='json')}))
-    made = ros({'coil_driver': {'port': str(emulator.port), 'coils_file': str(coils),
-                                'command_timeout_ms': 500.0, 'max_command_age_ms': 500.0}})
+    made = ros({'coil_driver': {'port': str(emulator.port), 'coils_file': str(coils)}})
     made.due = 0.0
     assert made.add('coil_driver').active
     made.commands = made.probe.create_publisher(Vector3Stamped, 'field/command', 10)
@@ -64,13 +61,17 @@ def _turn(graph: Any, field: tuple[float, ...], turned: tuple[float, ...],
 
 
 def _flowed(emulator: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Times [s] and fields (K, 3) [T] at the centre."""
-    entries = emulator.entries()
+    """Return times [s] and fields (K, 3) [T] at the centre, as they were commanded.
+
+    On a busy machine the board's watchdog ends them for a moment.
+    """
+    entries = [entry for entry in emulator.entries() if entry['cause'] == 'command']
     field = np.array([entry['currents_A'] for entry in entries]) @ CoilSet(
         three_pairs()).actuation_matrix().T
     return np.array([entry['t_monotonic_s'] for entry in entries]), field
 
 
+@pytest.mark.rig
 def test_the_field_turns_about_the_axis_as_fast_as_told(graph: Any, emulator: Any) -> None:
     begun = time.monotonic()
     graph.until(lambda: time.monotonic() > begun + 2.5
@@ -106,10 +107,8 @@ def test_a_controller_answers_in_three_axes(emulator: Any, ros: Any, tmp_path: P
     """By `manual`: a field that stands upright, then one whose axis is tilted (γ = 30°)."""
     coils = tmp_path / 'coils.yaml'
     coils.write_text(yaml.safe_dump({'coils': three_pairs().model_dump(mode='json')}))
-    rig = ros({'coil_driver': {'port': str(emulator.port), 'coils_file': str(coils),
-                               'command_timeout_ms': 500.0, 'max_command_age_ms': 500.0},
-               'controller': {'controller': 'manual', 'deadline_ms': 200.0,
-                              'manual.field_mT': 3.0, 'manual.gamma_deg': 0.0}})
+    rig = ros({'coil_driver': {'port': str(emulator.port), 'coils_file': str(coils)},
+               'controller': {'manual.field_mT': 3.0, 'manual.gamma_deg': 0.0}})
     driver, controller = rig.add('coil_driver'), rig.add('controller')
     states = rig.probe.create_publisher(PointCloud2, 'model/state', 10)
 
@@ -121,6 +120,8 @@ def test_a_controller_answers_in_three_axes(emulator: Any, ros: Any, tmp_path: P
 
     rig.until(lambda: states.get_subscription_count() == 1)
     rig.until(lambda: rig.call(SetBool, 'coil_driver/arm', SetBool.Request(data=True)).success)
+    rig.until(lambda: not driver._driver.gate.holding or see())
+    controller.set_parameters([Parameter('controller', value='manual')])
     rig.until(lambda: np.allclose(_flowed(emulator)[1][-1], [0, 0, B], atol=0.02 * B) or see())
     controller.set_parameters([Parameter('manual.frequency_hz', value=HERTZ),
                                Parameter('manual.gamma_deg', value=30.0)])
@@ -138,7 +139,7 @@ def test_a_controller_answers_in_three_axes(emulator: Any, ros: Any, tmp_path: P
 def test_a_rotation_of_long_ago_is_not_driven(graph: Any, emulator: Any) -> None:
     driver = graph.nodes['coil_driver']
     graph.until(lambda: driver._refused > 3
-                or _turn(graph, (B, 0, 0), (0, math.tau * HERTZ, 0), older=1.0))
+                or _turn(graph, (B, 0, 0), (0, math.tau * HERTZ, 0), older=5.0))
     graph.until(lambda: emulator.zero)
 
 

@@ -24,9 +24,9 @@ PATIENT = {'command_timeout_ms': 500.0, 'max_command_age_ms': 500.0}
 
 
 @pytest.fixture
-def emulator_options() -> tuple[str, ...]:
+def emulator_options() -> dict[str, Any]:
     """A board of six coils."""
-    return '--channels', '6'
+    return {'channels': 6}
 
 
 def _there_and_back(file: Path) -> None:

@@ -265,13 +265,3 @@ def test_what_only_a_node_can_find_wrong_is_one_line_that_says_where(
     assert line.startswith(f'microbot: {config}:{told}')
     assert all('the first time code is compiled' in note for note in before), said
     assert process.returncode == 2
-
-
-@pytest.mark.parametrize('host', ['NONSENSE', 'x' * 9000])
-def test_a_page_that_cannot_be_served_is_one_line(host: str) -> None:
-    done = subprocess.run([sys.executable, '-m', 'microbot_ros.cli', 'cockpit', '--host', host],
-                          capture_output=True, text=True, timeout=120, check=False)
-    (line,) = done.stderr.splitlines()
-    assert line.startswith('microbot: cockpit: host: expected a name or an address')
-    assert 'x' * 81 not in line
-    assert (done.returncode, done.stdout) == (2, '')

@@ -12,7 +12,7 @@ MESSAGES = st.lists(st.tuples(st.integers(1, 5), st.integers(0, 2**60), st.binar
                     min_size=1, max_size=20)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.lists(MESSAGES, min_size=1, max_size=4))
 def test_every_chunk_holds_its_own_messages_where_its_index_says(chunks):
     builder = ChunkBuilder()

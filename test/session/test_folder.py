@@ -167,13 +167,13 @@ def test_a_folder_without_tracks_and_a_missing_one_are_refused(tmp_path):
 FINITE = st.floats(allow_nan=False, allow_infinity=False, width=64)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(FINITE, st.sampled_from(['x_um', 'bx_mT', 't_s', 'viscosity_mPa_s', 'force_pN']))
 def test_every_number_survives_its_unit_bit_for_bit(value, name):
     assert exact_si(name, to_text(value, name)) == value
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.integers(0, 2**32), st.booleans())
 def test_a_session_survives_the_round_trip(tmp_path_factory, seed, with_heading):
     rng = np.random.default_rng(seed)

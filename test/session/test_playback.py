@@ -135,7 +135,7 @@ def test_the_rate_changes_without_a_jump():
     assert len(sent) == sum(m.t_ns > before for m in ALL)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.lists(st.tuples(
     st.sampled_from(['wait', 'pause', 'resume', 'rate', 'step']), st.floats(0, 0.4)), max_size=30))
 def test_whatever_is_done_on_the_way_nothing_is_lost_doubled_or_early(actions):

@@ -26,7 +26,7 @@ def test_a_mirrored_picture_is_not_flipped() -> None:
     assert camera.angle(np.array([0.3])) == pytest.approx([0.3])
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.floats(-10, 10), st.booleans(), st.floats(-3, 3), st.floats(1e-8, 1e-3))
 def test_there_and_back_and_angles_agree_with_vectors(
     rotation: float, mirrored: bool, angle: float, pixel_size: float

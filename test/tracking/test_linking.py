@@ -180,7 +180,7 @@ def test_few_particles_or_new_ones_are_no_jump() -> None:
     np.testing.assert_allclose(common_displacement(here, found, 5.0, size), [31, -18], atol=1e-9)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(st.tuples(st.floats(0, 10), st.floats(-5, 5), st.floats(-5, 5)), max_size=8),
        st.floats(0, 4), st.floats(0, 4), st.floats(0, 4))
 def test_the_drive_is_an_integral(

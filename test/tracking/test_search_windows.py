@@ -143,7 +143,7 @@ def test_who_leaves_at_high_speed_is_let_go(shape: str) -> None:
     np.testing.assert_array_equal(poses[-1].id, poses[20].id[stay])
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(st.tuples(*[st.integers(0, 40)] * 2, *[st.integers(1, 15)] * 2), min_size=1,
                 max_size=12))
 def test_boxes_that_meet_become_one(corners: list[tuple[int, int, int, int]]) -> None:

@@ -83,7 +83,7 @@ def test_two_that_touch_and_turn_keep_their_names_places_and_headings(
     assert _nearest(poses[-1], places[-1]) == names
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.floats(7, 12), st.floats(7, 12), st.floats(0, math.tau), st.floats(-1, 1),
        st.integers(0, 99))
 def test_parts_make_up_the_whole_and_one_is_never_parted(

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings
@@ -40,7 +40,6 @@ def strength_slope(coils, currents, place, step=1e-6):
     return (strength(place + sides) - strength(place - sides)) / (2 * step)
 
 
-@settings(deadline=None)  # the first call compiles
 @given(x=st.floats(-5e-3, 5e-3), y=st.floats(-5e-3, 5e-3))
 def test_between_its_places_the_table_is_near_the_field(x, y):
     """Within 0.01 % of the gradient at the same distance on the axis, everywhere in it."""
@@ -53,7 +52,6 @@ def test_between_its_places_the_table_is_near_the_field(x, y):
             (exact[0, 0], exact[0, 1], exact[1, 1]), abs=1e-4 * scale + 1e-9)
 
 
-@settings(deadline=None)  # the first call compiles
 @given(x=st.floats(allow_nan=False), y=st.floats(allow_nan=False))
 def test_outside_it_holds_what_its_edge_has(x, y):
     edge = 5e-3

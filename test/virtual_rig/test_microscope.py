@@ -27,7 +27,7 @@ def where(position, scope):
     return np.array([(s.width_px - 1) / 2 + x / size, (s.height_px - 1) / 2 - y / size])
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.floats(-5e-6, 5e-6), st.floats(-5e-6, 5e-6), st.floats(0, 17))
 def test_bare_sphere_is_drawn_exactly_where_it_is(x, y, t):
     scope = Microscope(PLAIN, 0)

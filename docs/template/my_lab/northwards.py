@@ -9,6 +9,7 @@ from microbot_ros.control.contract import (
     Controller,
     ControllerInput,
     FieldCommand,
+    Input,
     NotLearnedError,
     Progress,
 )
@@ -29,6 +30,7 @@ class Northwards(Controller):
 
     interface_version = 1
     summary = 'Sends one particle north.'
+    takes = frozenset[Input]()  # no goals, paths, plans or joystick: they are refused
     Parameters = NorthwardsParameters
 
     def activate(self, inputs: ControllerInput) -> None:

@@ -16,7 +16,7 @@ export class Control {
 
   #hear({ control, controller }) {
     this.mine = Boolean(control?.mine);
-    this.steering = this.mine && controller?.name === 'teleop';
+    this.steering = this.mine && Boolean(controller?.takes?.includes('joystick'));
     byId('take-control').hidden = !control || this.mine;
     this.#apply();
   }

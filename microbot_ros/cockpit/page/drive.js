@@ -19,7 +19,7 @@ export class Drive {
 
   #hear(controller) {
     if (!controller) return;
-    const { name, available, parameters } = controller;
+    const { name, available, parameters, takes } = controller;
     const summaries = new Map((available ?? []).map((one) => [one.name, one.summary]));
     offer(byId('controller'), [...summaries.keys()]);
     if (name !== this.name) {
@@ -28,9 +28,9 @@ export class Drive {
     }
     setText(byId('controller-now'),
       name ? `At work: ${name}. ${summaries.get(name) ?? ''}` : 'No controller was heard yet.');
-    setText(byId('stick-hint'), name === 'teleop'
+    setText(byId('stick-hint'), takes?.includes('joystick')
       ? 'Drag, or focus it and hold arrow keys or W A S D. A gamepad’s left stick steers too, its buttons stop. Let go, and the field goes to zero.'
-      : 'Only the controller teleop is steered by hand: switch to it first.');
+      : 'This controller is not steered by hand; teleop is: switch to it first.');
     const settable = (parameters ?? []).filter((one) => !one.read_only);
     const fixed = (parameters ?? []).filter((one) => one.read_only);
     keyed(byId('parameters'), [...settable, ...fixed], (one) => `${name} ${one.name} ${one.type}`,

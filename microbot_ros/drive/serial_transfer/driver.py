@@ -28,6 +28,9 @@ class SerialTransferAmplifier(Amplifier):
     """
 
     watchdog = Watchdog.FIRMWARE
+    report_age_s = 0.025
+    """A packet on the line (1 ms), held back by a USB adapter (16 ms from the factory), and room
+    for a busy machine: a board reports by itself, of whatever it had then."""
     can_swing = True
 
     most_channels = codec.COILS

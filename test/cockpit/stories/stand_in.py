@@ -118,7 +118,8 @@ class StandIn:
         return self.seen_by
 
     def state(self) -> dict[str, Any]:
-        return self.told
+        takes = ['joystick'] if self.told['controller']['name'] == 'teleop' else ['goals', 'path']
+        return {**self.told, 'controller': {**self.told['controller'], 'takes': takes}}
 
     async def keep_up(self) -> None:
         await asyncio.Event().wait()

@@ -1,0 +1,236 @@
+"""Nodes, an emulated amplifier and commands in the process of the tests.
+
+All nodes of a test process share one rclpy context in one domain. The test spins their executor
+itself, until what it waits for has come; deadlines are for tests that fail, and no assertion.
+"""
+
+from __future__ import annotations
+
+import gc
+import io
+import json
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from functools import cache
+from pathlib import Path
+from typing import Any, cast
+
+import rclpy
+import rclpy.utilities
+import yaml
+from command_line import microbot
+from rclpy.experimental.events_executor import EventsExecutor
+
+from microbot_ros.drive.emulator.coils import Coils
+from microbot_ros.drive.emulator.faults import Faults, parse
+from microbot_ros.drive.emulator.line import Line
+from microbot_ros.drive.emulator.process import make_device
+from microbot_ros.drive.emulator.server import Server
+from microbot_ros.nodes.lifecycle import RigNode
+from microbot_ros.nodes.participant import join
+from microbot_ros.nodes.process import make
+
+FULL_SCALE_A = 2.0
+FAILSAFE_S = 30.0
+"""After this a test gives up. A machine that is overloaded needs a tenth of it."""
+PATIENT: dict[str, dict[str, Any]] = {
+    'coil_driver': {'command_timeout_ms': 2000.0, 'max_command_age_ms': 2000.0,
+                    'settling_ms': 2000.0, 'feedback_timeout_ms': 5000.0},
+    'controller': {'deadline_ms': 1000.0, 'pose_timeout_ms': 5000.0}}
+"""Times that a process exceeds that is held up for half a second, at their largest."""
+
+
+class Amplifier:
+    """An emulated serial_transfer board on a pseudo-terminal, served by a thread.
+
+    `channels` and `watchdog_s` (None for a board without a watchdog) are the board's. The log is
+    the file that an emulator's process writes.
+    """
+
+    def __init__(self, folder: Path, *faults: str, channels: int = 4,
+                 watchdog_s: float | None = 0.1) -> None:
+        self.port, self.log = folder / 'amplifier', folder / 'amplifier.jsonl'
+        self._entries: list[dict[str, Any]] = []
+        self._file = self.log.open('a', encoding='utf-8')
+        self._coils = Coils(FULL_SCALE_A, watchdog_s, cast(Any, self), channels=channels)
+        self._line = Line(self.port)
+        self._faults = Faults([parse(text, time.monotonic()) for text in faults])
+        server = Server(make_device('serial_transfer', self._coils), [self._line], self._faults,
+                        None)
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=server.run, args=[self._ending.is_set])
+        self._thread.start()
+
+    def write(self, line: str) -> None:
+        """Keep a line of the log."""
+        self._file.write(line)
+        self._entries.append(json.loads(line))
+
+    def flush(self) -> None:
+        """Let others read the log."""
+        self._file.flush()
+
+    def entries(self) -> list[dict[str, Any]]:
+        """Return what the log holds so far."""
+        return list(self._entries)
+
+    @property
+    def currents(self) -> list[float]:
+        """What flows now [A]."""
+        return list(self._entries[-1]['currents_A'])
+
+    @property
+    def zero(self) -> bool:
+        """Whether nothing flows."""
+        return not any(self.currents)
+
+    def end(self) -> None:
+        """Switch off, as pulling the plug does."""
+        if self._thread.is_alive():
+            self._ending.set()
+            self._thread.join()
+            self._coils.zero('power_off')
+            self._line.unplug()
+            self._file.close()
+
+
+@cache
+def _join() -> None:
+    """Let this process take part in the graph of its domain, until it ends."""
+    join([])
+
+
+@contextmanager
+def own_context() -> Iterator[None]:
+    """Let code that calls `rclpy.init` have a context of its own meanwhile."""
+    before, rclpy.utilities.g_default_context = rclpy.utilities.g_default_context, None
+    try:
+        yield
+    finally:
+        rclpy.try_shutdown()
+        rclpy.utilities.g_default_context = before
+
+
+class Ros:
+    """Nodes of one test, a probe that talks to them, and their executor.
+
+    `parameters` are by node; those of `PATIENT` go before where they are not given.
+    """
+
+    def __init__(self, folder: Path, parameters: dict[str, dict[str, Any]]) -> None:
+        _join()
+        self._file = folder / 'parameters.yaml'
+        names = {*parameters, *PATIENT}
+        self._file.write_text(yaml.safe_dump(
+            {f'/**/{name}': {'ros__parameters':
+                             PATIENT.get(name, {}) | parameters.get(name, {})}
+             for name in names}))
+        self.probe = rclpy.create_node('probe')
+        self._executor = EventsExecutor()
+        self._executor.add_node(self.probe)
+        self.nodes: dict[str, RigNode] = {}
+
+    def add(self, name: str, namespace: str = '/') -> RigNode:
+        """Make a node and configure and activate it; look at its `active` and `fault`."""
+        node = make(name, None, ['--ros-args', '--params-file', str(self._file),
+                                 '-r', f'__ns:={namespace}'])
+        self.nodes[node.get_fully_qualified_name().removeprefix('/')] = node
+        self._executor.add_node(node)
+        if node.trigger_configure().name == 'SUCCESS':
+            node.trigger_activate()
+        return node
+
+    def until(self, true: Callable[[], Any], seconds: float = FAILSAFE_S) -> None:
+        """Spin until something is true; fail if it does not become so."""
+        deadline = time.monotonic() + seconds
+        while not true():
+            assert time.monotonic() < deadline, 'did not happen'
+            self._executor.spin_once(timeout_sec=0.01)
+
+    def hear(self, kind: type, topic: str, qos: Any = 100) -> list[Any]:
+        """Return a list that fills with the messages of a topic."""
+        heard: list[Any] = []
+        self.probe.create_subscription(kind, topic, heard.append, qos)
+        return heard
+
+    def call(self, kind: type, name: str, request: Any) -> Any:
+        """Return the answer of a service."""
+        client = self.probe.create_client(kind, name)
+        try:
+            self.until(client.service_is_ready)
+            future = client.call_async(request)
+            self.until(future.done)
+            return future.result()
+        finally:
+            self.probe.destroy_client(client)
+
+    @contextmanager
+    def spinning(self) -> Iterator[None]:
+        """Spin in a thread meanwhile, so that the test can wait for the nodes elsewhere."""
+        ending = threading.Event()
+
+        def spin() -> None:
+            while not ending.is_set():
+                self._executor.spin_once(timeout_sec=0.01)
+        thread = threading.Thread(target=spin)
+        thread.start()
+        try:
+            yield
+        finally:
+            ending.set()
+            thread.join()
+
+    def microbot(self, *words: object) -> tuple[int, str, str]:
+        """Run a command beside the nodes; return its exit status and its two outputs."""
+        with self.spinning():
+            return command(*words)
+
+    def end(self) -> None:
+        """Leave nothing running."""
+        while self.nodes:
+            self._end(self.nodes.popitem()[1])
+        self._executor.remove_node(self.probe)
+        self.probe.destroy_node()
+        self._executor.shutdown()
+        del self.probe, self._executor
+        # The graph shows a node for as long as anything refers to it.
+        gc.collect()
+
+    def _end(self, node: RigNode) -> None:
+        node.make_safe_and_close()
+        self._executor.remove_node(node)
+        node.destroy_node()
+
+
+class _Output(io.StringIO):
+    """Output that is kept, for libraries that want a descriptor too."""
+
+    def fileno(self) -> int:
+        """Return the descriptor of the standard error of this process."""
+        assert sys.__stderr__ is not None
+        return sys.__stderr__.fileno()
+
+
+def command(*words: object) -> tuple[int, str, str]:
+    """Run `microbot` in this process; return its exit status and its two outputs."""
+    out, error = _Output(), _Output()
+    with redirect_stdout(out), redirect_stderr(error):
+        status = microbot(*words)
+    return status, out.getvalue(), error.getvalue()
+
+
+def graphs(folder: Path) -> Iterator[Callable[[dict[str, dict[str, Any]]], Ros]]:
+    """Make graphs from parameters for one test, and end them: the body of a fixture."""
+    made: list[Ros] = []
+
+    def start(parameters: dict[str, dict[str, Any]]) -> Ros:
+        made.append(Ros(folder, parameters))
+        return made[-1]
+    assert os.environ['ROS_DOMAIN_ID']
+    yield start
+    for graph in made:
+        graph.end()
