@@ -220,6 +220,42 @@ def test_another_device_on_one_line_gets_no_more_bytes_and_the_others_a_zero(pro
         assert amplifier.unreachable == (rig.urls[number - 1],)
 
 
+def test_a_first_connection_identifies_what_is_there_though_a_line_is_away():
+    rig = VirtualAmplifier('scpi')
+    rig.energise(DRIVING)
+    rig.fault('unplug/1')
+    rig.fault('wrong_reply/2')
+    before = len(rig.lines[1].sent)
+    with pytest.raises(AmplifierError):
+        rig.amplifier().connect()
+    assert all(b'CURR' not in data for _, data in rig.lines[1].sent[before:])
+    assert rig.coils.currents_A[2:] == (0.0, 0.0)
+
+
+def test_an_attempt_to_reconnect_is_short_while_a_line_is_away():
+    rig = Rig('scpi', 1, 'unplug')
+    amplifier = drive(rig)
+    rig.fail()
+    rig.fault('silence/2')
+    poll_until_lost(amplifier)
+    amplifier.close()
+    began_s = rig.clock.now_s
+    with pytest.raises(PortMissingError, match='scpi-1'):
+        amplifier.connect()
+    # A line that comes back just after an attempt has begun waits for the next one.
+    assert rig.clock.now_s - began_s <= 0.05
+
+
+def test_all_lines_with_other_devices_are_named():
+    rig = VirtualAmplifier('scpi')
+    for number in (2, 3):
+        rig.fault(f'wrong_reply/{number}')
+    amplifier = rig.amplifier()
+    with pytest.raises(WrongDeviceError, match='scpi-2'):
+        amplifier.connect()
+    assert amplifier.unreachable == ('scpi-2', 'scpi-3')
+
+
 @pytest.mark.parametrize('number', [1, 2, 3, 4])
 def test_no_supply_is_enabled_before_all_have_answered(number):
     rig = Rig('scpi', number, 'silence')
