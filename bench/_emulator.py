@@ -27,6 +27,8 @@ class Emulator:
         self._unfinished = ''
         self.changes: list[tuple[float, bool]] = []
         """When the currents changed [s, monotonic], and whether all were zero from then on."""
+        self.flowed: list[tuple[float, tuple[float, ...]]] = []
+        """When the currents changed [s, monotonic], and what they were from then on [A]."""
 
     def __enter__(self) -> Emulator:
         return self
@@ -41,6 +43,7 @@ class Emulator:
         *lines, self._unfinished = (self._unfinished + self._log.read()).split('\n')
         for entry in map(json.loads, lines):
             self.changes.append((entry['t_monotonic_s'], not any(entry['currents_A'])))
+            self.flowed.append((entry['t_monotonic_s'], tuple(entry['currents_A'])))
 
     def zero_after(self, moment_s: float, patience_s: float) -> float:
         """When the currents came to zero for good after a moment; TimeoutError if not so soon."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import random
+import select
 import signal
 import subprocess
 import sys
@@ -20,6 +21,11 @@ from pathlib import Path
 
 from bench._emulator import FULL_SCALE_A, Emulator
 from bench._served import MEASURED
+from microbot_ros.drive.amplifier import amplifier_class
+from microbot_ros.drive.coil_driver import CoilDriver
+from microbot_ros.drive.errors import PortBusyError
+from microbot_ros.drive.real_time import SAFETY, set_realtime_priority_of_all
+from microbot_ros.loop.allocation import GateParameters, limits
 
 DELAYS_MS = (1, 4, 16)
 _DEADLINE_S = 5.0
@@ -34,7 +40,7 @@ class Host:
     def __init__(self, protocol: str, url: str) -> None:
         self.process = subprocess.Popen(
             [sys.executable, '-m', 'bench._lines', protocol, url],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, process_group=0)
 
     def say(self, word: str) -> str:
         """Tell it, and what it answers."""
@@ -119,18 +125,17 @@ def _ended(protocol: str, board: Emulator, way: str) -> float:
 
 
 def _host(protocol: str, url: str) -> None:
-    """What the host's process does: a line on standard input says what next."""
-    import select
+    """What the host's process does: a line on standard input says what next.
 
-    from microbot_ros.drive.amplifier import amplifier_class
-    from microbot_ros.drive.coil_driver import CoilDriver
-    from microbot_ros.drive.real_time import SAFETY, set_realtime_priority_of_all
-    from microbot_ros.loop.allocation import GateParameters, limits
-
+    `drive` arms and commands, `silence` commands no more, `arm` only begins to arm, `zero` stops,
+    `state` changes nothing. The answer is the state.
+    """
     set_realtime_priority_of_all(SAFETY)
-    driver = CoilDriver(amplifier_class(protocol)(url, FULL_SCALE_A),
-                        limits(GateParameters()), lambda _: None, accept_no_watchdog=True)
-    driver.start()
+    amplifier = amplifier_class(protocol)(url, FULL_SCALE_A)
+    driver = CoilDriver(amplifier, limits(GateParameters()), lambda _: None,
+                        self_check=amplifier.reads_back, accept_no_watchdog=True,
+                        accept_no_feedback=True)
+    _start(driver)
     commanding, last = False, 0.0
     while True:
         if commanding:
@@ -138,11 +143,35 @@ def _host(protocol: str, url: str) -> None:
             driver.command([0.5, -0.5, 0.25, 0.0])
         if not select.select([sys.stdin], [], [], 1 / 60)[0]:
             continue
-        commanding = sys.stdin.readline().strip() == 'drive'
-        while commanding and not driver.gate.armed and driver.arm() is not None:
-            time.sleep(0.01)
+        word = sys.stdin.readline().strip()
+        if word == 'state':
+            print(driver.zero, flush=True)
+            continue
+        commanding = word == 'drive'
+        if word == 'zero':
+            driver.request_zero()
+        elif word == 'arm':
+            driver.request_arming(driver.epoch)
+        elif commanding and not driver.gate.armed:
+            while driver.arm() is not None:
+                time.sleep(0.01)
+            driver.command([0.0] * 4)  # nothing else flows before
         fault = driver.gate.fault
         print('driving' if commanding else f'cut: {fault}' if fault else last, flush=True)
+
+
+def _start(driver: CoilDriver) -> None:
+    """Connect; the sentinel of a host that ended holds its lines for 0.2 s more."""
+    deadline = time.monotonic() + _DEADLINE_S
+    while True:
+        try:
+            driver.start()
+        except PortBusyError:
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.02)
+        else:
+            return
 
 
 if __name__ == '__main__':

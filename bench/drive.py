@@ -11,10 +11,20 @@ import tempfile
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-from bench import _day, _dead_man, _fuzz, _gate_sweep, _left_over, _lines, _mutants
+from bench import (
+    _day,
+    _dead_man,
+    _ends,
+    _fuzz,
+    _gate_sweep,
+    _left_over,
+    _lines,
+    _matrix,
+    _mutants,
+)
 from bench.figure import FULL, Figure, sized
 
-_ISSUE, _SAFETY = 6, 14
+_ISSUE, _SAFETY, _MATRIX = 6, 14, 32
 _GATE = 'microbot_ros.drive.gate'
 _GATE_TESTS = Path('test/drive/test_gate.py')
 _SWEPT = sized(10_000_000, 1_000_000)
@@ -23,6 +33,8 @@ _DAY_H = sized(24, 2)
 _TRIES = sized(50, 8)
 _HOST_TRIES = sized(10, 2)
 """Each starts a host anew, for each protocol, delay and way to end."""
+_END_TRIES = sized(3, 1)
+"""Of each protocol, way to end and phase: 72 hosts a try, some two seconds each."""
 _WITHOUT_DRIVER_S, _WITH_DRIVER_S = 0.2, 0.1
 _JOYSTICK_S = 0.35
 """The joystick's own 0.25 s, and what a command may outlive its giver."""
@@ -37,7 +49,7 @@ def figures() -> list[Figure]:
         computed = [*_sweep_figures(*swept.result()), *_codec_figures(tally.result()),
                     *_day_figures(day.result())]
     # The mutants fork: before the dead-man brings the middleware's threads into this process.
-    return [*computed, *_gate_figures(), _left_over_figure(), *_line_figures(),
+    return [*computed, *_gate_figures(), _left_over_figure(), _matrix_figure(), *_line_figures(),
             *_dead_man_figures()]
 
 
@@ -51,6 +63,18 @@ def _limit_s(name: str) -> float:
         return _JOYSTICK_S
     gone = any(word in name for word in ('kill -9 of coil_driver', 'stopped driver', 'line'))
     return _WITHOUT_DRIVER_S if gone else _WITH_DRIVER_S
+
+
+def _matrix_figure() -> Figure:
+    """Print the fault matrix; its worst cell."""
+    found = [*_matrix.cells(), *_ends.cells(_END_TRIES)]
+    print('\n'.join(_matrix.table(found)), flush=True)
+    wrong = sum(len(cell.wrong) for *_, cell in found)
+    worst_s = max(max(cell.spent_s) for *_, cell in found)
+    return Figure(_MATRIX, f'fault matrix, {len(found)} cells, {wrong} untrue answers: longest '
+                  'current after a fault, of coils that can be reached', 1e3 * worst_s, 'ms',
+                  f'<= {1e3 * _matrix.BOUND_S:g}', 'none',
+                  all(cell.ok for *_, cell in found))
 
 
 def _line_figures() -> list[Figure]:

@@ -122,7 +122,7 @@ class PolledAmplifier(Amplifier):
 
     @abstractmethod
     def _drive(self, device: int, currents_A: np.ndarray) -> Talk[None]:
-        """Set the currents [A] of a device, (`channels_per_device`,)."""
+        """Set the currents [A] of a device, one for each of its channels but for a spare one."""
 
     @abstractmethod
     def _measure(self, device: int) -> Talk[Sequence[float]]:
@@ -138,18 +138,15 @@ class PolledAmplifier(Amplifier):
         yield from ()
 
     def _duties(self, device: int, currents_A: np.ndarray) -> list[float]:
-        """The currents [A] of a device as parts of full scale, (`channels_per_device`,)."""
+        """The currents [A] of a device as parts of full scale, with 0 for a spare channel."""
         scale = self._part(device, self.full_scale_A)
-        # A spare channel has no full scale.
-        return np.divide(currents_A, scale, out=np.zeros(scale.shape), where=scale > 0).tolist()
+        duties: list[float] = (currents_A[:len(scale)] / scale).tolist()
+        return duties + [0.0] * (self.channels_per_device - len(duties))
 
     def _part(self, device: int, values: np.ndarray) -> np.ndarray:
-        """What of `values` (N,) belongs to a device, with 0 for a spare channel."""
+        """What of `values` (N,) belongs to a device: nothing for a spare channel."""
         begin = device * self.channels_per_device
-        part = np.zeros(self.channels_per_device)
-        own = values[begin:begin + self.channels_per_device]
-        part[:len(own)] = own
-        return part
+        return values[begin:begin + self.channels_per_device]
 
     def _line(self, device: int) -> int:
         return 0 if self.share_a_line else device
@@ -193,7 +190,7 @@ class PolledAmplifier(Amplifier):
 
     def _abort(self, error: BaseException) -> None:
         reached = [device for device in self.devices if device not in self._others]
-        # The next attempt to reconnect confirms or repeats the zero; after the first there is none.
+        # An attempt to reconnect is repeated soon, and the zero with it; the first is not.
         if self._lines:
             self._make_safe(reached, 0.0 if self._known else self.read_back_s)
 
@@ -205,14 +202,13 @@ class PolledAmplifier(Amplifier):
         """Zero these devices, read back for `patience_s` [s] and disable them; return the worst
         that holds of one.
         """
-        self._order = None
         self._zero_lines(devices)
         self._carry_out(self._let_strays_in())
         until_s = self.clock.now() + patience_s
         waiting = set(devices)
         while waiting and (began_s := self.clock.now()) < until_s:
             # What is damaged or lost is said again in the next pass, the zero with it.
-            sent = self._with_each(partial(self._zero, until_s=until_s), waiting, attempts=1)
+            sent = self._with_each(self._zero, waiting, attempts=1)
             found = self._with_each(partial(self._is_at_zero, until_s=until_s), waiting,
                                     attempts=1)
             self._lose_all((*sent.values(), *found.values()))
@@ -224,16 +220,15 @@ class PolledAmplifier(Amplifier):
             return Zero.UNREACHABLE
         return Zero.SENT if waiting else Zero.CONFIRMED
 
-    def _zero(self, device: int, until_s: float) -> Talk[None]:
-        if self.clock.now() < until_s:
-            yield from self._drive(device, np.zeros(self.channels_per_device))
+    def _zero(self, device: int) -> Talk[None]:
+        return self._drive(device, np.zeros(self.channels_per_device))
 
     def _is_at_zero(self, device: int, until_s: float) -> Talk[bool]:
         if self.clock.now() >= until_s:
             return False
         measured = np.asarray((yield from self._measure(device)))
         tolerance_A = self._part(device, self._tolerance_A)
-        return bool(np.all((np.abs(measured) <= tolerance_A) | (tolerance_A == 0.0)))
+        return bool(np.all(np.abs(measured[:len(tolerance_A)]) <= tolerance_A))
 
     def _out_of_reach(self, device: int) -> bool:
         return self.urls[self._line(device)] in self.unreachable

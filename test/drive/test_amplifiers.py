@@ -105,6 +105,15 @@ def test_connecting_moves_no_current(amplifier, device):
     assert amplifier.unreachable == ()
 
 
+@pytest.mark.parametrize(('protocol', 'baud', 'xon_xoff'), [
+    ('scpi', 9_600, True), ('roboteq', 115_200, False), ('roboclaw', 115_200, False),
+    ('modbus', 1_000_000, False), ('serial_transfer', 500_000, False),
+    ('sabertooth', 9_600, False)])
+def test_the_ports_are_opened_as_the_protocol_asks(amplifier, device, baud, xon_xoff):
+    amplifier.connect()
+    assert device.opened == [(url, baud, xon_xoff) for url in device.urls]
+
+
 @every_protocol
 def test_connecting_ends_what_flows(amplifier, device):
     device.energise(DRIVING)
@@ -207,6 +216,26 @@ def test_full_scale_is_of_each_coil(protocol, full_scale_A):
 def test_a_full_scale_that_is_none_is_refused(protocol, full_scale_A):
     with pytest.raises(InputError, match='amperes above 0'):
         amplifier_class(protocol)('a,b,c,d', full_scale_A)
+
+
+@every_protocol
+def test_a_small_full_scale_is_driven_to_its_end(protocol):
+    device = VirtualAmplifier(protocol, full_scale_A=0.5)
+    amplifier = device.amplifier()
+    amplifier.connect()
+    amplifier.write([0.5, -0.5, 0.25, 0.0])
+    for _ in range(5):
+        amplifier.poll(0.05)
+    assert device.coils.currents_A == pytest.approx([0.5, -0.5, 0.25, 0.0], abs=0.01)
+
+
+@pytest.mark.parametrize(('baud', 'sample_s'), [
+    (500_000, 1.25 * 10 * 74 / 500_000), (57_600, 1.25 * 10 * 74 / 57_600),
+    (50_000_000, 0.0008)])
+def test_a_board_is_not_sent_more_than_its_line_takes(baud, sample_s):
+    amplifier = amplifier_class('serial_transfer')('a', FULL_SCALE_A, baud=baud)
+    assert amplifier.sample_s == pytest.approx(sample_s)
+    assert amplifier.can_swing
 
 
 @polled_protocols
@@ -464,6 +493,46 @@ def test_a_zero_is_said_again_and_made_sure_of(amplifier, device):
     assert device.flows(DRIVING)
     read(amplifier, at(ZERO))
     assert device.flows(ZERO)
+
+
+@every_protocol
+@pytest.mark.parametrize('lost', [1, 2])
+def test_a_zero_that_is_lost_while_closing_is_sent_again(amplifier, device, lost):
+    drive(amplifier, device)
+    keep(device)
+    receive, deaf = device.device.receive, [0] * device.device.ports
+
+    def hear(port, data, now_s):
+        deaf[port] += 1
+        return b'' if deaf[port] <= lost else receive(port, data, now_s)
+
+    device.device.receive = hear
+    assert amplifier.close() is Zero.CONFIRMED
+    assert device.flows(ZERO)
+
+
+@pytest.mark.parametrize('protocol', ['serial_transfer'])
+def test_a_zero_that_no_reading_shows_is_sent_again_and_one_that_is_shown_is_not(
+        amplifier, device):
+    drive(amplifier, device)
+    keep(device)
+    line = device.lines[0]
+    receive = device.device.receive
+    device.device.receive = lambda *_: b''
+    began_s = device.clock.now_s
+    amplifier.zero()
+    device.clock.plan(0.045, lambda: setattr(device.device, 'receive', receive))
+    before = len(line.sent)
+    while not device.flows(ZERO):
+        amplifier.poll(0.001)
+    said_s = [at_s - began_s for at_s, data in line.sent[before:]]
+    assert said_s == pytest.approx([0.01, 0.02, 0.03, 0.04, 0.05], abs=0.005)
+    assert device.flowed[-1] == ZERO
+    before = len(line.sent)
+    amplifier.poll(0.3)
+    amplifier.zero()
+    amplifier.poll(0.3)
+    assert len(line.sent) == before + 1
 
 
 @polled_protocols

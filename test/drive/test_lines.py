@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from microbot_ros.drive.amplifier import Zero
+from microbot_ros.drive.amplifier import READ_BACK_S, Amplifier, Zero
 from microbot_ros.drive.emulator.virtual import VirtualAmplifier
 from microbot_ros.drive.errors import (
     AmplifierError,
@@ -25,6 +25,12 @@ ADDRESSES = [('modbus', slave, 'mute') for slave in (1, 2, 3, 4)] + [
 
 each_line = pytest.mark.parametrize(('protocol', 'number', 'kind'), LINES)
 each = pytest.mark.parametrize(('protocol', 'number', 'kind'), LINES + ADDRESSES)
+
+
+@pytest.fixture(autouse=True)
+def unhurried(monkeypatch):
+    """What tests of other files are patient with: here no machine is late."""
+    monkeypatch.setattr(Amplifier, 'read_back_s', READ_BACK_S)
 
 
 class Rig(VirtualAmplifier):
@@ -143,8 +149,10 @@ def test_while_a_zero_is_written(rig):
 def test_while_closing(rig, after_s):
     amplifier = drive(rig)
     rig.clock.plan(after_s, rig.fail)
+    began_s = rig.clock.now_s
     zero = amplifier.close()
     assert not rig.others.any()
+    assert rig.clock.now_s - began_s <= (0.04 if rig.away else READ_BACK_S + 0.25)
     assert not any(line.host for line in rig.lines)
     if after_s < 0.03:  # before the read-back
         rig.check_answer(amplifier, zero)
@@ -212,6 +220,42 @@ def test_another_device_on_one_line_gets_no_more_bytes_and_the_others_a_zero(pro
         assert amplifier.unreachable == (rig.urls[number - 1],)
 
 
+def test_a_first_connection_identifies_what_is_there_though_a_line_is_away():
+    rig = VirtualAmplifier('scpi')
+    rig.energise(DRIVING)
+    rig.fault('unplug/1')
+    rig.fault('wrong_reply/2')
+    before = len(rig.lines[1].sent)
+    with pytest.raises(AmplifierError):
+        rig.amplifier().connect()
+    assert all(b'CURR' not in data for _, data in rig.lines[1].sent[before:])
+    assert rig.coils.currents_A[2:] == (0.0, 0.0)
+
+
+def test_an_attempt_to_reconnect_is_short_while_a_line_is_away():
+    rig = Rig('scpi', 1, 'unplug')
+    amplifier = drive(rig)
+    rig.fail()
+    rig.fault('silence/2')
+    poll_until_lost(amplifier)
+    amplifier.close()
+    began_s = rig.clock.now_s
+    with pytest.raises(PortMissingError, match='scpi-1'):
+        amplifier.connect()
+    # A line that comes back just after an attempt has begun waits for the next one.
+    assert rig.clock.now_s - began_s <= 0.05
+
+
+def test_all_lines_with_other_devices_are_named():
+    rig = VirtualAmplifier('scpi')
+    for number in (2, 3):
+        rig.fault(f'wrong_reply/{number}')
+    amplifier = rig.amplifier()
+    with pytest.raises(WrongDeviceError, match='scpi-2'):
+        amplifier.connect()
+    assert amplifier.unreachable == ('scpi-2', 'scpi-3')
+
+
 @pytest.mark.parametrize('number', [1, 2, 3, 4])
 def test_no_supply_is_enabled_before_all_have_answered(number):
     rig = Rig('scpi', number, 'silence')
@@ -236,6 +280,43 @@ def test_a_supply_that_falls_silent_once_it_is_enabled_is_switched_off_with_all_
         rig.amplifier().connect()
     assert not rig.enabled()
     assert all(any(b'OUTP OFF' in data for _, data in line.sent) for line in rig.lines)
+
+
+def test_all_lines_that_are_lost_are_named():
+    def lost(do):
+        rig = Rig('scpi', 0, '')
+        amplifier = drive(rig)
+        for number in (2, 4):
+            rig.fault(f'unplug/{number}')
+        with pytest.raises(PortLostError):
+            do(amplifier)
+        assert amplifier.unreachable == ('scpi-2', 'scpi-4')
+        assert amplifier.close() is Zero.UNREACHABLE
+        with pytest.raises(PortMissingError):
+            amplifier.connect()
+        assert amplifier.unreachable == ('scpi-2', 'scpi-4')
+
+    lost(lambda amplifier: amplifier.zero())
+    lost(lambda amplifier: amplifier.poll(1.0))
+    rig = Rig('scpi', 0, '')
+    amplifier = drive(rig)
+    for number in (1, 3):
+        rig.fault(f'unplug/{number}')
+    assert amplifier.close() is Zero.UNREACHABLE
+    assert amplifier.unreachable == ('scpi-1', 'scpi-3')
+
+
+def test_many_silent_devices_do_not_hold_up_the_end():
+    rig = VirtualAmplifier('modbus', channels=16)
+    amplifier = rig.amplifier()
+    amplifier.connect()
+    for slave in range(1, 17):
+        rig.mute(slave)
+    began_s = rig.clock.now_s
+    assert amplifier.close() is Zero.SENT
+    # The outputs are switched off one after the other, each with two attempts.
+    longest_s = READ_BACK_S + 0.1 + 16 * 2 * amplifier.reply_s
+    assert rig.clock.now_s - began_s <= longest_s
 
 
 @pytest.mark.parametrize('protocol', ['scpi', 'roboteq'])
@@ -267,9 +348,11 @@ def test_the_only_line(protocol):
     assert amplifier.unreachable == (rig.url,)
     rig.mend()
     rig.coils.command(DRIVING)
-    began_s = rig.clock.now_s
-    amplifier.connect()  # the zero goes first
-    assert rig.lines[0].sent[-1][0] - began_s <= SOON_S or rig.flows(ZERO)
+    before, began_s = len(rig.lines[0].sent), rig.clock.now_s
+    amplifier.connect()
+    at_s, first = rig.lines[0].sent[before]
+    assert at_s == began_s
+    assert amplifier._zeros()[0] in first
     assert rig.flows(ZERO)
 
 

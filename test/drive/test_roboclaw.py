@@ -137,6 +137,16 @@ def test_a_damaged_answer_is_asked_for_again(scripted):
     assert amplifier.counters.crc_errors == 1
 
 
+def test_the_controller_that_does_not_answer_is_named(scripted):
+    question = bytes.fromhex('8115')
+    scripted([('line', *answer('8015', VERSION)), *[('line', question, b'')] * 2])
+    amplifier = RoboclawAmplifier('line', 2.0)
+    amplifier.reply_s = 0.01
+    amplifier._abort = lambda _: None
+    with pytest.raises(NoAnswerError, match='a version from the controller at 0x81'):
+        amplifier.connect()
+
+
 def test_a_timeout_that_is_not_taken_stops_the_connection(scripted):
     scripted([*connecting(timeout=b'\x00')[:8], AT_ONCE, *ZEROING])
     with pytest.raises(WrongDeviceError, match='timeout'):

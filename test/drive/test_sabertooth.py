@@ -2,26 +2,24 @@
 
 import io
 import math
-import time
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench._served import FULL_SCALE_A, LIMITS, Served, until
+from bench._served import FULL_SCALE_A, LIMITS, Served
 from microbot_ros.cli import doctor
 from microbot_ros.drive.amplifier import Watchdog, Zero
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.emulator.coils import Coils
+from microbot_ros.drive.emulator.virtual import VirtualAmplifier, VirtualDriver
 from microbot_ros.drive.errors import NoAnswerError, PortBusyError, PortLostError
 from microbot_ros.drive.gate import Limits, Reason
 from microbot_ros.drive.sabertooth import codec
 from microbot_ros.drive.sabertooth.driver import SabertoothAmplifier
 from microbot_ros.drive.sabertooth.emulated import Controllers
 from microbot_ros.errors import InputError
-
-pytestmark = pytest.mark.rig
 
 ZERO = (0.0,) * 4
 DRIVING = (1.0, -1.0, 0.5, 0.2)
@@ -233,109 +231,114 @@ def test_more_channels_than_eight_controllers_have_are_refused():
 # With gate and driver of the coils ------------------------------------------------------------
 
 @pytest.fixture
-def device(tmp_path):
-    made = Served('sabertooth', tmp_path, None)
-    yield made
-    made.end()
+def device():
+    return VirtualAmplifier('sabertooth')
 
 
 @pytest.fixture
-def drive(device):
-    started = []
-
+def make(device):
+    """A function that makes a driver which drives the coils."""
     def start(**limits):
-        driver = CoilDriver(
-            SabertoothAmplifier(device.url, FULL_SCALE_A), Limits(**{**vars(LIMITS), **limits}),
-            lambda _: None, self_check=False, accept_no_feedback=True)
-        driver.start()
-        started.append(driver)
-        assert driver.arm() is None
-        driver.command(ZERO)
-        assert driver.command(DRIVING)
-        device.eventually(DRIVING)
-        return driver
+        rig = VirtualDriver(device, Limits(**{**vars(LIMITS), **limits}), self_check=False,
+                            accept_no_feedback=True)
+        rig.connect()
+        rig.drive(DRIVING)
+        return rig
 
-    yield start
-    for driver in started:
-        driver.stop()
+    return start
 
 
-def test_a_command_flows_and_ends_by_itself(drive, device):
-    driver = drive(command_timeout_s=0.5)
-    assert until(lambda: driver.gate.fault).reason is Reason.STALE
-    device.eventually(ZERO)
+def test_a_command_flows_and_ends_by_itself(make, device):
+    rig = make(command_timeout_s=0.5)
+    assert rig.until(lambda: rig.gate.fault).reason is Reason.STALE
+    assert device.flows(ZERO)
     assert device.causes[-1] == 'command'
-    assert driver.stop() is False  # nothing confirmed it
+    assert rig.stop() is Zero.SENT  # nothing confirmed it
 
 
-def test_it_is_armed_and_fed_for_as_long_as_a_command_holds(drive, device):
-    drive()
+def test_it_is_armed_and_fed_for_as_long_as_a_command_holds(make, device):
+    rig = make()
     assert device.coils.watchdog_s == pytest.approx(0.1)
-    time.sleep(0.5)
-    # On a busy machine it may fire; the next packet brings the currents back.
-    device.eventually(DRIVING)
+    rig.turn(2.0)
+    assert device.flows(DRIVING)
+    assert 'watchdog' not in device.causes
 
 
-def test_a_host_that_dies_leaves_it_to_the_timeout(device):
-    amplifier = SabertoothAmplifier(device.url, FULL_SCALE_A)
-    amplifier.connect()
-    amplifier.poll(0.05)
-
-    def driven() -> bool:  # the timeout is of 0.1 s, and others may want the processor for longer
-        amplifier.write(DRIVING)
-        return device.flows(DRIVING)
-
-    until(driven)
-    amplifier._release()
-    device.eventually(ZERO)
+def test_a_host_that_dies_leaves_it_to_the_timeout(make, device):
+    rig = make()
+    rig.driver.amplifier._release()
+    died_s = device.clock.now_s
+    device.clock.sleep(0.2)
+    assert device.flows(ZERO)
     assert device.causes[-1] == 'watchdog'
+    assert device.times[-1] - died_s <= 0.1 + 1e-5
 
 
-def test_a_controller_that_lost_its_power_is_told_its_timeout_again(drive, device):
-    drive()
+def test_a_controller_that_lost_its_power_is_told_its_timeout_again(make, device):
+    rig = make()
     device.device.reset()
     assert device.coils.watchdog_s is None
-    until(lambda: device.coils.watchdog_s == pytest.approx(0.1))
-    assert set(device.device._timeouts.values()) <= {0, 1}
-    until(lambda: set(device.device._timeouts.values()) == {1})
+    rig.until(lambda: device.coils.watchdog_s == pytest.approx(0.1), 0.1)
+    assert set(device.device._timeouts.values()) == {0, 1}
+    rig.until(lambda: set(device.device._timeouts.values()) == {1}, 0.1)
 
 
-def test_an_unplugged_line_is_noticed_and_comes_back_at_zero(drive, device):
-    driver = drive()
+def test_an_unplugged_line_is_noticed_and_comes_back_at_zero(make, device):
+    rig = make()
+    device.coils.feed = lambda: None  # no watchdog helps
     device.fault('unplug')
-    assert until(lambda: driver.gate.fault).reason is Reason.LINE
+    assert rig.until(lambda: rig.gate.fault, 0.2).reason is Reason.LINE
+    assert rig.driver.zero is Zero.UNREACHABLE
     device.mend()
-    until(lambda: driver.connected)
-    device.eventually(ZERO)
-    assert not driver.gate.armed
+    rig.until(lambda: device.flows(ZERO), 0.2)
+    rig.until(lambda: rig.driver.connected)
+    assert not rig.gate.armed
 
 
-def test_two_drivers_on_one_port_is_an_error(drive, device):
-    drive()
+def test_two_drivers_on_one_port_is_an_error(make, device):
+    make()
     with pytest.raises(PortBusyError):
-        SabertoothAmplifier(device.url, FULL_SCALE_A).connect()
+        device.amplifier().connect()
 
 
 def test_a_line_that_is_lost_says_so(device):
-    amplifier = SabertoothAmplifier(device.url, FULL_SCALE_A)
+    amplifier = device.amplifier()
     amplifier.connect()
     device.fault('unplug')
-
-    def use() -> None:
-        amplifier.write(DRIVING)
-        amplifier.poll(0.03)
-
-    with pytest.raises(PortLostError):
-        until(use)
+    with pytest.raises(PortLostError):  # noqa: PT012 — which write sees it is chance
+        while True:
+            amplifier.write(DRIVING)
+            amplifier.poll(0.03)
     assert amplifier.close() is Zero.UNREACHABLE
     assert amplifier.unreachable == (device.url,)
 
 
-def test_it_is_watched_by_a_process_as_nothing_says_that_its_timeout_is_armed(drive):
-    driver = drive()
-    assert driver.amplifier.watchdog is Watchdog.UNCONFIRMED
-    assert driver._last_resort is not None
-    assert driver.warning.startswith('no currents are measured: a coil that is open')
+@pytest.mark.parametrize('after_s', [0.0, 0.01, 0.1])
+def test_the_zero_of_closing_goes_out_at_once_whatever_waits_for_the_line(device, after_s):
+    amplifier = device.amplifier()
+    amplifier.connect()
+    amplifier.poll(1.0)
+    for currents in (DRIVING, ZERO):
+        amplifier.write(currents)
+    device.clock.sleep(after_s)
+    before, began_s = len(device.lines[0].sent), device.clock.now_s
+    assert amplifier.close() is Zero.SENT
+    assert device.lines[0].sent[before:] == [(began_s, ZEROS)]
+
+
+@pytest.mark.rig
+def test_it_is_watched_by_a_process_as_nothing_says_that_its_timeout_is_armed(tmp_path):
+    served = Served('sabertooth', tmp_path, None)
+    driver = CoilDriver(SabertoothAmplifier(served.url, FULL_SCALE_A), LIMITS, lambda _: None,
+                        self_check=False, accept_no_feedback=True)
+    driver.start()
+    try:
+        assert driver.amplifier.watchdog is Watchdog.UNCONFIRMED
+        assert driver._last_resort is not None
+        assert driver.warning.startswith('no currents are measured: a coil that is open')
+    finally:
+        driver.stop()
+        served.end()
 
 
 @pytest.mark.parametrize(('given', 'culprit'), [

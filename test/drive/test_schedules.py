@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from microbot_ros.drive.amplifier import Zero
-from microbot_ros.drive.emulator.virtual import VirtualAmplifier
+from microbot_ros.drive.amplifier import Zero, amplifier_class
+from microbot_ros.drive.emulator.virtual import VirtualAmplifier, VirtualDriver
 from microbot_ros.drive.errors import AmplifierError
+from microbot_ros.drive.gate import Limits
 
 QUICKLY = settings(max_examples=60, deadline=None, derandomize=True)
 AT_LENGTH = settings(max_examples=10_000, deadline=None, derandomize=True)
@@ -151,3 +152,105 @@ def test_ten_thousand_orders_of_lost_silent_and_slow_lines(protocol, planned, ha
 @AT_LENGTH
 def test_ten_thousand_orders_of_damaged_lines(protocol, planned, happening, seed):
     damaged_lines(protocol, planned, happening, seed)
+
+
+# With the driver of the coils ---------------------------------------------------------------
+
+SOON_S = 0.2
+LIMITS = Limits(
+    current_A=2.0, step_A=4.0, slew_A_per_s=1e4, command_timeout_s=0.075, deviation_A=0.2,
+    settling_s=0.1, feedback_timeout_s=0.2, rated_current_A=3.0, thermal_s=60.0, idle_s=10.0)
+turns = st.sampled_from([0.001, 0.02, 0.1, 0.4])
+orders = st.one_of(
+    st.tuples(st.just('command'), currents), st.tuples(st.just('drive'), turns),
+    st.tuples(st.just('turn'), turns), st.tuples(st.just('arm'), st.none()),
+    st.tuples(st.just('stop'), st.none()))
+
+
+class DrivenStory:
+    """A driver of the coils, to whose lines things happen while it is armed and commanded."""
+
+    def __init__(self, protocol, planned):
+        device = VirtualAmplifier(protocol)
+        device.coils.feed = lambda: None  # no watchdog helps
+        self.device, self.clock = device, device.clock
+        measures = amplifier_class(protocol).reads_back
+        self.rig = VirtualDriver(device, LIMITS, self_check=measures, accept_no_watchdog=True,
+                                 accept_no_feedback=True)
+        self.rig.connect()
+        self.rig.turn(0.05)
+        self.rig.drive(DRIVING)
+        self.asked_s = self.clock.now_s
+        """When somebody wanted current last."""
+        self.away_s = [-np.inf] * len(device.lines)
+        """When each line was away last."""
+        self.arming = None
+        for kind, line, start_s, duration_s in planned:
+            where = f'/{line}' if line and not kind.startswith('reset') else ''
+            device.fault(f'{kind}{where}@{start_s:.6f}+{duration_s:.6f}')
+
+    def do(self, act, value):
+        """Do it, and look after every turn of the driver."""
+        driver = self.rig.driver
+        match act:
+            case 'command':
+                self.command(value)
+            case 'drive':
+                for _ in range(max(int(value / 0.02), 1)):
+                    self.command(DRIVING)
+                    self.turn(0.02)
+            case 'turn':
+                self.turn(value)
+            case 'arm':
+                self.arming = driver.request_arming(driver.epoch)
+            case 'stop':
+                driver.request_zero()
+
+    def command(self, wanted):
+        self.rig.driver.command(wanted)
+        self.asked_s = self.clock.now_s
+
+    def turn(self, seconds):
+        end_s = self.clock.now_s + seconds
+        self.rig.until(lambda: self.look() or self.clock.now_s >= end_s)
+
+    def look(self):
+        """No coil on a line that is there carries current that nobody has wanted for 200 ms."""
+        now_s, device = self.clock.now_s, self.device
+        if self.arming is not None and not self.arming.done():
+            self.asked_s = now_s
+        per_line = device.coils.channels // len(device.lines)
+        for port in range(len(device.lines)):
+            if device.faults.value('unplug', now_s, port) is not None:
+                self.away_s[port] = now_s
+            unwanted_s = now_s - max(self.asked_s, self.away_s[port])
+            flows = any(device.coils.currents_A[port * per_line:(port + 1) * per_line])
+            assert not flows or unwanted_s <= SOON_S + 0.01
+
+
+def driven(protocol, planned, happening):
+    story = DrivenStory(protocol, planned)
+    for act, value in happening:
+        story.do(act, value)
+    story.turn(0.5)
+
+
+of_orders = given(st.lists(faults, min_size=1, max_size=3),
+                  st.lists(orders, min_size=1, max_size=8))
+
+
+@every_protocol
+@of_orders
+@settings(QUICKLY, max_examples=30)
+def test_no_current_outlives_whoever_wants_it(protocol, planned, happening):
+    driven(protocol, planned, happening)
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(7200)
+@every_protocol
+@of_orders
+@AT_LENGTH
+def test_no_current_outlives_whoever_wants_it_in_ten_thousand_orders(
+        protocol, planned, happening):
+    driven(protocol, planned, happening)

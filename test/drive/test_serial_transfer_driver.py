@@ -1,4 +1,4 @@
-"""The SerialTransfer driver against the emulated board, over a real pseudo-terminal."""
+"""The SerialTransfer driver against the emulated board; over a network, and byte by byte."""
 
 import contextlib
 import math
@@ -15,9 +15,9 @@ import serial
 from serial import rfc2217
 
 from microbot_ros.drive.amplifier import Zero
+from microbot_ros.drive.emulator.virtual import VirtualAmplifier
 from microbot_ros.drive.errors import (
     NoAnswerError,
-    PortBusyError,
     PortLostError,
     PortMissingError,
     WrongDeviceError,
@@ -25,22 +25,22 @@ from microbot_ros.drive.errors import (
 from microbot_ros.drive.serial_transfer import codec
 from microbot_ros.drive.serial_transfer.driver import SerialTransferAmplifier
 
-pytestmark = pytest.mark.rig
-
 FULL_SCALE = (2.0, 2.0, 2.0, 2.0)
 
 
+ZERO = (0.0,) * 4
+
+
 @pytest.fixture
-def board(emulate):
-    return emulate('serial_transfer')
+def board():
+    return VirtualAmplifier('serial_transfer')
 
 
 @pytest.fixture
 def amplifier(board):
-    amplifier = SerialTransferAmplifier(board.url, FULL_SCALE)
+    amplifier = board.amplifier()
     amplifier.connect()
-    yield amplifier
-    amplifier.close()
+    return amplifier
 
 
 def acknowledged(amplifier, command):
@@ -55,47 +55,21 @@ def test_each_command_is_acknowledged_by_its_own_reading(amplifier, board):
         reading = acknowledged(amplifier, command)
         assert reading.currents_A == pytest.approx(command.currents_A, abs=1e-6)
         assert reading.t_monotonic_s >= command.t_monotonic_s
-    assert board.currents() == pytest.approx(command.currents_A, abs=1e-6)
+    assert board.coils.currents_A == pytest.approx(command.currents_A, abs=1e-6)
     assert (amplifier.counters.crc_errors, amplifier.counters.discarded_bytes) == (0, 0)
     assert amplifier.counters.frames_sent == 21  # and the zero of connecting
 
 
 def test_it_reports_by_itself(amplifier):
     times = [reading.t_monotonic_s for _ in range(10) for reading in amplifier.poll(1.0)]
-    assert len(times) >= 10
-
-
-def test_the_log_shows_a_command_and_the_zero_of_closing(amplifier, board):
-    amplifier.write([1.0, -0.5, 0.25, 2.0])
-    assert board.eventually_at([1.0, -0.5, 0.25, 2.0])['cause'] == 'command'
-    assert amplifier.close() is Zero.CONFIRMED
-    assert board.entries()[-1]['currents_A'] == [0, 0, 0, 0]
-    assert board.entries()[-1]['cause'] == 'command'
-    assert amplifier.close() is Zero.UNREACHABLE
-
-
-def test_it_can_be_reopened(amplifier, board):
-    for currents in ([1.0, 0, 0, 0], [0, 1.0, 0, 0]):
-        amplifier.write(currents)
-        board.eventually_at(currents)
-        amplifier.close()
-        amplifier.connect()
-        assert board.currents() == [0, 0, 0, 0]
+    assert np.diff(times) == pytest.approx([0.02] * 9, abs=1e-5)
 
 
 def test_closing_tells_where_no_reading_confirms_the_zero(amplifier, board):
-    amplifier.write([1.0, 0, 0, 0])
-    board.eventually_at([1.0, 0, 0, 0])
+    acknowledged(amplifier, amplifier.write([1.0, 0, 0, 0]))
     board.fault('silence')
     assert amplifier.close() is Zero.SENT
-    board.eventually_at([0, 0, 0, 0])
-
-
-def test_a_second_driver_on_the_port_is_refused(amplifier, board):
-    with pytest.raises(PortBusyError, match='in use'):
-        SerialTransferAmplifier(board.url, 2.0).connect()
-    command = amplifier.write([1.0, 0, 0, 0])
-    assert acknowledged(amplifier, command)
+    assert board.flows(ZERO)
 
 
 @pytest.mark.parametrize('url', ['/nowhere/coils', 'nonsense://x', '/dev/null'])
@@ -105,37 +79,26 @@ def test_a_missing_port_is_named(url):
 
 
 def test_a_command_for_a_coil_that_the_board_has_not_is_none(board):
-    with serial.Serial(board.url, 500_000, exclusive=True) as port:
-        for duties in ([0.5, 0.0, 0.0, 0.0, 0.1], [0.5, 0.0, 0.0, 0.0, 0.0, -0.1], [0.25]):
-            port.write(codec.encode(codec.command(duties)))
-        board.eventually_at([0.5, 0, 0, 0])
-    assert [entry['currents_A'][0] for entry in board.entries()] == [0.0, 0.5]
+    port = board.lines[0].open('a')
+    for duties in ([0.5, 0.0, 0.0, 0.0, 0.1], [0.5, 0.0, 0.0, 0.0, 0.0, -0.1], [0.25]):
+        port.send(codec.encode(codec.command(duties)))
+    assert [currents[0] for currents in board.flowed] == [0.0, 0.5]
 
 
 def test_an_unplugged_line_is_named(amplifier, board):
-    def use() -> None:
-        for _ in range(1000):
-            amplifier.write([0.5, 0, 0, 0])
-            amplifier.poll(0.1)
-
     board.fault('unplug')
+    board.clock.sleep(0.0)
     with pytest.raises(PortLostError, match='lost'):
-        use()
-
-
-def test_use_before_connecting_is_named(board):
-    with pytest.raises(NoAnswerError, match='connection'):
-        SerialTransferAmplifier(board.url, 2.0).poll()
+        amplifier.write([0.5, 0, 0, 0])
 
 
 def test_another_model_is_told_from_silence(board):
-    board.fault('wrong_reply')
-    with pytest.raises(WrongDeviceError, match='six measured currents'):
-        SerialTransferAmplifier(board.url, 2.0, boot_s=0.2).connect()
-    board.fault('silence')
-    with pytest.raises(NoAnswerError):
-        SerialTransferAmplifier(board.url, 2.0, boot_s=0.2).connect()
-    serial.Serial(board.url, exclusive=True).close()  # both gave the port back
+    for fault, error, said in (('wrong_reply', WrongDeviceError, 'six measured currents'),
+                               ('silence', NoAnswerError, 'no answer')):
+        board.fault(fault)
+        with pytest.raises(error, match=said):
+            board.amplifier().connect()
+        assert board.lines[0].host is None  # both gave the port back
 
 
 class Terminal(serial.Serial):
@@ -150,10 +113,15 @@ class Terminal(serial.Serial):
         pass
 
 
+@pytest.fixture
+def emulated(emulate):
+    return emulate('serial_transfer')
+
+
 @pytest.fixture(params=['socket', 'rfc2217'])
-def remote(request, board):
+def remote(request, emulated):
     """The board behind a serial-to-network server, as a URL."""
-    line = Terminal(board.url, 500_000, timeout=0.01)
+    line = Terminal(emulated.url, 500_000, timeout=0.01)
     listener = socket.create_server(('127.0.0.1', 0))
     ended = threading.Event()
     thread = threading.Thread(target=serve, args=(request.param, listener, line, ended))
@@ -179,16 +147,18 @@ def serve(kind, listener, line, ended):
                 line.write(b''.join(manager.filter(data)) if kind == 'rfc2217' else data)
 
 
+@pytest.mark.rig
 @pytest.mark.filterwarnings('ignore:set(Daemon|Name):DeprecationWarning')  # within pyserial 3.5
-def test_it_works_over_a_network_port(remote, board):
+def test_it_works_over_a_network_port(remote, emulated):
     amplifier = SerialTransferAmplifier(remote, FULL_SCALE)
     amplifier.connect()
     acknowledged(amplifier, amplifier.write([1.0, -0.5, 0.25, 2.0]))
-    board.eventually_at([1.0, -0.5, 0.25, 2.0])
+    emulated.eventually_at([1.0, -0.5, 0.25, 2.0])
     assert amplifier.close() is Zero.CONFIRMED
-    assert board.currents() == [0, 0, 0, 0]
+    assert emulated.currents() == [0, 0, 0, 0]
 
 
+@pytest.mark.rig
 def test_the_bytes_of_a_session_and_no_others():
     """Connect, one command, close: the whole transcript, with a scripted board."""
     master, slave = pty.openpty()

@@ -10,17 +10,19 @@ import json
 import math
 import threading
 from collections.abc import Callable, Sequence
-from typing import TextIO, cast
+from typing import Any, TextIO, cast
 
 import numpy as np
 
-from microbot_ros.drive.amplifier import Amplifier, amplifier_class
+from microbot_ros.drive.amplifier import Amplifier, Reading, Zero, amplifier_class
 from microbot_ros.drive.clock import Clock
+from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.emulator.coils import Coils
 from microbot_ros.drive.emulator.faults import Faults, parse
 from microbot_ros.drive.emulator.process import make_device
 from microbot_ros.drive.emulator.server import Emulation
 from microbot_ros.drive.errors import PortBusyError, PortLostError, PortMissingError
+from microbot_ros.drive.gate import Limits
 from microbot_ros.drive.transport import Port
 
 _START_S = 1000.0
@@ -197,6 +199,8 @@ class VirtualAmplifier:
         self.device = make_device(protocol, self.coils)
         self.lines = [MemoryLine(self.clock) for _ in range(self.device.ports)]
         self.faults = Faults([])
+        self.opened: list[tuple[str, int, bool]] = []
+        """Url, baud rate and flow control of each port that was opened."""
         self.urls = [f'{protocol}-{number}' for number in range(1, self.device.ports + 1)]
         self.url = ','.join(self.urls)
         self.clock.serve(Emulation(self.device, self.lines, self.faults, lambda: self.clock.now_s))
@@ -211,6 +215,7 @@ class VirtualAmplifier:
 
     def _open(self, url: str, baud: int, *, xon_xoff: bool = False) -> MemoryPort:
         self.clock.wait_for(lambda: True, 0.0)
+        self.opened.append((url, baud, xon_xoff))
         return self.lines[self.urls.index(url)].open(url)
 
     def write(self, line: str) -> None:
@@ -255,3 +260,61 @@ class VirtualAmplifier:
         self.clock.wait_for(lambda: True, 0.0)
         return bool(np.allclose(self.coils.currents_A, currents_A, rtol=0,
                                 atol=0.011 * self.full_scale_A))
+
+
+class VirtualDriver:
+    """A `CoilDriver` at an emulated `device`, stepped in the caller's thread.
+
+    `limits`, `on_reading` and `options` are those of the driver.
+    """
+
+    def __init__(self, device: VirtualAmplifier, limits: Limits,
+                 on_reading: Callable[[Reading], None] = lambda _: None, **options: Any) -> None:
+        self.device, self.clock = device, device.clock
+        self.driver = CoilDriver(device.amplifier(), limits, on_reading, **options)
+        self.gate = self.driver.gate
+
+    def connect(self) -> None:
+        """Connect, as `CoilDriver.start` does."""
+        self.driver._connect()
+
+    def until(self, condition: Callable[[], Any], seconds: float = 30.0) -> Any:
+        """Let the driver turn until something is true, and return it; AssertionError after so
+        many `seconds`.
+        """
+        end_s = self.clock.now_s + seconds
+        while not (value := condition()):
+            assert self.clock.now_s < end_s, 'the awaited condition never came true'
+            before_s = self.clock.now_s
+            self.driver._turn()
+            if self.clock.now_s == before_s:
+                self.clock.sleep(1e-5)  # what a turn takes
+        return value
+
+    def turn(self, seconds: float) -> None:
+        """Let the driver turn for so many seconds."""
+        end_s = self.clock.now_s + seconds
+        self.until(lambda: self.clock.now_s >= end_s, seconds + 30.0)
+
+    def ask(self) -> str | None:
+        """Ask for arming; the answer."""
+        answer = self.driver.request_arming(self.driver.epoch)
+        self.until(answer.done)
+        return answer.result()
+
+    def arm(self) -> None:
+        """Arm as soon as it is possible, and begin from zero."""
+        self.until(lambda: self.ask() is None)
+        self.driver.command([0.0] * self.device.coils.channels)
+
+    def drive(self, currents_A: Sequence[float]) -> None:
+        """Arm, command `currents_A` [A] once and wait until they flow."""
+        self.arm()
+        self.driver.command(currents_A)
+        self.until(lambda: self.device.flows(currents_A))
+
+    def stop(self) -> Zero:
+        """End as `CoilDriver.stop` does; what is known of the zero."""
+        self.driver._finish()
+        assert self.driver.zero is not None
+        return self.driver.zero
