@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -12,7 +13,15 @@ import yaml
 from microbot_ros.errors import InputError
 from microbot_ros.files import Settings, output_folder, read_yaml
 from microbot_ros.plausible import LONGEST_S
-from microbot_ros.records import Commands, Conditions, Session, Tracks, height_problem
+from microbot_ros.records import (
+    Commands,
+    Conditions,
+    Session,
+    SpeedWindow,
+    TimeBase,
+    Tracks,
+    height_problem,
+)
 from microbot_ros.session.plausibility import LARGEST_ID
 from microbot_ros.session.tables import Layout, Table, read_table, write_table
 from microbot_ros.units import exact_display, exact_si
@@ -27,7 +36,7 @@ TRACKS = Layout(
     ('frame', 'x_px', 'y_px', 'kind'),
 )
 UNIFORM = Layout(('t_s', 'bx_mT', 'by_mT'))
-ROLLING = Layout(('t_s', 'direction_rad', 'frequency_hz'), ('field_mT',))
+ROLLING = Layout(('t_s', 'direction_rad', 'frequency_hz'), ('field_mT', 'tilt_rad'))
 
 _SUFFIXED = {
     'radius': 'radius_um', 'viscosity': 'viscosity_mPa_s', 'temperature': 'temperature_K',
@@ -47,6 +56,9 @@ class SessionFile(Settings):
     pixel_size_um: pydantic.PositiveFloat | None = None
     reference_field_mT: pydantic.PositiveFloat | None = None
     height_um: pydantic.PositiveFloat | None = None
+    speed_window_frames: int | None = pydantic.Field(None, ge=1, le=10_000)
+    speed_window_base: TimeBase = 'elapsed'
+    assumed: tuple[str, ...] = ()
 
     @pydantic.field_validator('height_um')
     @classmethod
@@ -62,16 +74,23 @@ class SessionFile(Settings):
             for name, key in _SUFFIXED.items() if (value := getattr(self, key)) is not None
         }
         propulsion = self.propulsion or ('rolling' if rolling else 'catalytic')
-        return Conditions(propulsion=propulsion, **values)
+        window = None
+        if self.speed_window_frames is not None:
+            window = SpeedWindow(self.speed_window_frames, self.speed_window_base)
+        return Conditions(propulsion=propulsion, speed_window=window, **values)
 
 
-def conditions_text(conditions: Conditions) -> str:
-    """The content of `session.yaml`."""
+def conditions_text(conditions: Conditions, assumed: Sequence[str] = ()) -> str:
+    """The content of `session.yaml`, with what an import `assumed`."""
     content: dict[str, object] = {'propulsion': conditions.propulsion}
     for name, key in _SUFFIXED.items():
         if (value := getattr(conditions, name)) is not None:
             content[key] = float(exact_display(key, value))
-    return yaml.safe_dump(content, sort_keys=False)
+    if (window := conditions.speed_window) is not None:
+        content |= {'speed_window_frames': window.frames, 'speed_window_base': window.base}
+    if assumed:
+        content['assumed'] = list(assumed)
+    return yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=1000)
 
 
 def read_folder(path: Path) -> Session:
@@ -99,7 +118,8 @@ def read_folder(path: Path) -> Session:
     else:
         _check_times(table, tracks)
         commands = _commands(table, conditions)
-    return Session(tracks, commands, conditions, path.resolve().name)
+    return Session(tracks, commands, conditions, path.resolve().name,
+                   assumed=settings.assumed)
 
 
 def write_folder(path: Path, session: Session) -> None:
@@ -122,7 +142,8 @@ def write_folder(path: Path, session: Session) -> None:
             write_table(folder / 'commands.csv', _command_columns(session))
         else:
             (path / 'commands.csv').unlink(missing_ok=True)
-        (folder / 'session.yaml').write_text(conditions_text(session.conditions))
+        (folder / 'session.yaml').write_text(
+            conditions_text(session.conditions, session.assumed), encoding='utf-8')
 
 
 def _read_tracks(path: Path) -> Tracks:
@@ -172,7 +193,9 @@ def _commands(table: Table, conditions: Conditions) -> Commands:
     magnitude = np.where(np.isnan(magnitude), nominal, magnitude)
     angle = columns['direction_rad']
     unit = np.column_stack([np.cos(angle), np.sin(angle)])
-    return Commands(t, magnitude[:, None] * unit, columns['frequency_hz'])
+    tilt = columns.get('tilt_rad')
+    return Commands(t, magnitude[:, None] * unit, columns['frequency_hz'],
+                    None if tilt is None else np.where(np.isnan(tilt), np.pi / 2, tilt))
 
 
 def _command_columns(session: Session) -> dict[str, np.ndarray]:
@@ -186,4 +209,6 @@ def _command_columns(session: Session) -> dict[str, np.ndarray]:
     magnitude = np.hypot(bx, by)
     if not np.allclose(magnitude, session.conditions.reference_field or NOMINAL_FIELD, rtol=1e-9):
         columns['field_mT'] = magnitude
+    if commands.tilt is not None:
+        columns['tilt_rad'] = commands.tilt
     return columns
