@@ -106,8 +106,7 @@ class Conditions:
     `propulsion` 'catalytic' or 'rolling'; `radius` [m] of the particles; `viscosity` [Pa·s] and
     `temperature` [K] of the fluid; `frame_rate` [Hz]; `pixel_size` [m] in the workspace;
     `reference_field` [T] at which alignment times are stated; `height` [m] of the particles'
-    centres above the floor, more than `radius`; `speed_window` of the tables that the session
-    was imported from.
+    centres above the floor, more than `radius`.
     """
 
     propulsion: str = 'catalytic'
@@ -118,7 +117,6 @@ class Conditions:
     pixel_size: float | None = None
     reference_field: float | None = None
     height: float | None = None
-    speed_window: SpeedWindow | None = None
 
 
 def height_problem(height_um: float | None, radius_um: float | None) -> str:
@@ -138,7 +136,8 @@ class Session:
 
     `breaks` (K,) [s], ascending, are where what was seen was joined: nothing is known of the way
     from the last frame before one to the first at or after it. `remarks` are sentences on what is
-    not as it should be: data that were cut off. `assumed` are the assumptions of an import.
+    not as it should be: data that were cut off. `assumed` are the assumptions of an import, and
+    `speed_window` is how the imported tables measure speed.
     """
 
     tracks: Tracks
@@ -148,3 +147,4 @@ class Session:
     breaks: np.ndarray = field(default_factory=lambda: np.empty(0))
     remarks: tuple[str, ...] = ()
     assumed: tuple[str, ...] = ()
+    speed_window: SpeedWindow | None = None

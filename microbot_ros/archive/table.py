@@ -50,7 +50,8 @@ def _of_session(entry: Entry, path: str, task: str, result: dict[str, Any], told
     return {
         'path': path, 'kind': entry.kind,
         'day': entry.day and datetime.date.fromisoformat(entry.day), 'rig': entry.rig,
-        'batch': entry.batch, 'task': task, 'propulsion': facts['propulsion'],
+        'batch': entry.batch, 'particle_kind': entry.particle_kind,
+        'task': task, 'propulsion': facts['propulsion'],
         'duration_s': facts['duration_s'], 'frames': facts['frames'],
         'verdict': told.get('verdict'), 'present': present,
         'effects': [{
@@ -82,8 +83,8 @@ def schema() -> pyarrow.Schema:
                         *((part, number) for part in _PARTS.values())])
     return pa.schema([
         ('session', text), ('particle', text), ('day', pa.date32()), ('rig', text),
-        ('batch', text), ('task', text), ('propulsion', text), ('duration_s', number),
-        ('frames', pa.int64()),
+        ('batch', text), ('particle_kind', text), ('task', text), ('propulsion', text),
+        ('duration_s', number), ('frames', pa.int64()),
         *((name + part, number) for name in QUANTITIES for part in _PARTS),
         ('verdict', text), ('present', pa.list_(text)), ('effects', pa.list_(effect)),
         ('remarks', pa.list_(text)), ('kind', text), ('path', text), ('content', text)])

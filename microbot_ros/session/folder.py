@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -74,22 +73,27 @@ class SessionFile(Settings):
             for name, key in _SUFFIXED.items() if (value := getattr(self, key)) is not None
         }
         propulsion = self.propulsion or ('rolling' if rolling else 'catalytic')
-        window = None
-        if self.speed_window_frames is not None:
-            window = SpeedWindow(self.speed_window_frames, self.speed_window_base)
-        return Conditions(propulsion=propulsion, speed_window=window, **values)
+        return Conditions(propulsion=propulsion, **values)
+
+    @property
+    def speed_window(self) -> SpeedWindow | None:
+        """How the tables that the session was imported from measure speed."""
+        if self.speed_window_frames is None:
+            return None
+        return SpeedWindow(self.speed_window_frames, self.speed_window_base)
 
 
-def conditions_text(conditions: Conditions, assumed: Sequence[str] = ()) -> str:
-    """The content of `session.yaml`, with what an import `assumed`."""
+def session_text(session: Session) -> str:
+    """The content of `session.yaml`."""
+    conditions = session.conditions
     content: dict[str, object] = {'propulsion': conditions.propulsion}
     for name, key in _SUFFIXED.items():
         if (value := getattr(conditions, name)) is not None:
             content[key] = float(exact_display(key, value))
-    if (window := conditions.speed_window) is not None:
+    if (window := session.speed_window) is not None:
         content |= {'speed_window_frames': window.frames, 'speed_window_base': window.base}
-    if assumed:
-        content['assumed'] = list(assumed)
+    if session.assumed:
+        content['assumed'] = list(session.assumed)
     return yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=1000)
 
 
@@ -119,7 +123,7 @@ def read_folder(path: Path) -> Session:
         _check_times(table, tracks)
         commands = _commands(table, conditions)
     return Session(tracks, commands, conditions, path.resolve().name,
-                   assumed=settings.assumed)
+                   assumed=settings.assumed, speed_window=settings.speed_window)
 
 
 def write_folder(path: Path, session: Session) -> None:
@@ -143,7 +147,7 @@ def write_folder(path: Path, session: Session) -> None:
         else:
             (path / 'commands.csv').unlink(missing_ok=True)
         (folder / 'session.yaml').write_text(
-            conditions_text(session.conditions, session.assumed), encoding='utf-8')
+            session_text(session), encoding='utf-8')
 
 
 def _read_tracks(path: Path) -> Tracks:

@@ -20,6 +20,8 @@ _CLEARLY = 2.0
 """How many times better one sense must agree than the other."""
 _ALIKE = 0.8
 """Share of the agreement with the angles from which that with their mirror image is the same."""
+_FEWEST_ROWS = 20
+"""Rows from which motion that keeps to one line is no chance."""
 _NEAR_90 = math.radians(12)
 _NEAR_90_AXIS = math.radians(30)
 """Robots of unequal coils lead by ±8 to ±16° at diagonals; beside 90° that is still 90°."""
@@ -102,7 +104,8 @@ def settle_angles(
             clockwise = True
             said.add('angles turn clockwise, since the motion follows their mirror image; '
                      'turned over')
-        elif abs(mirrored) > max(_AGREEMENT, _ALIKE * abs(same)):
+        elif (abs(mirrored) > max(_AGREEMENT, _ALIKE * abs(same))
+              and len(tracks.t) >= _FEWEST_ROWS):
             # Motion to and fro along one line follows both.
             clockwise = _opposite(same) and not _opposite(mirrored)
             said.add(f'whether angles turn clockwise does not show, since the motion keeps to one '
@@ -118,7 +121,7 @@ def settle_angles(
 
 
 def _opposite(agreement: complex) -> bool:
-    return abs(np.angle(agreement)) > math.pi - _NEAR_180
+    return bool(abs(np.angle(agreement)) > math.pi - _NEAR_180)
 
 
 def _offset(same: complex, axis: bool, said: Assumptions, source: str) -> float:

@@ -17,13 +17,9 @@ from microbot_ros.session.spreadsheets.columns import Column, find_columns
 from microbot_ros.session.spreadsheets.commands import commands_in, find_commands
 from microbot_ros.session.spreadsheets.identities import settle_identities
 from microbot_ros.session.spreadsheets.row_times import RowTimes, aligned, own_row_times
-from microbot_ros.session.spreadsheets.scale import Part, Scale, settle_scale
+from microbot_ros.session.spreadsheets.scale import Scale, settle_scale
 from microbot_ros.session.spreadsheets.sheets import Answers, Assumptions, Sheet, read_sheets
-from microbot_ros.session.spreadsheets.summary import summary_of
-
-
-class SummaryError(InputError):
-    """A table holds averages and no recording."""
+from microbot_ros.session.spreadsheets.summary import SummaryError, summary_of
 
 
 def import_session(path: Path, answers: Answers) -> tuple[Session, list[str]]:
@@ -59,20 +55,20 @@ def import_session(path: Path, answers: Answers) -> tuple[Session, list[str]]:
         for place, ((sheet, columns), timeline)
         in enumerate(zip(robots, timelines, strict=True))
     ]
-    tracks = _tracks(
-        settle_identities([piece for group in pieces for piece in group], said), path, said)
+    seen = _without_gaps([piece for group in pieces for piece in group], path, said)
+    tracks = _tracks(settle_identities(seen, said), path)
     commands = find_commands(parts, robots, timelines, tracks, answers, said)
     conditions = Conditions(
         'rolling' if commands.frequency is not None else 'catalytic',
         pixel_size=scale.pixel_size, frame_rate=_frame_rate(tracks, answers),
-        speed_window=scale.window,
     )
     used = {id(sheet) for sheet, columns in parts if commands_in(columns)}
     used |= {id(sheet) for sheet, _ in robots}
     for sheet in sheets:
         if id(sheet) not in used:
             said.add(f'{sheet.name}: holds neither positions nor commands; left out')
-    session = Session(tracks, commands, conditions, path.stem, assumed=tuple(said))
+    session = Session(tracks, commands, conditions, path.stem, assumed=tuple(said),
+                      speed_window=scale.window)
     check_session(path, session)
     return session, said
 
@@ -100,7 +96,7 @@ def _pieces(
         if theta is not None:
             heading = angles(sheet, theta, columns, answers, said)
         position = _positions(sheet, x, y, scale, answers, said)
-        if _points_down(x, answers, scale):
+        if _points_down(answers, scale):
             heading = -heading
         for start, end in pairwise([0, *timeline.cuts, len(t)]):
             rows = slice(start, end)
@@ -129,29 +125,40 @@ def _positions(
                                       if unit == '_px' else
                                       'expected --position-unit um, mm, m or px (px with '
                                       f"--pixel-size-um): '{name}' names no unit")
-    down = _points_down(x, answers, scale)
+    down = _points_down(answers, scale)
     if answers.y_axis is None:
         said.add('y points down, as in pictures; turned up' if down else 'y points up')
     columns = sheet.numbers(x.index), sheet.numbers(y.index)
     return np.column_stack(columns) * scale.factor * (1, -1 if down else 1)
 
 
-def _points_down(x: Column, answers: Answers, scale: Scale) -> bool:
+def _points_down(answers: Answers, scale: Scale) -> bool:
     return answers.y_axis == 'down' or (answers.y_axis is None and scale.pixel_size is not None)
 
 
-def _tracks(pieces: list[Tracks], path: Path, said: Assumptions) -> Tracks:
+def _without_gaps(pieces: list[Tracks], path: Path, said: Assumptions) -> list[Tracks]:
+    """The `pieces` without the rows that hold no position; InputError where none does."""
+    result, gaps = [], 0
+    for piece in pieces:
+        seen = np.isfinite(piece.position).all(axis=1)
+        gaps += int((~seen).sum())
+        if seen.any():
+            result.append(Tracks(
+                piece.t[seen], piece.particle[seen], piece.position[seen], piece.theta[seen],
+                piece.sigma[seen]))
+    if not result:
+        raise InputError(path, 'expected positions, found none')
+    if gaps:
+        said.add(f'{gaps} rows without a position are gaps')
+    return result
+
+
+def _tracks(pieces: list[Tracks], path: Path) -> Tracks:
     t, ids, position, theta = (
         np.concatenate([getattr(piece, name) for piece in pieces])
         for name in ('t', 'particle', 'position', 'theta')
     )
-    seen = np.isfinite(position).all(axis=1)
-    if not seen.any():
-        raise InputError(path, 'expected positions, found none')
-    if not seen.all():
-        said.add(f'{int((~seen).sum())} rows without a position are gaps')
     order = np.lexsort((ids, t))
-    order = order[seen[order]]
     again = (np.diff(t[order]) == 0) & (np.diff(ids[order]) == 0)
     if again.any():
         row = order[int(np.argmax(again))]

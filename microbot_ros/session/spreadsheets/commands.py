@@ -62,8 +62,8 @@ def find_commands(
     t, first = np.unique(own.t[known], return_index=True)
     if not len(t):
         raise InputError(sheet.place, 'expected commands, found none')
-    commands = changes(t, *(None if column is None else column[known][first]
-                            for column in (field, frequency, tilt)))
+    commands = changes(t, field[known][first], *(
+        None if column is None else column[known][first] for column in (frequency, tilt)))
     axis = {'tilt', 'cone'} <= {column.role for column in columns}
     return settle_angles(commands, tracks, answers, said, sheet.place, axis)
 

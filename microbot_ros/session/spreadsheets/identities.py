@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -49,9 +50,6 @@ def settle_identities(pieces: Sequence[Tracks], said: Assumptions) -> list[Track
     mixed = [piece for piece in pieces if len(np.unique(piece.particle)) != 1]
     stretches: list[_Stretch] = []
     for piece in pieces:
-        seen = np.isfinite(piece.position).all(axis=1)
-        piece = Tracks(*(getattr(piece, name)[seen] for name in (
-            't', 'particle', 'position', 'theta', 'sigma')))
         if len(piece.t) and len(np.unique(piece.particle)) == 1:
             known = {stretch.name for stretch in stretches}
             stretches += _split(piece, int(piece.particle[0]) in known)
@@ -101,7 +99,7 @@ def _moved_together(stretches: Sequence[_Stretch]) -> bool:
     """Whether several robots leap at one time by one vector: the stage moved, not the robots."""
     names = {stretch.name for stretch in stretches}
     leaps: dict[float, list[complex]] = {}
-    for before, after in zip(stretches, stretches[1:], strict=False):
+    for before, after in pairwise(stretches):
         if before.name == after.name and after.follows:
             vector = (after.track.position[0] - before.track.position[-1]) @ np.array([1, 1j])
             leaps.setdefault(float(after.track.t[0]), []).append(complex(vector))

@@ -131,30 +131,31 @@ def settle_scale(path: Path, robots: Sequence[Part], timelines: Sequence[RowTime
     sheet, columns = robots[0]
     x = next(column for column in columns if column.role == 'x')
     unit = answers.position_unit or x.unit
-    found = None if answers.ignore_speed else _common_ratio(robots, timelines)
+    found = _common_ratio(robots, timelines, answers.ignore_speed)
     window = found.ratio.window if found and found.ratio.exact else None
+    if answers.ignore_speed:
+        found = None
     if unit not in ('', '_px'):
         factor = to_si(unit, 1.0)
         if found is not None:
             _check_unit(sheet, x, unit, factor, found)
         return Scale(factor, None, window)
-    said_px = _pixels(sheet, x, found)
+    said_px = _pixels(found)
     if answers.pixel_size is None:
         if said_px is None or found is None or found.ratio.error > _UNCERTAIN:
             return Scale(None, None, window)
         value, extent = _rounded(said_px, found.ratio)
-        said.add(f"positions are in pixels of {value * 1e6:.6g} µm{extent}: "
-                 f"{found.place} is their displacement {_told(found.ratio.window)} times that, "
-                 f"in µm/s{_most(found.ratio)}")
+        said.add(f'positions are in pixels of {value * 1e6:.6g} µm{extent}, since {found.place}'
+                 f'{"" if found.named else ", taken as µm/s,"} is the displacement '
+                 f'{_told(found.ratio.window)} times that{_most(found.ratio)}')
         return Scale(value, value, window)
     stated = answers.pixel_size
     if said_px is not None and found is not None:
         off = abs(said_px / stated - 1)
         if off > max(_AGREES, found.ratio.error):
             raise InputError(
-                path, f'expected the pixel size that the table tells, {said_px * 1e6:.4g} µm '
-                      f'(from {found.place}), or --ignore-speed; --pixel-size-um is '
-                      f'{stated * 1e6:.6g}')
+                path, f'--pixel-size-um {stated * 1e6:.6g} contradicts {found.place}, which gives '
+                      f'{said_px * 1e6:.4g} µm; expected that, or --ignore-speed')
         said.add(f'positions are in pixels of {stated * 1e6:.6g} µm, as stated; the speeds agree '
                  f'within {100 * max(off, 1e-3):.1f} %')
     elif not x.unit and not answers.position_unit:
@@ -170,12 +171,14 @@ class _Found:
     named: bool  # whether the column names its unit
 
 
-def _common_ratio(robots: Sequence[Part], timelines: Sequence[RowTimes]) -> _Found | None:
-    """The ratio that all robots of a file have; InputError where theirs differ."""
+def _common_ratio(robots: Sequence[Part], timelines: Sequence[RowTimes], lenient: bool,
+                  ) -> _Found | None:
+    """The ratio that all robots of a file have; InputError where theirs differ, unless `lenient`.
+    """
     found: list[_Found] = []
     for (sheet, columns), timeline in zip(robots, timelines, strict=True):
         for x in (column for column in columns if column.role == 'x'):
-            one = _ratio_of(sheet, columns, x, timeline)
+            one = _ratio_of(sheet, columns, x, timeline, lenient)
             if one is not None:
                 found.append(one)
     exact = [one for one in found if one.ratio.exact]
@@ -183,7 +186,7 @@ def _common_ratio(robots: Sequence[Part], timelines: Sequence[RowTimes]) -> _Fou
     if not found:
         return None
     best = min(found, key=lambda one: one.ratio.error)
-    for one in found:
+    for one in () if lenient else found:
         if abs(one.ratio.value / best.ratio.value - 1) > max(
                 _AGREES, one.ratio.error + best.ratio.error):
             raise InputError(
@@ -194,7 +197,7 @@ def _common_ratio(robots: Sequence[Part], timelines: Sequence[RowTimes]) -> _Fou
 
 
 def _ratio_of(sheet: Sheet, columns: Sequence[Column], x: Column, timeline: RowTimes,
-              ) -> _Found | None:
+              lenient: bool) -> _Found | None:
     own = {column.role: column for column in columns if column.particle == x.particle}
     if 'y' not in own or any(column.role == 'particle' for column in columns):
         return None
@@ -210,7 +213,8 @@ def _ratio_of(sheet: Sheet, columns: Sequence[Column], x: Column, timeline: RowT
     ratio = speed_ratio(speed, z, timeline.t)
     if ratio is None:
         return None
-    _refuse_two_scales(sheet, name, ratio, speed, z, timeline.t)
+    if not lenient:
+        _refuse_two_scales(sheet, name, ratio, speed, z, timeline.t)
     return _Found(ratio, f"'{name}' of {sheet.name}", _SPEED_UNITS.get(unit), bool(unit))
 
 
@@ -234,7 +238,7 @@ def _refuse_two_scales(sheet: Sheet, name: str, ratio: SpeedRatio, speed: np.nda
                                       f'most rows and {np.exp(middle):.4g} in others', line)
 
 
-def _pixels(sheet: Sheet, x: Column, found: _Found | None) -> float | None:
+def _pixels(found: _Found | None) -> float | None:
     """Pixel size [m] that the speeds tell; None where they tell none."""
     if found is None or found.factor is None:
         return None
@@ -266,9 +270,9 @@ def _rounded(size: float, ratio: SpeedRatio) -> tuple[float, str]:
 
 
 def _told(window: SpeedWindow) -> str:
-    per = {'elapsed': 'the time between them', 'last_interval': 'as many times the last interval',
-           'frames': 'their number'}[window.base]
-    return f'over {window.frames} frames by {per}'
+    per = {'elapsed': 'the time between them', 'frames': 'their number',
+           'last_interval': f'{window.frames} times the last interval'}[window.base]
+    return f'over {window.frames} frames divided by {per}'
 
 
 def _most(ratio: SpeedRatio) -> str:

@@ -5,8 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
+from microbot_ros.errors import InputError
 from microbot_ros.session.spreadsheets.columns import Column
 from microbot_ros.session.spreadsheets.sheets import Sheet
+
+
+class SummaryError(InputError):
+    """A table holds averages and no recording."""
+
 
 _MOST_ROWS = 500
 _AVERAGE = re.compile(r'\b(avg|average|mean|median|std|stdev|sd|sem|error|ci)\b', re.IGNORECASE)
