@@ -102,6 +102,14 @@ def write_table(archive: Archive, all_rows: list[dict[str, Any]]) -> Path:
     return archive.folder / TABLE
 
 
+def write_rows(all_rows: list[dict[str, Any]], path: Path) -> None:
+    """Write `all_rows`, which have the same columns, as Parquet at a `path`."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    pq.write_table(pa.Table.from_pylist(all_rows), path)
+
+
 def read_table(archive: str | Path) -> pyarrow.Table:
     """The table of the `archive` in a folder; `.to_pandas()` makes a data frame of it.
 

@@ -210,5 +210,5 @@ def _seconds_per_unit(
         raise InputError(
             sheet.place, f"expected --time-unit s or ms: steps of {step:g} in '{name}' could be "
                          'either')
-    said.add(f"'{name}' is in seconds, steps of {step:.2g}", sheet.name)
+    said.add(f"'{name}' is in seconds, steps of {step:.1g}", sheet.name)
     return 1.0
