@@ -64,8 +64,10 @@ def command(sources: tuple[Path, ...], out: Path, against: Against, definition: 
         status.update(f'measuring {len(sessions)} sessions')
         found = respond_all(sessions, against, definition)
         if not found.rows:
+            turns = any(one.session.commands.frequency is not None for one in sessions)
+            hint = '' if turns or against == 'field' else '; nothing rotates: try --against field'
             raise InputError(', '.join(map(str, sources)),
-                             f'expected plateaus of the {against}, found none')
+                             f'expected plateaus of the {against}, found none{hint}')
         status.update('drawing')
         with output_folder(out) as folder:
             report.write(found, folder)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,9 +72,8 @@ def fit_curve(frequency: np.ndarray, speed: np.ndarray, std: np.ndarray, robot: 
         shape, cost = fit.best(shape)
     free = max(len(speed) - len(names) - len(shape), 1)
     limit = cost * (1 + float(fdtri(1, free, 0.95)) / free)
-    return DriveCurve(
-        fit.effect(shape), fit.gains(shape), *(fit.profile(k, shape, limit) for k in (0, 2, 1)),
-        fit.scatter)
+    cut_in, slip, step_out = (fit.profile(k, shape, limit) for k in range(3))
+    return DriveCurve(fit.effect(shape), fit.gains(shape), cut_in, step_out, slip, fit.scatter)
 
 
 def _factor(effect: DriveResponse, frequency: np.ndarray) -> np.ndarray:
@@ -92,7 +90,7 @@ class _Fit:
         self._frequency, self._speed, self._robot = frequency, speed, robot
         self._std, self._robots = std, robots
         declared = {one.field: one for one in DriveResponse.parameters()}
-        self._names = ['cut_in', 'slip', 'step_out', *(['step_out_steepness'] if steepness else [])]
+        self._names = ['cut_in', 'slip', 'step_out', 'step_out_steepness'][:4 if steepness else 3]
         self.low = np.array([declared[name].low for name in self._names])
         self.high = np.array([declared[name].high for name in self._names])
         # A gain that grows beyond the step-out would stand in for any cut-in.

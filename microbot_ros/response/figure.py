@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,9 +14,10 @@ from microbot_ros.response.words import COLUMNS
 
 # Okabe and Ito's colours: told apart by all eyes, and in grey by their line styles.
 _MEAN, _LAW, _CUT_IN, _STEP_OUT, _ROBOT = '#0072B2', '#D55E00', '#009E73', '#CC79A7', '#8a8a8a'
-_STYLE = {'font.size': 8, 'axes.linewidth': 0.6, 'axes.spines.top': False,
+_STYLE: dict[Any, Any] = {'font.size': 8, 'axes.linewidth': 0.6, 'axes.spines.top': False,
           'axes.spines.right': False, 'xtick.major.width': 0.6, 'ytick.major.width': 0.6,
           'legend.frameon': False, 'legend.fontsize': 7, 'svg.fonttype': 'none'}
+_WIDEST_ANGLE = np.radians(60)
 _WIDTH, _HEIGHT = 7.2, 2.3
 """Inches: two columns of a journal, a row of panels for each kind."""
 
@@ -34,8 +36,9 @@ def draw(found: Response) -> Figure:
         name = {'frequency_hz': 'rotation frequency', 'field_mT': 'field', 'tilt_deg': 'tilt'}
         for axis in panels[-1]:
             axis.set_xlabel(f'{name[column]} ({unit})')
-        handles, labels = panels[0][0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc='outside upper center', ncols=min(len(labels), 5))
+        named = {label: handle for axis in panels[:, 0] for handle, label in zip(
+            *axis.get_legend_handles_labels(), strict=True)}
+        figure.legend([*named.values()], [*named], loc='outside upper center', ncols=4)
     return figure
 
 
@@ -45,9 +48,9 @@ def _draw_group(found: Response, group: Group, axes: Sequence[Axes]) -> None:
         _draw_robot(found, [row for row in own if row.robot == robot], axes,
                     'one robot' if index == 0 else '')
     factor = COLUMNS[found.against][1]
-    x = np.array([one.level for one in group.levels]) * factor
+    x = np.array([one.level for one in group.common]) * factor
     speeds = np.array([(one.speed.value, one.speed.low, one.speed.high)
-                       for one in group.levels]) * 1e6
+                       for one in group.common]) * 1e6
     axes[0].fill_between(x, *speeds[:, 1:].T, color=_MEAN, alpha=0.18, lw=0,
                          label='95 % of the mean')
     axes[0].plot(x, speeds[:, 0], 'o-', color=_MEAN, ms=2.5, lw=1.1, label='mean of the kind')
@@ -75,14 +78,14 @@ def _draw_group(found: Response, group: Group, axes: Sequence[Axes]) -> None:
     axes[0].set_ylim(min(0.0, 1.05 * min(row.plateau.speed.value for row in own) * 1e6),
                      1.1 * top)
     for axis in axes:
-        axis.set_xlim(0, 1.04 * x.max())
+        axis.set_xlim(0, 1.04 * factor * group.levels[-1].level)
 
 
 def _draw_robot(found: Response, rows: list[Row], axes: Sequence[Axes], label: str) -> None:
     factor = COLUMNS[found.against][1]
     plateaus = sorted((row.plateau for row in rows), key=lambda one: one.level)
     x = np.array([one.level for one in plateaus]) * factor
-    style = {'color': _ROBOT, 'lw': 0.5, 'alpha': 0.8}
+    style: dict[str, Any] = {'color': _ROBOT, 'lw': 0.5, 'alpha': 0.8}
     speed = np.array([one.speed.value for one in plateaus]) * 1e6
     axes[0].plot(x, speed, **style, label=label or '_')
     if found.against == 'frequency':
@@ -90,7 +93,7 @@ def _draw_robot(found: Response, rows: list[Row], axes: Sequence[Axes], label: s
     else:
         axes[1].plot(x, [one.across.value * 1e6 for one in plateaus], **style)
     # An angle of what hardly moves says nothing.
-    known = [one for one in plateaus if np.isfinite(one.slip.high)]
+    known = [one for one in plateaus if one.slip.high - one.slip.low < _WIDEST_ANGLE]
     if found.definition == 'motion' and known:
         axes[2].plot(np.array([one.level for one in known]) * factor,
                      np.degrees([one.slip.value for one in known]), '.-', ms=2, **style)
@@ -98,7 +101,7 @@ def _draw_robot(found: Response, rows: list[Row], axes: Sequence[Axes], label: s
 
 def _limit_angles(axis: Axes, rows: list[Row]) -> None:
     angles = np.degrees([row.plateau.slip.value for row in rows
-                         if np.isfinite(row.plateau.slip.high)])
+                         if row.plateau.slip.high - row.plateau.slip.low < _WIDEST_ANGLE])
     if len(angles):
         reach = max(10.0, 1.3 * float(np.quantile(np.abs(angles), 0.95)))
         axis.set_ylim(-reach, reach)
@@ -109,14 +112,19 @@ def _draw_law(group: Group, axes: Sequence[Axes]) -> None:
     curve = group.curve
     if curve is None:
         return
-    highest = group.levels[-1].level
+    highest = group.common[-1].level
     f = np.linspace(highest / 200, highest, 200)
     axes[0].plot(f, curve.speed(f) * 1e6, '--', color=_LAW, lw=1.1, label='drive_response')
     axes[1].plot(f, curve.speed(f) / f * 1e6, '--', color=_LAW, lw=1.1)
     if np.isfinite(curve.cut_in.high) and curve.cut_in.high < highest:
         axes[0].axvspan(max(curve.cut_in.low, 0.0), curve.cut_in.high, color=_CUT_IN, alpha=0.25,
                         lw=0, label='cut-in, 95 %')
-    if curve.steps_out(highest):
+    for index, one in enumerate(group.stepping_out.values()):
+        ends = np.array([[one.value - max(one.low, 0.0)], [one.high - one.value]])
+        axes[0].errorbar([one.value], [0.97 - 0.05 * index], xerr=ends, fmt='v', ms=3.5, lw=0.8,
+                         color=_STEP_OUT, transform=axes[0].get_xaxis_transform(),
+                         label='step-out of a robot, 95 %' if index == 0 else '_', clip_on=False)
+    if group.steps_out:
         axes[0].axvspan(max(curve.step_out.low, 0.0), curve.step_out.high, color=_STEP_OUT,
                         alpha=0.25, lw=0, label='step-out, 95 %')
         axes[0].axvline(curve.step_out.value, color=_STEP_OUT, lw=0.9)

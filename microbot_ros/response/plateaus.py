@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -24,7 +25,7 @@ Definition = Literal['motion', 'tables']
 
 SETTLE_S = 0.3
 """Frames within this [s] of a change are left out: twice the delay of 0.09 to 0.15 s of cameras
-and amplifiers. At half, the delay is inside; at twice, plateaus of 1.5 s lose half their frames."""
+and amplifiers. At half, the delay is inside; at twice, plateaus of 1.5 s lose 40 % of them."""
 TURN = np.radians(10.0)
 """Frames are left out in which the direction has turned by more [rad] within `SETTLE_S`. The
 speed along the command is then off by at most 1.5 %."""
@@ -98,7 +99,7 @@ def levels(commands: Commands, against: Against) -> np.ndarray:
     if commands.frequency is not None:
         driven &= commands.frequency != 0
     values = {
-        'frequency': np.zeros(len(commands.t)) if commands.frequency is None
+        'frequency': np.full(len(commands.t), np.nan) if commands.frequency is None
         else np.abs(commands.frequency),
         'field': strength,
         'tilt': np.full(len(commands.t), np.pi / 2) if commands.tilt is None else commands.tilt,
@@ -131,7 +132,7 @@ def respond(session: Session, against: Against, definition: Definition) -> Sessi
     modelled = standing < _STILL_SHARE * max(sum(int(d.sum()) for d in driven), 1)
     if modelled and standing < sum(int(d.sum()) for d in driven):
         notes.append('the direction turns nearly throughout: frames in which it turns are kept, '
-                     f'with the command delayed by {delay:.2f} s')
+                     f'each compared with the command {delay:.2f} s before')
         still = [np.ones(len(one.middle), bool) for one in steps]
     blocks = [_blocks(commands, level, one, use, delay)
               for one, use in zip(steps, still, strict=True)]
@@ -278,15 +279,15 @@ def _blocks(commands: Commands, level: np.ndarray, steps: _Steps, use: np.ndarra
 
 def _alike(blocks: list[list[_Block]]) -> float:
     """Correlation of neighbouring samples about their means, from 0 to 0.8."""
-    product = power = 0.0
+    product, power = 0.0, 0.0
     for own in blocks:
         means = {level: np.mean([b.velocity for b in own if b.level == level])
                  for level in {b.level for b in own}}
-        for one, other in zip(own, own[1:], strict=False):
+        for one, other in pairwise(own):
             left = one.velocity - means[one.level]
-            power += abs(left) ** 2
+            power += float(abs(left) ** 2)
             if one.stretch == other.stretch:
-                product += (left.conjugate() * (other.velocity - means[other.level])).real
+                product += float((left * np.conj(other.velocity - means[other.level])).real)
     return float(np.clip(product / power, 0.0, _MOST_ALIKE)) if power else 0.0
 
 
@@ -360,7 +361,7 @@ def _turning(blocks: list[_Block]) -> Measured:
     """Rate at which the motion turns away from the command within stretches."""
     rates = [
         (float(np.angle(later.velocity * np.conj(one.velocity))), later.start - one.start)
-        for one, later in zip(blocks, blocks[1:], strict=False)
+        for one, later in pairwise(blocks)
         if one.stretch == later.stretch and one.velocity and later.velocity]
     if not rates:
         return Measured()

@@ -67,12 +67,14 @@ def _group(found: Response, group: Group) -> dict[str, Any]:
     curve, (column, factor, _) = group.curve, words.COLUMNS[found.against]
     law: dict[str, Any] | None = None
     if curve is not None:
-        highest = group.levels[-1].level
         law = {
             'effect': 'drive_response', 'cut_in_hz': _estimate(curve.cut_in),
             'slip': _estimate(curve.slip), 'step_out_hz': _estimate(curve.step_out),
             'step_out_steepness': curve.effect.step_out_steepness,
-            'steps_out': curve.steps_out(highest), 'scatter': curve.scatter,
+            'steps_out': group.steps_out, 'scatter': curve.scatter,
+            'robots_stepping_out': [
+                {'session': name, 'particle': particle, 'step_out_hz': _estimate(one)}
+                for (name, particle), one in group.stepping_out.items()],
             'gains': [{'session': name, 'particle': particle, 'gain_um_s_hz': gain * 1e6}
                       for (name, particle), gain in zip(
                           sorted(group.robots), curve.gains.tolist(), strict=True)]}
@@ -128,7 +130,7 @@ def page(found: Response, figure: str) -> str:
     environment.filters |= {'number': report_words.number}
     environment.globals |= {'finite': np.isfinite, 'degrees': np.degrees}
     template = environment.from_string(_TEMPLATE.read_text(encoding='utf-8'))
-    column, factor, unit = words.COLUMNS[found.against]
+    _, factor, unit = words.COLUMNS[found.against]
     return template.render(
         found=found, figure=figure, summary=words.summary(found), factor=factor, unit=unit,
         difference=words.difference(found), exclusions=words.exclusions(found),

@@ -20,6 +20,8 @@ from microbot_ros.response.plateaus import (
     respond,
 )
 
+_FALLS = 0.9
+"""Share of its highest speed above which a robot at its last level has not stepped out."""
 _FEWEST_ROBOTS = 4
 """Robots from which one can be unlike the others."""
 _UNLIKE = 1.5
@@ -67,7 +69,8 @@ class Level:
 class Group:
     """Robots of one `kind`, of one `day` or of all ('').
 
-    The `curve` is that of `drive_response`, None where it was not fitted.
+    The `curve` is that of `drive_response`, None where it was not fitted; `stepping_out` are the
+    robots whose own speeds fall within the frequencies driven, with their own step-outs [Hz].
     """
 
     kind: str
@@ -75,6 +78,21 @@ class Group:
     robots: list[tuple[str, int]]
     levels: list[Level]
     curve: DriveCurve | None
+    stepping_out: dict[tuple[str, int], Measured]
+
+    @property
+    def common(self) -> list[Level]:
+        """The levels at which at least half of the robots were driven.
+
+        A mean over few robots beside one over all would show who was there.
+        """
+        return [one for one in self.levels if 2 * one.robots >= len(self.robots)] or self.levels
+
+    @property
+    def steps_out(self) -> bool:
+        """Whether the law of the kind has a step-out that most of its robots show."""
+        return (self.curve is not None and self.curve.steps_out(self.common[-1].level)
+                and 2 * len(self.stepping_out) > len(self.robots))
 
 
 @dataclass(frozen=True)
@@ -139,16 +157,31 @@ def _group(rows: list[Row], kind: str, day: str, against: Against) -> Group:
     robots = sorted({row.robot for row in rows})
     levels = []
     ordered = sorted(rows, key=lambda row: row.plateau.level)
-    for level, own in groupby(ordered, key=lambda row: row.plateau.level):
-        found = _level(level, [row.plateau.speed for row in own])
+    for level, there in groupby(ordered, key=lambda row: row.plateau.level):
+        found = _level(level, [row.plateau.speed for row in there])
         if found is not None:
             levels.append(found)
     curve = None
+    stepping_out: dict[tuple[str, int], Measured] = {}
     if against == 'frequency':
-        curve = fit_curve(*(np.array(column) for column in zip(*(
-            (row.plateau.level, row.plateau.speed.value, row.plateau.speed.std,
-             robots.index(row.robot)) for row in rows), strict=True)))
-    return Group(kind, day, robots, levels, curve)
+        curve = None if day else _curve(rows, robots)
+        for robot in robots if not day else ():
+            own = sorted((row for row in rows if row.robot == robot),
+                         key=lambda row: row.plateau.level)
+            speeds = [row.plateau.speed.value for row in own]
+            if speeds[-1] > _FALLS * max(speeds):
+                continue
+            single = _curve(own, [robot])
+            if single and single.steps_out(own[-1].plateau.level):
+                stepping_out[robot] = single.step_out
+    return Group(kind, day, robots, levels, curve, stepping_out)
+
+
+def _curve(rows: list[Row], robots: list[tuple[str, int]]) -> DriveCurve | None:
+    table = np.array([(row.plateau.level, row.plateau.speed.value, row.plateau.speed.std,
+                       robots.index(row.robot)) for row in rows])
+    frequency, speed, std, robot = table.T
+    return fit_curve(frequency, speed, std, robot.astype(int))
 
 
 def _level(level: float, speeds: list[Measured]) -> Level | None:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from microbot_ros.discovery.report_words import number
-from microbot_ros.response.plateaus import SETTLE_S, TURN, Against
+from microbot_ros.response.plateaus import SETTLE_S, TURN, Against, Measured
 from microbot_ros.response.result import Group, Response, Unlike
 
+_LISTED = 4
 COLUMNS: dict[Against, tuple[str, float, str]] = {
     'frequency': ('frequency_hz', 1.0, 'Hz'), 'field': ('field_mT', 1e3, 'mT'),
     'tilt': ('tilt_deg', 180 / np.pi, '°')}
@@ -23,23 +24,34 @@ def summary(found: Response) -> str:
 
 def _of_kind(found: Response, group: Group) -> str:
     _, factor, unit = COLUMNS[found.against]
-    first, last = group.levels[0], group.levels[-1]
+    first, last = group.common[0], group.common[-1]
     who = f'{group.kind}, {len(group.robots)}' if group.kind else f'{len(group.robots)}'
     said = f'{who} robot{"" if len(group.robots) == 1 else "s"}: '
-    if len(group.levels) == 1:
-        return f'{said}{_speed(first.speed.value)} µm/s at {first.level * factor:g} {unit}'
-    said += (f'speed goes from {_speed(first.speed.value)} µm/s at {first.level * factor:g} {unit} '
-             f'to {_speed(last.speed.value)} µm/s at {last.level * factor:g} {unit}')
+    if len(group.common) == 1:
+        return f'{said}{_speed(first.speed.value)} µm/s at {first.level * factor:.4g} {unit}'
+    ends = (f'{_speed(one.speed.value)} µm/s at {one.level * factor:.4g} {unit}'
+            for one in (first, last))
+    said += f'speed goes from {" to ".join(ends)}'
     curve = group.curve
     if curve is None:
         return said
     said += f', cut-in {_cut_in(group)}'
-    if curve.steps_out(last.level):
-        return (f'{said}, step-out at {number(curve.step_out.value)} Hz '
-                f'({number(curve.step_out.low)} to {number(curve.step_out.high)})')
+    if group.stepping_out:
+        single = sorted(group.stepping_out.values(), key=lambda one: one.value)
+        where = ('at ' + ', '.join(map(_interval, single)) if len(single) <= _LISTED else
+                 f'between {number(single[0].value)} and {number(single[-1].value)}')
+        law = f'; the law of all at {_interval(curve.step_out)}' if group.steps_out else ''
+        return (f'{said}, {len(single)} of {len(group.robots)} robots step out {where} Hz '
+                f'(95 %){law}')
     lost = 1 - (last.speed.value / last.level) / (first.speed.value / first.level)
     slips = (f', while the distance per turn falls by {100 * lost:.0f} %' if lost > 0.1 else '')
     return f'{said}, no step-out up to {last.level:g} Hz{slips}'
+
+
+def _interval(found: Measured) -> str:
+    if not np.isfinite(found.low):
+        return f'{number(found.value)} (at most {number(found.high)})'
+    return f'{number(found.value)} ({number(found.low)} to {number(found.high)})'
 
 
 def _cut_in(group: Group) -> str:
@@ -48,7 +60,7 @@ def _cut_in(group: Group) -> str:
     if found.low <= 0:
         return (f'below {number(found.high)} Hz' if np.isfinite(found.high)
                 else 'not bounded by these frequencies')
-    return f'at {number(found.value)} Hz ({number(found.low)} to {number(found.high)})'
+    return f'at {_interval(found)} Hz'
 
 
 def _speed(value: float) -> str:
@@ -64,9 +76,9 @@ def difference(found: Response) -> str:
     parts = []
     for kind, of in found.compared.items():
         if of:
-            (first, low), (last, high) = of[0], of[-1]
-            parts.append(f'{kind or "all"}: {100 * (low - 1):+.0f} % at {first * factor:g} {unit}, '
-                         f'{100 * (high - 1):+.0f} % at {last * factor:g} {unit}'.replace('-', '−'))
+            ends = ', '.join(f'{100 * (ratio - 1):+.0f} % at {level * factor:.4g} {unit}'
+                             for level, ratio in (of[0], of[-1]))
+            parts.append(f'{kind or "all"} {ends}'.replace('-', '−'))
     return (
         'The tables state the length of the displacement over a window of frames, in every row of '
         'a plateau. The window reaches back into rest and turns before a plateau, so that speeds '
@@ -82,10 +94,11 @@ def exclusions(found: Response) -> list[str]:
         used = sum(row.plateau.frames for row in found.rows)
         out = sum(row.plateau.left_out for row in found.rows)
         share = 100 * out / max(used + out, 1)
-        said.append(
-            f'{out} of {used + out} frames ({share:.0f} %) are left out: within {SETTLE_S:g} s of '
-            f'a change of the drive, or while the direction turned by more than '
-            f'{np.degrees(TURN):.0f}° in that time.')
+        if out:
+            said.append(
+                f'{out} of {used + out} frames ({share:.0f} %) are left out: within '
+                f'{SETTLE_S:g} s of a change of the drive, or while the direction turned by more than '
+                f'{np.degrees(TURN):.0f}° in that time.')
         delays = [delay for delay in found.delays.values() if delay > 0]
         if delays:
             said.append(f'The motion follows the command with a delay of {min(delays):.2f} to '
