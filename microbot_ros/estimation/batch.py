@@ -49,9 +49,9 @@ class FitResult:
     delay's; NaN where nothing excited them. `force`, `force_std` [N] are NaN without radius or
     viscosity and for rollers. `delay` is the one used, `noise` and `log_likelihood` are those at
     it. `legs`: the paper's own recipe, for each particle. `gains` of rollers at each frequency
-    driven; `warnings`: sentences. `measured` (T, P) complex [m]: the tracks that were fitted, NaN for gaps, and
-    `predicted`: the model from the beginning of each of their pieces on. `rolling`: whether they
-    are rollers.
+    driven; `warnings`: sentences. `measured` (T, P) complex [m]: the tracks that were fitted, NaN
+    for gaps, and `predicted`: the model from the beginning of each of their pieces on. `rolling`:
+    whether they are rollers.
     """
 
     ids: np.ndarray

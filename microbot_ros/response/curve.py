@@ -105,7 +105,10 @@ class _Fit:
         return weight
 
     def effect(self, shape: np.ndarray) -> DriveResponse:
-        return DriveResponse(**dict(zip(self._names, shape.tolist(), strict=True)))
+        values = dict(zip(self._names, shape.tolist(), strict=True))
+        # A step-out below the cut-in would stand in for the cut-in of a law of its own.
+        values['step_out'] = max(values['step_out'], values['cut_in'])
+        return DriveResponse(**values)
 
     def gains(self, shape: np.ndarray) -> np.ndarray:
         column = self._frequency * _factor(self.effect(shape), self._frequency)

@@ -97,8 +97,8 @@ def exclusions(found: Response) -> list[str]:
         if out:
             said.append(
                 f'{out} of {used + out} frames ({share:.0f} %) are left out: within '
-                f'{SETTLE_S:g} s of a change of the drive, or while the direction turned by more than '
-                f'{np.degrees(TURN):.0f}° in that time.')
+                f'{SETTLE_S:g} s of a change of the drive, or while the direction turned by '
+                f'more than {np.degrees(TURN):.0f}° in that time.')
         delays = [delay for delay in found.delays.values() if delay > 0]
         if delays:
             said.append(f'The motion follows the command with a delay of {min(delays):.2f} to '
@@ -115,6 +115,6 @@ def exclusions(found: Response) -> list[str]:
 def unlike(one: Unlike) -> str:
     """A sentence on a robot that is unlike the others of its kind."""
     session, particle = one.robot
-    return (f'{session}, robot {particle}, moves at {one.ratio:.2g} times the speed of the others '
-            f'{f"of {one.kind}" if one.kind else ""}: another objective or a wrong pixel size '
-            'would do that.').replace('  ', ' ')
+    of = f' of {one.kind}' if one.kind else ''
+    return (f'{session}, robot {particle}, moves at {one.ratio:.2g} times the speed of the others'
+            f'{of}: another objective or a wrong pixel size would do that.')

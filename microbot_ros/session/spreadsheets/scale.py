@@ -26,6 +26,9 @@ Part = tuple[Sheet, list[Column]]
 _LONGEST_WINDOW = 40
 """Frames. The tracker of the MagScope boards uses 15; windows beyond 1.5 s smear every turn."""
 _FEWEST_ROWS = 20
+_ROUNDING = 1e-5
+"""Relative width of the ratios that numbers of six digits leave. Of a table with constant
+intervals two time bases fit alike, and rounding must not decide between them."""
 _EXACT = 1e-3
 """Relative width of half of the ratios below which the table's own formula has been found."""
 _WIDEST = 0.3
@@ -92,10 +95,10 @@ def speed_ratio(speed: np.ndarray, z: np.ndarray, t: np.ndarray) -> SpeedRatio |
             middle, width = _shorth(np.log(ratio[fast]))
             error = 2 * width / np.sqrt(max(fast.sum() / frames, 1.0))
             share = float((np.abs(np.log(ratio[fast]) - middle) < max(5e-3, 2 * width)).mean())
-            # In ties the earlier one is kept: fewer frames, elapsed time.
-            if best is None or width < 0.5 * best[0] or (
-                    width < best[0] - 1e-6 and best[1].window.base == base):
-                best = width, SpeedRatio(
+            # In ties, up to rounding, the earlier one is kept: fewer frames, elapsed time.
+            if best is None or max(width, _ROUNDING) < (
+                    1.0 if best[1].window.base == base else 0.5) * best[0]:
+                best = max(width, _ROUNDING), SpeedRatio(
                     float(np.exp(middle)), max(error, width), SpeedWindow(frames, base), share)
     if best is None or best[0] > _WIDEST:
         return None
