@@ -32,7 +32,7 @@ hypothesis.settings.load_profile('seeded')
 # What tests an extra is left out where that extra is not installed.
 _OF_EXTRAS = {'gym/test_steering.py': 'gymnasium', 'gym/test_training_docs.py': 'gymnasium',
               'control/test_policy.py': 'onnx', 'archive/test_batch.py': 'polars',
-              'archive/test_cluster.py': 'distributed'}
+              'archive/test_cluster.py': 'distributed', 'archive/test_imports.py': 'distributed'}
 collect_ignore = [file for file, module in _OF_EXTRAS.items() if find_spec(module) is None]
 
 _TRIES = 4

@@ -36,7 +36,7 @@ class Entry:
     """What an archive knows of the recording of that `name` and `kind`, found below `top`.
 
     It is made of `files`, and `content` is their digest; `jobs` {task: key of its latest job};
-    `rig`, `batch`, `day` (ISO) and the kind of its particles as its labels say.
+    `rig`, `batch`, `day` (ISO) and `particle_kind` as its labels say.
     """
 
     name: str

@@ -48,7 +48,10 @@ _DEFAULT_WINDOW = SpeedWindow(15, 'elapsed')
 
 @dataclass(frozen=True)
 class Measured:
-    """A number with its standard deviation and 95 % interval; NaN where unknown."""
+    """A `value` with its standard deviation `std` and its 95 % interval from `low` to `high`.
+
+    NaN where it is unknown, infinite where there is no bound.
+    """
 
     value: float = np.nan
     std: float = np.nan
@@ -92,7 +95,7 @@ class SessionResponse:
 def levels(commands: Commands, against: Against) -> np.ndarray:
     """The level (K,) of each command: |f| [Hz], |B| [T] or the tilt of the axis [rad].
 
-    NaN where nothing is driven.
+    `against` says which. NaN where nothing is driven.
     """
     strength = np.hypot(*commands.field.T)
     driven = strength > 0
@@ -111,7 +114,7 @@ def levels(commands: Commands, against: Against) -> np.ndarray:
 def respond(session: Session, against: Against, definition: Definition) -> SessionResponse:
     """Motion of every particle of a `session` at every level of what it is held `against`.
 
-    What else was commanded is held at its most common value; other stretches are left out. A
+    `definition` says how speed is measured. What else was commanded is held at its most common value; other stretches are left out. A
     session without any plateau has none.
     """
     commands = session.commands

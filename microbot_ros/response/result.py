@@ -42,7 +42,7 @@ class Labelled:
 
 @dataclass(frozen=True)
 class Row:
-    """A plateau and the labels of its session."""
+    """A plateau and the `kind`, `day` and `rig` of its session; '' where unknown."""
 
     plateau: Plateau
     kind: str
