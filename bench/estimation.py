@@ -213,9 +213,9 @@ def _rolling() -> list[Figure]:
     if session is None:
         return []
     result = fit(session)
-    fast = [band for band in result.bands if band.low >= 10]
-    weight = np.array([band.std**-2 for band in fast])
-    gain = complex((weight * np.array([band.gain for band in fast])).sum() / weight.sum())
+    fast = [one for one in result.gains if one.frequency >= 10]
+    weight = np.array([one.std**-2 for one in fast])
+    gain = complex((weight * np.array([one.gain for one in fast])).sum() / weight.sum())
     told = (
         any('φ and delay' in text for text in result.warnings)
         and any('not constant in frequency' in text for text in result.warnings)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
@@ -50,12 +51,15 @@ class Commands:
 
     `t` (K,) [s], ascending; `field` (K, 2) [T] in the plane; for rolling particles `field`
     points in the rolling direction and `frequency` (K,) [Hz] is the rotation frequency, else
-    `frequency` is None. Before the first row nothing is commanded: zero field.
+    `frequency` is None. `tilt` (K,) [rad] is the angle of the axis of rotation from the vertical;
+    None where it lies in the plane throughout. Before the first row nothing is commanded: zero
+    field.
     """
 
     t: np.ndarray
     field: np.ndarray
     frequency: np.ndarray | None = None
+    tilt: np.ndarray | None = None
 
     def index_at(self, t: np.ndarray | float) -> np.ndarray:
         """The row in force at each time; −1 before the first."""
@@ -71,6 +75,28 @@ class Commands:
         if self.frequency is None:
             return np.zeros(np.shape(index))
         return np.append(0.0, self.frequency)[index + 1]
+
+    def tilt_at(self, t: np.ndarray | float) -> np.ndarray:
+        """Angle [rad] of the axis of rotation from the vertical at times of shape (...): (...).
+        """
+        index = self.index_at(t)
+        if self.tilt is None:
+            return np.full(np.shape(index), np.pi / 2)
+        return np.append(np.pi / 2, self.tilt)[index + 1]
+
+
+TimeBase = Literal['elapsed', 'last_interval', 'frames']
+"""Divisor of a displacement: the time elapsed, frames times the last interval, or frames."""
+
+
+@dataclass(frozen=True)
+class SpeedWindow:
+    """How a laboratory's own tables measure speed: the displacement over the last `frames`
+    frames, divided as `base` says.
+    """
+
+    frames: int
+    base: TimeBase
 
 
 @dataclass(frozen=True)
@@ -110,7 +136,8 @@ class Session:
 
     `breaks` (K,) [s], ascending, are where what was seen was joined: nothing is known of the way
     from the last frame before one to the first at or after it. `remarks` are sentences on what is
-    not as it should be: data that were cut off.
+    not as it should be: data that were cut off. `assumed` are the assumptions of an import, and
+    `speed_window` is how the imported tables measure speed.
     """
 
     tracks: Tracks
@@ -119,3 +146,5 @@ class Session:
     name: str = ''
     breaks: np.ndarray = field(default_factory=lambda: np.empty(0))
     remarks: tuple[str, ...] = ()
+    assumed: tuple[str, ...] = ()
+    speed_window: SpeedWindow | None = None

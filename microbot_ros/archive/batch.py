@@ -6,6 +6,7 @@ import importlib
 import threading
 import time
 from collections.abc import Callable, Sequence
+from collections.abc import Set as AbstractSet
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from functools import cache
@@ -13,7 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from microbot_ros.archive.cluster import ClusterError, cluster, introduced, run_jobs
-from microbot_ros.archive.labels import labels_of
+from microbot_ros.archive.imports import siblings
+from microbot_ros.archive.labels import labels_of, own_answers, stated
 from microbot_ros.archive.recordings import Found, Refused, find, in_parallel
 from microbot_ros.archive.store import Archive
 from microbot_ros.archive.work import READS, Job, Task
@@ -56,7 +58,8 @@ class Summary:
 
     `refused`: {name: reason} of what could not be read; `failed` likewise, where a worker failed,
     which is tried again next time; `aside`: how many are of a kind that the task does not take;
-    `copies` of others that were done once.
+    `copies` of others that were done once; `summaries`: {name: sentence} of tables that hold
+    averages and no recording. Each recording counts once.
     """
 
     task: Task
@@ -67,6 +70,7 @@ class Summary:
     copies: int = 0
     refused: dict[str, str] = field(default_factory=dict)
     failed: dict[str, str] = field(default_factory=dict)
+    summaries: dict[str, str] = field(default_factory=dict)
 
 
 def run_batch(task: Task, folders: Sequence[Path], out: Path, settings: dict[str, Any],
@@ -75,13 +79,13 @@ def run_batch(task: Task, folders: Sequence[Path], out: Path, settings: dict[str
               ) -> tuple[Summary, dict[str, Any]]:
     """Do a `task` on every recording in `folders`, and keep the results in the archive `out`.
 
-    `settings` of the task, the same for all: `exposure_s` for fit; `answers`, those of
-    `microbot import`, for fit, discover and import; `pixel_size_um`, `frame_rate_hz` and `tracker`
-    for track. On so many `workers` here, or on a `scheduler`'s. `report` is told the progress.
-    What was done before, by content, settings and version, is not done again. Returns what was
-    done and what the archive says as a whole, as JSON has it; `conclude` gives that with all
-    numbers. InputError for a folder, a scheduler or an archive that is not as it must be, OSError
-    for a full disk, ClusterError.
+    `settings` of the task, where an `archive.yaml` states no others: `exposure_s` for fit;
+    `answers`, those of `microbot import`, for fit, discover and import; `pixel_size_um`,
+    `frame_rate_hz` and `tracker` for track. On so many `workers` here, or on a `scheduler`'s.
+    `report` is told the progress. What was done before, by content, settings and version, is not
+    done again. Returns what was done and what the archive says as a whole, as JSON has it;
+    `conclude` gives that with all numbers. InputError for a folder, a scheduler or an archive
+    that is not as it must be, OSError for a full disk, ClusterError.
     """
     archive, summary = Archive(out), Summary(task)
     with archive.locked(), ExitStack() as stack:
@@ -152,7 +156,10 @@ def _measurements(archive: Archive, settings: dict[str, Any]) -> list[Job]:
             continue
         asked = {'effects': effects, 'known': result['effects'],
                  'reference_field': common_reference(discovered)}
-        own = {'answers': settings['answers']} if entry.kind == 'table' else {}
+        own = {}
+        if entry.kind == 'table':
+            found = Found(Path(path), 'table', Path(entry.top), tuple(map(Path, entry.files)))
+            own['answers'] = own_answers(found, settings['answers'])
         job = Job('measure', entry.kind, Path(path), tuple(map(Path, entry.files)), entry.content,
                   archive.folder, own | asked)
         entry.jobs['measure'] = job.key
@@ -199,14 +206,15 @@ def _settings(task: Task, recording: Found, settings: dict[str, Any]) -> dict[st
     """
     if task == 'track':
         beside = recording.path if recording.path.is_dir() else recording.path.parent
-        known = SessionFile()
+        known, said = SessionFile(), stated(recording)
         if (beside / 'session.yaml').exists():
             known = read_yaml(beside / 'session.yaml', SessionFile)
-        return {
-            'pixel_size_um': settings['pixel_size_um'] or known.pixel_size_um,
-            'frame_rate_hz': settings['frame_rate_hz'] or known.frame_rate_hz,
-            'tracker': settings['tracker']}
-    own = {'answers': settings['answers']} if recording.kind == 'table' else {}
+        return {'tracker': settings['tracker']} | {
+            name: said.get(name) or settings[name] or getattr(known, name)
+            for name in ('pixel_size_um', 'frame_rate_hz')}
+    own = {}
+    if recording.kind == 'table':
+        own['answers'] = own_answers(recording, settings['answers'])
     return own | ({'exposure_s': settings['exposure_s']} if task == 'fit' else {})
 
 
@@ -215,13 +223,14 @@ def _do(archive: Archive, jobs: Sequence[Job], client: Callable[[], Client], sum
     """Do of `jobs` what is not done; the rest is kept."""
     missing = [job for job in {job.key: job for job in jobs}.values() if not job.result.exists()]
     doing, began = {'measure': 'comparing'}.get(summary.task, summary.task), time.monotonic()
+    finished: set[str] = set()
 
     def told(job: Job, problem: str) -> None:
         if problem:
             summary.failed[archive.entries[str(job.path)].name] = problem
         else:
-            summary.done += 1
-        report(Progress(doing, summary.done + len(summary.failed), len(missing),
+            finished.add(job.key)
+        report(Progress(doing, len(finished) + len(summary.failed), len(missing),
                         time.monotonic() - began))
 
     if missing:
@@ -229,17 +238,28 @@ def _do(archive: Archive, jobs: Sequence[Job], client: Callable[[], Client], sum
         began = time.monotonic()
         report(Progress(doing, 0, len(missing)))
         run_jobs(working, missing, told)
-    _count(archive, jobs, summary)
+    _count(archive, jobs, summary, finished)
 
 
-def _count(archive: Archive, jobs: Sequence[Job], summary: Summary) -> None:
-    """Into the `summary` what became of the `jobs` by now; the sessions made get what is known."""
+def _count(archive: Archive, jobs: Sequence[Job], summary: Summary,
+           finished: AbstractSet[str] = frozenset()) -> None:
+    """Into the `summary` what became of the `jobs` by now; the sessions made get what is known.
+
+    `finished` are the keys of those that were done in this run.
+    """
     different = {job.key: job for job in jobs}
     summary.copies = len(jobs) - len(different)
-    summary.kept = len(different) - summary.done - len(summary.failed)
     for job in different.values():
-        result = archive.result(job.key) or {}
+        name, result = archive.entries[str(job.path)].name, archive.result(job.key)
+        if result is None:
+            continue
         if 'refused' in result:
-            summary.refused[archive.entries[str(job.path)].name] = result['refused']
-        elif 'session' in result:
+            summary.refused[name] = result['refused'] + siblings(archive, job)
+        elif 'summary' in result:
+            summary.summaries[name] = result['summary']
+        elif job.key in finished:
+            summary.done += 1
+        else:
+            summary.kept += 1
+        if 'session' in result:
             archive.publish(job.path, result['session'])

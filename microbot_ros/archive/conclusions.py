@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from microbot_ros.archive.imports import imported
 from microbot_ros.archive.quantities import (
     LABELS,
     Quantity,
@@ -29,7 +30,8 @@ from microbot_ros.archive.table import rows
 class Conclusions:
     """An archive as a whole: the `rows` of its table, one for each particle; `quantities` of the
     sessions; `effects` that recur, with the quantities `parameters` {effect: ...}; sessions
-    `unlike` the others; what drifts, with its `drifts`; `verdicts` and how often; `films` tracked.
+    `unlike` the others; what drifts, with its `drifts`; `verdicts` and how often; `films` tracked;
+    what was `imported`. Sessions are compared with those of their own kind of particles.
     """
 
     rows: list[dict[str, Any]]
@@ -40,6 +42,7 @@ class Conclusions:
     drifts: list[tuple[Quantity, Trend]]
     verdicts: dict[str, int]
     films: dict[str, dict[str, Any]]
+    imported: dict[str, Any]
 
     @property
     def sessions(self) -> list[str]:
@@ -66,7 +69,7 @@ class Conclusions:
             'unlike': [asdict(one) for one in self.unlike],
             'drifts': [{'quantity': one.name, 'per_week': line.slope, 'std': line.std,
                         'p_value': line.p_value} for one, line in self.drifts],
-            'films': self.films,
+            'films': self.films, 'imported': self.imported,
         }
 
 
@@ -86,12 +89,14 @@ def conclude(archive: Archive | str | Path) -> Conclusions:
     parameters = {effect.id: _parameters(effect, first) for effect in effects}
     known = quantities(table)
     over_sessions = [*known, *(one for of in parameters.values() for one in of)]
+    alike = [part for one in over_sessions for part in one.by_kind()]
     verdicts = Counter(row['verdict'] for row in first.values() if row['verdict'])
     return Conclusions(
         table, known, [_by_name(effect, first) for effect in effects], parameters,
-        unlike_the_others(over_sessions), drifting(over_sessions), dict(verdicts),
+        unlike_the_others(alike), drifting(alike), dict(verdicts),
         {archive.entries[path].name: found['film']
-         for path, found in archive.results('track').items() if 'film' in found})
+         for path, found in archive.results('track').items() if 'film' in found},
+        imported(archive))
 
 
 def _parameters(effect: Recurring, first: Mapping[str, Mapping[str, Any]]) -> list[Quantity]:

@@ -1,64 +1,121 @@
-"""Which rig, which batch of particles, which day: what only people know of a recording.
+"""Rig, batch, kind and day of a recording, and the options of its import, as people state them.
 
-An `archive.yaml` in any folder says it for all recordings in it and below; the nearest one that
-says something counts.
+An `archive.yaml` in any folder states them for all recordings in it and below, and under `files`
+for single files, globs and folders. The most specific statement counts: that for a file before
+that for its folder, and a nearer `archive.yaml` before one above.
 """
 
 from __future__ import annotations
 
 import datetime
 import re
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
+from typing import Any
 
 import pydantic
 
 from microbot_ros.archive.recordings import LABELS, Found
 from microbot_ros.errors import InputError
-from microbot_ros.files import Settings, read_yaml
+from microbot_ros.files import read_yaml
 from microbot_ros.session import open_recording
+from microbot_ros.session.spreadsheets.sheets import Answers
+from microbot_ros.session.spreadsheets.stated import Stated
 
 _DAY = re.compile(r'(?<!\d)(20\d\d)([-_.]?)(\d\d)\2(\d\d)(?!\d)')
 _SINCE_NS = 946_684_800_000_000_000
 """The year 2000: a recording whose clock says less was stamped by no calendar."""
 
 
-class LabelFile(Settings):
-    """`archive.yaml`, all of it optional."""
+class Statement(Stated):
+    """What `archive.yaml` states of recordings, all of it optional."""
 
     rig: str | None = None
     batch: str | None = None
+    kind: str | None = None
     recorded: datetime.date | None = None
 
-    @pydantic.field_validator('rig', 'batch', mode='before')
+    @pydantic.field_validator('rig', 'batch', 'kind', mode='before')
     @classmethod
     def as_text(cls, value: object) -> object:
         """Numbers are names, too."""
         return str(value) if isinstance(value, int | float) else value
 
 
+class LabelFile(Statement):
+    """`archive.yaml`: a statement for its folder, and more under `files` {path or glob: ...}."""
+
+    files: dict[str, Statement] = pydantic.Field(default_factory=dict)
+
+
 @dataclass(frozen=True)
 class Labels:
-    """`rig` and `batch` by name, and the `day` that it was recorded; None where nobody says."""
+    """`rig` and `batch` by name, the `kind` of the particles, and the `day` of the recording.
+
+    None where nobody says.
+    """
 
     rig: str | None = None
     batch: str | None = None
     day: datetime.date | None = None
+    kind: str | None = None
 
 
 def labels_of(found: Found) -> Labels:
     """What is known of a recording that was `found`.
 
     The day is that of `archive.yaml`, else that of the recording's own clock, else a date in the
-    names of file and folders, such as 2026-03-14. InputError for an `archive.yaml` that is wrong.
+    names of file and folders, such as 2026-03-14. The kind is that of `archive.yaml`, else of
+    tables and films the name of their folder below the one that was asked for, unless that is a
+    date. InputError for an `archive.yaml` that is wrong.
     """
-    said = LabelFile()
+    said = stated(found)
+    day = said.get('recorded') or _clock(found) or _dated(found.name)
+    kind = said.get('kind')
+    folder = found.path.parent
+    if kind is None and found.kind in ('table', 'film') and folder != found.top \
+            and found.top in folder.parents and not _DAY.search(folder.name):
+        kind = folder.name
+    return Labels(said.get('rig'), said.get('batch'), day, kind)
+
+
+def stated(found: Found) -> dict[str, Any]:
+    """All that `archive.yaml` files state of a recording that was `found`, by the keys they use.
+
+    InputError for an `archive.yaml` that is wrong.
+    """
+    known: dict[str, Any] = {}
+    for statement in _statements(found):
+        for key in statement.model_fields_set - {'files'}:
+            if getattr(statement, key) is not None:
+                known.setdefault(key, getattr(statement, key))
+    return known
+
+
+def own_answers(found: Found, general: dict[str, Any]) -> dict[str, Any]:
+    """`Answers` of a recording's import as a dictionary: the `general` ones, and in their place
+    what `archive.yaml` states of the recording that was `found`.
+    """
+    said = {key: value for key, value in stated(found).items() if key in Stated.model_fields}
+    own, unsaid = asdict(Stated(**said).answers()), asdict(Answers())
+    return general | {key: value for key, value in own.items() if value != unsaid[key]}
+
+
+def _statements(found: Found) -> Iterator[Statement]:
+    """The statements on a recording, the most specific first."""
     for folder in _upwards(found):
-        if (folder / LABELS).is_file():
-            own = read_yaml(folder / LABELS, LabelFile)
-            said = LabelFile(rig=said.rig or own.rig, batch=said.batch or own.batch,
-                             recorded=said.recorded or own.recorded)
-    return Labels(said.rig, said.batch, said.recorded or _clock(found) or _dated(found.name))
+        if not (folder / LABELS).is_file():
+            continue
+        own = read_yaml(folder / LABELS, LabelFile)
+        path = found.path.relative_to(folder).as_posix()
+        parents = [path, *(one.as_posix() for one in Path(path).parents)]
+        # A name before a glob; globs in the order of the file.
+        for pattern in sorted(own.files, key=lambda one: any(mark in one for mark in '*?[')):
+            if any(fnmatchcase(one, pattern.rstrip('/')) for one in parents):
+                yield own.files[pattern]
+        yield own
 
 
 def _upwards(found: Found) -> list[Path]:

@@ -15,7 +15,7 @@ from microbot_ros.units import symbol
 
 NAMES = {'v_um_s': 'v', 'gain_um_s_hz': 'gain', 'phi_rad': 'φ', 'diffusion_um2_s': 'D',
          'localisation_um': 'σ'}
-LABELS = ('rig', 'batch', 'day')
+LABELS = ('rig', 'batch', 'day', 'particle_kind')
 DRIFTS = 0.01
 """Chance, over all that is looked at, below which a trend or an odd session is told."""
 
@@ -28,7 +28,8 @@ class Quantity:
     """A quantity by the `name` that carries its unit: a value (K,) and its std (K,) a session.
 
     `particles_between`: standard deviation between the particles of a session, beyond their
-    errors. `groups`: {label: {rig, batch or day: indices of its sessions}}.
+    errors. `groups`: {label: {rig, batch, day or kind: indices of its sessions}}. `of_kind`: the
+    kind of particles that all are of, '' where that is not one.
     """
 
     name: str
@@ -38,12 +39,30 @@ class Quantity:
     std: np.ndarray
     particles_between: float
     groups: dict[str, dict[str, list[int]]]
+    of_kind: str = ''
 
     @property
     def title(self) -> str:
         """For people: 'v (µm/s)'."""
         name = self.name
         return f'{NAMES.get(name, name)} ({symbol(name)})' if symbol(name) else name
+
+    def by_kind(self) -> list[Quantity]:
+        """The same for the sessions of each kind of particles apart, and for those of none."""
+        kinds = self.groups['particle_kind']
+        if not kinds:
+            return [self]
+        known = {k for of in kinds.values() for k in of}
+        rest = [k for k in range(len(self.value)) if k not in known]
+        return [self._only(of, kind) for kind, of in [*kinds.items(), ('', rest)] if of]
+
+    def _only(self, of: list[int], kind: str) -> Quantity:
+        places = {k: place for place, k in enumerate(of)}
+        groups = {label: {group: [places[k] for k in members if k in places]
+                          for group, members in one.items()}
+                  for label, one in self.groups.items()}
+        return Quantity(self.name, tuple(self.sessions[k] for k in of), self.days[of],
+                        self.value[of], self.std[of], self.particles_between, groups, kind)
 
     @property
     def spread(self) -> Spread | None:

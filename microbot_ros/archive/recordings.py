@@ -19,6 +19,7 @@ from microbot_ros.errors import InputError
 from microbot_ros.session.bag import METADATA_FILE
 from microbot_ros.session.spreadsheets.columns import find_columns
 from microbot_ros.session.spreadsheets.sheets import read_sheets
+from microbot_ros.session.spreadsheets.summary import summary_of
 
 Kind = Literal['session', 'recording', 'film', 'table']
 MARK = '.microbot'
@@ -221,13 +222,16 @@ def _table(file: Path) -> str:
     """'positions', 'commands', or why a text is no table of either."""
     try:
         [sheet], _ = read_sheets(file)
-        roles = {column.role for column in find_columns(sheet, {})}
+        columns = find_columns(sheet, {})
+        roles = {column.role for column in columns}
     except InputError as error:
         return error.expected
     if {'x', 'y'} <= roles:
         return 'positions'
     if 'direction' in roles or {'bx', 'by'} <= roles:
         return 'commands'
+    if summary_of([(sheet, columns)]):
+        return 'spreadsheet'  # whose import says what it is
     return 'expected columns of positions or commands; it has neither'
 
 

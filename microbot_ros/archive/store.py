@@ -36,7 +36,7 @@ class Entry:
     """What an archive knows of the recording of that `name` and `kind`, found below `top`.
 
     It is made of `files`, and `content` is their digest; `jobs` {task: key of its latest job};
-    `rig`, `batch` and `day` (ISO) as its labels say.
+    `rig`, `batch`, `day` (ISO) and `particle_kind` as its labels say.
     """
 
     name: str
@@ -48,6 +48,7 @@ class Entry:
     batch: str | None = None
     day: str | None = None
     jobs: dict[str, str] = field(default_factory=dict)
+    particle_kind: str | None = None
 
 
 class Archive:
@@ -141,7 +142,7 @@ class Archive:
         day = None if labels.day is None else labels.day.isoformat()
         entry = Entry(found.name, found.kind, str(found.top), content, [*map(str, found.files)],
                       labels.rig, labels.batch, day,
-                      known.jobs if known and known.content == content else {})
+                      known.jobs if known and known.content == content else {}, labels.kind)
         self.entries[str(found.path)] = entry
         return entry
 
@@ -162,7 +163,8 @@ class Archive:
             if (beside / name).is_file() and not (target / name).exists():
                 shutil.copyfile(beside / name, target / name)
         entry = self.entries[str(recording)]
-        said = {'rig': entry.rig, 'batch': entry.batch, 'recorded': entry.day}
+        said = {'rig': entry.rig, 'batch': entry.batch, 'kind': entry.particle_kind,
+                'recorded': entry.day}
         known = [f'{key}: {json.dumps(value, ensure_ascii=False) if key != "recorded" else value}'
                  for key, value in said.items() if value]
         if known:

@@ -50,7 +50,8 @@ def _of_session(entry: Entry, path: str, task: str, result: dict[str, Any], told
     return {
         'path': path, 'kind': entry.kind,
         'day': entry.day and datetime.date.fromisoformat(entry.day), 'rig': entry.rig,
-        'batch': entry.batch, 'task': task, 'propulsion': facts['propulsion'],
+        'batch': entry.batch, 'particle_kind': entry.particle_kind,
+        'task': task, 'propulsion': facts['propulsion'],
         'duration_s': facts['duration_s'], 'frames': facts['frames'],
         'verdict': told.get('verdict'), 'present': present,
         'effects': [{
@@ -82,8 +83,8 @@ def schema() -> pyarrow.Schema:
                         *((part, number) for part in _PARTS.values())])
     return pa.schema([
         ('session', text), ('particle', text), ('day', pa.date32()), ('rig', text),
-        ('batch', text), ('task', text), ('propulsion', text), ('duration_s', number),
-        ('frames', pa.int64()),
+        ('batch', text), ('particle_kind', text), ('task', text), ('propulsion', text),
+        ('duration_s', number), ('frames', pa.int64()),
         *((name + part, number) for name in QUANTITIES for part in _PARTS),
         ('verdict', text), ('present', pa.list_(text)), ('effects', pa.list_(effect)),
         ('remarks', pa.list_(text)), ('kind', text), ('path', text), ('content', text)])
@@ -99,6 +100,14 @@ def write_table(archive: Archive, all_rows: list[dict[str, Any]]) -> Path:
     with output_folder(archive.folder) as folder:
         pq.write_table(pa.Table.from_pylist(all_rows, schema()), folder / TABLE)
     return archive.folder / TABLE
+
+
+def write_rows(all_rows: list[dict[str, Any]], path: Path) -> None:
+    """Write `all_rows`, which have the same columns, as Parquet at a `path`."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    pq.write_table(pa.Table.from_pylist(all_rows), path)
 
 
 def read_table(archive: str | Path) -> pyarrow.Table:

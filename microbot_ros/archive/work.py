@@ -19,6 +19,7 @@ from microbot_ros import __version__
 from microbot_ros.archive.recordings import MARK, Kind
 from microbot_ros.errors import InputError
 from microbot_ros.files import output_folder, write_text
+from microbot_ros.session.spreadsheets.summary import SummaryError
 
 if TYPE_CHECKING:
     from microbot_ros.records import Session
@@ -79,14 +80,16 @@ def result_file(archive: Path, key: str) -> Path:
 def do(job: Job) -> str:
     """Do a `job`, unless it is done; its key.
 
-    What a recording is wrong with is a result, too. Raises OSError where the disk is full,
-    VersionError, and whatever a fault of this program raises.
+    What a recording is wrong with is a result, too, and that a table holds averages only. Raises
+    OSError where the disk is full, VersionError, and whatever a fault of this program raises.
     """
     if job.version != __version__:
         raise VersionError(f'microbot_ros {__version__}, the client {job.version}')
     if not job.result.exists():
         try:
             outcome = _TASKS[job.task](job)
+        except SummaryError as error:
+            outcome = {'summary': error.expected}
         except InputError as error:
             outcome = {'refused': _reason(error)}
         except OSError as error:
@@ -116,7 +119,8 @@ def _read(job: Job) -> Session:
         with open_recording(job.path) as recording:
             return session_of(recording)
     session, said = _imported(job)
-    return replace(session, remarks=(*session.remarks, *(f'assumed: {one}' for one in said)))
+    return replace(session, name=job.path.stem,
+                   remarks=(*session.remarks, *(f'assumed: {one}' for one in said)))
 
 
 def _imported(job: Job) -> tuple[Session, list[str]]:
@@ -174,10 +178,13 @@ def _measure(job: Job) -> dict[str, Any]:
 
 def _import(job: Job) -> dict[str, Any]:
     from microbot_ros.session import write_session
+    from microbot_ros.units import exact_display
 
     session, said = _imported(job)
     write_session(made_session(job), session)
-    return {'facts': _facts(session), 'session': made_session(job).name, 'remarks': said}
+    pixel = session.conditions.pixel_size
+    return {'facts': _facts(session), 'session': made_session(job).name, 'remarks': said,
+            'pixel_size_um': pixel and float(exact_display('pixel_size_um', pixel))}
 
 
 def made_session(job: Job) -> Path:

@@ -37,6 +37,7 @@ _COMMANDS = {
     'simulate': 'Simulate particles, camera and hidden effects as a session.',
     'discover': 'Find, name and add the effect that the model is missing.',
     'batch': 'Track, fit, discover or import all recordings of an archive.',
+    'response': 'Measure speed and slip at each plateau of what was commanded.',
     'fit': 'Fit v, φ and F of every particle of a session.',
     'paper': "Repeat the paper's experiment beside its own numbers.",
     'import': 'Turn the tables of a laboratory into a session.',

@@ -46,7 +46,8 @@ def command() -> None:
 
     Recordings are found by what files hold: session folders, MCAP recordings, films, tables. What
     was done before is kept, whoever did it; a run that was stopped goes on where it was. An
-    archive.yaml with `rig`, `batch` and `recorded` in any folder tells what only people know.
+    archive.yaml with `rig`, `batch`, `kind` and `recorded` in any folder tells what only people
+    know, and options such as `pixel_size_um` for the folder, a file or a glob.
 
     \b
     Examples:
@@ -124,11 +125,13 @@ def _import(folders: tuple[Path, ...], out: Path, workers: int | None, scheduler
             json_path: Path | None, **given: Any) -> None:
     """Turn every table, spreadsheet or text, into a session in ARCHIVE/sessions.
 
-    The options are those of `microbot import`, the same for all.
+    The options are those of `microbot import`, for all tables of which no archive.yaml states
+    others. Prints every assumption with the tables it was made for, and keeps it in session.yaml.
+    Tables of averages are no recordings; they are counted apart.
 
     \b
     Example:
-      microbot batch import tables/ --out archive --pixel-size-um 0.33
+      microbot batch import tables/ --out archive
     """
     _run('import', {'answers': _answered(given)}, folders, out, workers, scheduler, json_path)
 
@@ -158,19 +161,44 @@ def _run(task: Task, settings: dict[str, Any], folders: tuple[Path, ...], out: P
         write_text(json_path, json.dumps(content, indent=1, ensure_ascii=False,
                                          allow_nan=False) + '\n')
     console = Console(highlight=False, soft_wrap=True)
-    for sentence in found['sentences']:
-        console.print(sentence, markup=False)
-    console.print(f'{out}: {found["sessions"]} sessions, {found["particles"]} particles in '
-                  f'archive.parquet; archive.html', markup=False)
+    for line in [*(_assumed(found['imported']) if task == 'import' else ()), *found['sentences']]:
+        console.print(line, markup=False)
+    if task in ('import', 'track'):
+        made = found['imported']['sessions'] if task == 'import' else len(found['films'])
+        console.print(f'{out}: {_counted(made, "session")} in {out / "sessions"}', markup=False)
+    else:
+        console.print(
+            f'{out}: {_counted(found["sessions"], "session")}, '
+            f'{_counted(found["particles"], "particle")} in archive.parquet; archive.html',
+            markup=False)
+
+
+def _counted(count: int, what: str) -> str:
+    return f'{count} {what}{"" if count == 1 else "s"}'
+
+
+def _assumed(imported: dict[str, Any]) -> list[str]:
+    """A line for each assumption, with the recordings that it was made for."""
+    from microbot_ros.archive.conclusions import listed
+
+    lines = []
+    for one in imported['assumed']:
+        of = one['recordings']
+        where = f'all {len(of)}' if len(of) == imported['sessions'] and len(of) > 1 else listed(
+            of, 3)
+        lines.append(f'assumed  {one["sentence"]}  [{where}]')
+    return [*lines, *imported['sentences']]
 
 
 def _told(summary: Summary) -> list[str]:
     lines = [f'{name}: {reason}' for name, reason in sorted(summary.refused.items())]
     lines += [f'{name}: {reason}; the next run tries again'
               for name, reason in sorted(summary.failed.items())]
+    lines += [f'{name}: {sentence}' for name, sentence in sorted(summary.summaries.items())]
     parts = [f'{summary.done} done', f'{summary.kept} kept from before']
     parts += [f'{count} {what}' for count, what in (
-        (summary.copies, 'copies of others'), (summary.aside, f'not for {summary.task}'),
+        (summary.copies, 'copies of others'), (len(summary.summaries), 'tables of averages'),
+        (summary.aside, f'not for {summary.task}'),
         (len(summary.refused), 'refused'), (len(summary.failed), 'failed')) if count]
     return [*lines, f'{summary.found} recordings: {", ".join(parts)}']
 

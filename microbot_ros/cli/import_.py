@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -16,15 +15,17 @@ from microbot_ros.errors import InputError
 if TYPE_CHECKING:
     from microbot_ros.session.spreadsheets.sheets import Answers
 
-_ROLES = 'time, frame, particle, x, y, theta, direction, frequency, bx, by'
+_ROLES = ('time, frame, particle, x, y, theta, direction, frequency, bx, by, speed, vx, vy, tilt, '
+          'cone')
 
 
 _OPTIONS = (
     click.option('--column', 'columns', multiple=True, metavar='ROLE=NAME',
                  help=f'Name the column for a role: {_ROLES}.'),
     click.option('--position-unit', type=click.Choice(['um', 'mm', 'm', 'px'])),
-    click.option('--pixel-size-um', type=plausible_number('pixel_size_um')),
-    click.option('--y', 'y_axis', type=click.Choice(['up', 'down']),
+    click.option('--pixel-size-um', type=plausible_number('pixel_size_um'),
+                 help='Width of a pixel in the sample, where the table does not say it.'),
+    click.option('--y', type=click.Choice(['up', 'down']),
                  help='Where y points; down is assumed of pixels.'),
     click.option('--time-unit', type=click.Choice(['s', 'ms'])),
     click.option('--times', type=click.Choice(['moments', 'intervals'])),
@@ -33,7 +34,12 @@ _OPTIONS = (
     click.option('--angle-sense', type=click.Choice(['counterclockwise', 'clockwise'])),
     click.option('--angle-offset-deg', type=FiniteFloatRange(-3600, 3600),
                  help='How much too large the angles of the commands are.'),
-    click.option('--field-unit', type=click.Choice(['mT', 'T', 'G'])),
+    click.option('--field-unit', type=click.Choice(['mT', 'T', 'G', 'fraction']),
+                 help='Unit of Bx and By; fraction is of full scale.'),
+    click.option('--full-scale-mT', 'full_scale_mT', type=plausible_number('reference_field_mT'),
+                 help='Field of a fraction of 1.'),
+    click.option('--ignore-speed', is_flag=True,
+                 help='Do not compare the scale with the speeds in the table.'),
 )
 
 
@@ -55,12 +61,15 @@ def command(source: Path, out: Path, json_path: Path | None, **given: Any) -> No
     """Turn SOURCE into a session: a spreadsheet, a delimited text file, or a folder of them.
 
     Finds robots side by side, below each other, or on a sheet each; times that are intervals;
-    decimal commas; pixels with y down; degrees; angles that turn clockwise. It says what it
-    assumed, and asks, by the name of an option, for what no file can tell.
+    decimal commas; pixels with y down, and their size where speeds in µm/s stand beside them;
+    units of angles; angles that turn clockwise. Prints what it assumed, keeps it in session.yaml,
+    and asks, by the name of an option, for what no file can tell. A stated pixel size that the
+    speeds in the table contradict is refused.
 
     \b
     Examples:
-      microbot import tracks.xlsx --pixel-size-um 0.33 --out sessions/monday
+      microbot import tracks.xlsx --out sessions/monday
+      microbot import places.xlsx --pixel-size-um 0.33 --out sessions/sunday
       microbot import robots.csv --column x="Centre X" --position-unit um --out sessions/tuesday
     """
     from rich.console import Console
@@ -68,6 +77,7 @@ def command(source: Path, out: Path, json_path: Path | None, **given: Any) -> No
     from microbot_ros.files import write_text
     from microbot_ros.session import write_session
     from microbot_ros.session.spreadsheets.assemble import import_session
+    from microbot_ros.units import exact_display
 
     with Console(stderr=True).status(f'reading {source}'):
         session, said = import_session(source, answers(**given))
@@ -82,32 +92,20 @@ def command(source: Path, out: Path, json_path: Path | None, **given: Any) -> No
             'particles': tracks.particles.tolist(), 'positions': len(tracks.t),
             'commands': len(commands.t), 'duration_s': float(tracks.t[-1] - tracks.t[0]),
             'assumed': said,
+            'pixel_size_um': session.conditions.pixel_size and float(
+                exact_display('pixel_size_um', session.conditions.pixel_size)),
         }
         write_text(json_path, json.dumps(found, indent=1, ensure_ascii=False) + '\n')
 
 
-def answers(*, columns: tuple[str, ...], position_unit: str | None, pixel_size_um: float | None,
-            y_axis: Literal['up', 'down'] | None, time_unit: str | None,
-            times: Literal['moments', 'intervals'] | None, frame_rate_hz: float | None,
-            angle_unit: str | None, angle_sense: Literal['counterclockwise', 'clockwise'] | None,
-            angle_offset_deg: float | None, field_unit: str | None) -> Answers:
-    """What the options of `answer_options`, by their names, say of a table.
+def answers(*, columns: tuple[str, ...], **given: Any) -> Answers:
+    """What the options of `answer_options`, `columns` and those `given` by name, say of a table.
 
-    They are `columns`, `position_unit`, `pixel_size_um` [µm], `y_axis`, `time_unit`, `times`,
-    `frame_rate_hz`, `angle_unit`, `angle_sense`, `angle_offset_deg` and `field_unit`. InputError
-    for a column's role that there is not.
+    InputError for a column's role that there is not.
     """
-    from microbot_ros.session.spreadsheets.sheets import Answers
-    from microbot_ros.units import to_si
+    from microbot_ros.session.spreadsheets.stated import Stated
 
-    return Answers(
-        columns=_named_columns(columns), position_unit=position_unit and f'_{position_unit}',
-        pixel_size=None if pixel_size_um is None else to_si('pixel_size_um', pixel_size_um),
-        y_axis=y_axis, time_unit=time_unit and f'_{time_unit}', times=times,
-        frame_rate=frame_rate_hz, angle_unit=angle_unit and f'_{angle_unit}',
-        angle_sense=angle_sense,
-        angle_offset=None if angle_offset_deg is None else math.radians(angle_offset_deg),
-        field_unit=field_unit and f'_{field_unit}')
+    return Stated(columns=_named_columns(columns), **given).answers()
 
 
 def _named_columns(pairs: tuple[str, ...]) -> dict[str, str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -27,19 +26,17 @@ GATE = 40.0
 CLEAR = 5.0
 """Gain in log likelihood above which a delay is used: 0.16 % by chance."""
 
-BANDS_HZ = (0.0, 2.0, 5.0, 10.0, 20.0, np.inf)
-"""Rotation frequencies between which gains of rollers are compared."""
+_FEWEST_STEPS = 10
+"""Steps at one frequency from which a gain at it is compared with the others."""
+_MOST_LEVELS = 60
+"""Frequencies up to which they are levels that somebody set; more are a continuous drive."""
 
 
 @dataclass(frozen=True)
-class Band:
-    """Gain (complex, m/s/Hz) of all particles together between two frequencies [Hz].
+class GainAt:
+    """Gain (complex, m/s/Hz) of all particles together at a `frequency` [Hz], ± `std` per axis."""
 
-    `gain` ± `std` per axis, from `low` to `high`.
-    """
-
-    low: float
-    high: float
+    frequency: float
     gain: complex
     std: float
 
@@ -51,10 +48,10 @@ class FitResult:
     `polar` holds speed (rollers: gain [m/s/Hz]) and φ with standard deviations that include the
     delay's; NaN where nothing excited them. `force`, `force_std` [N] are NaN without radius or
     viscosity and for rollers. `delay` is the one used, `noise` and `log_likelihood` are those at
-    it. `legs`: the paper's own recipe, for each particle. `bands` of rollers; `warnings`:
-    sentences. `measured` (T, P) complex [m]: the tracks that were fitted, NaN for gaps, and
-    `predicted`: the model from the beginning of each of their pieces on. `rolling`: whether they
-    are rollers.
+    it. `legs`: the paper's own recipe, for each particle. `gains` of rollers at each frequency
+    driven; `warnings`: sentences. `measured` (T, P) complex [m]: the tracks that were fitted, NaN
+    for gaps, and `predicted`: the model from the beginning of each of their pieces on. `rolling`:
+    whether they are rollers.
     """
 
     ids: np.ndarray
@@ -65,7 +62,7 @@ class FitResult:
     delay: Delay
     log_likelihood: float
     legs: list[Leg]
-    bands: list[Band]
+    gains: list[GainAt]
     warnings: list[str]
     measured: np.ndarray
     predicted: np.ndarray
@@ -97,12 +94,12 @@ def fit(session: Session, exposure: float = 0.0) -> FitResult:
             f'{np.degrees(slope.imag) / 10:+.1f}° to it'
         )
     warnings += _against_stokes_einstein(session, noise)
-    bands = _bands(best, noise) if model.propulsion == 'rolling' else []
-    warnings += _uneven(bands)
+    gains = _gains(best, noise) if model.propulsion == 'rolling' else []
+    warnings += _uneven(gains)
     force, force_std = speeds.force(session.conditions)
     return FitResult(
         np.unique(prepared.ids), speeds, force, force_std, noise, delay, best.log_likelihood,
-        one_leg(session), bands, warnings,
+        one_leg(session), gains, warnings,
         _of_particles(np.where(best.session.seen, best.session.z, np.nan), best.session.ids),
         _of_particles(_predicted(best), best.session.ids), model.propulsion == 'rolling',
     )
@@ -133,43 +130,42 @@ def _steps(fit: SessionFit) -> list[str]:
     ]
 
 
-def _bands(fit: SessionFit, noise: Noise) -> list[Band]:
-    """One gain per band of frequencies, all fitted together."""
+def _gains(fit: SessionFit, noise: Noise) -> list[GainAt]:
+    """The gain at every frequency driven, all fitted together; none for a continuous drive."""
     session = fit.session
-    frequency = session.commands.frequency_at(session.times[:-1])
+    frequency = np.abs(session.commands.frequency_at(session.times[:-1]))
     path = np.diff(fit.expected.along[:, 0])
-    inside = [
-        (frequency > low) & (frequency <= high)
-        for low, high in pairwise(BANDS_HZ)
-    ]
-    used = [k for k, mask in enumerate(inside) if mask.sum() > 10]
-    columns = [np.append(0, np.cumsum(np.where(inside[k], path, 0))) for k in used]
+    levels, counts = np.unique(frequency[frequency > 0], return_counts=True)
+    levels = levels[counts > _FEWEST_STEPS]
+    if not 0 < len(levels) <= _MOST_LEVELS:
+        return []
+    columns = [np.append(0, np.cumsum(np.where(frequency == level, path, 0)))
+               for level in levels]
     together = np.stack(
         [session.z, *(np.broadcast_to(c[:, None], session.z.shape) for c in columns)], axis=-1)
     white = whiten(together, session.times, noise, session.pieces)
     white = white.reshape(-1, white.shape[-1])
     gains = np.linalg.lstsq(white[:, 1:], white[:, 0], rcond=None)[0]
-    spread = np.linalg.inv(np.conj(white[:, 1:]).T @ white[:, 1:]).diagonal().real
-    return [
-        Band(BANDS_HZ[k], BANDS_HZ[k + 1], complex(gain), float(np.sqrt(variance)))
-        for k, gain, variance in zip(used, gains, spread, strict=True)
-    ]
+    power = np.conj(white[:, 1:]).T @ white[:, 1:]
+    spread = np.linalg.pinv(power).diagonal().real
+    return [GainAt(float(level), complex(gain), float(np.sqrt(variance)))
+            for level, gain, variance in zip(levels, gains, spread, strict=True) if variance > 0]
 
 
-def _uneven(bands: list[Band]) -> list[str]:
-    """A sentence where gains differ between bands beyond their spread."""
-    if len(bands) < 2:
+def _uneven(gains: list[GainAt]) -> list[str]:
+    """A sentence where gains differ between frequencies beyond their spread."""
+    if len(gains) < 2:
         return []
-    gain, weight = np.array([b.gain for b in bands]), np.array([b.std**-2 for b in bands])
+    gain, weight = np.array([one.gain for one in gains]), np.array([one.std**-2 for one in gains])
     mean = (weight * gain).sum() / weight.sum()
     chi_square = float((weight * np.abs(gain - mean) ** 2).sum())
-    # χ² of two axes per further band; the mean of it is 2 per band, and 10 per band never.
-    if chi_square < 10 * (len(bands) - 1):
+    # χ² of two axes per further frequency; its mean is 2 each, and 10 each never by chance.
+    if chi_square < 10 * (len(gains) - 1):
         return []
-    values = ', '.join(
-        f'{abs(b.gain) * 1e6:.2f} from {b.low:g} to {b.high:g} Hz' for b in bands
-    )
-    return [f'the gain is not constant in frequency: {values} (µm/s/Hz)']
+    ends = ' and '.join(f'{abs(one.gain) * 1e6:.2f} µm/s/Hz at {one.frequency:g} Hz'
+                        for one in (gains[0], gains[-1]))
+    return [f'the gain is not constant in frequency: {ends}; `microbot response` measures it at '
+            'each']
 
 
 def _against_stokes_einstein(session: Session, noise: Noise) -> list[str]:

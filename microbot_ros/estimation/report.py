@@ -35,22 +35,13 @@ def as_json(fit: FitResult) -> dict[str, Any]:
             'one_leg': _leg(fit.legs[n], key),
         }
     noise = fit.noise
-    result: dict[str, Any] = {
+    return {
         'particles': particles,
         'diffusion_um2_s': _number('x_um2_s', noise.diffusion, noise.diffusion_std),
         'localisation_um': _number('x_um', noise.localisation, noise.localisation_std),
         'delay_s': _number('x_s', fit.delay.value, fit.delay.std),
         'warnings': fit.warnings,
     }
-    if fit.bands:
-        result['gain_by_frequency'] = [
-            {
-                'from_hz': band.low, 'to_hz': band.high if np.isfinite(band.high) else None,
-                key: _number(key, abs(band.gain), band.std),
-                'phi_rad': _number('x_rad', np.angle(band.gain), band.std / abs(band.gain)),
-            } for band in fit.bands
-        ]
-    return result
 
 
 def _number(name: str, value: float, std: float) -> dict[str, float | None]:

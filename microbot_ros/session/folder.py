@@ -12,7 +12,15 @@ import yaml
 from microbot_ros.errors import InputError
 from microbot_ros.files import Settings, output_folder, read_yaml
 from microbot_ros.plausible import LONGEST_S
-from microbot_ros.records import Commands, Conditions, Session, Tracks, height_problem
+from microbot_ros.records import (
+    Commands,
+    Conditions,
+    Session,
+    SpeedWindow,
+    TimeBase,
+    Tracks,
+    height_problem,
+)
 from microbot_ros.session.plausibility import LARGEST_ID
 from microbot_ros.session.tables import Layout, Table, read_table, write_table
 from microbot_ros.units import exact_display, exact_si
@@ -27,7 +35,7 @@ TRACKS = Layout(
     ('frame', 'x_px', 'y_px', 'kind'),
 )
 UNIFORM = Layout(('t_s', 'bx_mT', 'by_mT'))
-ROLLING = Layout(('t_s', 'direction_rad', 'frequency_hz'), ('field_mT',))
+ROLLING = Layout(('t_s', 'direction_rad', 'frequency_hz'), ('field_mT', 'tilt_rad'))
 
 _SUFFIXED = {
     'radius': 'radius_um', 'viscosity': 'viscosity_mPa_s', 'temperature': 'temperature_K',
@@ -47,6 +55,9 @@ class SessionFile(Settings):
     pixel_size_um: pydantic.PositiveFloat | None = None
     reference_field_mT: pydantic.PositiveFloat | None = None
     height_um: pydantic.PositiveFloat | None = None
+    speed_window_frames: int | None = pydantic.Field(None, ge=1, le=10_000)
+    speed_window_base: TimeBase = 'elapsed'
+    assumed: tuple[str, ...] = ()
 
     @pydantic.field_validator('height_um')
     @classmethod
@@ -64,14 +75,26 @@ class SessionFile(Settings):
         propulsion = self.propulsion or ('rolling' if rolling else 'catalytic')
         return Conditions(propulsion=propulsion, **values)
 
+    @property
+    def speed_window(self) -> SpeedWindow | None:
+        """How the tables that the session was imported from measure speed."""
+        if self.speed_window_frames is None:
+            return None
+        return SpeedWindow(self.speed_window_frames, self.speed_window_base)
 
-def conditions_text(conditions: Conditions) -> str:
+
+def session_text(session: Session) -> str:
     """The content of `session.yaml`."""
+    conditions = session.conditions
     content: dict[str, object] = {'propulsion': conditions.propulsion}
     for name, key in _SUFFIXED.items():
         if (value := getattr(conditions, name)) is not None:
             content[key] = float(exact_display(key, value))
-    return yaml.safe_dump(content, sort_keys=False)
+    if (window := session.speed_window) is not None:
+        content |= {'speed_window_frames': window.frames, 'speed_window_base': window.base}
+    if session.assumed:
+        content['assumed'] = list(session.assumed)
+    return yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=1000)
 
 
 def read_folder(path: Path) -> Session:
@@ -99,7 +122,8 @@ def read_folder(path: Path) -> Session:
     else:
         _check_times(table, tracks)
         commands = _commands(table, conditions)
-    return Session(tracks, commands, conditions, path.resolve().name)
+    return Session(tracks, commands, conditions, path.resolve().name,
+                   assumed=settings.assumed, speed_window=settings.speed_window)
 
 
 def write_folder(path: Path, session: Session) -> None:
@@ -122,7 +146,8 @@ def write_folder(path: Path, session: Session) -> None:
             write_table(folder / 'commands.csv', _command_columns(session))
         else:
             (path / 'commands.csv').unlink(missing_ok=True)
-        (folder / 'session.yaml').write_text(conditions_text(session.conditions))
+        (folder / 'session.yaml').write_text(
+            session_text(session), encoding='utf-8')
 
 
 def _read_tracks(path: Path) -> Tracks:
@@ -172,7 +197,9 @@ def _commands(table: Table, conditions: Conditions) -> Commands:
     magnitude = np.where(np.isnan(magnitude), nominal, magnitude)
     angle = columns['direction_rad']
     unit = np.column_stack([np.cos(angle), np.sin(angle)])
-    return Commands(t, magnitude[:, None] * unit, columns['frequency_hz'])
+    tilt = columns.get('tilt_rad')
+    return Commands(t, magnitude[:, None] * unit, columns['frequency_hz'],
+                    None if tilt is None else np.where(np.isnan(tilt), np.pi / 2, tilt))
 
 
 def _command_columns(session: Session) -> dict[str, np.ndarray]:
@@ -186,4 +213,6 @@ def _command_columns(session: Session) -> dict[str, np.ndarray]:
     magnitude = np.hypot(bx, by)
     if not np.allclose(magnitude, session.conditions.reference_field or NOMINAL_FIELD, rtol=1e-9):
         columns['field_mT'] = magnitude
+    if commands.tilt is not None:
+        columns['tilt_rad'] = commands.tilt
     return columns

@@ -159,14 +159,16 @@ def _held(t: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
         np.searchsorted(times, t, side='right')]
 
 
-def changes(t: np.ndarray, b: np.ndarray, frequency: np.ndarray | None) -> Commands:
+def changes(t: np.ndarray, b: np.ndarray, frequency: np.ndarray | None,
+            tilt: np.ndarray | None = None) -> Commands:
     """Commands of fields `b` (K, 2) [T] without the rows that repeat the one before.
 
-    `t` (K,) [s] ascends; `frequency` (K,) [Hz], or None.
+    `t` (K,) [s] ascends; `frequency` (K,) [Hz] and `tilt` (K,) [rad], or None.
     """
-    state = b if frequency is None else np.column_stack([b, frequency])
+    state = np.column_stack([b, *(one for one in (frequency, tilt) if one is not None)])
     new = np.append(True, (np.diff(state, axis=0) != 0).any(axis=1))[:len(t)]
-    return Commands(t[new], b[new], None if frequency is None else frequency[new])
+    return Commands(t[new], b[new], *(None if one is None else one[new]
+                                      for one in (frequency, tilt)))
 
 
 def _conditions(recording: Recording, rolling: bool) -> Conditions:

@@ -224,7 +224,7 @@ def test_angles_that_motion_does_not_follow_are_kept(tmp_path):
 
 
 def test_a_uniform_field_needs_a_unit_and_keeps_its_components(tmp_path):
-    bx, by = np.cos(TRUTH.direction), np.sin(TRUTH.direction)
+    bx, by = 5 * np.cos(TRUTH.direction), 5 * np.sin(TRUTH.direction)
     x, y = TRUTH.first.T * 1e6
     path = write_csv(tmp_path / 'a.csv', ['t_s', 'x_um', 'y_um', 'Bx', 'By'], [
         TRUTH.t, x, y, bx, by])
@@ -292,13 +292,25 @@ def test_commands_that_nothing_ties_to_the_tracks_are_refused(tmp_path, field, s
     assert refusal.value.source.endswith('field.csv')
 
 
-def test_robots_on_one_clock_cannot_have_more_rows_than_it(tmp_path):
-    for name, first, rows in (('robot1', 0, 6), ('robot2', 3, 5)):
-        lines = [f'{first + i},{0.1 if i % 2 else 0.12},1,2' for i in range(rows)]
+@pytest.mark.parametrize(('first', 'second'), [((0, 6), (3, 5)), ((3, 6), (0, 5))])
+def test_the_common_clock_begins_with_the_first_robot_and_ends_with_the_last(
+        tmp_path, first, second):
+    for name, (start, rows) in (('robot1', first), ('robot2', second)):
+        lines = [f'{frame},{0.1 if frame % 2 else 0.12},1,2'
+                 for frame in range(start, start + rows)]
         (tmp_path / f'{name}.csv').write_text('\n'.join(['frame,times,x_um,y_um', *lines]))
-    with pytest.raises(InputError, match='no more rows than robot1') as refusal:
-        import_session(tmp_path, Answers())
-    assert refusal.value.source.endswith('robot2.csv')
+    session, _ = import_session(tmp_path, Answers())
+    of = {}
+    for name, (start, rows) in ((1, first), (2, second)):
+        own = session.tracks.of(name)
+        assert len(own.t) == rows
+        of |= {(name, start + k): t for k, t in enumerate(own.t)}
+    both = [frame for name, frame in of if name == 1 and (2, frame) in of]
+    assert both
+    assert [of[1, frame] for frame in both] == [of[2, frame] for frame in both]
+    every = sorted({frame: t for (_, frame), t in of.items()}.items())
+    steps = np.diff([t for _, t in every])
+    np.testing.assert_allclose(steps, [0.1 if frame % 2 else 0.12 for frame, _ in every[1:]])
 
 
 def small(tmp_path: Path, text: str) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -17,59 +18,131 @@ _AGREEMENT = 0.2
 """Share of the path that must follow the commands before anything is concluded."""
 _CLEARLY = 2.0
 """How many times better one sense must agree than the other."""
+_ALIKE = 0.8
+"""Share of the agreement with the angles from which that with their mirror image is the same."""
+_FEWEST_ROWS = 20
+"""Rows from which motion that keeps to one line is no chance."""
 _NEAR_90 = math.radians(12)
+_NEAR_90_AXIS = math.radians(30)
+"""Robots of unequal coils lead by ±8 to ±16° at diagonals; beside 90° that is still 90°."""
+_NEAR_180 = math.radians(30)
+_FULL_TURN = 2 * math.pi + 0.01
+_MOST_TURNS = 4
+"""Turns that an unwrapped angle in radians may count; beyond, degrees are as likely."""
 
 
-def angles(sheet: Sheet, column: Column, answers: Answers, said: Assumptions) -> np.ndarray:
-    """A column of angles (n,) in radians, by their unit, or by their size where none is told."""
+def angles(sheet: Sheet, column: Column, columns: Sequence[Column], answers: Answers,
+           said: Assumptions) -> np.ndarray:
+    """A `column` of angles (n,) in radians.
+
+    The unit is the stated one, that of the column's name, that of the angles beside it (the other
+    `columns`), or the one that the size of the values shows. InputError where none decides.
+    """
     values, name = sheet.numbers(column.index), sheet.names[column.index]
     unit = answers.angle_unit or column.unit
+    if not unit and not np.isfinite(values).any():
+        return values
     if not unit:
         largest, span = np.nanmax(np.abs(values)), np.nanmax(values) - np.nanmin(values)
-        if largest > 2 * math.pi + 0.01:
-            unit = '_deg'
-            said.add(f"{sheet.name}, '{name}': in degrees, since it reaches {largest:.4g}")
-        elif span > 3:
+        neighbour, shown = _unit_beside(sheet, columns)
+        if largest == 0:
             unit = '_rad'
-            said.add(f"{sheet.name}, '{name}': in radians, since it spans {span:.3g}")
+        elif neighbour == '_deg' or (largest > _FULL_TURN and not neighbour):
+            unit = '_deg'
+            said.add(f"'{name}' is in degrees, since {shown or f'it reaches {largest:.4g}'}",
+                     sheet.name)
+        elif neighbour and largest <= _MOST_TURNS * _FULL_TURN:
+            unit = '_rad'
+            said.add(f"'{name}' is in radians, since {shown}", sheet.name)
+        elif not neighbour and span > 3:
+            unit = '_rad'
+            said.add(f"'{name}' is in radians, since it spans {span:.3g}", sheet.name)
         else:
-            raise InputError(sheet.place, 'expected --angle-unit deg or rad: a span of '
-                                          f"{span:.3g} in '{name}' could be either")
+            raise InputError(sheet.place, 'expected --angle-unit deg or rad: '
+                             + (f"'{name}' reaches {largest:.4g} though {shown}" if neighbour else
+                                f"a span of {span:.3g} in '{name}' could be either"))
     return np.radians(values) if unit == '_deg' else values
+
+
+def _unit_beside(sheet: Sheet, columns: Sequence[Column]) -> tuple[str, str]:
+    """The unit that tilt and cone angle show, and a phrase that says why; '' where they do not.
+
+    They are right angles on most boards, most of the time: 1.570796 or 90.
+    """
+    for column in columns:
+        if column.role not in ('tilt', 'cone'):
+            continue
+        values, name = sheet.witness(column.index), sheet.names[column.index]
+        if column.unit:
+            return column.unit, f"'{name}' beside it is"
+        for unit, right in (('_rad', math.pi / 2), ('_deg', 90.0)):
+            if (np.abs(values - right) < 1e-3 * right).any():
+                return unit, f"'{name}' beside it is {right:.6g}"
+    return '', ''
 
 
 def settle_angles(
     commands: Commands, tracks: Tracks, answers: Answers, said: Assumptions, source: str,
+    axis: bool = False,
 ) -> Commands:
     """Commands in the workspace's angles: counterclockwise from x, as the motion shows.
 
     The sense of turning shows in whether the motion follows the angles or their mirror image. An
     offset near ±90° may be the convention of the angles or the heading offset of the robot: that
-    is asked for, by an InputError that names `source`.
+    is asked for, by an InputError that names `source`. Where the angles are those of an `axis` of
+    rotation, as tilt and cone angle beside them say, robots roll at a right angle to it and
+    nothing is asked.
     """
     z = commands.field @ np.array([1, 1j])
+    if commands.frequency is not None:
+        z = np.where(commands.frequency != 0, z, 0)
     same, mirrored = _agreement(tracks, commands.t, z), _agreement(tracks, commands.t, z.conj())
+    z = commands.field @ np.array([1, 1j])
     clockwise = answers.angle_sense == 'clockwise'
-    if answers.angle_sense is None and abs(mirrored) > max(_AGREEMENT, _CLEARLY * abs(same)):
-        clockwise = True
-        said.add('angles turn clockwise, since the motion follows their mirror image; turned over')
+    if answers.angle_sense is None:
+        if abs(mirrored) > max(_AGREEMENT, _CLEARLY * abs(same)):
+            clockwise = True
+            said.add('angles turn clockwise, since the motion follows their mirror image; '
+                     'turned over')
+        elif (abs(mirrored) > max(_AGREEMENT, _ALIKE * abs(same))
+              and len(tracks.t) >= _FEWEST_ROWS):
+            # Motion to and fro along one line follows both.
+            clockwise = _opposite(same) and not _opposite(mirrored)
+            said.add(f'whether angles turn clockwise does not show, since the motion keeps to one '
+                     f'line; taken as {"clockwise" if clockwise else "counterclockwise"}')
     if clockwise:
         z, same = z.conj(), mirrored
     offset = answers.angle_offset
     if offset is None:
-        offset = 0.0
-        lead = math.degrees(np.angle(same))
-        if abs(same) < _AGREEMENT:
-            said.add('motion and commands show no common direction; angles kept as they are')
-        elif abs(abs(np.angle(same)) - math.pi / 2) < _NEAR_90:
-            raise InputError(
-                source, f'expected --angle-offset-deg: the motion leads the commands by '
-                        f'{lead:.0f}°; {-round(lead / 90) * 90} if the angles count from another '
-                        'axis, 0 if that is the heading of the robot')
-        else:
-            said.add(f'the motion leads the commands by {lead:.0f}°: kept, as the robot’s own')
+        offset = _offset(same, axis, said, source)
     z = z * np.exp(-1j * offset)
-    return Commands(commands.t, np.column_stack([z.real, z.imag]), commands.frequency)
+    return Commands(commands.t, np.column_stack([z.real, z.imag]), commands.frequency,
+                    commands.tilt)
+
+
+def _opposite(agreement: complex) -> bool:
+    return bool(abs(np.angle(agreement)) > math.pi - _NEAR_180)
+
+
+def _offset(same: complex, axis: bool, said: Assumptions, source: str) -> float:
+    """What angles are too large by [rad], from the lead of the motion over them."""
+    lead = float(np.angle(same))
+    if abs(same) < _AGREEMENT:
+        said.add('motion and commands show no common direction; angles kept as they are')
+    elif abs(abs(lead) - math.pi / 2) < (_NEAR_90_AXIS if axis else _NEAR_90):
+        right = math.copysign(90, lead)
+        if axis:
+            said.add(f'angles are those of the axis of rotation: the motion leads them by '
+                     f'{math.degrees(lead):.0f}°; {right:.0f}° added')
+            return -math.radians(right)
+        raise InputError(
+            source, f'expected --angle-offset-deg: the motion leads the commands by '
+                    f'{math.degrees(lead):.0f}°; {-right:.0f} if the angles count from another '
+                    'axis, 0 if that is the heading of the robot')
+    else:
+        said.add(f'the motion leads the commands by {math.degrees(lead):.0f}°: kept, as the '
+                 'robot’s own'.replace('-', '−'))
+    return 0.0
 
 
 def _agreement(tracks: Tracks, t: np.ndarray, z: np.ndarray) -> complex:

@@ -25,10 +25,17 @@ _NAMES = {
                   'rolling freq', 'field frequency'),
     'bx': ('bx', 'b x', 'field x'),
     'by': ('by', 'b y', 'field y'),
+    'speed': ('vel mag', 'velocity magnitude', 'velocity', 'speed', 'vel', 'vmag'),
+    'vx': ('vel x', 'velocity x', 'x velocity', 'vx'),
+    'vy': ('vel y', 'velocity y', 'y velocity', 'vy'),
+    'tilt': ('gamma', 'tilt', 'axis tilt', 'tilt angle'),
+    'cone': ('psi', 'cone angle'),
 }
 ROLES = tuple(_NAMES)
 _ROLE_OF = {name: role for role, names in _NAMES.items() for name in names}
-_SINGLE = ('time', 'frame', 'particle', 'direction', 'frequency', 'bx', 'by')
+_SINGLE = ('time', 'frame', 'particle', 'direction', 'frequency', 'bx', 'by', 'tilt', 'cone')
+_WITNESSES = ('speed', 'vx', 'vy', 'tilt', 'cone')
+"""Roles that only check or complete other columns: of several the first is used."""
 
 # How units are written → the suffix by which `units` knows them.
 _UNITS = {
@@ -36,6 +43,7 @@ _UNITS = {
     'micron': '_um', 'microns': '_um', 'mm': '_mm', 'm': '_m', 's': '_s', 'sec': '_s',
     'seconds': '_s', 'ms': '_ms', 'deg': '_deg', 'degrees': '_deg', '°': '_deg', 'rad': '_rad',
     'radians': '_rad', 'hz': '_hz', 'mt': '_mT', 't': '_T', 'g': '_G', 'gauss': '_G',
+    'um/s': '_um_s', 'µm/s': '_um_s', 'μm/s': '_um_s', 'mm/s': '_mm_s', 'px/s': '_px_s',
 }
 _BRACKETED = re.compile(r'[\[(]\s*([^\])]+?)\s*[\])]')
 _NUMBERED = re.compile(r'^(?:(?:robot|particle|track|r|p)?\s*(\d+)\s+(\D+?)|(\D+?)\s*(\d+))$')
@@ -74,13 +82,15 @@ def find_columns(sheet: Sheet, named: dict[str, str]) -> list[Column]:
     seen: dict[tuple[str, int | None], Column] = {}
     for column in columns:
         key = column.role, None if column.role in _SINGLE else column.particle
+        if key in seen and column.role in _WITNESSES:
+            continue
         if key in seen:
             first, second = sheet.names[seen[key].index], sheet.names[column.index]
             raise InputError(sheet.place, f"expected one column for {column.role}, found '{first}'"
                                           f" and '{second}'; choose by --column "
                                           f"{column.role}='{first}'")
         seen[key] = column
-    return columns
+    return list(seen.values())
 
 
 def _recognise(index: int, name: str) -> Column | None:
@@ -106,6 +116,8 @@ def _split_unit(name: str) -> tuple[str, str]:
         return _plain(_BRACKETED.sub(' ', name)), _UNITS[bracketed[1].lower()]
     words = _plain(_BRACKETED.sub(r' \1 ', name)).split(' ')
     # A last word can be a unit ('time ms', 'x px') unless the whole is a name ('b x', 'field t').
+    if len(words) > 2 and '/'.join(words[-2:]) in _UNITS:  # 'speed um s'
+        return ' '.join(words[:-2]), _UNITS['/'.join(words[-2:])]
     if len(words) > 1 and words[-1] in _UNITS and ' '.join(words) not in _ROLE_OF:
         return ' '.join(words[:-1]), _UNITS[words[-1]]
     return ' '.join(words), ''

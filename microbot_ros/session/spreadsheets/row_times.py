@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -16,19 +17,27 @@ _STEADY = 20.0
 """Intervals of a camera stay below this many of their medians; moments do not."""
 _LONGEST_STEP = 2.0
 """A step above this is as likely in milliseconds as in seconds."""
+_MOST_BACK = 0.02
+"""Share of the rows that may go back in a column of moments. Intervals go back in a third to a
+half of the rows."""
+_LOST_FRAMES = 10
+"""A counter that advances by more between two rows, without the time for it, has lost the track.
+Counters of busy trackers skip and repeat one or two frames."""
 
 
 @dataclass(frozen=True)
 class RowTimes:
     """The times `t` (n,) [s] of the rows of a sheet, and their frame numbers where it has them.
 
-    `intervals`: the sheet told how long each row lasted, not when it was.
+    `intervals`: the sheet told how long each row lasted, not when it was. `cuts`: the rows at
+    which a lost track was picked up again.
     """
 
     sheet: Sheet
     t: np.ndarray
     frames: np.ndarray | None
     intervals: bool
+    cuts: tuple[int, ...] = ()
 
 
 def own_row_times(
@@ -46,8 +55,10 @@ def own_row_times(
         intervals = _are_intervals(sheet, column, values, 'particle' in by_role, answers, said)
         steps = values if intervals else np.diff(np.unique(values))
         factor = _seconds_per_unit(sheet, column, steps, answers, said)
-        t = np.cumsum(values) if intervals else values
-        return RowTimes(sheet, t * factor, frames, intervals)
+        if not intervals:
+            return RowTimes(sheet, values * factor, frames, intervals)
+        values, cuts = _picked_up(sheet, values * factor, frames, said)
+        return RowTimes(sheet, np.cumsum(values), frames, intervals, cuts)
     if frames is None:
         return None
     if answers.frame_rate is None:
@@ -58,7 +69,7 @@ def own_row_times(
 def joined_row_times(sheet: Sheet, columns: Sequence[Column], others: list[RowTimes],
                     said: Assumptions) -> RowTimes:
     """The times of a sheet that has none of its own, or only frames, from its neighbours'."""
-    longest = max(others, key=lambda other: len(other.t))
+    longest = clock_of(others)
     if len(sheet.rows) == len(longest.t):
         said.add(f'{sheet.name}: row by row beside {longest.sheet.name}')
         return RowTimes(sheet, longest.t, None, False)
@@ -79,42 +90,111 @@ def joined_row_times(sheet: Sheet, columns: Sequence[Column], others: list[RowTi
 
 def aligned(timelines: list[RowTimes], said: Assumptions) -> list[RowTimes]:
     """Timelines of robots filmed together on one clock: where times are sums of intervals, every
-    sheet runs row by row along the longest, from the frame where it begins."""
+    sheet runs row by row along the longest, from the frame where it begins.
+
+    The clock is extended where a sheet begins before the longest or ends after it. After a cut a
+    sheet goes on from the frame at which its track was picked up.
+    """
     if not all(timeline.intervals for timeline in timelines) or len(timelines) < 2:
         return timelines
-    longest = max(timelines, key=lambda timeline: len(timeline.t))
-    result = []
-    for timeline in timelines:
-        offset = 0
-        if longest.frames is not None and timeline.frames is not None:
-            offset = int(np.searchsorted(longest.frames, timeline.frames[0]))
-        shared = longest.t[offset:offset + len(timeline.t)]
-        if len(shared) < len(timeline.t):
+    clock = _clock(timelines)
+    said.add(f'all robots on the clock of {clock.sheet.name}, row by row')
+    return [replace(timeline, t=_along(clock, timeline)) for timeline in timelines]
+
+
+def clock_of(timelines: Sequence[RowTimes]) -> RowTimes:
+    """The clock that rows of other sheets are compared with: that of the longest of `timelines`,
+    extended by the others where all run along it.
+    """
+    if len(timelines) > 1 and all(timeline.intervals for timeline in timelines):
+        return _clock(timelines)
+    return max(timelines, key=lambda timeline: len(timeline.t))
+
+
+def _clock(timelines: Sequence[RowTimes]) -> RowTimes:
+    # A sheet without cuts has no time that was lost.
+    clock = max(timelines, key=lambda timeline: (not timeline.cuts, len(timeline.t)))
+    for other in timelines:
+        if clock.frames is None or other.frames is None:
+            continue
+        t, frames = [clock.t], [clock.frames]
+        before = int(np.searchsorted(other.frames, clock.frames[0]))
+        if before and before < len(other.t):
+            t.insert(0, clock.t[0] - other.t[before] + other.t[:before])
+            frames.insert(0, other.frames[:before])
+        after = int(np.searchsorted(other.frames, clock.frames[-1], side='right'))
+        if 0 < after < len(other.t):
+            t.append(clock.t[-1] - other.t[after - 1] + other.t[after:])
+            frames.append(other.frames[after:])
+        clock = replace(clock, t=np.concatenate(t), frames=np.concatenate(frames))
+    return clock
+
+
+def _along(clock: RowTimes, timeline: RowTimes) -> np.ndarray:
+    """The times of the rows of a `timeline` on a `clock`."""
+    if clock.frames is None or timeline.frames is None:
+        return clock.t[:len(timeline.t)]
+    if (np.diff(clock.frames) < 0).any():
+        return timeline.t  # a counter that restarted says nothing about the others
+    t = np.empty(len(timeline.t))
+    bounds = [0, *timeline.cuts, len(t)]
+    for start, end in pairwise(bounds):
+        offset = int(np.searchsorted(clock.frames, timeline.frames[start]))
+        shared = clock.t[offset:offset + end - start]
+        if len(shared) < end - start:
             raise InputError(
-                timeline.sheet.place, f'expected no more rows than {longest.sheet.name} has from '
+                timeline.sheet.place, f'expected no more rows than {clock.sheet.name} has from '
                 f'the same frame on, found {len(timeline.t)}')
-        result.append(RowTimes(timeline.sheet, shared, timeline.frames, True))
-    said.add(f'all robots on the clock of {longest.sheet.name}, row by row')
-    return result
+        t[start:end] = shared
+    return t
+
+
+def _picked_up(sheet: Sheet, intervals: np.ndarray, frames: np.ndarray | None, said: Assumptions,
+               ) -> tuple[np.ndarray, tuple[int, ...]]:
+    """Intervals (n,) [s] that all last, and the rows at which a lost track was picked up again.
+
+    There the counter of frames jumps and the interval does not say how long it was.
+    """
+    usual = float(np.median(intervals[intervals > 0])) if (intervals > 0).any() else 0.0
+    intervals = intervals.copy()
+    cuts: list[int] = []
+    if frames is not None:
+        step = np.diff(frames, prepend=frames[:1] - 1)
+        lost = (np.abs(step) > _LOST_FRAMES) | (step < 0)
+        lost &= intervals < 0.5 * np.abs(step) * usual
+        lost[0] = False
+        cuts = np.flatnonzero(lost).tolist()
+        intervals[lost] = np.maximum(step[lost], 1) * usual
+    for row in cuts:
+        said.add(f'{sheet.name}: lost and picked up again in line {sheet.lines[row]}, at '
+                 f'{intervals[:row + 1].sum():.1f} s; cut there')
+    short = intervals[1:] <= 0
+    if short.any():
+        said.add(f'{sheet.name}: {int(short.sum())} intervals of 0 taken as {usual:.4g} s')
+        intervals[1:][short] = usual
+    return intervals, tuple(cuts)
 
 
 def _are_intervals(
     sheet: Sheet, column: Column, values: np.ndarray, many_rows_a_time: bool, answers: Answers,
     said: Assumptions,
 ) -> bool:
-    name = f"{sheet.name}, '{sheet.names[column.index]}'"
     if answers.times:
         return answers.times == 'intervals'
     steps = np.diff(values)
     if many_rows_a_time or not len(steps) or (steps > 0).all():
         return False
-    steady = values.min() >= 0 and 0 < values.max() < _STEADY * np.median(values)
+    usual = float(np.median(values))
+    steady = values.min() >= 0 and usual > 0 and (
+        values.max() < _STEADY * usual
+        or ((steps < 0).mean() > _MOST_BACK and np.quantile(values, 0.95) < _STEADY * usual))
     if not steady:
         line = sheet.lines[int(np.argmax(steps <= 0)) + 1]
         raise InputError(
             sheet.place, f"expected the times in '{sheet.names[column.index]}' to ascend; if they "
                          'are intervals, say --times intervals', line)
-    said.add(f'{name}: intervals, since it goes back {int((steps < 0).sum())} times; summed')
+    said.add(f"'{sheet.names[column.index]}' holds intervals, since it goes back again and again; "
+             'summed', sheet.name)
     return True
 
 
@@ -130,5 +210,5 @@ def _seconds_per_unit(
         raise InputError(
             sheet.place, f"expected --time-unit s or ms: steps of {step:g} in '{name}' could be "
                          'either')
-    said.add(f"{sheet.name}, '{name}': in seconds, steps of {step:.4g}")
+    said.add(f"'{name}' is in seconds, steps of {step:.1g}", sheet.name)
     return 1.0

@@ -6,6 +6,7 @@ import math
 import re
 import zipfile
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, time, timedelta
 from pathlib import Path
@@ -28,7 +29,9 @@ class Answers:
     `columns` gives the name of the column for a role; `position_unit`, `time_unit`, `angle_unit`
     and `field_unit` are suffixes as `units` knows them; `pixel_size` [m]; `y_axis`, the way it
     points; `times`, what the column of times holds; `frame_rate` [Hz]; `angle_sense`, which way
-    angles grow; `angle_offset` [rad], what the table's angles are too large by.
+    angles grow; `angle_offset` [rad], what the table's angles are too large by; `full_scale` [T],
+    the field of a share of 1; `ignore_speed`, whether the speeds in the table say nothing about
+    the scale of its positions.
     """
 
     columns: dict[str, str] = field(default_factory=dict)
@@ -42,15 +45,32 @@ class Answers:
     angle_sense: Literal['counterclockwise', 'clockwise'] | None = None
     angle_offset: float | None = None
     field_unit: str | None = None
+    full_scale: float | None = None
+    ignore_speed: bool = False
 
 
 class Assumptions(list[str]):
     """What was taken for granted, a sentence each and no sentence twice."""
 
-    def add(self, sentence: str) -> None:
-        """Say it unless it was said."""
-        if sentence not in self:
-            self.append(sentence)
+    def __init__(self, sentences: Iterable[str] = ()) -> None:
+        super().__init__(sentences)
+        self._sheets: dict[str, tuple[int, list[str]]] = {}
+
+    def add(self, sentence: str, sheet: str = '') -> None:
+        """Note a `sentence`, about one `sheet` or about all.
+
+        Where it holds for several sheets they share a line.
+        """
+        if not sheet:
+            if sentence not in self:
+                self.append(sentence)
+            return
+        place, sheets = self._sheets.setdefault(sentence, (len(self), []))
+        if sheet not in sheets:
+            sheets.append(sheet)
+        more = len(sheets) - 1
+        first = sheets[0] if not more else f'{sheets[0]} and {more} more sheet{"s" * (more > 1)}'
+        self[place:place + 1] = [f'{first}: {sentence}']
 
 
 @dataclass(frozen=True)
@@ -81,6 +101,11 @@ class Sheet:
                     self.lines[i])
             values[i] = value
         return values
+
+    def witness(self, column: int) -> np.ndarray:
+        """A column as floats (n,), NaN for whatever is no number."""
+        values = (_number(row[column]) for row in self.rows)
+        return np.array([np.nan if value is None else value for value in values])
 
 
 def read_sheets(path: Path) -> tuple[list[Sheet], list[str]]:

@@ -1,0 +1,1 @@
+"""Dose and response: speed, turning and slip at each plateau of what was commanded."""

@@ -1,0 +1,120 @@
+"""The response in sentences, for people."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from microbot_ros.discovery.report_words import number
+from microbot_ros.response.plateaus import SETTLE_S, TURN, Against, Measured
+from microbot_ros.response.result import Group, Response, Unlike
+
+_LISTED = 4
+COLUMNS: dict[Against, tuple[str, float, str]] = {
+    'frequency': ('frequency_hz', 1.0, 'Hz'), 'field': ('field_mT', 1e3, 'mT'),
+    'tilt': ('tilt_deg', 180 / np.pi, '°')}
+"""Column of the level, its factor from SI, and its unit."""
+
+
+def summary(found: Response) -> str:
+    """What was found, in one sentence."""
+    if not found.kinds:
+        return 'No plateau of what was commanded was found.'
+    return '; '.join(_of_kind(found, group) for group in found.kinds) + '.'
+
+
+def _of_kind(found: Response, group: Group) -> str:
+    _, factor, unit = COLUMNS[found.against]
+    first, last = group.common[0], group.common[-1]
+    who = f'{group.kind}, {len(group.robots)}' if group.kind else f'{len(group.robots)}'
+    said = f'{who} robot{"" if len(group.robots) == 1 else "s"}: '
+    if len(group.common) == 1:
+        return f'{said}{_speed(first.speed.value)} µm/s at {first.level * factor:.4g} {unit}'
+    ends = (f'{_speed(one.speed.value)} µm/s at {one.level * factor:.4g} {unit}'
+            for one in (first, last))
+    said += f'speed goes from {" to ".join(ends)}'
+    curve = group.curve
+    if curve is None:
+        return said
+    said += f', cut-in {_cut_in(group)}'
+    if group.stepping_out:
+        single = sorted(group.stepping_out.values(), key=lambda one: one.value)
+        where = ('at ' + ', '.join(map(_interval, single)) if len(single) <= _LISTED else
+                 f'between {number(single[0].value)} and {number(single[-1].value)}')
+        law = f'; the law of all at {_interval(curve.step_out)}' if group.steps_out else ''
+        return (f'{said}, {len(single)} of {len(group.robots)} robots step out {where} Hz '
+                f'(95 %){law}')
+    lost = 1 - (last.speed.value / last.level) / (first.speed.value / first.level)
+    slips = (f', while the distance per turn falls by {100 * lost:.0f} %' if lost > 0.1 else '')
+    return f'{said}, no step-out up to {last.level:g} Hz{slips}'
+
+
+def _interval(found: Measured) -> str:
+    if not np.isfinite(found.low):
+        return f'{number(found.value)} (at most {number(found.high)})'
+    return f'{number(found.value)} ({number(found.low)} to {number(found.high)})'
+
+
+def _cut_in(group: Group) -> str:
+    assert group.curve is not None
+    found = group.curve.cut_in
+    if found.low <= 0:
+        return (f'below {number(found.high)} Hz' if np.isfinite(found.high)
+                else 'not bounded by these frequencies')
+    return f'at {_interval(found)} Hz'
+
+
+def _speed(value: float) -> str:
+    return number(value * 1e6)
+
+
+def difference(found: Response) -> str:
+    """Why `motion` and `tables` differ, with the numbers of this data; '' where neither holds."""
+    ratios = [(level, ratio, kind) for kind, of in found.compared.items() for level, ratio in of]
+    if not ratios:
+        return ''
+    _, factor, unit = COLUMNS[found.against]
+    parts = []
+    for kind, of in found.compared.items():
+        if of:
+            ends = ', '.join(f'{100 * (ratio - 1):+.0f} % at {level * factor:.4g} {unit}'
+                             for level, ratio in (of[0], of[-1]))
+            parts.append(f'{kind or "all"} {ends}'.replace('-', '−'))
+    return (
+        'The tables state the length of the displacement over a window of frames, in every row of '
+        'a plateau. The window reaches back into rest and turns before a plateau, so that speeds '
+        'are too low, the more the shorter the plateau; it counts what is across and the noise as '
+        'speed, so that slow robots seem faster. The motion is measured along the command, '
+        f'{SETTLE_S:g} s after each change. Tables beside motion: {"; ".join(parts)}.')
+
+
+def exclusions(found: Response) -> list[str]:
+    """What was left out or modelled."""
+    said = []
+    if found.definition == 'motion':
+        used = sum(row.plateau.frames for row in found.rows)
+        out = sum(row.plateau.left_out for row in found.rows)
+        share = 100 * out / max(used + out, 1)
+        if out:
+            said.append(
+                f'{out} of {used + out} frames ({share:.0f} %) are left out: within '
+                f'{SETTLE_S:g} s of a change of the drive, or while the direction turned by '
+                f'more than {np.degrees(TURN):.0f}° in that time.')
+        delays = [delay for delay in found.delays.values() if delay > 0]
+        if delays:
+            said.append(f'The motion follows the command with a delay of {min(delays):.2f} to '
+                        f'{max(delays):.2f} s, which is taken into account.')
+    else:
+        said.append('Every row of a plateau counts, turns and changes too, as in the tables.')
+    for session, notes in found.notes.items():
+        said += [f'{session}: {note}.' for note in notes]
+    if found.without:
+        said.append(f'No plateau in {", ".join(found.without)}.')
+    return said
+
+
+def unlike(one: Unlike) -> str:
+    """A sentence on a robot that is unlike the others of its kind."""
+    session, particle = one.robot
+    of = f' of {one.kind}' if one.kind else ''
+    return (f'{session}, robot {particle}, moves at {one.ratio:.2g} times the speed of the others'
+            f'{of}: another objective or a wrong pixel size would do that.')

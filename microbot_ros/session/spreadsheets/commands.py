@@ -1,0 +1,132 @@
+"""What the sheets of a laboratory say was commanded."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from microbot_ros.errors import InputError
+from microbot_ros.records import Commands, Tracks
+from microbot_ros.session.folder import NOMINAL_FIELD
+from microbot_ros.session.from_recording import changes
+from microbot_ros.session.spreadsheets.angles import angles, settle_angles
+from microbot_ros.session.spreadsheets.columns import Column
+from microbot_ros.session.spreadsheets.row_times import (
+    RowTimes,
+    joined_row_times,
+    own_row_times,
+)
+from microbot_ros.session.spreadsheets.scale import Part
+from microbot_ros.session.spreadsheets.sheets import Answers, Assumptions, Sheet
+from microbot_ros.units import to_si
+
+_GAUSS = 1e-4
+_LEAST_SHARE = 0.05
+"""Fields whose largest component is between this and 1 and names no unit are shares of full
+scale: 0.05 of a unit would be a weak field in mT or G and a strong one in T."""
+_UPRIGHT = np.radians(1.0)
+"""Tilts that differ by less are the same axis; boards write 1.570796."""
+
+
+def commands_in(columns: Sequence[Column]) -> bool:
+    """Whether `columns` hold what was commanded."""
+    roles = {column.role for column in columns}
+    return 'direction' in roles or {'bx', 'by'} <= roles
+
+
+def find_commands(
+    parts: Sequence[Part], robots: Sequence[Part], timelines: list[RowTimes], tracks: Tracks,
+    answers: Answers, said: Assumptions,
+) -> Commands:
+    """Commands of the sheets in `parts`, in the workspace's angles, on the clock of the `robots`.
+
+    `timelines` are the times of the robots' rows and `tracks` their motion. InputError names the
+    option that answers what the sheets leave open.
+    """
+    chosen = [part for part in parts if commands_in(part[1])]
+    if not chosen:
+        said.add('no commands')
+        return Commands(np.empty(0), np.empty((0, 2)))
+    # A sheet of commands alone comes before the columns that tables of robots repeat.
+    sheet, columns = next((part for part in chosen if part not in robots), chosen[0])
+    own = next((line for line in timelines if line.sheet is sheet), None)
+    if own is None and any(column.role == 'time' for column in columns):
+        own = own_row_times(sheet, columns, answers, said)
+    own = own or joined_row_times(sheet, columns, timelines, said)
+    field, frequency = _field(sheet, columns, answers, said)
+    tilt = None if frequency is None else _tilt(sheet, columns, answers, said)
+    state = np.column_stack([
+        field, *(column for column in (frequency, tilt) if column is not None)])
+    known = np.isfinite(state).all(axis=1) & np.isfinite(own.t)
+    t, first = np.unique(own.t[known], return_index=True)
+    if not len(t):
+        raise InputError(sheet.place, 'expected commands, found none')
+    commands = changes(t, field[known][first], *(
+        None if column is None else column[known][first] for column in (frequency, tilt)))
+    axis = {'tilt', 'cone'} <= {column.role for column in columns}
+    return settle_angles(commands, tracks, answers, said, sheet.place, axis)
+
+
+def _field(
+    sheet: Sheet, columns: Sequence[Column], answers: Answers, said: Assumptions,
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Field (n, 2) [T] and the frequency of its rotation (n,) [Hz], None for a uniform field."""
+    by_role = {column.role: column for column in columns}
+    rotation = sheet.numbers(by_role['frequency'].index) if 'frequency' in by_role else None
+    rolls = rotation is not None and np.nansum(np.abs(rotation)) > 0
+    components = np.zeros((len(sheet.rows), 2))
+    if {'bx', 'by'} <= by_role.keys():
+        components = np.column_stack(
+            [sheet.numbers(by_role[role].index) for role in ('bx', 'by')])
+    acts = np.nan_to_num(components).any(axis=1)
+    if 'direction' in by_role and (rolls or not acts.any()):
+        angle = angles(sheet, by_role['direction'], columns, answers, said)
+        if rotation is None:
+            said.add(f'the field has {NOMINAL_FIELD * 1e3:g} mT, since only its direction is told')
+        elif not rolls:
+            said.add(f'{sheet.name}: neither a rotation nor a field, throughout')
+        elif acts.any():
+            said.add(f'{sheet.name}: {int(acts.sum())} rows have a field beside the rotation; '
+                     'left out')
+        return NOMINAL_FIELD * np.column_stack([np.cos(angle), np.sin(angle)]), rotation
+    return _teslas(sheet, by_role['bx'], components, answers, said) * components, None
+
+
+def _teslas(sheet: Sheet, bx: Column, components: np.ndarray, answers: Answers,
+            said: Assumptions) -> float:
+    """Teslas in one unit of the field's `components` (n, 2)."""
+    unit, name = answers.field_unit or bx.unit, sheet.names[bx.index]
+    largest = float(np.nanmax(np.abs(components), initial=0.0))
+    if not unit and largest == 0:
+        return 1.0
+    if not unit and _LEAST_SHARE < largest <= 1:
+        unit = '_fraction'
+        said.add(f"{sheet.name}, '{name}': shares of full scale, since fields reach "
+                 f'{largest:.3g} and name no unit')
+    if not unit:
+        raise InputError(sheet.place, f"expected --field-unit mT, T, G or fraction: '{name}' "
+                                      'names none')
+    if unit != '_fraction':
+        return _GAUSS if unit == '_G' else to_si(unit, 1.0)
+    if largest > 1:
+        raise InputError(sheet.place, "expected shares of full scale from −1 to 1 in "
+                                      f"'{name}', found {largest:.4g}")
+    if answers.full_scale is None:
+        said.add(f'full scale is taken as {NOMINAL_FIELD * 1e3:g} mT; --full-scale-mT states it')
+    return answers.full_scale or NOMINAL_FIELD
+
+
+def _tilt(sheet: Sheet, columns: Sequence[Column], answers: Answers, said: Assumptions,
+          ) -> np.ndarray | None:
+    """Angle (n,) [rad] of the axis of rotation from the vertical; None where it never tilts."""
+    column = next((column for column in columns if column.role == 'tilt'), None)
+    if column is None:
+        return None
+    tilt = angles(sheet, column, columns, answers, Assumptions())
+    off = np.abs(tilt - np.pi / 2) > _UPRIGHT
+    if not off.any() or np.isnan(tilt).all():
+        return None
+    said.add(f"{sheet.name}, '{sheet.names[column.index]}': the axis of rotation leaves the plane "
+             f'in {int(off.sum())} rows; kept as tilt_rad')
+    return np.where(np.isnan(tilt), np.pi / 2, tilt)

@@ -1,0 +1,37 @@
+"""Tables that hold a laboratory's results and not a recording."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from microbot_ros.errors import InputError
+from microbot_ros.session.spreadsheets.columns import Column
+from microbot_ros.session.spreadsheets.sheets import Sheet
+
+
+class SummaryError(InputError):
+    """A table holds averages and no recording."""
+
+
+_MOST_ROWS = 500
+_AVERAGE = re.compile(r'\b(avg|average|mean|median|std|stdev|sd|sem|error|ci)\b', re.IGNORECASE)
+
+
+def summary_of(parts: Sequence[tuple[Sheet, list[Column]]]) -> str:
+    """Return a sentence on the averages that the sheets hold; '' where they hold none.
+
+    `parts` are the sheets with the columns that are known. A summary has a column of what was
+    commanded, such as a frequency, whose values do not repeat, and columns of averages beside it.
+    """
+    for sheet, columns in parts:
+        against = next((c for c in columns if c.role in ('frequency', 'bx', 'direction')), None)
+        averages = [name for name in sheet.names if _AVERAGE.search(name)]
+        if against is None or not averages or len(sheet.rows) > _MOST_ROWS:
+            continue
+        levels = sheet.witness(against.index)
+        if len(set(levels.tolist())) == len(levels):
+            return (f"a summary of {len(averages)} columns of averages against "
+                    f"'{sheet.names[against.index]}' and no recording; microbot response "
+                    '--definition tables computes such a table from recordings')
+    return ''
