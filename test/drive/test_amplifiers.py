@@ -133,7 +133,7 @@ def test_connecting_again_ends_what_flows(amplifier, device):
 
 
 @every_protocol
-def test_a_second_driver_on_a_port_is_refused(amplifier, device):
+def test_two_drivers_on_one_port_is_an_error(amplifier, device):
     amplifier.connect()
     with pytest.raises(PortBusyError):
         device.amplifier().connect()
