@@ -547,6 +547,22 @@ def test_a_zero_that_is_written_takes_the_place_of_a_command_that_waits(amplifie
 
 
 @polled_protocols
+def test_a_command_that_waited_when_the_device_fell_silent_is_forgotten(amplifier, device):
+    drive(amplifier, device, ZERO)
+    device.fault('silence')
+    amplifier.poll(amplifier.period_s + 0.001)  # it waits for an answer now
+    amplifier.write(DRIVING)
+    with pytest.raises(NoAnswerError):
+        read(amplifier, lambda _: False)
+    device.mend()
+    before = len(device.flowed)
+    for _ in range(20):
+        amplifier.poll(0.05)
+    assert device.flowed[before:] == []
+    assert device.flows(ZERO)
+
+
+@polled_protocols
 def test_the_newest_command_takes_the_place_of_one_that_waits(amplifier, device):
     drive(amplifier, device)
     before = len(device.flowed)
