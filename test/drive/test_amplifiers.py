@@ -11,6 +11,7 @@ from microbot_ros.drive.amplifier import (
     READ_BACK_S,
     Amplifier,
     Command,
+    Swing,
     Watchdog,
     Zero,
     amplifier_class,
@@ -236,6 +237,27 @@ def test_a_board_is_not_sent_more_than_its_line_takes(baud, sample_s):
     amplifier = amplifier_class('serial_transfer')('a', FULL_SCALE_A, baud=baud)
     assert amplifier.sample_s == pytest.approx(sample_s)
     assert amplifier.can_swing
+
+
+def test_a_swing_is_within_full_scale_on_all_of_its_way():
+    device = VirtualAmplifier('serial_transfer')
+    amplifier = device.amplifier()
+    amplifier.connect()
+    cosine, sine = np.array([1.2, 0, 0, 0]), np.array([0, 0, 0, -1.2])
+    with pytest.raises(ValueError, match='within'):
+        amplifier.write(1.7 * cosine, swing=Swing(np.zeros(4), 1.7 * cosine, sine, 1.0))
+    assert device.flows(ZERO)
+    amplifier.write(cosine, swing=Swing(np.zeros(4), cosine, sine, 10.0))
+    keep(device)
+    assert device.flows(cosine)
+    np.testing.assert_allclose(Swing(cosine, sine, cosine, 1.0).largest, [2.4, 0, 0, 1.2])
+
+
+@polled_protocols
+def test_only_a_board_turns_currents_by_itself(protocol):
+    driver = amplifier_class(protocol)
+    assert not driver.can_swing
+    assert not driver.swings
 
 
 @polled_protocols
