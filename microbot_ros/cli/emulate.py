@@ -29,9 +29,10 @@ _WATCHDOG_MS = 100.0
               help='Keep the last command for ever, as much laboratory firmware does.')
 @click.option('--leave-nothing', is_flag=True,
               help='At the end remove the log and, once it is empty, the folder of the link.')
-@click.option('--fault', 'faults', multiple=True, metavar='KIND[=VALUE][@START][+DURATION]',
-              help='What goes wrong, when and for how long [s]; may be repeated. A single - reads '
-                   'faults from standard input, one a line, as they come.')
+@click.option('--fault', 'faults', multiple=True, metavar='KIND[=VALUE][/LINE][@START][+DURATION]',
+              help='What goes wrong, on which line (1, 2, …; all without), when and for how long '
+                   '[s]; may be repeated. A single - reads faults from standard input, one a '
+                   'line, as they come.')
 def command(protocol: str, link: Path, log: Path | None, full_scale_a: float,
             channels: int, watchdog_ms: float | None, no_watchdog: bool, leave_nothing: bool,
             faults: tuple[str, ...]) -> None:

@@ -8,7 +8,7 @@ class AmplifierError(Exception):
 
 
 class UnreachableError(AmplifierError):
-    """The port `url` cannot be used: what is behind it is out of reach."""
+    """The port `url` cannot be used, and what is behind it is out of reach, as `message` says."""
 
     def __init__(self, url: str, message: str) -> None:
         super().__init__(message)

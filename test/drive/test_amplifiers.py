@@ -11,6 +11,7 @@ from microbot_ros.drive.amplifier import (
     READ_BACK_S,
     Amplifier,
     Command,
+    Swing,
     Watchdog,
     Zero,
     amplifier_class,
@@ -133,7 +134,7 @@ def test_connecting_again_ends_what_flows(amplifier, device):
 
 
 @every_protocol
-def test_a_second_driver_on_a_port_is_refused(amplifier, device):
+def test_two_drivers_on_one_port_is_an_error(amplifier, device):
     amplifier.connect()
     with pytest.raises(PortBusyError):
         device.amplifier().connect()
@@ -236,6 +237,27 @@ def test_a_board_is_not_sent_more_than_its_line_takes(baud, sample_s):
     amplifier = amplifier_class('serial_transfer')('a', FULL_SCALE_A, baud=baud)
     assert amplifier.sample_s == pytest.approx(sample_s)
     assert amplifier.can_swing
+
+
+def test_a_swing_is_within_full_scale_on_all_of_its_way():
+    device = VirtualAmplifier('serial_transfer')
+    amplifier = device.amplifier()
+    amplifier.connect()
+    cosine, sine = np.array([1.2, 0, 0, 0]), np.array([0, 0, 0, -1.2])
+    with pytest.raises(ValueError, match='within'):
+        amplifier.write(1.7 * cosine, swing=Swing(np.zeros(4), 1.7 * cosine, sine, 1.0))
+    assert device.flows(ZERO)
+    amplifier.write(cosine, swing=Swing(np.zeros(4), cosine, sine, 10.0))
+    keep(device)
+    assert device.flows(cosine)
+    np.testing.assert_allclose(Swing(cosine, sine, cosine, 1.0).largest, [2.4, 0, 0, 1.2])
+
+
+@polled_protocols
+def test_only_a_board_turns_currents_by_itself(protocol):
+    driver = amplifier_class(protocol)
+    assert not driver.can_swing
+    assert not driver.swings
 
 
 @polled_protocols
@@ -544,6 +566,22 @@ def test_a_zero_that_is_written_takes_the_place_of_a_command_that_waits(amplifie
     amplifier.zero()
     amplifier.poll(0.3)
     assert device.flowed[before:] == []
+
+
+@polled_protocols
+def test_a_command_that_waited_when_the_device_fell_silent_is_forgotten(amplifier, device):
+    drive(amplifier, device, ZERO)
+    device.fault('silence')
+    amplifier.poll(amplifier.period_s + 0.001)  # it waits for an answer now
+    amplifier.write(DRIVING)
+    with pytest.raises(NoAnswerError):
+        read(amplifier, lambda _: False)
+    device.mend()
+    before = len(device.flowed)
+    for _ in range(20):
+        amplifier.poll(0.05)
+    assert device.flowed[before:] == []
+    assert device.flows(ZERO)
 
 
 @polled_protocols

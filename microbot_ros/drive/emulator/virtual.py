@@ -118,7 +118,8 @@ class MemoryLine:
         self._to_device += data
 
     def open(self, url: str) -> MemoryPort:
-        """Return the host's end. Raises PortMissingError or PortBusyError."""
+        """Return the host's end, which is called `url`. Raises PortMissingError or PortBusyError.
+        """
         if not self._plugged:
             raise PortMissingError(url, 'unplugged')
         if self.host is not None:
@@ -128,7 +129,7 @@ class MemoryLine:
 
 
 class MemoryPort(Port):
-    """The host's end of a `MemoryLine`, used as a `transport.Port` is."""
+    """The host's end of a `line` in memory, called `url` and used as a `transport.Port` is."""
 
     descriptor = None
 
@@ -238,7 +239,7 @@ class VirtualAmplifier:
         driver._release()
 
     def mute(self, address: int) -> None:
-        """Let one device of several on a line obey and answer nothing."""
+        """Let the device at an `address`, one of several on a line, obey and answer nothing."""
         receive = self.device.receive
 
         def answer(port: int, data: bytes, now_s: float) -> bytes:
@@ -248,7 +249,7 @@ class VirtualAmplifier:
         self.device.receive = answer  # type: ignore[method-assign]
 
     def fault(self, text: str) -> None:
-        """Let a fault happen, as `parse` reads it, from now on."""
+        """Let a fault happen from now on; `text` describes it as `parse` reads it."""
         self.faults.add(parse(text, self.clock.now_s))
 
     def mend(self) -> None:
@@ -279,8 +280,9 @@ class VirtualDriver:
         self.driver._connect()
 
     def until(self, condition: Callable[[], Any], seconds: float = 30.0) -> Any:
-        """Let the driver turn until something is true, and return it; AssertionError after so
-        many `seconds`.
+        """Let the driver turn until a `condition` gives something true, and return that.
+
+        AssertionError after so many `seconds`.
         """
         end_s = self.clock.now_s + seconds
         while not (value := condition()):
