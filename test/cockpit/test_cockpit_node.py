@@ -21,7 +21,7 @@ from websockets.sync.client import connect
 from microbot_ros.nodes.graph_client import GraphClient
 from microbot_ros.session import open_recording
 
-# Nodes, pictures and page in one process: on a machine that is overloaded no picture comes in time.
+# Nodes and pictures in one process: on an overloaded machine no picture comes within a minute.
 pytestmark = pytest.mark.rig
 
 NODES = ('tracker', 'model', 'controller', 'coil_driver', 'recorder', 'virtual_rig', 'cockpit')
