@@ -114,8 +114,8 @@ def levels(commands: Commands, against: Against) -> np.ndarray:
 def respond(session: Session, against: Against, definition: Definition) -> SessionResponse:
     """Motion of every particle of a `session` at every level of what it is held `against`.
 
-    `definition` says how speed is measured. What else was commanded is held at its most common value; other stretches are left out. A
-    session without any plateau has none.
+    `definition` says how speed is measured. What else was commanded is held at its most common
+    value; other stretches are left out. A session without any plateau has none.
     """
     commands = session.commands
     if not len(commands.t):
