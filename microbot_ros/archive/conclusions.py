@@ -13,6 +13,7 @@ import numpy as np
 from microbot_ros.archive.imports import imported
 from microbot_ros.archive.quantities import (
     LABELS,
+    NAMES,
     Quantity,
     Unlike,
     drifting,
@@ -24,6 +25,9 @@ from microbot_ros.archive.random_effects import Spread, Trend
 from microbot_ros.archive.recurring import Recurring, recurring_effects
 from microbot_ros.archive.store import Archive
 from microbot_ros.archive.table import rows
+
+_MULTIPLE = 1.5
+"""Objectives differ by factors of 2; robots of one kind by 20 %."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +57,8 @@ class Conclusions:
         """The findings for people."""
         said = [effect.sentence() for effect in self.effects]
         said += [f'{one.session} is unlike the others: {one.title} {one.value:.3g}, usually '
-                 f'{one.mean:.3g}.' for one in self.unlike]
+                 f'{one.mean:.3g}{_scale_hint(one)}.' for one in self.unlike]
+        said += self.imported['sentences']
         said += [f'{one.title} drifts by {line.slope:+.2g} ± {1.96 * line.std:.1g} a week.'
                  for one, line in self.drifts]
         return said
@@ -97,6 +102,15 @@ def conclude(archive: Archive | str | Path) -> Conclusions:
         {archive.entries[path].name: found['film']
          for path, found in archive.results('track').items() if 'film' in found},
         imported(archive))
+
+
+def _scale_hint(one: Unlike) -> str:
+    """What a speed that is a multiple of the others' most often is."""
+    is_speed = one.title.startswith((NAMES['v_um_s'] + ' ', NAMES['gain_um_s_hz'] + ' '))
+    ratio = one.value / one.mean if one.mean else 1.0
+    if not is_speed or 1 / _MULTIPLE < ratio < _MULTIPLE:
+        return ''
+    return '; another objective or a wrong pixel size would do that'
 
 
 def _parameters(effect: Recurring, first: Mapping[str, Mapping[str, Any]]) -> list[Quantity]:

@@ -187,7 +187,7 @@ def _assumed(imported: dict[str, Any]) -> list[str]:
         where = f'all {len(of)}' if len(of) == imported['sessions'] and len(of) > 1 else listed(
             of, 3)
         lines.append(f'assumed  {one["sentence"]}  [{where}]')
-    return [*lines, *imported['sentences']]
+    return lines
 
 
 def _told(summary: Summary) -> list[str]:

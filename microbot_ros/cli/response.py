@@ -60,7 +60,13 @@ def command(sources: tuple[Path, ...], out: Path, against: Against, definition: 
         folders = _sessions(sources)
         for done, path in enumerate(folders):
             status.update(f'reading {done + 1} of {len(folders)}: {path.name}')
-            sessions.append(_labelled(path))
+            try:
+                sessions.append(_labelled(path))
+            except InputError as error:
+                if path in sources:
+                    raise
+                # One of an archive's many, such as a film without a pixel size.
+                progress.print(f'left out  {error}', markup=False)
         status.update(f'measuring {len(sessions)} sessions')
         found = respond_all(sessions, against, definition)
         if not found.rows:

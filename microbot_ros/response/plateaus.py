@@ -114,19 +114,19 @@ def levels(commands: Commands, against: Against) -> np.ndarray:
 def respond(session: Session, against: Against, definition: Definition) -> SessionResponse:
     """Motion of every particle of a `session` at every level of what it is held `against`.
 
-    `definition` says how speed is measured. What else was commanded is held at its most common
-    value; other stretches are left out. A session without any plateau has none.
+    `definition` says how speed is measured. For motion what else was commanded is held at its
+    most common value; other stretches are left out. A session without any plateau has none.
     """
     commands = session.commands
     if not len(commands.t):
         return SessionResponse([], 0.0, ['nothing was commanded'])
     level = levels(commands, against)
-    level, notes = _others_held(commands, level, against, float(session.tracks.t[-1]))
     if definition == 'tables':
         window = session.speed_window or _DEFAULT_WINDOW
         found = [plateau for name in session.tracks.particles
                  for plateau in _by_window(session, int(name), level, window)]
-        return SessionResponse(found, 0.0, notes)
+        return SessionResponse(found, 0.0, [])
+    level, notes = _others_held(commands, level, against, float(session.tracks.t[-1]))
     steps = [_steps(session.tracks.of(name)) for name in session.tracks.particles]
     delay = _delay(commands, steps)
     still = [_still(commands, one) for one in steps]

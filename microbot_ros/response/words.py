@@ -40,7 +40,7 @@ def _of_kind(found: Response, group: Group) -> str:
         single = sorted(group.stepping_out.values(), key=lambda one: one.value)
         where = ('at ' + ', '.join(map(_interval, single)) if len(single) <= _LISTED else
                  f'between {number(single[0].value)} and {number(single[-1].value)}')
-        law = f'; the law of all at {_interval(curve.step_out)}' if group.steps_out else ''
+        law = f', the law of all at {_interval(curve.step_out)} Hz' if group.steps_out else ''
         return (f'{said}, {len(single)} of {len(group.robots)} robots step out {where} Hz '
                 f'(95 %){law}')
     lost = 1 - (last.speed.value / last.level) / (first.speed.value / first.level)
@@ -101,8 +101,9 @@ def exclusions(found: Response) -> list[str]:
                 f'more than {np.degrees(TURN):.0f}° in that time.')
         delays = [delay for delay in found.delays.values() if delay > 0]
         if delays:
-            said.append(f'The motion follows the command with a delay of {min(delays):.2f} to '
-                        f'{max(delays):.2f} s, which is taken into account.')
+            ends = ' to '.join(dict.fromkeys(f'{one:.2f}' for one in (min(delays), max(delays))))
+            said.append(f'The motion follows the command with a delay of {ends} s, which is taken '
+                        'into account.')
     else:
         said.append('Every row of a plateau counts, turns and changes too, as in the tables.')
     for session, notes in found.notes.items():

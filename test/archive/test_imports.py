@@ -1,6 +1,7 @@
 """Importing a laboratory's folder: options where they belong, counts that count, kinds apart."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from click.testing import Result
 from command_line import runner
 
 from microbot_ros import cli
-from microbot_ros.archive import Archive
+from microbot_ros.archive import Archive, conclude
 from microbot_ros.archive.imports import imported
 from microbot_ros.archive.labels import labels_of, own_answers, stated
 from microbot_ros.archive.quantities import of_sessions, unlike_the_others
@@ -144,7 +145,7 @@ def test_the_most_specific_statement_counts(tmp_path):
     assert labels_of(found).kind == 'day'
 
 
-def test_kinds_are_compared_each_with_its_own():
+def test_kinds_are_compared_each_with_its_own(tmp_path):
     """A kind of fast robots is not unlike a kind of slow ones, a slow one among the fast is."""
     value = np.array([10.0, 10.2, 9.9, 10.1, 9.8, 10.0, 30.0, 30.5, 29.7, 30.2, 29.9, 9.2])
     rows = [{'session': f's{k}', 'particle_kind': 'slow' if k < 6 else 'fast'}
@@ -152,5 +153,9 @@ def test_kinds_are_compared_each_with_its_own():
     whole = of_sessions('v_um_s', rows, value, np.full(12, 0.2))
     unlike = unlike_the_others(whole.by_kind())
     assert [one.session for one in unlike] == ['s11']
+    found = conclude(Archive(tmp_path))
+    said = replace(found, unlike=unlike).sentences()
+    assert said == ['s11 is unlike the others: v (µm/s) 9.2, usually 26.6; another objective or '
+                    'a wrong pixel size would do that.']
     assert [part.of_kind for part in whole.by_kind()] == ['fast', 'slow']
     assert len(of_sessions('v_um_s', [{'session': 'a'}], value[:1], value[:1]).by_kind()) == 1

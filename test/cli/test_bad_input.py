@@ -82,6 +82,7 @@ SESSION_READERS: dict[str, Callable[[Path, Path], list[object]]] = {
     'info': lambda bad, out: ['info', bad, '--json', out],
     'fit': lambda bad, out: ['fit', bad, '--out', out],
     'discover': lambda bad, out: ['discover', bad, '--out', out],
+    'response': lambda bad, out: ['response', bad, '--out', out],
     'replay': lambda bad, _: ['replay', bad],
     'calibrate camera': lambda bad, out: ['calibrate', 'camera', bad, '--out', out],
 }
@@ -118,6 +119,7 @@ OPTIONS: dict[str, list[object]] = {
     'no pixel size': ['track', 'PICTURES', '--pixel-size-um', 'nan', '--out', 'OUT'],
     'frame rate': ['track', 'PICTURES', '--frame-rate-hz', '1e308', '--out', 'OUT'],
     'pixel size of tables': ['import', 'SESSION', '--pixel-size-um', '1e308', '--out', 'OUT'],
+    'full scale of a field': ['import', 'SESSION', '--full-scale-mT', 'nan', '--out', 'OUT'],
     'angle': ['import', 'SESSION', '--angle-offset-deg', 'inf', '--out', 'OUT'],
     'exposure': ['fit', 'SESSION', '--exposure-ms', '1e308', '--out', 'OUT'],
     'jobs': ['discover', 'SESSION', '--jobs', '0', '--out', 'OUT'],

@@ -71,6 +71,20 @@ def test_an_archive_becomes_a_table_a_figure_and_a_page(archive, tmp_path, capsy
     assert (out / 'response.png').read_bytes()[:4] == b'\x89PNG'
 
 
+def test_a_session_that_cannot_be_read_is_left_out_of_an_archive(tmp_path, capsys):
+    (tmp_path / 'a' / '.microbot').mkdir(parents=True)
+    write_session(tmp_path / 'a' / 'sessions' / 'good', rolling_recording())
+    film = tmp_path / 'a' / 'sessions' / 'film'
+    film.mkdir()
+    (film / 'tracks.csv').write_text('frame,particle,x_px,y_px\n0,0,1,1\n')
+    assert microbot('response', tmp_path / 'a', '--out', tmp_path / 'o') == 0
+    said = capsys.readouterr()
+    assert 'left out' in said.err
+    assert 'film/tracks.csv' in said.err
+    assert '1 robot: speed goes' in said.out
+    assert microbot('response', film, '--out', tmp_path / 'p') == 2
+
+
 def test_nothing_is_replaced_without_being_asked(archive, tmp_path, capsys):
     out = tmp_path / 'out'
     session = archive / 'sessions' / 'steady-0'

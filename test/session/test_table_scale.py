@@ -325,3 +325,32 @@ def test_every_shared_recording_is_imported_right_without_an_option():
         assert session.conditions.pixel_size * 1e6 == pytest.approx(by_hand, rel=1e-3), path.name
         assert any('pixels of' in sentence for sentence in said)
         assert any('y points down' in sentence for sentence in said)
+
+
+@pytest.mark.parametrize(('rows', 'what'), [(slice(400), 'begin'), (slice(200, None), 'end')])
+def test_counters_that_differ_are_tied_by_the_motion(tmp_path, rows, what):
+    walk = Walk(3)
+    table = robot(walk, walk.speed(0.345, 5, 'elapsed'), rows, first=9000)
+    path = write(tmp_path / 'a.xlsx', {'Robot 1': table}, actions(walk))
+    session, said = import_session(path, Answers())
+    assert any(f'the two {what} together' in sentence for sentence in said)
+    at = session.tracks.t + 1e-6
+    assert session.commands.frequency_at(at).tolist() == walk.frequency[rows].tolist()
+
+
+def test_counters_that_differ_are_refused_where_nothing_moves_as_told(tmp_path):
+    walk = Walk(3)
+    table = robot(walk, walk.speed(0.345, 5, 'elapsed'), slice(400), first=9000)
+    random = np.random.default_rng(0).uniform(-3, 3, ROWS)
+    path = write(tmp_path / 'a.xlsx', {'Robot 1': table}, actions(walk, Alpha=random))
+    with pytest.raises(InputError, match='expected frames 9000 to 9399'):
+        import_session(path, Answers())
+
+
+def test_no_interval_precedes_the_first_row(tmp_path):
+    walk = Walk()
+    walk.dt[0] = np.nan
+    path = write(tmp_path / 'a.xlsx', {'Robot 1': robot(walk, walk.speed(0.3, 5, 'frames'))},
+                 actions(walk))
+    session, _ = import_session(path, Answers())
+    assert np.diff(session.tracks.t).tolist() == pytest.approx(walk.dt[1:].tolist())

@@ -96,7 +96,7 @@ def settle_angles(
     z = commands.field @ np.array([1, 1j])
     if commands.frequency is not None:
         z = np.where(commands.frequency != 0, z, 0)
-    same, mirrored = _agreement(tracks, commands.t, z), _agreement(tracks, commands.t, z.conj())
+    same, mirrored = agreement(tracks, commands.t, z), agreement(tracks, commands.t, z.conj())
     z = commands.field @ np.array([1, 1j])
     clockwise = answers.angle_sense == 'clockwise'
     if answers.angle_sense is None:
@@ -133,7 +133,7 @@ def _offset(same: complex, axis: bool, said: Assumptions, source: str) -> float:
         right = math.copysign(90, lead)
         if axis:
             said.add(f'angles are those of the axis of rotation: the motion leads them by '
-                     f'{math.degrees(lead):.0f}°; {right:.0f}° added')
+                     f'{math.degrees(lead):.0f}°; {right:.0f}° added'.replace('-', '−'))
             return -math.radians(right)
         raise InputError(
             source, f'expected --angle-offset-deg: the motion leads the commands by '
@@ -145,9 +145,12 @@ def _offset(same: complex, axis: bool, said: Assumptions, source: str) -> float:
     return 0.0
 
 
-def _agreement(tracks: Tracks, t: np.ndarray, z: np.ndarray) -> complex:
-    """Mean of motion over command, as far as it goes one way: its size from 0 to 1 is the share
-    of the path that keeps one angle to the commands, its phase that angle [rad]."""
+def agreement(tracks: Tracks, t: np.ndarray, z: np.ndarray) -> complex:
+    """Mean of motion over command, as far as it goes one way.
+
+    Its size from 0 to 1 is the share of the path of the `tracks` that keeps one angle to the
+    commands `z` (K,), complex, given at `t` (K,) [s]; its phase is that angle [rad].
+    """
     unit = np.divide(z, np.abs(z), out=np.zeros_like(z), where=z != 0)
     along, path = 0j, 0.0
     for particle in tracks.particles:

@@ -10,10 +10,11 @@ from microbot_ros.errors import InputError
 from microbot_ros.records import Commands, Tracks
 from microbot_ros.session.folder import NOMINAL_FIELD
 from microbot_ros.session.from_recording import changes
-from microbot_ros.session.spreadsheets.angles import angles, settle_angles
+from microbot_ros.session.spreadsheets.angles import agreement, angles, settle_angles
 from microbot_ros.session.spreadsheets.columns import Column
 from microbot_ros.session.spreadsheets.row_times import (
     RowTimes,
+    clock_of,
     joined_row_times,
     own_row_times,
 )
@@ -25,6 +26,9 @@ _GAUSS = 1e-4
 _LEAST_SHARE = 0.05
 """Fields whose largest component is between this and 1 and names no unit are shares of full
 scale: 0.05 of a unit would be a weak field in mT or G and a strong one in T."""
+_FOLLOWS, _CLEARLY_LESS = 0.7, 0.8
+"""Share of the path that must follow the commands where two sheets are tied by it alone, and the
+share of that above which the other way to tie them is as good."""
 _UPRIGHT = np.radians(1.0)
 """Tilts that differ by less are the same axis; boards write 1.570796."""
 
@@ -53,8 +57,14 @@ def find_commands(
     own = next((line for line in timelines if line.sheet is sheet), None)
     if own is None and any(column.role == 'time' for column in columns):
         own = own_row_times(sheet, columns, answers, said)
-    own = own or joined_row_times(sheet, columns, timelines, said)
     field, frequency = _field(sheet, columns, answers, said)
+    if own is None:
+        try:
+            own = joined_row_times(sheet, columns, timelines, said)
+        except InputError:
+            own = _beside_the_motion(sheet, timelines, field, frequency, tracks, said)
+            if own is None:
+                raise
     tilt = None if frequency is None else _tilt(sheet, columns, answers, said)
     state = np.column_stack([
         field, *(column for column in (frequency, tilt) if column is not None)])
@@ -66,6 +76,33 @@ def find_commands(
         None if column is None else column[known][first] for column in (frequency, tilt)))
     axis = {'tilt', 'cone'} <= {column.role for column in columns}
     return settle_angles(commands, tracks, answers, said, sheet.place, axis)
+
+
+def _beside_the_motion(
+    sheet: Sheet, timelines: list[RowTimes], field: np.ndarray, frequency: np.ndarray | None,
+    tracks: Tracks, said: Assumptions,
+) -> RowTimes | None:
+    """Times of a sheet that begins or ends with the robots', as the motion shows; None else."""
+    clock = clock_of(timelines)
+    rows, step = len(sheet.rows), float(np.median(np.diff(clock.t))) if len(clock.t) > 1 else 0.0
+    if not step > 0 or rows < 2:
+        return None
+    index = np.arange(rows)
+    z = np.nan_to_num(field) @ np.array([1, 1j])
+    if frequency is not None:
+        z = np.where(np.nan_to_num(frequency) != 0, z, 0)
+    found = {}
+    for what, first in (('begin', 0), ('end', len(clock.t) - rows)):
+        place = index + first
+        inside = np.clip(place, 0, len(clock.t) - 1)
+        t = clock.t[inside] + (place - inside) * step
+        found[what] = t, max(abs(agreement(tracks, t, one)) for one in (z, z.conj()))
+    best, other = sorted(found, key=lambda what: -found[what][1])
+    if found[best][1] < _FOLLOWS or found[other][1] > _CLEARLY_LESS * found[best][1]:
+        return None
+    said.add(f'{sheet.name}: frames count otherwise than in {clock.sheet.name}; the two {best} '
+             'together, since so the motion follows the commands')
+    return RowTimes(sheet, found[best][0], None, False)
 
 
 def _field(

@@ -49,6 +49,8 @@ def own_row_times(
     if 'time' in by_role:
         column = by_role['time']
         values = sheet.numbers(column.index)
+        if len(values) > 1 and np.isnan(values[0]) and (np.diff(values[1:]) < 0).any():
+            values[0] = np.nanmedian(values)  # no interval precedes the first row
         if np.isnan(values).any():
             name, row = sheet.names[column.index], int(np.argmax(np.isnan(values)))
             raise InputError(sheet.place, f"expected a time in '{name}'", sheet.lines[row])
@@ -80,10 +82,10 @@ def joined_row_times(sheet: Sheet, columns: Sequence[Column], others: list[RowTi
                          f'{longest.sheet.name}; found {len(sheet.rows)} rows')
     frames = sheet.numbers(frame.index)
     known, first = np.unique(longest.frames, return_index=True)
-    said.add(f'{sheet.name}: beside {longest.sheet.name} by frame')
     inside = (known[0] <= frames) & (frames <= known[-1])
     if not inside.any():
         raise InputError(sheet.place, f'expected frames {known[0]:g} to {known[-1]:g}')
+    said.add(f'{sheet.name}: beside {longest.sheet.name} by frame')
     t = np.interp(frames, known, longest.t[first])
     return RowTimes(sheet, np.where(inside, t, np.nan), frames, False)
 

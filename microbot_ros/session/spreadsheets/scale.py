@@ -208,7 +208,8 @@ def _ratio_of(sheet: Sheet, columns: Sequence[Column], x: Column, timeline: RowT
         name, unit = sheet.names[own['speed'].index], own['speed'].unit
         speed = np.abs(sheet.witness(own['speed'].index))
     elif {'vx', 'vy'} <= own.keys():
-        name, unit = sheet.names[own['vx'].index], own['vx'].unit
+        unit = own['vx'].unit
+        name = "' and '".join(sheet.names[own[role].index] for role in ('vx', 'vy'))
         speed = np.hypot(sheet.witness(own['vx'].index), sheet.witness(own['vy'].index))
     else:
         return None
