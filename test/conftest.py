@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import atexit
 import os
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
@@ -23,6 +26,9 @@ from warm import CACHE
 os.environ['NUMBA_CACHE_DIR'] = str(CACHE)
 os.environ['ROS_DOMAIN_ID'] = str(own_domain())
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+# The heat of coils that a test drives is none of this user's.
+os.environ['XDG_STATE_HOME'] = tempfile.mkdtemp(prefix='microbot_state_')
+atexit.register(shutil.rmtree, os.environ['XDG_STATE_HOME'], ignore_errors=True)
 os.environ.setdefault('MPLBACKEND', 'Agg')
 # As `microbot discover` does: several threads for matrices of a hundred rows make only heat.
 os.environ.setdefault('OMP_NUM_THREADS', '1')

@@ -130,7 +130,9 @@ def test_what_goes_wrong_stops_the_plan_and_leaves_the_rig_at_rest(
         played = rig.play(LONG)
         thread.join()
         assert reason in played.stopped or 'said nothing' in played.stopped
-        assert rig.play(SHORT).stopped == played.stopped or go_wrong in (_gone, _dark)
+        again = rig.play(SHORT).stopped
+        assert again.split('; zero')[0] == played.stopped.split('; zero')[0] or go_wrong in (
+            _gone, _dark)
     assert stand.controller == ('open_loop' if go_wrong is _operator else 'hold')
     assert len(kept) >= 1
     if go_wrong is not _operator:
