@@ -59,7 +59,7 @@ class CockpitNode(RigNode):
         self._server = Server(
             self._operated, Discovery(self.get_namespace(), Path(values.discoveries).resolve()),
             values.host, values.port, open_to_all=not values.token)
-        self.every(_ATTEND_SECONDS, self._operated.attend)
+        self.every(_ATTEND_SECONDS, self._operated.update_subscriptions)
 
     def start(self) -> None:
         assert self._server is not None

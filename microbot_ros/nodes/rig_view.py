@@ -109,7 +109,7 @@ class RigView:
         """Whether anybody looks, if it is `wanted`; from any thread."""
         self._wanted = wanted
 
-    def attend(self) -> None:
+    def update_subscriptions(self) -> None:
         """Listen to what is told often if somebody looks, and not if nobody does."""
         if self._wanted and not self._looking:
             create = self._node.create_subscription
