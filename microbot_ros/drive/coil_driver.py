@@ -220,6 +220,13 @@ class CoilDriver:
         seen = self._zero_seen_s >= since_s and age_s <= self.gate.limits.feedback_timeout_s
         return Zero.CONFIRMED if seen else Zero.SENT
 
+    @property
+    def zero_overdue(self) -> bool:
+        """Whether a zero that a reading could confirm has not been for longer than it takes."""
+        since_s = self._zero_since_s
+        return (self.zero is Zero.SENT and self.amplifier.reads_back and since_s is not None
+                and self._clock.now() - since_s > READ_BACK_S)
+
     def await_zero(self, seconds: float = READ_BACK_S) -> Zero | None:
         """Wait until a zero is confirmed, or cannot be, `seconds` [s] at most; return `zero`."""
         deadline_s = self._clock.now() + seconds

@@ -179,8 +179,7 @@ class CoilDriverNode(RigNode):
         if not self._driver.connected:
             return ERROR, f'amplifier lost at {self.settings.port}, reconnecting; {zero}'
         if not gate.armed:
-            seen = self._driver.zero is Zero.CONFIRMED or not self._driver.amplifier.reads_back
-            return WARN if seen else ERROR, f'disarmed; {zero}'
+            return ERROR if self._driver.zero_overdue else WARN, f'disarmed; {zero}'
         if self._driver.arming:
             return WARN, 'arming: each coil is checked with a pulse'
         if gate.holding:

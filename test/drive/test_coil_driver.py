@@ -605,10 +605,15 @@ def test_a_zero_that_nothing_reads_back_is_sent_and_not_confirmed(make):
     rig = make(feedback_timeout_s=0.3).drive()
     rig.device.fault('silence')
     rig.driver.disarm()
-    rig.turn(1.0)
+    rig.turn(0.3)
     assert rig.driver.zero is Zero.SENT
+    assert not rig.driver.zero_overdue
+    rig.turn(0.7)
+    assert rig.driver.zero is Zero.SENT
+    assert rig.driver.zero_overdue
     rig.device.mend()
     rig.until(lambda: rig.driver.zero is Zero.CONFIRMED)
+    assert not rig.driver.zero_overdue
     rig.device.fault('silence')
     rig.turn(0.3 + 0.05)
     assert rig.driver.zero is Zero.SENT  # what was seen once is not seen for ever
