@@ -76,10 +76,10 @@ class Bench:
         self._started.append(psutil.Process(process))
         return self._started[-1]
 
-    def command(self) -> None:
+    def command(self, x_T: float = 2e-3) -> None:
         """Ask once for a field."""
         now = self.client.node.get_clock().now().to_msg()
-        self._commands.publish(messages.field_vector(np.array([2e-3, 0.0]), now))
+        self._commands.publish(messages.field_vector(np.array([x_T, 0.0]), now))
         self.client.spin(0.01)
 
     def drive(self) -> None:
@@ -89,6 +89,8 @@ class Bench:
             assert time.monotonic() < deadline
             with suppress(InputError, RigError):
                 self.client.arm()
+            for _ in range(5):
+                self.command(0.0)  # which the driver waits for after arming
             for _ in range(50):
                 self.command()
 
