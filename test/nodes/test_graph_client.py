@@ -191,7 +191,6 @@ def _requests(driver: Any) -> list[bool]:
     return asked
 
 
-@pytest.mark.rig
 def test_arming_whose_answer_was_lost_is_not_asked_for_again(
         ros: Any, emulator: Any, lose: Callable[[str], list[str]]) -> None:
     lost = lose('~/arm')
