@@ -274,6 +274,8 @@ class ControllerStage:
         """
         values, age = self.parameters, t - self._joystick_t
         self.joystick_remark = ''
+        if age > values.joy_timeout_ms * 1e-3:
+            self._held = False  # a stick that is silent counts as centred
         if self._held:
             self.joystick_remark = 'the joystick was deflected at arming: centre it'
             return np.zeros(2)
