@@ -180,6 +180,7 @@ def test_stop_goes_on_until_the_zero_is_confirmed(page, rig) -> None:
     rig.refusals['stop'] = 'not reachable: /dev/ttyUSB0'
     page.wait_for_selector('#stop[data-zero=unreachable]:has-text("NOT REACHABLE")')
     page.wait_for_selector('#alarm:has-text("Switch the amplifier off by hand.")')
+    rig.told.update(zero='confirmed')  # as a driver says from then on
     del rig.refusals['stop']
     page.wait_for_selector('#stop[data-zero=confirmed]:has-text("confirmed by a reading")')
     page.wait_for_selector('#alarm', state='hidden')
