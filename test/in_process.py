@@ -32,7 +32,7 @@ from microbot_ros.drive.emulator.process import make_device
 from microbot_ros.drive.emulator.server import Server
 from microbot_ros.nodes.lifecycle import RigNode
 from microbot_ros.nodes.participant import join
-from microbot_ros.nodes.process import make
+from microbot_ros.nodes.process import SWITCH_S, make
 
 FULL_SCALE_A = 2.0
 FAILSAFE_S = 60.0
@@ -100,8 +100,13 @@ class Amplifier:
 
 @cache
 def _join() -> None:
-    """Let this process take part in the graph of its domain, until it ends."""
+    """Let this process take part in the graph of its domain, until it ends.
+
+    Its threads take turns as those of a rig's process do: the test's own must not hold up the
+    driver's for 5 ms at each byte.
+    """
     join([])
+    sys.setswitchinterval(SWITCH_S)
 
 
 @contextmanager

@@ -89,7 +89,8 @@ def test_colcon_runs_the_tests(workspace: Path) -> None:
 MORE = ('axe_playwright_python', 'dask', 'distributed', 'duckdb', 'furo', 'gymnasium', 'magpylib',
         'mm_test_adapters', 'myst_parser', 'onnx', 'onnxruntime', 'playwright', 'polars',
         'pyarrow', 'pymmcore', 'pypylon', 'pysindy', 'sphinx', 'starlette', 'trackpy', 'uvicorn')
-NEED_MORE = ('archive/test_batch', 'archive/test_cluster', 'control/test_policy',
+NEED_MORE = ('archive/test_batch', 'archive/test_cluster', 'archive/test_imports',
+             'control/test_policy',
              'magnetics/test_allocation', 'magnetics/test_allocation_anywhere',
              'magnetics/test_shapes', 'magnetics/test_sources', 'nodes/test_calibrated_coils')
 WITHOUT = """

@@ -10,8 +10,6 @@ from microbot_ros.drive.amplifier import Zero
 Answer = str
 """What a node said of something that it did; '' where it said nothing."""
 
-BY_HAND = 'switch the amplifier off by hand'
-
 PictureListener = Callable[[int, bytes], None]
 ParticleListener = Callable[[dict[str, Any]], None]
 

@@ -62,6 +62,10 @@ class Zero(StrEnum):
     UNREACHABLE = 'not reachable'
 
 
+BY_HAND = 'switch the amplifier off by hand'
+"""What a person is to do where coils are not reachable."""
+
+
 @dataclass(frozen=True, eq=False)
 class Swing:
     """Currents of a field that turns: `steady` + `cosine` cos ωt + `sine` sin ωt.

@@ -227,9 +227,15 @@ class CoilDriver:
         return (self.zero is Zero.SENT and self.amplifier.reads_back and since_s is not None
                 and self._clock.now() - since_s > READ_BACK_S)
 
-    def await_zero(self, seconds: float = READ_BACK_S) -> Zero | None:
-        """Wait until a zero is confirmed, or cannot be, `seconds` [s] at most; return `zero`."""
+    def await_zero(self, sent: threading.Event, seconds: float = READ_BACK_S) -> Zero | None:
+        """Wait until a zero is confirmed, or cannot be, `seconds` [s] at most; return `zero`.
+
+        `sent` is of `request_zero`: what was known before says nothing of this zero. Where the
+        driver's thread has not sent it by then, the coils are not reachable.
+        """
         deadline_s = self._clock.now() + seconds
+        if not self._clock.wait(sent, seconds):
+            return Zero.UNREACHABLE
         final = Zero.CONFIRMED if self.amplifier.reads_back else Zero.SENT
         while self.connected and self.zero is not final and self._clock.now() < deadline_s:
             self._clock.sleep(_LOOK_S)
@@ -557,7 +563,8 @@ class CoilDriver:
     def _connect(self) -> None:
         self.amplifier.connect()
         self._sent, self._sent_s = self.gate.zero, self._clock.now()
-        self._zero_since_s = self._zero_seen_s = self._sent_s
+        self._zero_since_s = self._sent_s
+        self._zero_seen_s = self._sent_s if self.amplifier.reads_back else -math.inf
         self._replace_last_resort()
         self.connected = True
 

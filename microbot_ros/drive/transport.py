@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import select
 import termios
 import time
@@ -55,13 +56,25 @@ class Port:
             if getattr(error, 'errno', None) in (errno.EBUSY, errno.EAGAIN):
                 raise PortBusyError(url) from None
             raise PortMissingError(url, str(error)) from None
+        self._watched = url.startswith('spy:')  # pyserial logs what goes through its own methods
         self.low_latency = request_low_latency(self._serial)
         """Whether the system hands over every byte at once."""
 
     def send(self, data: bytes) -> None:
-        """Hand `data` to the line at once. Raises PortLostError where it takes none for 0.1 s."""
+        """Hand `data` to the line at once. Raises PortLostError where it takes none for 0.1 s.
+
+        pyserial's own limit counts from before the first byte and is looked at after the last: a
+        process that was held up meanwhile would lose a line that took everything.
+        """
         with self._named():
-            self._serial.write(data)
+            descriptor = self.descriptor
+            if descriptor is None or self._watched:
+                self._serial.write(data)
+                return
+            while data:
+                if not select.select([], [descriptor], [], _WRITE_TIMEOUT_S)[1]:
+                    raise TimeoutError(f'it takes no byte for {_WRITE_TIMEOUT_S:g} s')
+                data = data[os.write(descriptor, data):]
 
     def receive(self, timeout_s: float = 0.0) -> bytes:
         """What has arrived; waits for the first byte at most `timeout_s` (+ 5 ms at a port that is

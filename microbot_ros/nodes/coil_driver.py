@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 import time
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -13,7 +14,7 @@ from sensor_msgs.msg import JointState, MagneticField, TimeReference
 from std_msgs.msg import Bool, Empty
 from std_srvs.srv import SetBool
 
-from microbot_ros.drive.amplifier import Command, Reading, Zero, amplifier_class
+from microbot_ros.drive.amplifier import BY_HAND, Command, Reading, Zero, amplifier_class
 from microbot_ros.drive.coil_driver import STOPPED, CoilDriver
 from microbot_ros.drive.errors import AmplifierError
 from microbot_ros.drive.gate import Fault, Reason
@@ -128,6 +129,7 @@ class CoilDriverNode(RigNode):
                        on_matched=self._on_commanders)
         self.subscribe(Empty, '~/heartbeat', self._on_heartbeat)
         self.service_aside(SetBool, '~/arm', self._on_arm, at_once=self._on_arm_asked)
+        self.every(1.0, self._save_heat)
         try:
             self._driver.start()
         except AmplifierError as error:
@@ -146,7 +148,7 @@ class CoilDriverNode(RigNode):
         zero = self._driver.stop()
         self._save_heat()
         if zero is not Zero.CONFIRMED and self._driver.amplifier.counters.frames_sent:
-            self.get_logger().warning(f'the coils at the end: {self._zero_sentence()}')
+            self.get_logger().warning(f'the coils at the end: {self._zero_sentence(zero)}')
 
     def make_safe(self) -> None:
         if hasattr(self, '_driver'):
@@ -158,7 +160,6 @@ class CoilDriverNode(RigNode):
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         self._tell_changes()
-        self._save_heat()
         counters, gate = self._driver.amplifier.counters, self._driver.gate
         values: dict[str, object] = {
             'armed': gate.armed, 'zero': self._driver.zero or 'no', 'frames_sent':
@@ -171,7 +172,7 @@ class CoilDriverNode(RigNode):
         return (*self._condition_of_coils(), values)
 
     def _condition_of_coils(self) -> tuple[bytes, str]:
-        gate, zero = self._driver.gate, self._zero_sentence()
+        gate, zero = self._driver.gate, self._zero_sentence(self._driver.zero)
         if gate.fault and gate.fault.reason is Reason.IDLE:
             return WARN, f'disarmed: {gate.fault.detail}; {zero}'
         if gate.fault:
@@ -187,18 +188,21 @@ class CoilDriverNode(RigNode):
                           'drives and send the goal again')
         return OK, 'driving' + (self._driver.warning and f'; {self._driver.warning}')
 
-    def _zero_sentence(self) -> str:
-        """What is known of the currents, in words: one of `Zero`, and what follows from it."""
-        zero, amplifier = self._driver.zero, self._driver.amplifier
+    def _zero_sentence(self, zero: Zero | None) -> str:
+        """What is known of the currents, in words: `zero`, and what follows from it."""
+        amplifier = self._driver.amplifier
         if zero is Zero.UNREACHABLE:
             return (f'{zero}: {", ".join(amplifier.unreachable) or self.settings.port}; coils '
-                    'there may carry current, switch the amplifier off by hand')
+                    f'there may carry current, {BY_HAND}')
         if zero is Zero.SENT and not amplifier.reads_back:
             return f'{zero}: the amplifier reads nothing back'
         return zero or 'a current is commanded'
 
     def _save_heat(self) -> None:
-        """Keep the heat for a restart, where a coil is warm or was."""
+        """Keep the heat for a restart, where a coil is warm or was.
+
+        In the executor's thread: a disk that is slow must not hold up the driver's.
+        """
         heat = self._driver.gate.heat
         try:
             if max(heat) > _WARM or self._heat.path.exists():
@@ -349,25 +353,25 @@ class CoilDriverNode(RigNode):
         self._commander, = found
         return ''
 
-    def _on_arm_asked(self, request: Any, header: Any) -> int:
-        """In the executor: zero at once where that is asked; the epoch in which it was asked."""
+    def _on_arm_asked(self, request: Any, header: Any) -> threading.Event | int:
+        """In the executor: send zero at once, or note the epoch in which arming was asked."""
         if not request.data:
-            self._driver.request_zero()
-        elif header.source_timestamp * 1e-9 < self._driver.epoch_wall_s:
+            return self._driver.request_zero()
+        if header.source_timestamp * 1e-9 < self._driver.epoch_wall_s:
             return -1  # it was sent before the last stop or fault, and waited
         return self._driver.epoch
 
-    def _on_arm(self, request: Any, response: Any, epoch: int) -> Any:
-        """In a thread of its own: wait for what was asked, and answer."""
+    def _on_arm(self, request: Any, response: Any, asked: Any) -> Any:
+        """In a thread of its own: wait for what was `asked` (`_on_arm_asked`), and answer."""
         if not request.data:
-            zero = self._driver.await_zero()
+            zero = self._driver.await_zero(asked)
             response.success = zero is Zero.CONFIRMED or (
                 zero is Zero.SENT and not self._driver.amplifier.reads_back)
-            response.message = self._zero_sentence()
+            response.message = self._zero_sentence(zero)
         elif not self.active:
             response.success, response.message = False, 'the node is not active'
         else:
-            refusal = self._arm(epoch)
+            refusal = self._arm(asked)
             response.success = not refusal
             response.message = refusal or '; '.join(filter(None, ['armed', self._driver.warning]))
         self._tell_changes()

@@ -25,7 +25,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
 from microbot_ros.control.controller_thread import AGAIN, CONFIGURING
-from microbot_ros.drive.amplifier import Zero
+from microbot_ros.drive.amplifier import BY_HAND, Zero
 from microbot_ros.errors import InputError, RigError, clipped
 from microbot_ros.loop.points import GOAL
 from microbot_ros.nodes import messages
@@ -49,8 +49,6 @@ for its work."""
 
 _ANSWER_SECONDS = 12.0
 """A service that has not answered by then will not."""
-
-BY_HAND = 'switch the amplifier off by hand'
 
 Tell = Callable[[bytes, str, dict[str, str]], None]
 

@@ -22,9 +22,9 @@ from sensor_msgs.msg import Joy, PointCloud2
 from std_msgs.msg import Empty, Header
 from std_srvs.srv import SetBool
 
-from microbot_ros.cockpit.rig import BY_HAND, Answer, RefusedError
+from microbot_ros.cockpit.rig import Answer, RefusedError
 from microbot_ros.control.controller_thread import AGAIN, CONFIGURING
-from microbot_ros.drive.amplifier import Zero
+from microbot_ros.drive.amplifier import BY_HAND, Zero
 from microbot_ros.loop.points import GOAL
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.described_parameters import Described

@@ -41,8 +41,8 @@ LOOP_NODES = ('camera', 'tracker', 'model', 'controller', 'coil_driver')
 
 # The end is noticed between two spins. The coils do not wait for that.
 _SPIN_SECONDS = 0.02
-_SWITCH_S = 0.0005
-"""How long one thread may keep the interpreter from another, where the loop has several."""
+SWITCH_S = 0.0005
+"""How long one thread may keep the interpreter from another: the coil driver has two."""
 
 
 def processes(names: Sequence[str], joined: bool) -> list[list[str]]:
@@ -135,8 +135,8 @@ def _settle(names: list[str], rig: Rig | None) -> None:
     # What was imported lives for good; a full collection of it would take 40 ms, in a tick.
     gc.collect()
     gc.freeze()
+    sys.setswitchinterval(SWITCH_S)
     if rig:
-        sys.setswitchinterval(_SWITCH_S)
         rig.start()
     if set(LOOP_NODES).issuperset(names):
         set_realtime_priority_of_all(LOOP)

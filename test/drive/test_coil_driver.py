@@ -10,7 +10,7 @@ from microbot_ros.drive import coil_driver, polled
 from microbot_ros.drive.amplifier import Zero, amplifier_class
 from microbot_ros.drive.coil_driver import STOPPED, CoilDriver
 from microbot_ros.drive.emulator.process import DEVICES
-from microbot_ros.drive.emulator.virtual import VirtualAmplifier
+from microbot_ros.drive.emulator.virtual import VirtualAmplifier, VirtualDriver
 from microbot_ros.drive.errors import NoAnswerError
 from microbot_ros.drive.gate import UNATTENDED_S, Limits, Reason
 from microbot_ros.drive.rotation import Turning
@@ -31,55 +31,23 @@ SOON_S = 0.2
 every_protocol = pytest.mark.parametrize('protocol', MEASURED)
 
 
-class Rig:
-    """A driver and its emulated amplifier, both stepped in this thread."""
+class Rig(VirtualDriver):
+    """A driver and its emulated amplifier, in other limits if told."""
 
     def __init__(self, protocol='serial_transfer', watchdog_s=0.1, *, on_reading=lambda _: None,
                  on_sent=lambda _: None, self_check=False, accept_no_watchdog=True, heat=None,
                  **limits):
-        self.device = VirtualAmplifier(protocol, watchdog_s=watchdog_s)
-        self.clock = self.device.clock
-        self.driver = CoilDriver(
-            self.device.amplifier(), Limits(**{**vars(LIMITS), **limits}), on_reading,
-            on_sent=on_sent, self_check=self_check, accept_no_watchdog=accept_no_watchdog,
-            heat=heat)
-        self.gate = self.driver.gate
+        super().__init__(
+            VirtualAmplifier(protocol, watchdog_s=watchdog_s),
+            Limits(**{**vars(LIMITS), **limits}), on_reading, on_sent=on_sent,
+            self_check=self_check, accept_no_watchdog=accept_no_watchdog, heat=heat)
 
     def connect(self):
-        self.driver._connect()
+        super().connect()
         return self
 
-    def until(self, condition, seconds=30.0):
-        """Let the driver turn until something is true; return it, and fail after `seconds`."""
-        end_s = self.clock.now_s + seconds
-        while not (value := condition()):
-            assert self.clock.now_s < end_s, 'the awaited condition never came true'
-            before_s = self.clock.now_s
-            self.driver._turn()
-            if self.clock.now_s == before_s:
-                self.clock.sleep(1e-5)  # what a turn takes
-        return value
-
-    def turn(self, seconds):
-        """Let the driver turn for so many seconds."""
-        end_s = self.clock.now_s + seconds
-        self.until(lambda: self.clock.now_s >= end_s, seconds + 30.0)
-
-    def ask(self, epoch=None):
-        """Ask for arming; the answer."""
-        driver = self.driver
-        answer = driver.request_arming(driver.epoch if epoch is None else epoch)
-        self.until(answer.done)
-        return answer.result()
-
-    def arm(self):
-        self.until(lambda: self.ask() is None)
-        self.driver.command(ZERO)
-
     def drive(self, currents=DRIVING):
-        self.arm()
-        assert self.driver.command(currents)
-        self.until(lambda: self.device.flows(currents))
+        super().drive(currents)
         return self
 
     def command_for(self, seconds, currents=DRIVING):
@@ -96,10 +64,6 @@ class Rig:
         assert not self.gate.armed
         assert not self.driver.command(DRIVING)
         return fault
-
-    def finish(self):
-        self.driver._finish()
-        return self.driver.zero
 
 
 @pytest.fixture
@@ -162,7 +126,7 @@ def test_arming_tries_each_coil_and_then_lets_commands_flow(make, protocol):
     count = len(device.flowed)
     assert rig.ask() is None  # armed already: nothing is tried again
     assert len(device.flowed) == count
-    assert rig.finish() is Zero.CONFIRMED
+    assert rig.stop() is Zero.CONFIRMED
     assert device.flowed[-1] == ZERO
     assert not driver.connected
 
@@ -245,7 +209,7 @@ def test_a_command_that_goes_stale_ends_in_zero(make, protocol):
     assert rig.tripped(Reason.STALE).detail.startswith('none for')
     # The dead-man's own time, a tick, and what the line takes.
     assert rig.device.times[-1] - last_s < rig.gate.limits.command_timeout_s + 0.025
-    assert rig.driver.await_zero() is not None
+    assert rig.driver.zero is not None
 
 
 def test_commands_that_keep_coming_keep_driving(make):
@@ -390,7 +354,7 @@ def test_a_line_that_is_back_is_at_zero_within_a_moment(rig):
 def test_stopping_while_the_line_is_away(rig):
     rig.device.fault('unplug')
     rig.until(lambda: not rig.driver.connected)
-    assert rig.finish() is Zero.UNREACHABLE
+    assert rig.stop() is Zero.UNREACHABLE
 
 
 def checking(make, **options):
@@ -407,7 +371,7 @@ def test_stopping_during_the_check_answers(make):
     rig, answer = checking(make, settling_s=5.0)
     assert rig.ask() == 'the self-check is going on'
     assert not rig.driver.command(DRIVING)
-    rig.finish()
+    rig.stop()
     assert answer.result() == 'the driver stopped'
 
 
@@ -499,7 +463,7 @@ def test_a_damaged_line_never_drives_a_wrong_current(rig, fault):
     rig.drive()
     rig.device.fault(fault)
     rig.command_for(1.0)
-    rig.finish()
+    rig.stop()
     assert rig.driver.amplifier.counters.discarded_bytes > 0
     assert all(max(abs(a - b) for a, b in zip(flowed, want, strict=True)) < 0.02
                for flowed in rig.device.flowed
@@ -512,7 +476,7 @@ def test_bits_that_flip_in_pairs_and_pass_a_crc_of_8_bits_do_not_last(rig):
     rig.device.fault('flip=0.05')
     rig.command_for(2.0)
     rig.device.mend()
-    rig.finish()
+    rig.stop()
     assert rig.device.flows(ZERO)
     assert all(abs(current) <= FULL_SCALE_A for flowed in rig.device.flowed for current in flowed)
 
@@ -619,6 +583,24 @@ def test_a_zero_that_nothing_reads_back_is_sent_and_not_confirmed(make):
     assert rig.driver.zero is Zero.SENT  # what was seen once is not seen for ever
 
 
+def test_what_was_known_before_says_nothing_of_a_zero_that_was_not_sent(rig):
+    rig.until(lambda: rig.driver.zero is Zero.CONFIRMED)
+    sent = threading.Event()  # a thread that hangs takes no request
+    assert rig.driver.await_zero(sent, 0.1) is Zero.UNREACHABLE
+    sent.set()
+    assert rig.driver.await_zero(sent, 0.1) is Zero.CONFIRMED
+
+
+def test_what_reads_nothing_back_is_never_confirmed():
+    rig = VirtualDriver(VirtualAmplifier('sabertooth'), LIMITS, self_check=False,
+                        accept_no_feedback=True)
+    rig.connect()
+    assert rig.driver.zero is Zero.SENT
+    rig.turn(1.0)
+    assert rig.driver.zero is Zero.SENT
+    assert not rig.driver.zero_overdue
+
+
 def test_a_reading_from_before_the_zero_does_not_confirm_it(rig):
     rig.turn(0.1)
     driver, amplifier = rig.driver, rig.driver.amplifier
@@ -715,7 +697,7 @@ def test_the_sentinel_is_dismissed_by_a_confirmed_zero_alone(protocol, fault, en
     rig.connect().drive()
     if fault:
         rig.device.fault(fault)
-    rig.finish()
+    rig.stop()
     assert sentinel == [end]
 
 

@@ -24,8 +24,7 @@ def drive(driver, device):
 
 def test_a_zero_is_waited_for_until_a_reading_shows_it(driver, device):
     drive(driver, device)
-    driver.request_zero()
-    assert driver.await_zero(5.0) is Zero.CONFIRMED
+    assert driver.await_zero(driver.request_zero(), 5.0) is Zero.CONFIRMED
     assert device.flows(ZERO)
 
 

@@ -395,7 +395,8 @@ def test_an_operator_whose_heartbeats_end_disarms(
     _driving(graph, emulator)
     driver = graph.nodes['coil_driver']
     graph.until(lambda: beats.publish(Empty()) or driver._driver.gate._attended_s > 0)
-    graph.until(lambda: _command(graph, 3e-3, 0.0) or emulator.zero)
+    graph.until(lambda: _command(graph, 3e-3, 0.0) or not driver._driver.gate.armed)
+    graph.until(lambda: emulator.zero)
     assert _fault(graph).startswith('nobody attends: no heartbeat of the operator')
 
 

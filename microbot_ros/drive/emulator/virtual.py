@@ -298,9 +298,9 @@ class VirtualDriver:
         end_s = self.clock.now_s + seconds
         self.until(lambda: self.clock.now_s >= end_s, seconds + 30.0)
 
-    def ask(self) -> str | None:
-        """Ask for arming; the answer."""
-        answer = self.driver.request_arming(self.driver.epoch)
+    def ask(self, epoch: int | None = None) -> str | None:
+        """Return the answer to a request to arm, asked in an `epoch`; None for the present one."""
+        answer = self.driver.request_arming(self.driver.epoch if epoch is None else epoch)
         self.until(answer.done)
         return answer.result()
 
@@ -312,7 +312,7 @@ class VirtualDriver:
     def drive(self, currents_A: Sequence[float]) -> None:
         """Arm, command `currents_A` [A] once and wait until they flow."""
         self.arm()
-        self.driver.command(currents_A)
+        assert self.driver.command(currents_A)
         self.until(lambda: self.device.flows(currents_A))
 
     def stop(self) -> Zero:
