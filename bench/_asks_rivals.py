@@ -39,11 +39,10 @@ from microbot_ros.discovery.driven.design import (
     random_steps,
 )
 from microbot_ros.discovery.driven.drive import BRIEF, SHORTEST, THOUGHT, lasting
-from microbot_ros.discovery.driven.hypotheses import log_bayes_factor
 from microbot_ros.discovery.driven.joined import join
 from microbot_ros.discovery.driven.plan import Plan
-from microbot_ros.discovery.search import CandidateFit
-from microbot_ros.discovery.stepwise_selection import search
+from microbot_ros.discovery.hypotheses import log_bayes_factor
+from microbot_ros.discovery.search import CandidateFit, search
 from microbot_ros.estimation.model_fit import ModelFit, fit_sessions
 from microbot_ros.estimation.prepared_session import prepare
 from microbot_ros.model.effects import EFFECTS

@@ -17,7 +17,6 @@ import numpy as np
 
 from bench import _coverage
 from bench._hidden_suite import blind
-from bench._null_e_values import null_e_value
 from bench._score_card import (
     PYSINDY,
     SFI,
@@ -47,7 +46,7 @@ def figures() -> list[Figure]:
     write_text(Path('out/discovery_suite.json'), json.dumps(entries, indent=1) + '\n')
     covered = run(_coverage.cases(sized(6, 1)), _coverage.judge)
     return [*score(outcomes), *_covered([c for found in covered for c in found]),
-            _null_e_values(run(range(sized(1000, 100)), null_e_value)), _time()]
+            _time()]
 
 
 def score(outcomes: Iterable[Outcome]) -> list[Figure]:
@@ -132,14 +131,6 @@ def _covered(found: list[_coverage.Covered]) -> list[Figure]:
             f'{least[0]:.0%}–{least[1]:.0%})', value, '%', '92–98', 'PySINDy: has none',
             92 <= value <= 98))
     return figures
-
-
-def _null_e_values(found: list[tuple[str, float]]) -> Figure:
-    values = np.array([value for _, value in found])
-    mean, error = float(values.mean()), float(values.std() / math.sqrt(len(values)))
-    said = f'{len(values)} sessions, of an effect each (± {error:.2f}'
-    return Figure(16, f'nothing missing: mean e-value of {said}; above 20: {(values > 20).sum()})',
-                  mean, '', '≤ 1', 'halves that share gaps: 9.0', mean - 2 * error <= 1)
 
 
 def _seconds(spent: list[float]) -> list[Figure]:

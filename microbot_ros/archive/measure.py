@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from microbot_ros.discovery.input_checks import check_sessions
-from microbot_ros.discovery.search import CandidateFit, fit_candidate
-from microbot_ros.discovery.stepwise_selection import contribution
+from microbot_ros.discovery.search import CandidateFit, contribution, fit_candidate
 from microbot_ros.estimation.model_fit import fit_sessions
 from microbot_ros.model.effect_table import build_effects
 from microbot_ros.model.model import Model

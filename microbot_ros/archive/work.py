@@ -160,12 +160,11 @@ def _discover(job: Job) -> dict[str, Any]:
 
     session = _read(job)
     found = discover([session])
-    last = found.selection[-1].candidates if found.selection else ()
     return {
         'facts': _facts(session), 'result': found.as_json(),
         'reference_field': found.model.reference_field,
         'effects': write_effects(found.model.effects),
-        'candidates': [[c.id, c.likelihood_ratio, c.dof] for c in last],
+        'candidates': [[c.id, c.likelihood_ratio, c.dof] for c in found.considered],
     }
 
 

@@ -1,4 +1,4 @@
-"""Proof on data that a fit did not see: the gap in prediction, and the gain in likelihood.
+"""Proof on data that a fit did not see: the gap in prediction.
 
 Recordings are cut: neither a displacement across hidden frames nor a place in them is used, and
 every fit begins anew from the frames that it may see.
@@ -15,7 +15,7 @@ from microbot_ros.discovery.processes import Run, serially
 from microbot_ros.discovery.result import Gap
 from microbot_ros.discovery.search import fit_candidate
 from microbot_ros.estimation.expected_displacement import ExpectedDisplacement
-from microbot_ros.estimation.likelihood import SessionFit, eliminate, inner
+from microbot_ros.estimation.likelihood import SessionFit
 from microbot_ros.estimation.model_fit import (
     ModelFit,
     evaluate,
@@ -34,10 +34,6 @@ BLOCKS = 5
 
 TURN = 2.4
 """Horizons, or times of the fewest frames that are of use, in a block where blocks take turns."""
-
-COARSE, FINE, SHORTEST = 4, 16, 4.0
-"""Blocks of time that make the halves of a split likelihood, every other one: cut twice, since
-long blocks show what is slow and short ones what happens but once; seconds of one at least."""
 
 
 def block_of(session: PreparedSession, blocks: int) -> np.ndarray:
@@ -63,90 +59,6 @@ def _learn_beside(fit: ModelFit, sessions: Sequence[PreparedSession],
         if found and (not found.has_shape or (found.shape_seen and found.delta_bic > 0)):
             fit = found.fit
     return fit_sessions(fit.model, sessions) if fit.model.effects else fit
-
-
-# The gain in likelihood -------------------------------------------------------------------------
-
-def log_e_value(model: Model, sessions: Sequence[PreparedSession], effect: str,
-                run: Run = serially) -> float:
-    """Natural log of an e-value for an `effect` of a `model`: its mean is at most 1 without it.
-
-    Half of each recording foretells, with effects, v and φ learned from it alone, by what m the
-    effect shifts the tracks of the other half. There both hypotheses, with the shift and without,
-    have v, φ, D and the other effects to be fitted, all of the same columns X, over which
-    likelihoods are averaged with the right Haar prior: that leaves
-
-        E = (|P y|² / |P (y − m)|²)^(f/2),
-
-    P projecting off X, f its degrees of freedom. The ratio of two densities of the maximal
-    invariant has mean 1 under the first (Pérez-Ortiz, Lardy, de Heide and Grünwald 2024). It is
-    exact where other effects are linear in their parameters and σ²/D is known; that one is
-    learned too. E is the mean over all choices of the half that foretells.
-    """
-    rest = [e.id for e in model.effects if e.id != effect]
-    bare = replace(model, effects=())
-    shortest = min(float(np.ptp(session.times)) for session in sessions)
-    fine = int(np.clip(shortest / SHORTEST, COARSE, FINE)) // 2 * 2
-
-    def judged(choice: tuple[int, int]) -> float:
-        blocks, half = choice
-        known, other = ([s.only(block_of(s, blocks) % 2 == which) for s in sessions]
-                        for which in (half, 1 - half))
-        learned = learn(bare, known, rest)
-        found = fit_candidate(learned, effect)
-        return 0.0 if found is None else _log_ratio(learned, found.fit, other)
-
-    logs = list(run(judged, [
-        (blocks, half) for blocks in dict.fromkeys((COARSE, fine)) for half in (0, 1)]))
-    return float(np.logaddexp.reduce(logs) - np.log(len(logs)))
-
-
-def _log_ratio(without: ModelFit, other: ModelFit, sessions: Sequence[PreparedSession]) -> float:
-    """log E of what an `other` fit foretells for `sessions` that neither fit has seen."""
-    fitted = [_carried_over(without.model, known, session)
-              for known, session in zip(without.session_fits, sessions, strict=True)]
-    grams = [_gram(here, _shift(here, without.model, known, other.model, foretold), jacobian)
-             for here, known, foretold, jacobian in zip(
-                 fitted, without.session_fits, other.session_fits,
-                 ModelFit(without.model, tuple(fitted)).jacobian, strict=True)]
-    # Columns: the data, the other effects' parameters, the shift.
-    total = np.sum(grams, axis=0)
-    own = total[1:-1, 1:-1]
-    weights = np.linalg.pinv(own, rcond=1e-10, hermitian=True) @ total[1:-1][:, [0, -1]]
-    plain = np.concatenate([[1.0], -weights[:, 0], [0.0]])
-    shifted = plain + np.concatenate([[0.0], weights[:, 1], [-1.0]])
-    share = len(own) / len(grams)
-    return float(sum(
-        (here.degrees_of_freedom - share) / 2 * np.log(plain @ gram @ plain
-                                                       / (shifted @ gram @ shifted))
-        for here, gram in zip(fitted, grams, strict=True)))
-
-
-def _carried_over(model: Model, known: SessionFit, session: PreparedSession) -> SessionFit:
-    """A `model` on another `session` of the particles and the noise of a `known` one."""
-    session = replace(session, phi=np.angle(known.velocity_phasor))
-    expected = ExpectedDisplacement.of(model, session.timeline)
-    located = session.with_filtered_positions(
-        expected.at(known.velocity_phasor), known.whitening.noise_ratio)
-    return SessionFit.of(located, whitening_on(model, known, located),
-                         ExpectedDisplacement.of(model, located.timeline))
-
-
-def _shift(here: SessionFit, without: Model, known: SessionFit, other: Model,
-           foretold: SessionFit) -> np.ndarray:
-    """By how much (T, N) [m] an `other` model moves the particles further than one without it."""
-    timeline = here.session.timeline
-    return ExpectedDisplacement.of(other, timeline).at(foretold.velocity_phasor) - (
-        ExpectedDisplacement.of(without, timeline).at(known.velocity_phasor))
-
-
-def _gram(here: SessionFit, shift: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
-    """Inner products of data, `jacobian` and `shift`, v and φ of every particle projected off."""
-    white = np.concatenate([
-        here.white / np.sqrt(here.diffusion), jacobian,
-        here.whiten(np.broadcast_to(shift, here.session.z.shape)[..., None])], axis=-1)
-    gram: np.ndarray = eliminate(inner(white)).sum(axis=0)
-    return gram
 
 
 # The gap in prediction --------------------------------------------------------------------------
@@ -192,6 +104,16 @@ def held_out_gap(fit: ModelFit, sessions: Sequence[PreparedSession], truth: Mode
               for name in errors[0]}
     return Gap(horizon, excess['before'], excess['after'], floor, excess.get('truth', np.nan),
                excess.get('learned', np.nan))
+
+
+def _carried_over(model: Model, known: SessionFit, session: PreparedSession) -> SessionFit:
+    """A `model` on another `session` of the particles and the noise of a `known` one."""
+    session = replace(session, phi=np.angle(known.velocity_phasor))
+    expected = ExpectedDisplacement.of(model, session.timeline)
+    located = session.with_filtered_positions(
+        expected.at(known.velocity_phasor), known.whitening.noise_ratio)
+    return SessionFit.of(located, whitening_on(model, known, located),
+                         ExpectedDisplacement.of(model, located.timeline))
 
 
 def _turns(session: PreparedSession, horizon: float) -> np.ndarray:

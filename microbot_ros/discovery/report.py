@@ -25,6 +25,7 @@ from microbot_ros.discovery.report_prediction import predict
 from microbot_ros.discovery.report_residual import residual
 from microbot_ros.discovery.report_words import bare, chance, interval, listed, number
 from microbot_ros.discovery.result import FIRES, Discovery, NamedEffect
+from microbot_ros.discovery.verdict import enough
 from microbot_ros.estimation.prepared_session import PreparedSession
 from microbot_ros.files import write_text
 from microbot_ros.model.effects import EFFECTS
@@ -76,7 +77,7 @@ def page(found: Discovery, sessions: Sequence[Session], sources: Sequence[Path],
         places_figure=places and embedded(places), band_figure=embedded(draw_bands(prediction)),
         drive_figure=driven and embedded(draw_drive(driven, BEFORE, AFTER)),
         hashes=[line for source in sources for line in digests(Path(source))],
-        versions=report_words.versions(), asked=markupsafe.Markup(asked),
+        versions=report_words.versions(), enough=enough(), asked=markupsafe.Markup(asked),
         used=markupsafe.Markup(used))
 
 

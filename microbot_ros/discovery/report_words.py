@@ -67,9 +67,10 @@ def chance(p: float) -> str:
     return f'p = {number(p)}' if p > LEAST else 'p < 10⁻³⁰⁰'
 
 
-def odds(e_value: float) -> str:
-    """How much likelier what was held out is with an effect than without: its `e_value`."""
-    return f'{number(e_value)} times' if e_value < 1 / LEAST else 'more than 10³⁰⁰ times'
+def odds(log_evidence: float) -> str:
+    """How many times as likely something is, of its `log_evidence`."""
+    return (f'{number(float(np.exp(log_evidence)))} times' if log_evidence < -np.log(LEAST) else
+            'more than 10³⁰⁰ times')
 
 
 def words(identifier: str) -> str:

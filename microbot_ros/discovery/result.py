@@ -60,19 +60,19 @@ class Estimate:
 class NamedEffect:
     """An effect that the data ask for: its `id`, `status` and `parameters` by name.
 
-    `delta_bic` and `p_value` compare the final model with and without it; `p_value` is local for
-    effects with no shape to search over and corrected for the search where there is one.
-    `e_value` is the gain in likelihood on data that the effect was not fitted to, over the number
-    of effects among which it was chosen; NaN where it is only a proxy.
-    `indistinguishable_from` names the effects that explain the same data as well.
+    `log_evidence` is the natural log of its Bayes factor: the odds that the recording gives the
+    model with it over that without it. By it an effect is named. `delta_bic` and `p_value` compare
+    the same two models; `p_value` is local for effects with no shape to search over and corrected
+    for the search where there is one. `indistinguishable_from` names the effects that explain the
+    same data as well.
     """
 
     id: str
     status: Status
     parameters: dict[str, Estimate]
+    log_evidence: float
     delta_bic: float
     p_value: float
-    e_value: float
     indistinguishable_from: tuple[str, ...] = ()
 
     def sentence(self) -> str:
@@ -89,8 +89,8 @@ class NamedEffect:
         return {
             'id': self.id, 'status': self.status,
             'parameters': {name: e.as_json(name) for name, e in self.parameters.items()},
-            'delta_bic': self.delta_bic, 'p_value': self.p_value,
-            'e_value': self.e_value if np.isfinite(self.e_value) else None,
+            'log_evidence': self.log_evidence, 'delta_bic': self.delta_bic,
+            'p_value': self.p_value,
             'indistinguishable_from': list(self.indistinguishable_from),
         }
 
@@ -143,28 +143,19 @@ class ResidualMap:
 
 
 @dataclass(frozen=True)
-class Candidate:
-    """A candidate at one step of the selection: what adding it would bring.
+class Considered:
+    """An effect `id` that is not in the model, and what adding it would bring.
 
-    `id` of the effect; `likelihood_ratio` LR with `dof` degrees of freedom, `delta_bic` and
-    `p_value` of it.
+    `log_evidence`, natural log of its Bayes factor; `likelihood_ratio` LR with `dof` degrees of
+    freedom, `delta_bic` and `p_value` of it.
     """
 
     id: str
+    log_evidence: float
     likelihood_ratio: float
     dof: int
     delta_bic: float
     p_value: float
-
-
-@dataclass(frozen=True)
-class SelectionStep:
-    """One step from a `model` of effects: `candidates`, best first; `added` and `removed`."""
-
-    model: tuple[str, ...]
-    candidates: tuple[Candidate, ...]
-    added: str | None
-    removed: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -255,9 +246,9 @@ class Discovery:
     """The whole result. `model` and `particles` (those of the last session) make `model.yaml`.
 
     `verdict`; `effects`, the surest first; `gap` in prediction; `maps_before`, `maps_after` of
-    the residual; `selection`: the steps that led to the model; `limits` of what is not supported;
-    `baseline`: every particle under the final model, with `diffusion` [m²/s] and `localisation`
-    [m], means over sessions; `next_experiment`, None where nothing is open; `remarks`: sentences.
+    the residual; `considered`: what is not in the model, the likeliest first; `limits` of what is
+    not supported; `baseline`: every particle under the final model, with `diffusion` [m²/s] and
+    `localisation` [m], means over sessions; `next_experiment`, None where nothing is open; `remarks`: sentences.
     `unexplained` are maps that fire with the final model, and maps of it less one effect that
     explain more than this effect does: the worst first. `learned`: terms for what is unnamed,
     parts of the model.
@@ -269,7 +260,7 @@ class Discovery:
     maps_before: tuple[ResidualMap, ...]
     maps_after: tuple[ResidualMap, ...]
     unexplained: tuple[ResidualMap, ...]
-    selection: tuple[SelectionStep, ...]
+    considered: tuple[Considered, ...]
     limits: tuple[Limit, ...]
     baseline: tuple[Particle, ...]
     diffusion: Estimate

@@ -8,17 +8,24 @@ What is peculiar to an effect it says itself (`Effect`, "How it is looked for").
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
+from itertools import compress
 
 import numpy as np
 
 from microbot_ros.discovery.evidence import NEGLIGIBLE, FitEvidence
+from microbot_ros.discovery.processes import Run, serially
 from microbot_ros.discovery.tail_probabilities import log_chi_square_tail, log_of_any
 from microbot_ros.estimation.model_fit import ModelFit, fit_with_noise, maximise
 from microbot_ros.model.effects import EFFECTS
 
 COARSE = 0.5
 """Gain in −2 log likelihood that ends a first look at a candidate."""
+
+REACH = 20.0
+"""How far a candidate's log p may lie behind the best at first sight and still be polished."""
 
 
 @dataclass(frozen=True)
@@ -97,3 +104,29 @@ def polish(found: CandidateFit, fit: ModelFit) -> CandidateFit:
     if best.likelihood_ratio <= NEGLIGIBLE:
         return best
     return compare(fit_with_noise(best.fit), fit, found.id)
+
+
+def search(fit: ModelFit, names: Iterable[str], run: Run = serially) -> list[CandidateFit]:
+    """Every candidate among `names` that the data can show beside a `fit`, best first.
+
+    The least likely by chance. What at first sight lies far behind the best stays as it is then,
+    unless it makes headings remember, since then it shows with noise of its own. `run` as
+    `serially` or `in_processes`.
+    """
+    kept = [one for p in fit.session_fits for one in (p.session, p.whitening)]
+    seen = [one for one in run(partial(look_at, fit), list(names), kept) if one is not None]
+    best = min((one.log_p for one in seen), default=0.0)
+    near = [one.log_p < best + REACH or one.fit.model.lags != fit.model.lags for one in seen]
+    polished = iter(run(partial(polish, fit=fit), list(compress(seen, near)), kept))
+    found = [next(polished) if is_near else one for one, is_near in zip(seen, near, strict=True)]
+    return sorted(found, key=lambda one: one.log_p)
+
+
+def without(fit: ModelFit, name: str) -> ModelFit:
+    """A `fit` with the effect `name` less, all else at its maximum again."""
+    return fit_with_noise(fit.under(fit.model.without(name)))
+
+
+def contribution(fit: ModelFit, name: str) -> CandidateFit:
+    """What the effect `name` of a `fit` brings beside the others."""
+    return compare(fit, without(fit, name), name)

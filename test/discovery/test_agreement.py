@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from microbot_ros.discovery.discover import discover
+from microbot_ros.discovery.hypotheses import fit_first_order
 from microbot_ros.discovery.input_checks import check_sessions
-from microbot_ros.discovery.stepwise_selection import StepwiseSelection
 from microbot_ros.estimation.batch import fit
 from microbot_ros.virtual_rig.record_session import Camera
 
@@ -65,7 +65,7 @@ def test_fit_and_the_baseline_of_discover_are_one(film, case, seed):
     drawn, change = CASES[case]
     session = change(film(seed, duration=25.0, **drawn)[0])
     one = fit(session)
-    part, = StepwiseSelection(check_sessions([session])[0]).current.session_fits
+    part, = fit_first_order(check_sessions([session])[0]).session_fits
     speeds = part.polar().of(part.session.main)
     assert list(one.ids) == list(session.tracks.particles)
     np.testing.assert_allclose(one.polar.speed, speeds.speed, rtol=1e-12)

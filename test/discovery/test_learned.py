@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from microbot_ros.discovery.discover import conclude, discover
+from microbot_ros.discovery.discover import discover
 from microbot_ros.discovery.input_checks import check_sessions
 from microbot_ros.discovery.learned.candidates import accumulated, candidates, steps
 from microbot_ros.discovery.learned.curve import Curve, Kernel, kernels
@@ -22,7 +22,6 @@ from microbot_ros.discovery.learned.learn import (
 )
 from microbot_ros.discovery.learned.moments import FOLDS, Moments, _folds, whiten_track
 from microbot_ros.discovery.result import Learned
-from microbot_ros.discovery.stepwise_selection import StepwiseSelection
 from microbot_ros.estimation.model_fit import fit_sessions
 from microbot_ros.model.learned_term import LearnedTerm
 from microbot_ros.model.model import Model
@@ -222,16 +221,6 @@ def test_the_verdict_stays_unnamed_and_the_gap_shrinks(found):
 def test_its_model_comes_back_from_model_yaml(found, tmp_path):
     write_model(tmp_path / 'model.yaml', found.model, found.particles)
     assert read_model(tmp_path / 'model.yaml')[0] == found.model
-
-
-def test_a_model_that_is_known_to_be_whole_stays_and_nothing_is_learned(film, found):
-    """As one that commands of its own have decided."""
-    session, _ = film(4, {'speed_by_heading': {'depth': 0.4}}, count=4)
-    selection = StepwiseSelection(check_sessions([session])[0])
-    whole = conclude(selection, (), lambda _: None, decided='named')
-    assert whole.model == selection.current.model
-    assert whole.learned == ()
-    assert found.learned != ()
 
 
 def test_a_hidden_effect_of_the_library_is_named_and_nothing_learned(film):

@@ -6,16 +6,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
+from microbot_ros.discovery.hypotheses import fit_first_order
 from microbot_ros.discovery.input_checks import check_sessions
 from microbot_ros.discovery.score_tests import _holm, along_and_across, residual_maps
-from microbot_ros.discovery.stepwise_selection import StepwiseSelection
 from microbot_ros.estimation.likelihood import Whitening, eliminate_shared
 from microbot_ros.virtual_rig.record_session import Camera
 
 
 def maps_of(session):
     sessions, _ = check_sessions([session])
-    return {m.against: m for m in residual_maps(StepwiseSelection(sessions).current)}
+    return {m.against: m for m in residual_maps(fit_first_order(sessions))}
 
 
 def test_holm_is_that_of_the_textbook():

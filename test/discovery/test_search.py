@@ -6,14 +6,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from microbot_ros.discovery.discover import _suggestions
-from microbot_ros.discovery.drive_levels import curve_p_value, scattered
 from microbot_ros.discovery.evidence import FitEvidence
+from microbot_ros.discovery.hypotheses import fit_first_order
 from microbot_ros.discovery.input_checks import check_sessions
-from microbot_ros.discovery.intervals import Intervals
 from microbot_ros.discovery.search import compare, fit_candidate
 from microbot_ros.discovery.starting_points import rotating_components
-from microbot_ros.discovery.stepwise_selection import StepwiseSelection, is_cancelled
 from microbot_ros.discovery.tail_probabilities import (
     chi_square_tail,
     log_chi_square_tail,
@@ -66,7 +63,7 @@ def test_scanned_effects_pay_for_the_scan(film):
     found = {'hot_spot': [], 'periodic_drift': [], 'uniform_drift': []}
     for seed in range(12):
         sessions, _ = check_sessions([film(seed, count=2, duration=12.0)[0]])
-        fit = StepwiseSelection(sessions).current
+        fit = fit_first_order(sessions)
         for name, values in found.items():
             one = fit_candidate(fit, name)
             values.append(1.0 if one is None else one.p_value)
@@ -77,7 +74,7 @@ def test_scanned_effects_pay_for_the_scan(film):
 
 def test_slow_swings_and_wide_spots_have_fewer_places(film):
     """Every octave is given the same part of all chances."""
-    fit = StepwiseSelection(check_sessions([film(1, duration=20.0)[0]])[0]).current
+    fit = fit_first_order(check_sessions([film(1, duration=20.0)[0]])[0])
     slow, fast = (
         compare(beside(fit, EFFECTS['periodic_drift'](1e-6, f)), fit, 'periodic_drift').trials
         for f in (0.2, 0.8))
@@ -93,51 +90,12 @@ def beside(fit, *effects):
     return fit.under(replace(fit.model, effects=effects))
 
 
-def test_fields_that_cancel_take_each_other_back(film):
-    fit = StepwiseSelection(check_sessions([film(2, duration=20.0)[0]])[0]).current
-    # Near its middle a wide spot is a flow, outwards as the square root of e times speed/width.
-    flow, against, along = (EFFECTS['linear_flow'](0.1, 0.0, 0.0, 0.1),
-                            *(EFFECTS['hot_spot'](0, 0, s * 6e-5, 1e-3) for s in (-1, 1)))
-    for name in ('linear_flow', 'hot_spot'):
-        assert is_cancelled(beside(fit, flow, against), name)
-        assert not is_cancelled(beside(fit, flow, along), name)
-    assert not is_cancelled(beside(fit, flow), 'linear_flow')
-    drifting = beside(fit, flow, EFFECTS['uniform_drift'](1e-6, 0.0))
-    assert not is_cancelled(drifting, 'linear_flow')
-    assert not is_cancelled(drifting, 'uniform_drift')
-
-
-def test_what_is_too_weak_for_the_model_is_suggested_whole_shapes_first(film):
-    sessions, _ = check_sessions([film(1, duration=20.0)[0]])
-    fit = StepwiseSelection(sessions).current
-    weak = replace(fit_candidate(fit, 'uniform_drift'), likelihood_ratio=12.0)
-    assert [case.own for case in _suggestions([weak], sessions)] == [weak]
-    assert not _suggestions([replace(weak, likelihood_ratio=5.0)], sessions)
-    assert not _suggestions([], sessions)
-    flank = replace(fit_candidate(fit, 'linear_flow'), likelihood_ratio=20.0, shape_seen=False)
-    case, = _suggestions([flank, weak], sessions)
-    assert case.own is weak
-    assert case.rivals == [flank]
-    assert not case.sure
-    plain = replace(flank, likelihood_ratio=40.0)
-    assert [case.own for case in _suggestions([plain, weak], sessions)] == [plain]
-
-
-def test_a_hint_of_a_drive_response_stands_in_where_something_is_left(film):
-    sessions, _ = check_sessions([film(15, rolling=True)[0]])
-    fit = StepwiseSelection(sessions).current
-    hint = replace(fit_candidate(fit, 'drive_response'), likelihood_ratio=30.0)
-    case, = _suggestions([hint], sessions)
-    assert case.entry(Intervals(case.own.fit), doubted=True).status == 'proxy'
-    assert case.entry(Intervals(case.own.fit), doubted=False).status == 'suggested'
-
-
 @pytest.mark.parametrize('strength', [0.4, -0.3])
 def test_a_pull_along_the_field_takes_several_strengths(film, strength):
     """At one strength it is v e^{iφ} to the last digit: no evidence, however strong it is."""
     hidden = {'coil_pull': {'rate_um_s_mT': strength}}
     one, several = (
-        fit_candidate(StepwiseSelection(check_sessions([session])[0]).current, 'coil_pull')
+        fit_candidate(fit_first_order(check_sessions([session])[0]), 'coil_pull')
         for session in (film(4, hidden, duration=20.0)[0],
                         film(4, hidden, duration=20.0, levels=(1e-3, 2e-3, 5e-3))[0]))
     assert one.likelihood_ratio == pytest.approx(0, abs=1e-6)
@@ -151,7 +109,7 @@ def test_where_only_a_direction_was_told_no_effect_of_strength_is_looked_for(fil
     field = session.commands.field * NOMINAL_FIELD / FIELD
     told = replace(session, commands=replace(session.commands, field=field),
                    conditions=replace(session.conditions, reference_field=None))
-    known, unknown = (StepwiseSelection(check_sessions([s])[0]).current for s in (session, told))
+    known, unknown = (fit_first_order(check_sessions([s])[0]) for s in (session, told))
     for name in ('gradient_force', 'coil_pull'):
         assert fit_candidate(known, name) is not None
         assert fit_candidate(unknown, name) is None
@@ -164,33 +122,18 @@ def test_where_only_a_direction_was_told_no_effect_of_strength_is_looked_for(fil
 
 def test_a_field_that_turns_one_way_hides_a_lag_in_phi(film):
     session, _ = film(3, duration=20.0)
-    fit = StepwiseSelection(check_sessions([session])[0]).current
+    fit = fit_first_order(check_sessions([session])[0])
     assert not EFFECTS['alignment_lag'].absorbed_by_phi(FitEvidence(fit))
     turning = Session(session.tracks, rotating(20.0, 5e-3, 5.0), session.conditions, 'turning')
-    fit = StepwiseSelection(check_sessions([turning])[0]).current
+    fit = fit_first_order(check_sessions([turning])[0])
     assert EFFECTS['alignment_lag'].absorbed_by_phi(FitEvidence(fit))
     assert fit_candidate(fit, 'alignment_lag') is None
-
-
-def test_levels_of_the_drive_judge_its_curve(film):
-    """Gains that scatter ten times their noise: a step shows, one lucky level does not."""
-    rng = np.random.default_rng(0)
-    noise = np.full(40, 0.02)
-    step = np.where(np.arange(40) < 10, 1.0, 0.7)
-    flat, stepped = (curve + rng.normal(0, 0.1, 40) for curve in (np.ones(40), step))
-    assert scattered(stepped, noise, step) - scattered(stepped, noise, np.ones(40)) > 15
-    assert scattered(flat, noise, step) < scattered(flat, noise, np.ones(40))
-    lucky = np.where(np.arange(40) == 3, 1.3, 1.0)
-    assert scattered(lucky * flat, noise, lucky) - scattered(lucky * flat, noise, np.ones(40)) < 8
-    with pytest.raises(ValueError, match='no curve drive_response'):
-        curve_p_value(StepwiseSelection(check_sessions([film(15, rolling=True)[0]])[0]).current,
-                      'drive_response')
 
 
 @pytest.mark.parametrize('rolling', [False, True])
 def test_fits_begin_inside_the_bounds(film, rolling):
     sessions, _ = check_sessions([film(5, duration=10.0, rolling=rolling)[0]])
-    evidence = FitEvidence(StepwiseSelection(sessions).current)
+    evidence = FitEvidence(fit_first_order(sessions))
     for kind in EFFECTS.values():
         starts = kind.starts(evidence)
         assert starts

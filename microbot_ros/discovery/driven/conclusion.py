@@ -7,13 +7,12 @@ from dataclasses import replace
 from typing import Any
 
 from microbot_ros.discovery.discover import conclude
-from microbot_ros.discovery.driven.drive import Driven, Insight
+from microbot_ros.discovery.driven.drive import Driven
 from microbot_ros.discovery.driven.joined import join
-from microbot_ros.discovery.driven.verdict import LOOKALIKE
 from microbot_ros.discovery.input_checks import check_sessions
 from microbot_ros.discovery.report_words import words
-from microbot_ros.discovery.result import Discovery, NamedEffect, Status, Verdict
-from microbot_ros.discovery.stepwise_selection import StepwiseSelection
+from microbot_ros.discovery.result import Discovery
+from microbot_ros.discovery.verdict import LOOKALIKE
 from microbot_ros.records import Session
 
 
@@ -29,27 +28,11 @@ def discovered(driven: Driven, report: Callable[[str], None] = lambda _: None,
     if insight is None:
         return None
     session = join(driven.experiments)
-    prepared, remarks = check_sessions([session])
-    selection = StepwiseSelection(prepared)
-    selection.current = selection.fit(insight.known.fit.model)
-    selection.open = [one.found for one in insight.known.more]
-    left = insight.judgement.left
-    verdict: Verdict = ('unnamed' if left else
-                        'named' if insight.judgement.named else 'consistent')
-    found = conclude(selection, (*_remarks(driven), *remarks), report, decided=verdict)
-    effects = tuple(_judged(effect, insight) for effect in found.effects)
-    return replace(found, effects=effects, unexplained=left,
-                   next_experiment=found.next_experiment if found.learned else None), session
-
-
-def _judged(effect: NamedEffect, insight: Insight) -> NamedEffect:
-    judgement = insight.judgement
-    rivals = judgement.open.get(effect.id, ())
-    sure = effect.id in judgement.named and effect.id not in judgement.early
-    status: Status = 'established' if sure else 'suggested'
-    if judgement.left:
-        status = 'proxy'
-    return replace(effect, status=status, indistinguishable_from=rivals)
+    _, remarks = check_sessions([session])
+    found = conclude(insight.known, insight.judgement, (*_remarks(driven), *remarks), report)
+    if not found.learned:
+        found = replace(found, next_experiment=None)
+    return found, session
 
 
 def _remarks(driven: Driven) -> tuple[str, ...]:

@@ -9,21 +9,13 @@ from typing import Literal, Protocol
 import numpy as np
 
 from microbot_ros.discovery.driven.design import Design, Range, choose_plan, random_steps
-from microbot_ros.discovery.driven.hypotheses import Hypotheses, consider
 from microbot_ros.discovery.driven.joined import join
 from microbot_ros.discovery.driven.plan import Plan
-from microbot_ros.discovery.driven.verdict import (
-    Judgement,
-    hopeless,
-    judge,
-    likeliest,
-    questions,
-    scrutinised,
-    search,
-    twins,
-)
+from microbot_ros.discovery.driven.questions import hopeless, likeliest, questions, search, twins
+from microbot_ros.discovery.hypotheses import Hypotheses, consider
 from microbot_ros.discovery.input_checks import check_sessions
 from microbot_ros.discovery.report_words import words
+from microbot_ros.discovery.verdict import Judgement, judge, scrutinised, too_early
 from microbot_ros.errors import InputError
 from microbot_ros.records import Session
 
@@ -205,8 +197,10 @@ def _look(result: Driven) -> Insight | None:
         prepared, _ = check_sessions([join(result.experiments)])
     except (InputError, ValueError):
         return None
-    known = consider(prepared[0], before.known.names if before else ())
-    return Insight(known, judge(known))
+    known = consider(prepared, before.known.names if before else ())
+    judgement = judge(known)
+    times = prepared[0].times
+    return Insight(known, replace(judgement, early=too_early(judgement.named, times)))
 
 
 def _unexplained(result: Driven) -> bool:

@@ -16,18 +16,25 @@ for at, `Effect.trials`, and within each over a peak that is narrower the more i
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import compress, product
 
 import numpy as np
 from scipy.special import logsumexp
 
-from microbot_ros.discovery.search import CandidateFit, compare
-from microbot_ros.discovery.stepwise_selection import CLEARLY, search, without
+from microbot_ros.discovery.processes import Run, serially
+from microbot_ros.discovery.search import CandidateFit, compare, search, without
 from microbot_ros.estimation.model_fit import ModelFit, fit_sessions
 from microbot_ros.estimation.prepared_session import PreparedSession
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model
+
+FALSE = 0.01
+"""Chance of a name where nothing is missing, and of a name in place of a rival."""
+
+RIVAL = float(np.log(1 / FALSE))
+"""Log odds against each rival from which a name is alone."""
 
 SCALES = np.geomspace(0.01, 10.0, 7)
 """Standard deviations of strengths, in fit coordinates, where a typical size is 1."""
@@ -42,25 +49,52 @@ LIKELIER = 0.5
 """Log odds by which a rival must be ahead, to take an effect's place: twins stay where they are.
 """
 
+CLEARLY = 3.0
+"""The same for a rival whose shape was not seen."""
+
 
 def log_bayes_factor(found: CandidateFit) -> float:
     """Natural log of the odds that what was seen gives an effect, against the fit without it."""
-    information, _, visible = found.fit.normal
-    parameters = found.fit.model.parameters
-    own = np.array([name == found.id and not p.shape for name, p in parameters]) & visible
-    rest = np.array([name != found.id for name, _ in parameters]) & visible
-    x = found.fit.model.vector()[own]
+    return _log_evidence(found.fit, [found.id], found.likelihood_ratio) - _price(
+        found.fit.model, found.id, found.trials, found.likelihood_ratio)
+
+
+def joint_log_bayes_factor(fit: ModelFit, rest: ModelFit, found: Sequence[CandidateFit]) -> float:
+    """Natural log of the odds that what was seen gives all effects `found` together.
+
+    Those that a `fit` has and the `rest` has not. Where effects explain the same, the odds of
+    each beside the others say too little of all of them, and multiplied they say too much.
+    """
+    names = [one.id for one in found]
+    return _log_evidence(fit, names, rest.cost - fit.cost) - sum(
+        _price(fit.model, one.id, one.trials, one.likelihood_ratio) for one in found)
+
+
+def _log_evidence(fit: ModelFit, names: Sequence[str], likelihood_ratio: float) -> float:
+    """Log of the likelihood ratio averaged over strengths of the effects `names` of a `fit`."""
+    information, _, visible = fit.normal
+    parameters = fit.model.parameters
+    own = np.array([name in names and not p.shape for name, p in parameters]) & visible
+    rest = np.array([name not in names for name, _ in parameters]) & visible
+    x = fit.model.vector()[own]
     cross = information[np.ix_(own, rest)]
     left = information[np.ix_(own, own)] - cross @ np.linalg.pinv(
         information[np.ix_(rest, rest)], hermitian=True) @ cross.T
     power, axes = np.linalg.eigh(left)
-    power, along = np.maximum(power, 0.0), axes.T @ x
-    spread = 1 + SCALES[:, None] ** 2 * power
-    logs = -0.5 * (np.log(spread) + along**2 * power / spread).sum(axis=1)
-    gain = max(found.likelihood_ratio, 0.0)
-    shapes = sum(p.shape for name, p in parameters if name == found.id)
-    return float(gain / 2 + logsumexp(logs) - np.log(len(SCALES)) - np.log(found.trials)
-                 - shapes / 2 * np.log1p(gain))
+    left = axes * np.maximum(power, 0.0) @ axes.T
+    group = np.array([names.index(name) for name, _ in compress(parameters, own)], int)
+    logs = []
+    for scales in product(SCALES, repeat=len(names)):
+        spread = np.array(scales)[group] ** 2
+        wide = np.eye(len(x)) + spread[:, None] * left
+        logs.append(-0.5 * (np.linalg.slogdet(wide)[1] + x @ left @ np.linalg.solve(wide, x)))
+    return float(max(likelihood_ratio, 0.0) / 2 + logsumexp(logs) - np.log(len(logs)))
+
+
+def _price(model: Model, name: str, trials: float, likelihood_ratio: float) -> float:
+    """What the choice of a shape costs, in log odds."""
+    shapes = sum(p.shape for effect, p in model.parameters if effect == name)
+    return float(np.log(trials) + shapes / 2 * np.log1p(max(likelihood_ratio, 0.0)))
 
 
 @dataclass(frozen=True)
@@ -95,26 +129,34 @@ class Slot:
     def behind(self, rival: Candidate) -> float:
         """By how much log evidence a `rival` is behind; infinite if it is none.
 
-        The flank of a wide spot explains whatever a drift does: with more numbers and nothing
-        more explained, or without a shape that shows, it is a rival only where it is likelier, or
-        of what depends on place itself.
+        The flank of a wide spot explains whatever a drift does. So one with more numbers than the
+        effect has, or without a shape that shows, is a rival only where it explains more by these
+        numbers, or is likelier, or where the effect depends on place itself.
         """
         behind = self.own.evidence - rival.evidence
         own, other = self.own.found, rival.found
-        told = EFFECTS[self.own.id].needs_position or (
-            other.shape_seen and other.likelihood_ratio - own.likelihood_ratio
-            >= 2 * max(other.dof - own.dof, 0))
+        more = max(other.dof - own.dof, 0)
+        told = EFFECTS[self.own.id].needs_position or (other.shape_seen and (
+            not more or other.likelihood_ratio - own.likelihood_ratio >= 2 * more))
         return behind if behind < 0 or told else np.inf
+
+
+    @property
+    def within_reach(self) -> tuple[Candidate, ...]:
+        """The rivals that the effect can't be told from."""
+        return tuple(one for one in self.rivals if self.behind(one) < RIVAL)
 
 
 @dataclass(frozen=True)
 class Hypotheses:
     """What could be behind what was seen so far.
 
-    `fit` of the model that is taken for now, which may be without an effect; a slot for each of
-    its effects; `more`: what could be there besides, the likeliest first.
+    `start`: the fit of the first-order model; `fit` of the model that is taken for now, which may
+    be without an effect; a slot for each of its effects; `more`: what could be there besides, the
+    likeliest first.
     """
 
+    start: ModelFit
     fit: ModelFit
     slots: tuple[Slot, ...]
     more: tuple[Candidate, ...]
@@ -123,6 +165,14 @@ class Hypotheses:
     def names(self) -> tuple[str, ...]:
         """The effects of the model that is taken for now."""
         return tuple(slot.own.id for slot in self.slots)
+
+    @property
+    def evidence(self) -> float:
+        """Log odds for all effects of the model together, the choice among the library paid."""
+        if not self.slots:
+            return 0.0
+        return joint_log_bayes_factor(self.fit, self.start, [s.own.found for s in self.slots]) - (
+            len(self.slots) * float(np.log(len(EFFECTS))))
 
     def odds(self) -> dict[str, float]:
         """The probability of each effect of the library to be there, and of none ('').
@@ -144,37 +194,49 @@ class Hypotheses:
         return {'': nothing} | result
 
 
-def consider(session: PreparedSession, taken: Sequence[str] = ()) -> Hypotheses:
-    """The hypotheses on what was seen so far, from those `taken` at the look before on.
+def fit_first_order(sessions: Sequence[PreparedSession]) -> ModelFit:
+    """Return the fit of the first-order model to `sessions` of one rig."""
+    return fit_sessions(Model.baseline(sessions[0].conditions, sessions[0].commands), sessions)
+
+
+def consider(sessions: Sequence[PreparedSession], taken: Sequence[str] = (),
+             report: Callable[[str], None] = lambda _: None,
+             run: Run = serially) -> Hypotheses:
+    """Return the hypotheses on `sessions` of one rig, which share the effects.
 
     Effects are added while the odds are for them, dropped where they are not any more, and
-    exchanged for rivals that became likelier.
+    exchanged for rivals that became likelier, from the effects `taken` at a look before on.
+    `report` is told what is being done; `run` shares the candidates.
     """
-    model = Model.baseline(session.conditions, session.commands)
-    fit = fit_sessions(model, [session])
+    start = fit = fit_first_order(sessions)
     for name in taken:
-        again = [one for one in _candidates(fit, [name]) if one.evidence > 0]
-        fit = fit_sessions(again[0].found.fit.model, [session]) if again else fit
+        again = [one for one in _candidates(fit, [name], run) if one.evidence > 0]
+        fit = fit_sessions(again[0].found.fit.model, sessions) if again else fit
     for _ in range(2 * MOST + 2):
-        slots = _slots(fit)
+        present = [effect.id for effect in fit.model.effects]
+        report(f'looking beside {", ".join(present) or "the first-order model"}')
+        slots = _slots(fit, run)
         better = _exchange(slots)
         if better is None:
-            present = [effect.id for effect in fit.model.effects]
-            more = _candidates(fit, [name for name in EFFECTS if name not in present])
-            price = np.log(len(EFFECTS)) + WORTH
-            if not more or more[0].evidence < price or len(present) >= MOST:
+            more = _candidates(fit, [name for name in EFFECTS if name not in present], run)
+            if not more or more[0].evidence < _worth() or len(present) >= MOST:
                 break
             better = more[0].found.fit.model
-        fit = fit_sessions(better, [session])
-    return Hypotheses(fit, slots, more)
+        fit = fit_sessions(better, sessions)
+    return Hypotheses(start, fit, slots, more)
 
 
-def _slots(fit: ModelFit) -> tuple[Slot, ...]:
+def _worth() -> float:
+    """Log evidence from which an effect is taken into the model."""
+    return float(np.log(len(EFFECTS)) + WORTH)
+
+
+def _slots(fit: ModelFit, run: Run) -> tuple[Slot, ...]:
     present = [effect.id for effect in fit.model.effects]
     slots = []
     for name in present:
         rest = without(fit, name)
-        rivals = _candidates(rest, [other for other in EFFECTS if other not in present])
+        rivals = _candidates(rest, [other for other in EFFECTS if other not in present], run)
         slots.append(Slot(rest, Candidate.of(compare(fit, rest, name)), rivals))
     return tuple(slots)
 
@@ -191,7 +253,7 @@ def _exchange(slots: Sequence[Slot]) -> Model | None:
     return None
 
 
-def _candidates(fit: ModelFit, names: Iterable[str]) -> tuple[Candidate, ...]:
+def _candidates(fit: ModelFit, names: Iterable[str], run: Run) -> tuple[Candidate, ...]:
     """What could be there beside a `fit`, among `names`, the likeliest first."""
-    found = (Candidate.of(one) for one in search(fit, names))
+    found = (Candidate.of(one) for one in search(fit, names, run))
     return tuple(sorted(found, key=lambda one: -one.evidence))

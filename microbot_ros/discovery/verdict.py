@@ -1,0 +1,173 @@
+"""What may be said of a rig: which effects are named, and whether something has no name.
+
+An effect is named by its Bayes factor, over the whole library, and against each rival; something
+has no name where a map of the residual fires, or a learned term is likelier than the names. The
+same rules judge a recording and every look of a search that drives a rig. A ratio of predictive
+densities may be looked at as often as one likes, but v, φ and D are fitted anew at every look, so
+that no theorem holds here: how often a name is false is known from simulations alone
+(docs/explanation/discovery.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from microbot_ros.discovery.hypotheses import (
+    FALSE,
+    RIVAL,
+    Candidate,
+    Hypotheses,
+    joint_log_bayes_factor,
+)
+from microbot_ros.discovery.learned.learn import Finding, learn_term
+from microbot_ros.discovery.processes import Run, serially
+from microbot_ros.discovery.result import FRAMES, ResidualMap, Status, Verdict
+from microbot_ros.discovery.score_tests import residual_maps
+from microbot_ros.discovery.search import without
+from microbot_ros.model.effects import EFFECTS
+
+LOOKALIKE = dict.fromkeys(('uniform_drift', 'linear_flow', 'hot_spot'), 210.0) | {
+    'speed_decay': 54.0}
+"""Seconds for which a field of place or a change in time that no name has may look like these:
+particles must have been elsewhere, or some time must have gone by, for the difference to show."""
+
+BETTER = 2.0
+"""Log p by which a map has to explain more than an effect, to put it in doubt."""
+
+
+def enough() -> float:
+    """Log evidence from which an effect is named: the chance FALSE, over the whole library."""
+    return float(np.log(len(EFFECTS) / FALSE))
+
+
+def likelier_than_not() -> float:
+    """Log evidence from which an effect, any of the library, is rather there than not."""
+    return float(np.log(len(EFFECTS)))
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What is known after a look.
+
+    `named` effects, and of these the rivals that are still open, `open`; `pending`: effects that
+    are in the model or may join it, but are not named yet; `left`: what no effect explains, the
+    worst first; `unlisted`: whether a term was learned that shows it; `early`: names that had not
+    the time yet to show that they are the same everywhere, or all along.
+    """
+
+    named: tuple[str, ...]
+    open: dict[str, tuple[str, ...]]
+    pending: tuple[str, ...]
+    left: tuple[ResidualMap, ...]
+    unlisted: bool = False
+    early: tuple[str, ...] = ()
+
+    @property
+    def settled(self) -> bool:
+        """Whether all names are alone, complete and nothing is left."""
+        alone = bool(self.named) and not any(self.open.values())
+        return alone and not self.pending and not self.left and not self.early
+
+    @property
+    def verdict(self) -> Verdict:
+        """In one word."""
+        return 'unnamed' if self.left else 'named' if self.named else 'consistent'
+
+    def status(self, name: str) -> Status:
+        """How sure an effect `name` of the model is."""
+        if self.left:
+            return 'proxy'
+        return ('established' if name in self.named and name not in self.early else 'suggested')
+
+    @property
+    def answered(self) -> bool:
+        """Whether it is settled, or known to be in no list."""
+        return self.settled or self.unlisted
+
+
+def judge(known: Hypotheses, run: Run = serially) -> Judgement:
+    """What follows from what is `known`; `run` shares the maps."""
+    named = tuple(slot.own.id for slot in known.slots
+                  if slot.own.evidence >= enough() and slot.own.found.shape_seen)
+    open_ = {slot.own.id: tuple(one.id for one in slot.within_reach)
+             for slot in known.slots if slot.own.id in named}
+    pending = [slot.own.id for slot in known.slots if slot.own.id not in named]
+    pending += [one.id for one in known.more if one.evidence > likelier_than_not()]
+    return Judgement(named, open_, tuple(pending), _left(known, run))
+
+
+def too_early(named: Sequence[str], times: np.ndarray) -> tuple[str, ...]:
+    """Of the names `named` those that what is in no list may look like for longer than all frames
+    last, whose `times` (T,) [s] these are."""
+    return tuple(name for name in named if np.ptp(times) < LOOKALIKE.get(name, 0.0))
+
+
+def _left(known: Hypotheses, run: Run) -> tuple[ResidualMap, ...]:
+    """Maps that fire beside the model, or explain more than an effect of it does.
+
+    They only ever keep a name back, so that looking again makes no name likelier.
+    """
+    maps = [m for m in residual_maps(known.fit, run) if m.fires]
+    for slot in known.slots:
+        if slot.own.evidence >= enough():
+            most = slot.own.found.log_p + np.log(len(EFFECTS)) - BETTER
+            maps += [m for m in residual_maps(slot.rest, run)
+                     if m.fires and not m.cut_out and m.log_p < most]
+    return tuple(sorted(maps, key=lambda m: m.p_value))
+
+
+def scrutinised(known: Hypotheses, judgement: Judgement,
+                report: Callable[[str], None] = lambda _: None) -> Judgement:
+    """The `judgement` on what is `known` once a term was looked for that no name explains.
+
+    Beside the model, and in place of its fields of place together. The evidence of a term is a
+    Bayes factor like that of a name, and pays for all that were looked at; maps see less of what
+    is spread over time and place. What is surely there, but in a shape that was not seen, has no
+    name either: the flank of a spot beside a flow may be any field of place.
+    """
+    found = _in_place_of_fields(known, report) or learn_term(known.fit, report)
+    if found is not None:
+        return replace(judgement, left=(_as_map(found), *judgement.left), unlisted=True)
+    unseen = [_in_no_shape(slot.own) for slot in known.slots
+              if slot.own.evidence >= enough() and not slot.own.found.shape_seen]
+    return replace(judgement, left=(*judgement.left, *unseen))
+
+
+def _in_place_of_fields(known: Hypotheses, report: Callable[[str], None]) -> Finding | None:
+    """A field of place in no list that is likelier than all that are in the model together.
+
+    Each of which pays for the library, as the term does for all that were looked at. A drift, a
+    flow and a spot are a series for any field, and pass one by one.
+    """
+    kinds = {slot.own.id: EFFECTS[slot.own.id] for slot in known.slots}
+    fields = [slot.own for slot in known.slots
+              if kinds[slot.own.id].overrides('drift') and kinds[slot.own.id].time_invariant]
+    if not fields:
+        return None
+    rest = known.fit
+    for one in fields:
+        rest = without(rest, one.id)
+    together = joint_log_bayes_factor(known.fit, rest, [one.found for one in fields])
+    found = learn_term(rest, report)
+    if found and found.term.against == 'position' and found.log_evidence > (
+            together - len(fields) * likelier_than_not() + RIVAL):
+        return found
+    return None
+
+
+def _in_no_shape(one: Candidate) -> ResidualMap:
+    """What an effect explains whose shape was not seen, as something that is left."""
+    against = 'position' if EFFECTS[one.id].needs_position else 'time'
+    return ResidualMap(against, against, one.found.likelihood_ratio, one.found.dof,
+                       len(EFFECTS) * float(np.exp(-one.evidence)), np.empty(0), {})
+
+
+def _as_map(found: Finding) -> ResidualMap:
+    """What was `found` as something that is left: the inverse of its odds bounds a p-value."""
+    term = found.term
+    frame = '' if term.frame == 'laboratory' else f', {FRAMES[term.frame]}'
+    return ResidualMap(f'{term.against}{frame}', term.against, 2 * found.gain, 0,
+                       float(np.exp(-found.log_evidence)), np.empty(0), {})
