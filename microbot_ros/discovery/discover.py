@@ -88,7 +88,8 @@ def conclude(known: Hypotheses, judgement: Judgement, remarks: tuple[str, ...],
         effects=tuple(sorted(effects, key=lambda e: -e.log_evidence)),
         gap=held_out_gap(fit, sessions, truth, run,
                          partial(relearn, learned.findings) if learned else None),
-        maps_before=before, maps_after=after, unexplained=_worst(judgement.left),
+        maps_before=before, maps_after=after,
+        unexplained=_worst([*judgement.left, *judgement.beside]),
         considered=tuple(Considered(
             one.id, one.evidence, one.found.likelihood_ratio, one.found.dof,
             one.found.delta_bic, one.found.p_value) for one in known.more),
@@ -109,13 +110,17 @@ def conclude(known: Hypotheses, judgement: Judgement, remarks: tuple[str, ...],
 
 @dataclass(frozen=True)
 class _Terms:
-    """Terms that were learned: the `findings`, the `fit` with them, and the log `evidence` for it
-    over the first-order model.
-    """
+    """Terms that were learned: the `findings`, the `fit` with them, and its log `evidence`."""
 
     findings: tuple[Finding, ...]
     fit: ModelFit
     evidence: float
+
+    @classmethod
+    def of(cls, findings: tuple[Finding, ...], fit: ModelFit, price: float) -> _Terms:
+        """With the log likelihood, less the `price` of the effects and of the terms."""
+        return cls(findings, fit, fit.log_likelihood - price - sum(
+            one.gain - one.log_evidence for one in findings))
 
 
 def _learned(known: Hypotheses, report: Callable[[str], None]) -> _Terms | None:
@@ -123,12 +128,10 @@ def _learned(known: Hypotheses, report: Callable[[str], None]) -> _Terms | None:
 
     Whichever the data make likelier, since effects that stand in for something are in its way.
     """
-    beside = [(known.fit, known.evidence)]
-    if known.slots:
-        beside.append((known.start, 0.0))
-    found = [_Terms(findings, with_terms(fit, findings), evidence + sum(
-        one.log_evidence for one in findings)) for fit, evidence in beside
-        if (findings := learn_terms(fit, report))]
+    price = (known.start.cost - known.fit.cost) / 2 - known.evidence
+    beside = [(known.fit, price), (known.start, 0.0)] if known.slots else [(known.start, 0.0)]
+    found = [_Terms.of(findings, with_terms(fit, findings), price) for fit, price in beside
+             if (findings := learn_terms(fit, report))]
     return max(found, key=lambda one: one.evidence, default=None)
 
 

@@ -248,7 +248,8 @@ class Discovery:
     `verdict`; `effects`, the surest first; `gap` in prediction; `maps_before`, `maps_after` of
     the residual; `considered`: what is not in the model, the likeliest first; `limits` of what is
     not supported; `baseline`: every particle under the final model, with `diffusion` [m²/s] and
-    `localisation` [m], means over sessions; `next_experiment`, None where nothing is open; `remarks`: sentences.
+    `localisation` [m], means over sessions; `next_experiment`, None where nothing is open;
+    `remarks`: sentences.
     `unexplained` are maps that fire with the final model, and maps of it less one effect that
     explain more than this effect does: the worst first. `learned`: terms for what is unnamed,
     parts of the model.

@@ -22,7 +22,7 @@ from microbot_ros.discovery.hypotheses import (
     Hypotheses,
     joint_log_bayes_factor,
 )
-from microbot_ros.discovery.learned.learn import Finding, learn_term
+from microbot_ros.discovery.learned.learn import Finding, learn_term, with_term
 from microbot_ros.discovery.processes import Run, serially
 from microbot_ros.discovery.result import FRAMES, ResidualMap, Status, Verdict
 from microbot_ros.discovery.score_tests import residual_maps
@@ -36,6 +36,10 @@ particles must have been elsewhere, or some time must have gone by, for the diff
 
 BETTER = 2.0
 """Log p by which a map has to explain more than an effect, to put it in doubt."""
+
+SMALL = 0.02
+"""Part of the evidence for a named effect up to which what is left does not call it into question:
+its prediction then errs by √0.02, a seventh, of what it errs by without the effect."""
 
 
 def enough() -> float:
@@ -54,14 +58,17 @@ class Judgement:
 
     `named` effects, and of these the rivals that are still open, `open`; `pending`: effects that
     are in the model or may join it, but are not named yet; `left`: what no effect explains, the
-    worst first; `unlisted`: whether a term was learned that shows it; `early`: names that had not
-    the time yet to show that they are the same everywhere, or all along.
+    worst first; `beside`: what is left too, but decides nothing: steps that were cut out, and what
+    is small beside a named effect; `unlisted`: whether a term was learned that shows what is left;
+    `early`: names that had not the time yet to show that they are the same everywhere, or all
+    along.
     """
 
     named: tuple[str, ...]
     open: dict[str, tuple[str, ...]]
     pending: tuple[str, ...]
     left: tuple[ResidualMap, ...]
+    beside: tuple[ResidualMap, ...] = ()
     unlisted: bool = False
     early: tuple[str, ...] = ()
 
@@ -96,7 +103,8 @@ def judge(known: Hypotheses, run: Run = serially) -> Judgement:
              for slot in known.slots if slot.own.id in named}
     pending = [slot.own.id for slot in known.slots if slot.own.id not in named]
     pending += [one.id for one in known.more if one.evidence > likelier_than_not()]
-    return Judgement(named, open_, tuple(pending), _left(known, run))
+    left, beside = _left(known, named, run)
+    return Judgement(named, open_, tuple(pending), left, beside)
 
 
 def too_early(named: Sequence[str], times: np.ndarray) -> tuple[str, ...]:
@@ -105,17 +113,46 @@ def too_early(named: Sequence[str], times: np.ndarray) -> tuple[str, ...]:
     return tuple(name for name in named if np.ptp(times) < LOOKALIKE.get(name, 0.0))
 
 
-def _left(known: Hypotheses, run: Run) -> tuple[ResidualMap, ...]:
+def _left(known: Hypotheses, named: Sequence[str],
+          run: Run) -> tuple[tuple[ResidualMap, ...], tuple[ResidualMap, ...]]:
     """Maps that fire beside the model, or explain more than an effect of it does.
 
-    They only ever keep a name back, so that looking again makes no name likelier.
+    First those that keep a name back, then those that do not: what was cut out of the fit, and
+    all that fire beside the model where the worst of them is small beside a named effect.
     """
     maps = [m for m in residual_maps(known.fit, run) if m.fires]
+    left, cut_out = [m for m in maps if not m.cut_out], [m for m in maps if m.cut_out]
+    worst = max(left, key=_excess, default=None)
+    doubts, small = [], False
     for slot in known.slots:
-        if slot.own.evidence >= enough():
-            most = slot.own.found.log_p + np.log(len(EFFECTS)) - BETTER
-            maps += [m for m in residual_maps(slot.rest, run)
-                     if m.fires and not m.cut_out and m.log_p < most]
+        if slot.own.evidence < enough():
+            continue
+        alone = residual_maps(slot.rest, run)
+        most = slot.own.found.log_p + np.log(len(EFFECTS)) - BETTER
+        doubts += [m for m in alone if m.fires and not m.cut_out and m.log_p < most]
+        small |= bool(worst and slot.own.id in named and _is_small(worst, slot.own, alone))
+    if small:
+        left, cut_out = [], left + cut_out
+    return _by_chance(left + doubts), _by_chance(cut_out)
+
+
+def _is_small(worst: ResidualMap, own: Candidate, without_it: Sequence[ResidualMap]) -> bool:
+    """Whether the `worst` of what is left is small beside an effect, and of another kind.
+
+    What only stands in for something else explains less of it, and leaves more of the same, in
+    the map that shows most where the effect is left out.
+    """
+    return worst.against != max(without_it, key=_excess).against and (
+        _excess(worst) < SMALL * own.found.likelihood_ratio)
+
+
+def _excess(found: ResidualMap) -> float:
+    """Evidence in a map beyond what chance gives."""
+    return found.statistic - found.dof
+
+
+def _by_chance(maps: Sequence[ResidualMap]) -> tuple[ResidualMap, ...]:
+    """The least likely by chance first."""
     return tuple(sorted(maps, key=lambda m: m.p_value))
 
 
@@ -128,8 +165,13 @@ def scrutinised(known: Hypotheses, judgement: Judgement,
     is spread over time and place. What is surely there, but in a shape that was not seen, has no
     name either: the flank of a spot beside a flow may be any field of place.
     """
-    found = _in_place_of_fields(known, report) or learn_term(known.fit, report)
-    if found is not None:
+    if found := _in_place_of_fields(known, report):
+        return replace(judgement, left=(_as_map(found), *judgement.left), unlisted=True)
+    if found := learn_term(known.fit, report):
+        shown = max((slot.own.found.likelihood_ratio for slot in known.slots
+                     if slot.own.id in judgement.named), default=0.0)
+        if not judgement.left and 2 * found.gain < SMALL * shown:
+            return replace(judgement, beside=(_as_map(found), *judgement.beside))
         return replace(judgement, left=(_as_map(found), *judgement.left), unlisted=True)
     unseen = [_in_no_shape(slot.own) for slot in known.slots
               if slot.own.evidence >= enough() and not slot.own.found.shape_seen]
@@ -152,10 +194,12 @@ def _in_place_of_fields(known: Hypotheses, report: Callable[[str], None]) -> Fin
         rest = without(rest, one.id)
     together = joint_log_bayes_factor(known.fit, rest, [one.found for one in fields])
     found = learn_term(rest, report)
-    if found and found.term.against == 'position' and found.log_evidence > (
-            together - len(fields) * likelier_than_not() + RIVAL):
-        return found
-    return None
+    if found is None or found.term.against != 'position':
+        return None
+    # Both with the noise at its maximum: at that of the term the rest looks too bad.
+    gained = with_term(rest, found.term).log_likelihood - rest.log_likelihood
+    evidence = found.log_evidence - found.gain + gained
+    return found if evidence > together - len(fields) * likelier_than_not() + RIVAL else None
 
 
 def _in_no_shape(one: Candidate) -> ResidualMap:

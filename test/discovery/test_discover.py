@@ -39,7 +39,7 @@ def test_named_with_parameters_and_the_gap_shrinks(film):
         estimate = effect.parameters[name]
         assert abs(estimate.value * 1e6 - value) < 4 * estimate.std * 1e6 < 0.3
     assert effect.delta_bic > 100
-    assert effect.e_value > 1e3
+    assert effect.log_evidence > 50
     assert found.gap.before > 0.4e-6
     assert found.gap.after < 0.5 * found.gap.before
     assert any(m.fires for m in found.maps_before)

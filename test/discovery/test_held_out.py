@@ -18,62 +18,64 @@ from microbot_ros.model.model import Model
 from microbot_ros.model.vectors import as_vectors
 
 
+class Start:
+    """A session as discovery begins with it: prepared, and fitted by the first-order model."""
+
+    def __init__(self, session):
+        self.sessions, _ = check_sessions([session])
+        self.current = fit_first_order(self.sessions)
+
+    def fit(self, model):
+        """Return a `model` fitted to the session."""
+        return fit_sessions(model, self.sessions)
+
+
 @pytest.fixture(scope='module')
 def drifting(film):
     session, _ = film(30, {'uniform_drift': {'wx_um_s': 0.8, 'wy_um_s': 0.0}})
-    return fit_first_order(check_sessions([session])[0])
-
-
-def fitted(start, model):
-    """A `model` fitted to the sessions of a fit."""
-    return fit_sessions(model, sessions_of(start))
-
-
-def sessions_of(fit):
-    """The prepared sessions of a fit."""
-    return [p.session for p in fit.session_fits]
+    return Start(session)
 
 
 def test_gap_is_the_distance_that_the_drift_carries(drifting):
     """In one second 0.8 µm along one axis of two, less what v and φ absorb."""
-    truth = drifting.model.with_effect(EFFECTS['uniform_drift'](0.8e-6, 0.0))
-    gap = held_out_gap(fitted(drifting, truth), sessions_of(drifting), truth)
+    truth = drifting.current.model.with_effect(EFFECTS['uniform_drift'](0.8e-6, 0.0))
+    gap = held_out_gap(drifting.fit(truth), drifting.sessions, truth)
     assert gap.horizon == 1.0
     assert gap.before == pytest.approx(0.8e-6 / np.sqrt(2), rel=0.25)
     assert gap.after < 0.2e-6
     assert gap.truth < 0.2e-6
-    diffusion = fitted(drifting, truth).session_fits[0].diffusion
+    diffusion = drifting.fit(truth).session_fits[0].diffusion
     assert gap.floor == pytest.approx(np.sqrt(2 * diffusion + 2 * 0.1e-6**2), rel=0.1)
 
 
 def test_headings_that_chance_has_scattered_are_no_gap(film):
     """Turns of nearly 180° under a lag: what the lag can't foretell is not judged."""
     session, _ = film(34, {'alignment_lag': {'tau_s': 0.4}}, duration=60.0, dwell=(0.4, 1.5))
-    lagging = fit_first_order(check_sessions([session])[0])
-    fit = fitted(lagging, lagging.model.with_effect(EFFECTS['alignment_lag'](0.4)))
-    assert fit.session_fits[0].session.seen.sum() < sessions_of(lagging)[0].seen.sum()
-    gap = held_out_gap(fit, sessions_of(lagging))
+    lagging = Start(session)
+    fit = lagging.fit(lagging.current.model.with_effect(EFFECTS['alignment_lag'](0.4)))
+    assert fit.session_fits[0].session.seen.sum() < lagging.sessions[0].seen.sum()
+    gap = held_out_gap(fit, lagging.sessions)
     assert gap.after < 0.1 * gap.before
 
 
 @given(block=st.integers(0, 3), strength=st.floats(0.1, 100.0), seed=st.integers(0, 99))
 @settings(max_examples=10)
 def test_no_change_of_a_hidden_block_moves_a_fit_by_a_bit(drifting, block, strength, seed):
-    session, = sessions_of(drifting)
+    session, = drifting.sessions
     hidden = block_of(session, 4) == block
     moved = np.random.default_rng(seed).normal(size=(hidden.sum(), len(session.ids), 2))
     places = session.causal_positions.copy()
     places[hidden] += np.cumsum(strength * 1e-6 * moved, axis=0)
     other = replace(session, causal_positions=places, z=places @ [1, 1j])
     names = ('uniform_drift', 'linear_flow')
-    here, there = (learn(drifting.model, [s.only(~hidden)], names)
+    here, there = (learn(drifting.current.model, [s.only(~hidden)], names)
                    for s in (session, other))
     assert (here.model.vector() == there.model.vector()).all()
     known, found = here.session_fits[0], there.session_fits[0]
     assert (known.velocity_phasor == found.velocity_phasor).all()
     assert (known.diffusion, known.whitening) == (found.diffusion, found.whitening)
     assert here.cost == there.cost
-    assert known.count < drifting.session_fits[0].count
+    assert known.count < drifting.current.session_fits[0].count
 
 
 def test_what_happens_in_a_hidden_block_is_not_found_in_the_others(film):
@@ -95,9 +97,9 @@ def test_what_happens_in_a_hidden_block_is_not_found_in_the_others(film):
 
 
 def test_contribution_is_the_likelihood_ratio_beside_the_rest(drifting):
-    fit = fitted(drifting, drifting.model.with_effect(EFFECTS['uniform_drift'](0.5e-6, 0.0)))
+    fit = drifting.fit(drifting.current.model.with_effect(EFFECTS['uniform_drift'](0.5e-6, 0.0)))
     own = contribution(fit, 'uniform_drift')
-    assert own.likelihood_ratio == pytest.approx(drifting.cost - fit.cost, abs=0.5)
+    assert own.likelihood_ratio == pytest.approx(drifting.current.cost - fit.cost, abs=0.5)
     assert own.dof == 2
     assert own.p_value < 1e-10
 
@@ -105,9 +107,9 @@ def test_contribution_is_the_likelihood_ratio_beside_the_rest(drifting):
 def test_next_experiment_changes_the_field_to_tell_a_pull_from_slowness(film):
     """A pull along the field grows with it; slowness in weak fields does not add up to one."""
     session, _ = film(31, {'coil_pull': {'rate_um_s_mT': 0.4}}, levels=(2e-3, 5e-3))
-    start = fit_first_order(check_sessions([session])[0])
-    pull, slow = (fitted(start, start.model.with_effect(EFFECTS[name](value)))
-                  for name, value in (('coil_pull', 1e-4), ('incomplete_alignment', 1e-4)))
+    selection = Start(session)
+    pull, slow = (selection.fit(selection.current.model.with_effect(EFFECTS[name](start)))
+                  for name, start in (('coil_pull', 1e-4), ('incomplete_alignment', 1e-4)))
     found = next_experiment(pull, [slow.model])
     assert 'a third of the field' in found.sentence
     assert 0 < found.minutes < 10
@@ -118,10 +120,10 @@ def test_next_experiment_changes_the_field_to_tell_a_pull_from_slowness(film):
 
 def test_next_experiment_turns_the_field_to_tell_a_gradient_from_a_flow(film):
     session, _ = film(31, {'gradient_force': {'rate_per_s_mT': 0.003}})
-    start = fit_first_order(check_sessions([session])[0])
-    fit = fitted(start, start.model.with_effect(EFFECTS['gradient_force'](1.0)))
+    selection = Start(session)
+    fit = selection.fit(selection.current.model.with_effect(EFFECTS['gradient_force'](1.0)))
     still = EFFECTS['linear_flow'](0, 0, 0, 0)
-    flow = fitted(start, start.model.with_effect(still)).model
+    flow = selection.fit(selection.current.model.with_effect(still)).model
     found = next_experiment(fit, [flow])
     assert 'in all directions' in found.sentence
     assert 0 < found.minutes < 1

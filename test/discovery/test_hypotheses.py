@@ -44,8 +44,8 @@ def test_effects_that_explain_the_same_are_not_counted_twice(drifting):
 
 def test_a_rival_that_explains_a_little_less_is_within_reach(drifting):
     rest = fit_first_order(drifting)
-    own, other = (Candidate(found, evidence) for found, evidence in (
-        (fit_candidate(rest, 'alignment_lag'), 14.9), (fit_candidate(rest, 'command_delay'), 14.5)))
+    own = Candidate(fit_candidate(rest, 'alignment_lag'), 14.9)
+    other = Candidate(fit_candidate(rest, 'command_delay'), 14.5)
     slot = Slot(rest, own, (other,))
     assert slot.behind(other) == pytest.approx(0.4)
     assert slot.within_reach == (other,)
@@ -55,7 +55,7 @@ def test_a_rival_that_explains_a_little_less_is_within_reach(drifting):
 
 def test_effects_are_looked_for_in_all_recordings_together(film):
     """Each half says too little to name the drift, both together name it."""
-    sessions = [film(seed, {'uniform_drift': {'wx_um_s': 0.22, 'wy_um_s': 0.0}},
+    sessions = [film(seed, {'uniform_drift': {'wx_um_s': 0.17, 'wy_um_s': 0.0}},
                      duration=20.0)[0] for seed in (40, 41, 42, 43)]
     prepared, _ = check_sessions(sessions)
     one, several = consider(prepared[:1]), consider(prepared)

@@ -62,7 +62,7 @@ def test_the_report_stands_alone_and_says_what_was_found(written, drifting):
     assert 'http' not in re.sub(r'base64,[^"]*', '', html)
     for said in (
         'uniform drift', interval('wx_um_s', found.effects[0].parameters['wx_um_s']),
-        'uniform drift added', 'Looked for and not found', 'µm/s', 'numpy',
+        'Looked for and not found', 'µm/s', 'numpy',
         hashlib.sha256((data / 'tracks.csv').read_bytes()).hexdigest(),
     ):
         assert said in html, said
@@ -211,8 +211,8 @@ def test_numbers(x, said):
 
 def test_a_chance_too_small_to_compute_is_bounded():
     assert chance(0.0) == chance(9.7e-305) == 'p < 10⁻³⁰⁰'
-    assert odds(1e304) == 'more than 10³⁰⁰ times'
-    assert odds(42.0) == '42 times'
+    assert odds(700.0) == 'more than 10³⁰⁰ times'
+    assert odds(np.log(42.0)) == '42 times'
     assert chance(0.02) == 'p = 0.02'
 
 

@@ -9,6 +9,7 @@ from scipy import stats
 from microbot_ros.discovery.evidence import FitEvidence
 from microbot_ros.discovery.hypotheses import fit_first_order
 from microbot_ros.discovery.input_checks import check_sessions
+from microbot_ros.discovery.intervals import Intervals
 from microbot_ros.discovery.search import compare, fit_candidate
 from microbot_ros.discovery.starting_points import rotating_components
 from microbot_ros.discovery.tail_probabilities import (
