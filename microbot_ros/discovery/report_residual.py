@@ -22,12 +22,12 @@ PLACES = 10
 class Residual:
     """Measured positions less what models expect of N particles in T frames.
 
-    `times` (T,) [s] from the first frame; `commands` on the same clock; `names` of the particles; `places` (T, N, 2) [m]: where
-    last seen; `found` and `plain` (T, N, 2) [m]: positions less the displacement since the first
-    frame by the model found and by the first-order model, NaN for gaps; `path` (T, N, 2) [s], for
-    rollers [s·Hz]: what a particle of unit speed and φ = 0 would have moved; `speed_std` (N,): how
-    well v is known beside the effects found, which share what they don't tell from it; `jumps`
-    (T, N) bool: steps beyond any motion.
+    `times` (T,) [s] from the first frame; `commands` on the same clock; `names` of the particles;
+    `places` (T, N, 2) [m]: where last seen; `found` and `plain` (T, N, 2) [m]: positions less the
+    displacement since the first frame by the model found and by the first-order model, NaN for
+    gaps; `path` (T, N, 2) [s], for rollers [s·Hz]: what a particle of unit speed and φ = 0 would
+    have moved; `speed_std` (N,): how well v is known beside the effects found, which share what
+    they don't tell from it; `jumps` (T, N) bool: steps beyond any motion.
     """
 
     times: np.ndarray
