@@ -42,6 +42,14 @@ class RigError(RuntimeError):
     """
 
 
+class ReportError(RuntimeError):
+    """A report could not be made from results that are complete and written.
+
+    The message is one line that names the report. Commands print it on standard error and exit
+    with 1.
+    """
+
+
 def one_line(text: str) -> str:
     """The `text` as a terminal shows it in one line: what is no printable character is escaped."""
     return ''.join(c if c.isprintable() else ascii(c)[1:-1] for c in text)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
+import traceback
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,7 +15,7 @@ import pydantic
 import yaml
 
 from microbot_ros import strict_yaml
-from microbot_ros.errors import InputError, PackageError, clipped, shown
+from microbot_ros.errors import InputError, PackageError, ReportError, clipped, shown
 from microbot_ros.plausible import check_plausible
 
 
@@ -124,6 +125,24 @@ def write_text(path: str | Path, text: str) -> None:
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise
+
+
+@contextmanager
+def writing_report(path: Path) -> Iterator[None]:
+    """Context in which the report `path` is written, after the results that it is about.
+
+    Any exception becomes a ReportError that names its place in the code, and an earlier report of
+    that name is removed: it would stand beside results of which it is not.
+    """
+    try:
+        yield
+    except Exception as error:
+        path.unlink(missing_ok=True)
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        raise ReportError(
+            f'{path}: not written, {clipped(f"{type(error).__name__}: {error}")} '
+            f'({Path(last.filename).name}:{last.lineno}). The results beside it are complete; '
+            'please report this fault') from error
 
 
 def refuse_to_overwrite(folder: Path, names: Iterable[str], force: bool) -> None:

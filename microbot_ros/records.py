@@ -28,9 +28,9 @@ class Tracks:
         """The identities present, ascending."""
         return np.unique(self.particle)
 
-    def of(self, particle: int) -> Tracks:
-        """The rows of one particle."""
-        rows = self.particle == particle
+    def of(self, particles: int | np.ndarray) -> Tracks:
+        """Return the rows of one particle, or of several `particles` (P,)."""
+        rows = np.isin(self.particle, particles)
         return Tracks(
             self.t[rows], self.particle[rows], self.position[rows], self.theta[rows],
             self.sigma[rows],

@@ -27,6 +27,7 @@ _SUFFIXES: dict[str, tuple[float, str]] = {
     '_m': (1.0, 'm'),
     '_um_s': (1e-6, 'µm/s'),
     '_um_s_mT': (1e-3, 'µm/s/mT'),
+    '_um2': (1e-12, 'µm²'),
     '_um2_s': (1e-12, 'µm²/s'),
     '_um3_s': (1e-18, 'µm³/s'),
     '_um5_s': (1e-30, 'µm⁵/s'),

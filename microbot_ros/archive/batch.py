@@ -17,10 +17,10 @@ from microbot_ros.archive.cluster import ClusterError, cluster, introduced, run_
 from microbot_ros.archive.imports import siblings
 from microbot_ros.archive.labels import labels_of, own_answers, stated
 from microbot_ros.archive.recordings import Found, Refused, find, in_parallel
-from microbot_ros.archive.store import Archive
+from microbot_ros.archive.store import REPORT, Archive
 from microbot_ros.archive.work import READS, Job, Task
-from microbot_ros.errors import InputError
-from microbot_ros.files import read_yaml
+from microbot_ros.errors import InputError, ReportError
+from microbot_ros.files import read_yaml, writing_report
 from microbot_ros.session.folder import SessionFile
 
 if TYPE_CHECKING:
@@ -59,7 +59,8 @@ class Summary:
     `refused`: {name: reason} of what could not be read; `failed` likewise, where a worker failed,
     which is tried again next time; `aside`: how many are of a kind that the task does not take;
     `copies` of others that were done once; `summaries`: {name: sentence} of tables that hold
-    averages and no recording. Each recording counts once.
+    averages and no recording. Each recording counts once. `no_report`: why archive.html could not
+    be written, '' where it was.
     """
 
     task: Task
@@ -71,6 +72,7 @@ class Summary:
     refused: dict[str, str] = field(default_factory=dict)
     failed: dict[str, str] = field(default_factory=dict)
     summaries: dict[str, str] = field(default_factory=dict)
+    no_report: str = ''
 
 
 def run_batch(task: Task, folders: Sequence[Path], out: Path, settings: dict[str, Any],
@@ -115,8 +117,8 @@ def run_batch(task: Task, folders: Sequence[Path], out: Path, settings: dict[str
             stopped = error
             stack.close()  # nobody works on meanwhile
         report(Progress('concluding'))
-        found = _conclude(archive)
-        archive.save(found, complete=not (stopped or summary.failed))
+        found = _conclude(archive, summary)
+        archive.save(found, complete=not (stopped or summary.failed or summary.no_report))
         if stopped:
             raise stopped
     return summary, found
@@ -129,15 +131,22 @@ def _load_ahead() -> None:
         importlib.import_module('pyarrow')
 
 
-def _conclude(archive: Archive) -> dict[str, Any]:
-    """Write table and report; what they say."""
+def _conclude(archive: Archive, summary: Summary) -> dict[str, Any]:
+    """Write table and report of an `archive` and return what they say.
+
+    Where the report fails, the `summary` says why.
+    """
     from microbot_ros.archive.conclusions import conclude
     from microbot_ros.archive.report import write_report
     from microbot_ros.archive.table import write_table
 
     found = conclude(archive)
     write_table(archive, found.rows)
-    write_report(archive, found)
+    try:
+        with writing_report(archive.folder / REPORT):
+            write_report(archive, found)
+    except ReportError as error:
+        summary.no_report = str(error)
     return found.as_json()
 
 

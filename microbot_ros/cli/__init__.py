@@ -15,7 +15,7 @@ from types import FrameType
 import click
 
 from microbot_ros import __version__
-from microbot_ros.errors import InputError, RigError, one_line
+from microbot_ros.errors import InputError, ReportError, RigError, one_line
 from microbot_ros.lost_signals import SentAgain
 
 # What the system says of a place that somebody named, and of a disk that nobody can help.
@@ -80,7 +80,7 @@ def main() -> None:
             status = microbot.main(standalone_mode=False)
     except InputError as error:
         status = _failed('microbot', str(error), 2)
-    except RigError as error:
+    except (RigError, ReportError) as error:
         status = _failed('microbot', str(error), 1)
     except click.UsageError as error:
         where = f'microbot {error.ctx.info_name}' if error.ctx and error.ctx.parent else 'microbot'

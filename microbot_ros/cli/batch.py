@@ -148,6 +148,7 @@ def _run(task: Task, settings: dict[str, Any], folders: tuple[Path, ...], out: P
     from rich.console import Console
 
     from microbot_ros.archive import run_batch
+    from microbot_ros.errors import ReportError
     from microbot_ros.files import write_text
 
     if workers is not None and scheduler is not None:
@@ -163,6 +164,8 @@ def _run(task: Task, settings: dict[str, Any], folders: tuple[Path, ...], out: P
     console = Console(highlight=False, soft_wrap=True)
     for line in [*(_assumed(found['imported']) if task == 'import' else ()), *found['sentences']]:
         console.print(line, markup=False)
+    if summary.no_report:
+        raise ReportError(summary.no_report)
     if task in ('import', 'track'):
         made = found['imported']['sessions'] if task == 'import' else len(found['films'])
         console.print(f'{out}: {_counted(made, "session")} in {out / "sessions"}', markup=False)

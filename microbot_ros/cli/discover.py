@@ -85,18 +85,18 @@ def command(sessions: tuple[Path, ...], out: Path, jobs: int, live: bool, second
         return
     with progress.status('reading'):
         recordings = [read_session(path) for path in sessions]
-    _discover(recordings, sessions, out, jobs, json_path, progress)
+    found = _discover(recordings, out, jobs, json_path, progress)
+    _report(out, found, recordings, sessions, progress)
 
 
-def _discover(recordings: Sequence[Session], sources: Sequence[Path], out: Path, jobs: int,
-              json_path: Path | None, progress: Console) -> Discovery:
-    """Look, write what was found, say it."""
+def _discover(recordings: Sequence[Session], out: Path, jobs: int, json_path: Path | None,
+              progress: Console) -> Discovery:
+    """Search `recordings`; write result and model into `out`, print and return them."""
     import json
 
     from rich.console import Console
 
     from microbot_ros.discovery.discover import discover
-    from microbot_ros.discovery.report import write_report
     from microbot_ros.files import output_folder, write_text
     from microbot_ros.model.model_file import write_model
 
@@ -108,14 +108,23 @@ def _discover(recordings: Sequence[Session], sources: Sequence[Path], out: Path,
     with output_folder(out) as folder:
         write_text(folder / 'result.json', text)
         write_model(folder / 'model.yaml', found.model, found.particles)
-        with progress.status('writing the report'):
-            write_report(folder, found, recordings, sources)
     if json_path:
         write_text(json_path, text)
     console = Console(highlight=False)
     for line in found.sentences():
         console.print(line)
     return found
+
+
+def _report(out: Path, found: Discovery, recordings: Sequence[Session], sources: Sequence[Path],
+            progress: Console) -> None:
+    """Write the report into `out`, beside the results; ReportError where that fails."""
+    from microbot_ros.files import writing_report
+
+    with progress.status('writing the report'), writing_report(out / 'report.html'):
+        from microbot_ros.discovery.report import write_report
+
+        write_report(out, found, recordings, sources)
 
 
 def _watch(out: Path, seconds: float, rounds: int, jobs: int, json_path: Path | None,
@@ -128,7 +137,7 @@ def _watch(out: Path, seconds: float, rounds: int, jobs: int, json_path: Path | 
     import time
     from itertools import count
 
-    from microbot_ros.errors import InputError
+    from microbot_ros.errors import InputError, ReportError
     from microbot_ros.files import output_folder
     from microbot_ros.nodes.graph_client import GraphClient
     from microbot_ros.nodes.live_session_buffer import LiveSessionBuffer
@@ -144,15 +153,17 @@ def _watch(out: Path, seconds: float, rounds: int, jobs: int, json_path: Path | 
             with output_folder(place) as folder:
                 write_session(folder / 'session', session)
             try:
-                found = _discover([session], [place / 'session'], place, jobs, json_path, progress)
+                found = _discover([session], place, jobs, json_path, progress)
                 verdict.publish(found.as_json())
                 if found.model.effects:
                     _propose(
                         place / 'model.yaml', found.model.time_invariant, namespace, progress)
-            except InputError as error:
+                _report(place, found, [session], [place / 'session'], progress)
+            except (InputError, ReportError) as error:
                 if look == rounds:
                     raise
-                progress.print(f'nothing to say yet: {error}')
+                progress.print(f'nothing to say yet: {error}'
+                               if isinstance(error, InputError) else f'! {error}')
             if look == rounds:
                 return
             if (took := time.monotonic() - began) > seconds:

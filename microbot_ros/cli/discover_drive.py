@@ -27,6 +27,7 @@ def drive_rig(out: Path, minutes: float, use: bool, json_path: Path | None,
     """
     from microbot_ros.discovery.driven.drive import drive
     from microbot_ros.ending import Ending, find_launcher
+    from microbot_ros.errors import ReportError
     from microbot_ros.nodes.driven_rig import DrivenRig
     from microbot_ros.nodes.graph_client import GraphClient
 
@@ -35,8 +36,14 @@ def drive_rig(out: Path, minutes: float, use: bool, json_path: Path | None,
     with GraphClient('discover', namespace) as client:
         with DrivenRig(client, kept) as rig, Ending(rig.tell_to_end, find_launcher()):
             driven = drive(rig, minutes, lambda line: progress.print(line, soft_wrap=True))
-        found = _write(driven, kept.folders, out, json_path, progress)
-        if use and found.model.effects and driven.decided == 'settled':
+        found = _write(driven, out, json_path, progress)
+        use = use and bool(found.model.effects) and driven.decided == 'settled'
+        try:
+            _report(out, driven, found, kept.folders)
+        except ReportError:
+            if not use:
+                raise
+        if use:
             told = _give(client, out / 'model.yaml', progress)
             _report(out, driven, found, kept.folders, told)
 
@@ -56,9 +63,8 @@ class _Kept:
         self.folders.append(folder)
 
 
-def _write(driven: Driven, folders: list[Path], out: Path, json_path: Path | None,
-           progress: Console) -> Discovery:
-    """Write what was found, say it, and return it."""
+def _write(driven: Driven, out: Path, json_path: Path | None, progress: Console) -> Discovery:
+    """Write result and model into `out`, print the result and return it."""
     from rich.console import Console
 
     from microbot_ros.discovery.driven.conclusion import as_json, discovered
@@ -75,8 +81,6 @@ def _write(driven: Driven, folders: list[Path], out: Path, json_path: Path | Non
         write_text(folder / 'result.json', text)
         if result is not None:
             write_model(folder / 'model.yaml', result[0].model, result[0].particles)
-    if result is not None:
-        _report(out, driven, result[0], folders)
     if json_path:
         write_text(json_path, text)
     if result is None:
@@ -91,13 +95,15 @@ def _write(driven: Driven, folders: list[Path], out: Path, json_path: Path | Non
 
 def _report(out: Path, driven: Driven, found: Discovery, folders: list[Path],
             used: str = '') -> None:
-    from microbot_ros.discovery.driven.joined import join
-    from microbot_ros.discovery.driven.page import section
-    from microbot_ros.discovery.report import write_report
-    from microbot_ros.files import output_folder
+    """Write the report into `out`, beside the results; ReportError where that fails."""
+    from microbot_ros.files import writing_report
 
-    with output_folder(out) as folder:
-        write_report(folder, found, [join(driven.experiments)], folders, section(driven), used)
+    with writing_report(out / 'report.html'):
+        from microbot_ros.discovery.driven.joined import join
+        from microbot_ros.discovery.driven.page import section
+        from microbot_ros.discovery.report import write_report
+
+        write_report(out, found, [join(driven.experiments)], folders, section(driven), used)
 
 
 def _give(client: GraphClient, file: Path, progress: Console) -> str:

@@ -10,9 +10,10 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import stdtrit
 
 from microbot_ros.discovery.processes import Run, serially
-from microbot_ros.discovery.result import Gap
+from microbot_ros.discovery.result import UNKNOWN, Estimate, Gap
 from microbot_ros.discovery.search import fit_candidate
 from microbot_ros.estimation.expected_displacement import ExpectedDisplacement
 from microbot_ros.estimation.likelihood import SessionFit
@@ -34,6 +35,12 @@ BLOCKS = 5
 
 TURN = 2.4
 """Horizons, or times of the fewest frames that are of use, in a block where blocks take turns."""
+
+STRETCHES = 20
+"""Stretches of time, at most, by which the errors of two models are compared: a choice. With half
+as many the interval is wider by 8 % (Student's t); with twice as many, stretches of what changes
+slowly are less independent of each other.
+"""
 
 
 def block_of(session: PreparedSession, blocks: int) -> np.ndarray:
@@ -74,7 +81,8 @@ def held_out_gap(fit: ModelFit, sessions: Sequence[PreparedSession], truth: Mode
     heading that chance has scattered. The effects of `truth`, where it is known, are not fitted.
     What depends on position is taken where the particles were. `relearn` adds a term to a fit,
     learned from what that leaves: blocks are short then, since no table tells of a time in which
-    nothing was seen. `run` shares the blocks.
+    nothing was seen. `run` shares the blocks. All models are judged on the same rows, those whose
+    particles every one of them knows.
     """
     shortest = min(float(np.ptp(session.times)) for session in sessions)
     horizon = min(HORIZON, shortest / (2 * BLOCKS))
@@ -82,7 +90,7 @@ def held_out_gap(fit: ModelFit, sessions: Sequence[PreparedSession], truth: Mode
               for session, p in zip(sessions, fit.session_fits, strict=True)]
     bare, names = replace(fit.model, effects=(), learned=()), [e.id for e in fit.model.effects]
 
-    def errors_in(block: int) -> dict[str, np.ndarray]:
+    def errors_in(block: int) -> tuple[list[str], np.ndarray]:
         inside = [(_turns(s, horizon) if relearn else block_of(s, BLOCKS)) == block
                   for s in sessions]
         rest = [s.only(~hidden) for s, hidden in zip(sessions, inside, strict=True)]
@@ -93,17 +101,19 @@ def held_out_gap(fit: ModelFit, sessions: Sequence[PreparedSession], truth: Mode
         if truth:
             known = [p.whitening for p in before.session_fits]
             learned['truth'] = fit_noise(evaluate(truth, rest, known))
-        return {name: np.concatenate([
-            _errors(one.model, p, session, hidden, horizon) for p, session, hidden in zip(
-                one.session_fits, judged, inside, strict=True)])
-            for name, one in learned.items()}
+        return list(learned), np.concatenate([
+            _errors(list(learned.values()), k, session, hidden, horizon)
+            for k, (session, hidden) in enumerate(zip(judged, inside, strict=True))])
 
-    errors = list(run(errors_in, range(BLOCKS)))
+    blocks = list(run(errors_in, range(BLOCKS)))
+    stretch, *squares = np.concatenate([rows for _, rows in blocks]).T
+    known = dict(zip(blocks[0][0], squares, strict=True))
     floor = _floor(fit, horizon)
-    excess = {name: _excess(np.concatenate([found[name] for found in errors]), floor)
-              for name in errors[0]}
+    excess = {name: _excess(square, floor) for name, square in known.items()}
+    closed = {name: mean_by_stretch(known['before'] - square, stretch)
+              for name, square in known.items()}
     return Gap(horizon, excess['before'], excess['after'], floor, excess.get('truth', np.nan),
-               excess.get('learned', np.nan))
+               excess.get('learned', np.nan), closed['after'], closed.get('learned', UNKNOWN))
 
 
 def _carried_over(model: Model, known: SessionFit, session: PreparedSession) -> SessionFit:
@@ -129,20 +139,49 @@ def _explicable(session: PreparedSession, part: PreparedSession) -> PreparedSess
     return replace(session, pieces=pieces)
 
 
-def _excess(errors: np.ndarray, floor: float) -> float:
-    return float(np.sqrt(max(np.mean(errors**2) - floor**2, 0.0))) if errors.size else float('nan')
+def _excess(squares: np.ndarray, floor: float) -> float:
+    return float(np.sqrt(max(squares.mean() - floor**2, 0.0))) if squares.size else float('nan')
 
 
-def _errors(model: Model, learned: SessionFit, whole: PreparedSession, frames: np.ndarray,
+def mean_by_stretch(values: np.ndarray, stretch: np.ndarray) -> Estimate:
+    """Return the mean of `values` (R,), with its interval by how stretches of time differ.
+
+    Displacements that overlap share their noise, and particles of one moment share what acts on
+    all: a `stretch` (R,) of time counts as one observation. What the fits do not know of their
+    parameters is not in the interval.
+    """
+    _, which = np.unique(stretch, return_inverse=True)
+    count = np.bincount(which)
+    if len(count) < 2:
+        return UNKNOWN
+    mean = float(values.mean())
+    apart = np.bincount(which, values) - mean * count
+    std = float(np.sqrt(len(count) / (len(count) - 1) * (apart**2).sum()) / count.sum())
+    half = float(stdtrit(len(count) - 1, 0.975)) * std
+    return Estimate(mean, std, mean - half, mean + half)
+
+
+def _errors(fits: Sequence[ModelFit], k: int, whole: PreparedSession, frames: np.ndarray,
             horizon: float) -> np.ndarray:
-    """Of the displacements over the horizon within some frames (T,), both axes, flat."""
-    here = _carried_over(model, learned, whole)
+    """Return the squared errors (R, 1 + M) of M `fits` within some `frames` (T,) of session `k`.
+
+    R displacements over the horizon, of one axis [m²], the mean of both. The first column is the
+    number of the stretch of time in which a displacement begins.
+    """
     ahead = max(round(horizon / whole.interval), 1)
-    left = whole.z - here.expected.at(learned.velocity_phasor)
-    inside = (frames[ahead:] & frames[:-ahead])[:, None]
-    both = whole.joined(ahead) & inside & _known(learned, here, horizon)
-    error = (left[ahead:] - left[:-ahead])[both]
-    return np.concatenate([error.real, error.imag])
+    use = whole.joined(ahead) & (frames[ahead:] & frames[:-ahead])[:, None]
+    squares = []
+    for fit in fits:
+        learned = fit.session_fits[k]
+        here = _carried_over(fit.model, learned, whole)
+        left = whole.z - here.expected.at(learned.velocity_phasor)
+        squares.append(np.abs(left[ahead:] - left[:-ahead]) ** 2 / 2)
+        use &= _known(learned, here, horizon)
+    elapsed = whole.times[:-ahead] - whole.times[0]
+    length = max(TURN * horizon, float(np.ptp(whole.times)) / STRETCHES)
+    stretch = k * (STRETCHES + 1) + (elapsed / length).astype(int)
+    return np.stack([np.broadcast_to(stretch[:, None], use.shape)[use],
+                     *(square[use] for square in squares)], axis=1)
 
 
 def _known(learned: SessionFit, here: SessionFit, horizon: float) -> np.ndarray:

@@ -256,14 +256,12 @@ def _without(session: Session, names: set[int]) -> Session:
     if not names:
         return session
     tracks = session.tracks
-    kept = ~np.isin(tracks.particle, list(names))
-    if not kept.any():
+    kept = tracks.of(np.setdiff1d(tracks.particle, list(names)))
+    if not len(kept.t):
         raise InputError(session.name or 'session', 'expected particles in free fluid, found all '
                          'pressed against a wall, or the edge of the dish. One that swims freely '
                          'is enough')
-    return replace(session, tracks=replace(
-        tracks, **{name: value[kept] for name, value in vars(tracks).items()
-                   if isinstance(value, np.ndarray)}))
+    return replace(session, tracks=kept)
 
 
 def _left_out(e: PreparedSession, held: np.ndarray) -> list[str]:

@@ -26,7 +26,6 @@ from microbot_ros.discovery.report_residual import residual
 from microbot_ros.discovery.report_words import bare, chance, interval, listed, number
 from microbot_ros.discovery.result import FIRES, Discovery, NamedEffect
 from microbot_ros.discovery.verdict import enough
-from microbot_ros.estimation.prepared_session import PreparedSession
 from microbot_ros.files import write_text
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.records import Session
@@ -67,8 +66,7 @@ def page(found: Discovery, sessions: Sequence[Session], sources: Sequence[Path],
     prediction = predict(found, left)
     maps = draw_maps(found.maps_before, found.maps_after)
     places = draw_places(left, found.diffusion.value)
-    commands = PreparedSession.of(sessions[-1]).commands
-    driven = drive(left, commands, found.particles.phi, found.diffusion.value)
+    driven = drive(left, found.particles.phi, found.diffusion.value)
     return template.render(
         found=found, headline=headline(found), library=EFFECTS, sessions=sessions, fires=FIRES,
         speed=_SPEED[found.model.propulsion], prediction=prediction,

@@ -8,7 +8,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from microbot_ros.discovery.report_residual import Residual
-from microbot_ros.records import Commands
 
 BINS = 14
 
@@ -28,15 +27,15 @@ class Drive:
     plain: np.ndarray
 
 
-def drive(left: Residual, commands: Commands, phi: np.ndarray, diffusion: float) -> Drive | None:
-    """The gains of particles under `commands`; None for fewer than 3 frequencies.
+def drive(left: Residual, phi: np.ndarray, diffusion: float) -> Drive | None:
+    """Return the gains of particles by frequency; None for fewer than 3 frequencies.
 
     `left` is what models leave of their session; `phi` (N,) [rad]; `diffusion` D [m²/s].
 
     Displacements along where a particle heads, regressed on the unit path: those measured, and
     those that the models expect.
     """
-    frequency = np.abs(commands.frequency_at(left.times[:-1]))
+    frequency = np.abs(left.commands.frequency_at(left.times[:-1]))
     levels = np.unique(np.round(frequency[frequency > 0], 6))
     if len(levels) < 3:
         return None

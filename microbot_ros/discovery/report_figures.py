@@ -45,11 +45,12 @@ def draw_gap(gap: Gap) -> Figure:
                 'after the learned term': gap.learned, 'noise floor': gap.floor}
     if np.isfinite(gap.truth):
         bars['true model'] = gap.truth
-    values = np.nan_to_num(list(bars.values())) * 1e6
+    values = np.array(list(bars.values())) * 1e6
     colours = {'before': BEFORE, 'noise floor': FLOOR, 'true model': 'white'}
-    drawn = axis.barh(list(bars), values, color=[colours.get(name, AFTER) for name in bars],
-                      edgecolor='#444444')
-    axis.bar_label(drawn, [f'{v:.3f} µm' for v in values], padding=4)
+    drawn = axis.barh(list(bars), np.nan_to_num(values), edgecolor='#444444',
+                      color=[colours.get(name, AFTER) for name in bars])
+    axis.bar_label(drawn, [f'{v:.3f} µm' if np.isfinite(v) else 'not known' for v in values],
+                   padding=4)
     axis.invert_yaxis()
     axis.margins(x=0.15)
     axis.set_xlabel(f'one coordinate, {gap.horizon:g} s ahead (µm)')

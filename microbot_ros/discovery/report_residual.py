@@ -11,8 +11,8 @@ from microbot_ros.estimation.expected_displacement import ExpectedDisplacement
 from microbot_ros.estimation.likelihood import SessionFit, Whitening
 from microbot_ros.estimation.prepared_session import JUMP, PreparedSession, prepare
 from microbot_ros.model.increments import as_vectors
-from microbot_ros.model.model import Model
-from microbot_ros.records import Session
+from microbot_ros.model.model import Model, ParticleParameters
+from microbot_ros.records import Commands, Session
 
 PLACES = 10
 """Squares along the longer side of what the tracks cover."""
@@ -22,15 +22,16 @@ PLACES = 10
 class Residual:
     """Measured positions less what models expect of N particles in T frames.
 
-    `times` (T,) [s] from the first frame; `names` of the particles; `places` (T, N, 2) [m]: where
-    last seen; `found` and `plain` (T, N, 2) [m]: positions less the displacement since the first
-    frame by the model found and by the first-order model, NaN for gaps; `path` (T, N, 2) [s], for
-    rollers [s·Hz]: what a particle of unit speed and φ = 0 would have moved; `speed_std` (N,): how
-    well v is known beside the effects found, which share what they don't tell from it; `jumps`
-    (T, N) bool: steps beyond any motion.
+    `times` (T,) [s] from the first frame; `commands` on the same clock; `names` of the particles;
+    `places` (T, N, 2) [m]: where last seen; `found` and `plain` (T, N, 2) [m]: positions less the
+    displacement since the first frame by the model found and by the first-order model, NaN for
+    gaps; `path` (T, N, 2) [s], for rollers [s·Hz]: what a particle of unit speed and φ = 0 would
+    have moved; `speed_std` (N,): how well v is known beside the effects found, which share what
+    they don't tell from it; `jumps` (T, N) bool: steps beyond any motion.
     """
 
     times: np.ndarray
+    commands: Commands
     names: tuple[str, ...]
     places: np.ndarray
     found: np.ndarray
@@ -41,8 +42,13 @@ class Residual:
 
 
 def residual(found: Discovery, session: Session) -> Residual:
-    """What `found` leaves of the `session` that `found.particles` belong to: the last one."""
-    whole, prepared = PreparedSession.of(session), prepare(session)
+    """Return what `found` leaves of the last session, to which `found.particles` belong.
+
+    Particles that were left out of the fit are left out here too.
+    """
+    session = replace(session, tracks=session.tracks.of(found.particles.ids))
+    whole, prepared = (_with_phi(one, found.particles) for one in (
+        PreparedSession.of(session), prepare(session)))
     positions = whole.causal_positions
     places = _filled(positions)
     model = Model.baseline(session.conditions, session.commands)
@@ -55,11 +61,16 @@ def residual(found: Discovery, session: Session) -> Residual:
         whole, causal_positions=places).timeline).at(found.particles.velocity_phasor)
     steps = np.hypot(*np.moveaxis(np.diff(positions, axis=0, prepend=np.nan), -1, 0))
     return Residual(
-        whole.times, tuple(str(i) for i in found.particles.ids), places,
+        whole.times, whole.commands, tuple(str(i) for i in found.particles.ids), places,
         positions - as_vectors(moved),
         positions - as_vectors(plain.at(refitted[prepared.main])),
         as_vectors(np.broadcast_to(plain.along, whole.z.shape)), beside.phasor_std[prepared.main],
         np.nan_to_num(steps) > JUMP * np.nanquantile(steps, 0.99))
+
+
+def _with_phi(session: PreparedSession, particles: ParticleParameters) -> PreparedSession:
+    """Return the `session` with φ of every track, for terms that depend on the heading."""
+    return replace(session, phi=particles.phi[particles.ids.searchsorted(session.ids)])
 
 
 def by_place(left: Residual, positions: np.ndarray) -> tuple[np.ndarray, ...]:

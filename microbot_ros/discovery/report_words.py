@@ -44,7 +44,7 @@ def interval(name: str, estimate: Estimate) -> str:
     half = (high - low) / 2
     if not np.isfinite(value):
         return '–'
-    if not estimate.is_even:
+    if not estimate.is_even and not np.isnan(half):
         ends = ' to '.join(number(end) if np.isfinite(end) else '∞' for end in (low, high))
         return f'{number(value)} ({ends}) {symbol(name)}'.strip()
     if not (np.isfinite(half) and half > 0):

@@ -56,6 +56,10 @@ class Estimate:
                 'low_95': _edge(name, self.low), 'high_95': _edge(name, self.high)}
 
 
+UNKNOWN = Estimate.normal(np.nan, np.nan)
+"""An estimate of which nothing is known."""
+
+
 @dataclass(frozen=True)
 class NamedEffect:
     """An effect that the data ask for: its `id`, `status` and `parameters` by name.
@@ -78,7 +82,7 @@ class NamedEffect:
     def sentence(self) -> str:
         """With its parameters and 95 % intervals."""
         values = ', '.join(
-            f'{name.removesuffix(suffix(name))} = {_told(name, e)} {symbol(name)}'.strip()
+            f'{name.removesuffix(suffix(name))} = {_told(name, e)}'
             for name, e in self.parameters.items())
         alias = ', '.join(self.indistinguishable_from)
         doubt = f'; cannot be told from {alias}' if alias else ''
@@ -100,8 +104,10 @@ class Gap:
     """Held-out open-loop prediction over `horizon` [s]: excess over the noise floor [m].
 
     `before`, `after` and (where the truth is known) `truth` are √(RMS² − floor²) of one axis,
-    0 where there is no excess; `floor` = √(2D·horizon + 2σ²). `learned`: after the learned term
-    besides, where there is one.
+    0 where there is no excess and NaN where nothing could be judged, all over the same
+    displacements; `floor` = √(2D·horizon + 2σ²). `learned`: after the learned term besides, where
+    there is one. `closed` and `closed_by_learned`: the squared error [m²] before less that after,
+    or less that after the learned term, of the same displacement: their mean.
     """
 
     horizon: float
@@ -110,6 +116,25 @@ class Gap:
     floor: float
     truth: float = np.nan
     learned: float = np.nan
+    closed: Estimate = UNKNOWN
+    closed_by_learned: Estimate = UNKNOWN
+
+    def sentences(self) -> list[str]:
+        """Return the gap for people, in one or two sentences."""
+        if not np.isfinite([self.before, self.after, self.floor]).all():
+            return ['How well the model predicts is not known: no particle is seen long enough in '
+                    f'a part of the recording that was held out, {self.horizon:.3g} s at least.']
+        has_learned = np.isfinite(self.learned)
+        told = [
+            f'Prediction {self.horizon:.3g} s ahead, held out: {self.before * 1e6:.2f} µm over '
+            f'the noise floor of {self.floor * 1e6:.2f} µm before, {self.after * 1e6:.2f} µm after'
+            + (f', {self.learned * 1e6:.2f} µm with what was learned.' if has_learned else '.')]
+        closed = self.closed_by_learned if has_learned else self.closed
+        if closed.std > 0:
+            value, low, high = (x * 1e12 for x in (closed.value, closed.low, closed.high))
+            told.append(f'On the same displacements the mean squared error falls by {value:.2g} '
+                        f'µm² (95 % interval {low:.2g} to {high:.2g} µm²).')
+        return told
 
 
 @dataclass(frozen=True)
@@ -285,13 +310,8 @@ class Discovery:
                         + ', '.join(m.against for m in self.unexplained) + '.'],
         }[self.verdict]
         said += [effect.sentence() for effect in self.effects]
-        gap = self.gap
         said += [one.sentence() for one in self.learned]
-        said.append(
-            f'Prediction {gap.horizon:.3g} s ahead, held out: {gap.before * 1e6:.2f} µm over the '
-            f'noise floor of {gap.floor * 1e6:.2f} µm before, {gap.after * 1e6:.2f} µm after'
-            + (f', {gap.learned * 1e6:.2f} µm with what was learned.' if self.learned else '.'))
-        return [*said, *(f'! {remark}' for remark in self.remarks)]
+        return [*said, *self.gap.sentences(), *(f'! {remark}' for remark in self.remarks)]
 
     def as_json(self) -> dict[str, Any]:
         """`result.json`, in units at the edge."""
@@ -304,6 +324,8 @@ class Discovery:
                 'before_um': _edge('_um', self.gap.before),
                 'after_um': _edge('_um', self.gap.after),
                 'floor_um': _edge('_um', self.gap.floor),
+                'closed_um2': self.gap.closed.as_json('_um2'),
+                'closed_by_learned_um2': self.gap.closed_by_learned.as_json('_um2'),
             },
             'unexplained': [
                 {'against': m.against, 'p_value': m.p_value} for m in self.unexplained
@@ -331,8 +353,15 @@ class Discovery:
 
 def _told(name: str, estimate: Estimate) -> str:
     value, low, high = (from_si(name, x) for x in (estimate.value, estimate.low, estimate.high))
-    return f'{value:.3g} ± {(high - low) / 2:.2g}' if estimate.is_even else (
-        f'{value:.3g} ({low:.3g} to {high:.3g})')
+    unit = symbol(name)
+    if not np.isfinite(value):
+        return 'not known'
+    if np.isnan([low, high]).any():
+        return f'{value:.3g} {unit}'.strip() + ' (interval not known)'
+    if estimate.is_even:
+        return f'{value:.3g} ± {(high - low) / 2:.2g} {unit}'.strip()
+    ends = ' to '.join(f'{end:.3g}'.replace('inf', '∞') for end in (low, high))
+    return f'{value:.3g} ({ends}) {unit}'.strip()
 
 
 def _edge(name: str, value: float) -> float | None:

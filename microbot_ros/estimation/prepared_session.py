@@ -131,11 +131,14 @@ class PreparedSession:
         return known and known[1]
 
     def after_first_field(self, seconds: float) -> PreparedSession:
-        """Without the frames in the first `seconds` [s] after the field came on."""
-        keep = self.times >= first_field(self.commands) + seconds
+        """Return the session without the first `seconds` [s] after the field came on."""
+        return self.from_frame(int(self.times.searchsorted(first_field(self.commands) + seconds)))
+
+    def from_frame(self, first: int) -> PreparedSession:
+        """Return the session without the frames before the frame of index `first`."""
         return replace(
-            self, times=self.times[keep], z=self.z[keep], pieces=self.pieces[keep],
-            causal_positions=self.causal_positions[keep])
+            self, times=self.times[first:], z=self.z[first:], pieces=self.pieces[first:],
+            causal_positions=self.causal_positions[first:])
 
     def only(self, frames: np.ndarray) -> PreparedSession:
         """The session as if nothing had been recorded but `frames` (T,) bool, commands apart.
@@ -265,7 +268,7 @@ def predictable_part(
     if lost.mean() > 0.5:
         return session.after_first_field(min(start, float(np.ptp(session.times)) / 2))
     first = int(np.argmin(lost))
-    kept = session.after_first_field(session.times[first] - began)
+    kept = session.from_frame(first)
     return kept.split_tracks(np.broadcast_to(lost[first:, None], kept.seen.shape))
 
 

@@ -297,3 +297,18 @@ def test_the_command(laboratory, tmp_path, capsys):
         assert microbot('batch', 'fit', *words) == 2
         [line] = capsys.readouterr().err.strip().splitlines()
         assert problem in line
+
+
+def test_a_report_that_fails_leaves_the_table_and_is_tried_again(laboratory, tmp_path, capsys):
+    out, told = tmp_path / 'out', tmp_path / 'told.json'
+    out.mkdir()
+    (out / 'archive.html').write_text('of other results')
+    with mock.patch('microbot_ros.archive.report.page', side_effect=ValueError('no\nφ')):
+        assert microbot('batch', 'fit', laboratory, '--out', out, '--json', told) == 1
+    said = capsys.readouterr()
+    assert 'archive.html: not written, ValueError: no' in said.err.splitlines()[-1]
+    assert json.loads(told.read_text())['done'] == 6
+    assert len(read_table(out)['session']) == 12
+    assert not (out / 'archive.html').exists()
+    assert microbot('batch', 'fit', laboratory, '--out', out) == 0
+    assert (out / 'archive.html').is_file()

@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from microbot_ros.discovery.held_out import block_of, held_out_gap, learn
+from microbot_ros.discovery.held_out import block_of, held_out_gap, learn, mean_by_stretch
 from microbot_ros.discovery.hypotheses import fit_first_order
 from microbot_ros.discovery.input_checks import check_sessions
 from microbot_ros.discovery.next_experiment import next_experiment
+from microbot_ros.discovery.result import Gap
 from microbot_ros.discovery.search import contribution
 from microbot_ros.estimation.model_fit import fit_sessions
 from microbot_ros.model.effects import EFFECTS
@@ -44,8 +45,36 @@ def test_gap_is_the_distance_that_the_drift_carries(drifting):
     assert gap.before == pytest.approx(0.8e-6 / np.sqrt(2), rel=0.25)
     assert gap.after < 0.2e-6
     assert gap.truth < 0.2e-6
+    # Of the same displacements: what the floor is does not matter.
+    assert gap.closed.value == pytest.approx(gap.before**2 - gap.after**2, abs=0.01e-12)
+    assert 0 < gap.closed.low < gap.closed.value < gap.closed.high < 2 * gap.closed.value
     diffusion = drifting.fit(truth).session_fits[0].diffusion
     assert gap.floor == pytest.approx(np.sqrt(2 * diffusion + 2 * 0.1e-6**2), rel=0.1)
+
+
+def test_without_an_effect_before_and_after_are_the_same(drifting):
+    gap = held_out_gap(drifting.start, drifting.sessions)
+    assert gap.before == gap.after
+    assert (gap.closed.value, gap.closed.std) == (0, 0)
+    assert len(gap.sentences()) == 1
+
+
+def test_the_interval_of_what_was_closed_covers_where_rows_overlap():
+    """Differences of displacements over 20 frames hang together for as long."""
+    rng, stretch = np.random.default_rng(1), np.arange(600) // 50
+    covered = 0
+    for _ in range(300):
+        rows = np.convolve(rng.normal(size=619), np.ones(20) / 20, 'valid')
+        found = mean_by_stretch(rows, stretch)
+        covered += found.low < 0 < found.high
+    assert 0.90 < covered / 300 <= 0.98
+    assert np.isnan(mean_by_stretch(np.ones(5), np.zeros(5)).low)
+
+
+def test_a_gap_that_is_not_known_is_said_to_be():
+    said, = Gap(1.0, np.nan, np.nan, 1e-7).sentences()
+    assert 'not known' in said
+    assert 'nan' not in said
 
 
 def test_headings_that_chance_has_scattered_are_no_gap(film):

@@ -17,8 +17,10 @@ from microbot_ros.discovery.report_drive import drive
 from microbot_ros.discovery.report_prediction import predict
 from microbot_ros.discovery.report_residual import by_place, residual
 from microbot_ros.discovery.report_words import chance, interval, limit, listed, number, odds
-from microbot_ros.discovery.result import Estimate, Limit
+from microbot_ros.discovery.result import Estimate, Learned, Limit
 from microbot_ros.model.effects import EFFECTS
+from microbot_ros.model.learned_term import AXES, COVARIATES, VALUES, LearnedTerm
+from microbot_ros.records import Tracks
 
 DRIFT = {'uniform_drift': {'wx_um_s': 0.8, 'wy_um_s': -0.5}}
 
@@ -180,7 +182,7 @@ def test_the_drive_of_rollers_is_told_by_frequency(film):
     session, truth = film(15, {'drive_response': {'cut_in_hz': 0.9}}, rolling=True)
     found = discover([session])
     left = residual(found, session)
-    told = drive(left, session.commands, found.particles.phi, found.diffusion.value)
+    told = drive(left, found.particles.phi, found.diffusion.value)
     assert told.frequency == pytest.approx(np.unique(session.commands.frequency), rel=1e-3)
     true = truth['gain'].mean()
     assert told.measured[-1] == pytest.approx(true, abs=4 * told.measured_std[-1] + 0.02 * true)
@@ -189,10 +191,42 @@ def test_the_drive_of_rollers_is_told_by_frequency(film):
     assert 'Speed over frequency' in page(found, [session], [])
 
 
+def test_particles_that_were_left_out_are_not_drawn(drifting):
+    """Such as one pressed against a wall, seen before all others: it shifts no clock."""
+    found, session = drifting
+    t = session.tracks
+    held = t.of(t.particles[0])
+    shifted = replace(session, commands=replace(session.commands, t=session.commands.t + 2),
+                      tracks=Tracks(*(np.concatenate([a, b]) for a, b in (
+                          (held.t, t.t + 2), (held.particle + 99, t.particle),
+                          (held.position, t.position), (held.theta, t.theta),
+                          (held.sigma, t.sigma)))))
+    left, without = residual(found, shifted), residual(found, session)
+    np.testing.assert_allclose(left.found, without.found, atol=1e-12)
+    np.testing.assert_allclose(left.times, without.times, atol=1e-12)
+    assert 'particle 99' not in page(found, [shifted], [])
+
+
+@pytest.mark.parametrize('against', COVARIATES)
+def test_a_term_against_anything_is_drawn(drifting, against):
+    """A term against heading needs φ of the particles, one against particles their names."""
+    found, session = drifting
+    frame, acts_on = {'heading': ('heading', 'speed'), 'particle': ('heading', 'speed'),
+                      'neighbour distance': ('radial', 'velocity')}.get(
+        against, ('laboratory', 'velocity'))
+    axes = (np.linspace(-1.0, 1.0, 3),) * len(AXES[against])
+    values = np.full((3 ** len(axes), len(VALUES[frame, acts_on])), 0.1)
+    term = LearnedTerm(against, frame, acts_on, axes, values, values, values,
+                       np.ones(len(values), bool))
+    learned = replace(found, model=replace(found.model, learned=(term,)),
+                      learned=(Learned(term, '', 9.0, {}),))
+    assert 'data:image' in page(learned, [session], [])
+
+
 def test_no_drive_is_drawn_of_swimmers(drifting):
     found, session = drifting
     left = residual(found, session)
-    assert drive(left, session.commands, found.particles.phi, 1e-13) is None
+    assert drive(left, found.particles.phi, 1e-13) is None
 
 
 def test_lists_are_read_aloud():

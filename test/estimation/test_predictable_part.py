@@ -17,9 +17,9 @@ from microbot_ros.records import Commands, Conditions, Session, Tracks
 FIELD, LAG, STEP = 5e-3, 0.2, 0.05
 
 
-def _prepared(levels, holds, seconds=60.0):
+def _prepared(levels, holds, seconds=60.0, step=STEP):
     """A particle that drifts along, hardly turned by heat; every level [T] is held so long [s]."""
-    t = np.arange(0.0, seconds, STEP)
+    t = np.arange(0.0, seconds, step)
     position = np.column_stack([2e-6 * t, 0.3e-6 * t])
     tracks = Tracks(t, np.zeros(len(t), int), position, np.full(len(t), np.nan),
                     np.full(len(t), np.nan))
@@ -55,3 +55,15 @@ def test_headings_that_align_at_once_leave_everything():
     session = _prepared([0.2 * FIELD, FIELD], [1.0, 60.0])
     kept = predictable_part(session, Model(FIELD))
     assert np.array_equal(kept.times, session.times)
+
+
+@pytest.mark.parametrize('step', [1 / 30, 0.033])
+@pytest.mark.parametrize('dark', [0.1, 0.3, 1.1, 4.9 / 3])
+def test_times_that_no_binary_fraction_holds_lose_no_frame(step, dark):
+    """(time − first field) + first field may round above the time."""
+    session = _prepared([0.0, FIELD], [dark, 60.0], 20.0, step)
+    for tau in np.linspace(0.05, 0.8, 40):
+        model = Model(FIELD, effects=(AlignmentLag(tau=tau),))
+        kept = predictable_part(session, model)
+        assert kept.seen[0].all()
+        np.testing.assert_array_equal(kept.times, session.times[-len(kept.times):])
