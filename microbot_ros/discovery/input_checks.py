@@ -232,20 +232,23 @@ def _is_held(z: np.ndarray, steps: np.ndarray, swum: np.ndarray, legs: np.ndarra
     c = np.vdot(swum, steps) / np.vdot(swum, swum)
     breadth = BORDER * float(np.sqrt(np.mean(np.abs(steps - c * swum) ** 2) / 2))
     out = (z[:, None] * NORMALS.conj()).real
-    bordering = np.abs(out - np.quantile(out, INNER, axis=0)) < breadth
-    share = bordering.mean(axis=0)
-    normal, there = NORMALS[share.argmax()], bordering[:, share.argmax()]
+    inwards = np.quantile(out, INNER, axis=0) - out
+    share = (np.abs(inwards) < breadth).mean(axis=0)
+    k = int(share.argmax())
+    normal, there, free = NORMALS[k], np.abs(inwards[:, k]) < breadth, inwards[:, k] > 2 * breadth
     if share.max() < LONG:
         return False
-    # A wall leaves the motion along it free: c by that alone, as two real numbers.
+    # A wall leaves the motion along it free, and all motion elsewhere: c by these, as two real
+    # numbers. By the motion along it alone c is hardly known where that keeps to one line.
     along, way = (steps / (1j * normal)).real, swum / (1j * normal)
-    columns = np.stack([way.real, -way.imag], axis=1)
-    found = np.linalg.lstsq(columns, along, rcond=1e-6)[0]
+    moved, ways = np.append(along, (steps / normal).real[free]), np.append(way, 1j * way[free])
+    columns = np.stack([ways.real, -ways.imag], axis=1)
+    found = np.linalg.lstsq(columns, moved, rcond=1e-6)[0]
     towards = (complex(*found) * swum / normal).real
     if towards[there].sum() < 0:
         normal, towards = -normal, -towards
     pressed = there & (towards > 0)
-    spread = float(np.std(along - columns @ found)) * np.sqrt(pressed.sum())
+    spread = float(np.std(along - columns[:len(along)] @ found)) * np.sqrt(pressed.sum())
     expected, gone = towards[pressed].sum(), (steps[pressed] / normal).real.sum()
     pushes = np.bincount(legs[pressed] - legs[0], towards[pressed])
     return bool(np.count_nonzero(pushes > 2 * breadth) >= LEGS and gone < HELD * expected

@@ -1,6 +1,7 @@
 """Bad input is told in a sentence that says what would be enough."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +11,12 @@ from microbot_ros.errors import InputError
 from microbot_ros.estimation.prepared_session import PreparedSession
 from microbot_ros.model.particle import Fluid
 from microbot_ros.records import Commands, Conditions, Session
+from microbot_ros.session.spreadsheets.assemble import import_session
+from microbot_ros.session.spreadsheets.sheets import Answers
 from microbot_ros.virtual_rig.record_session import Camera, draw_swarm, record_session
 from microbot_ros.virtual_rig.world import World
+
+SHARED = Path(__file__).parents[2].parent / 'shared' / 'data' / 'speed_vs_frequency'
 
 
 def moved(session, change):
@@ -245,3 +250,12 @@ def test_free_particles_are_never_taken_for_pressed(film):
     alarms = [seed for seed in range(100) if at_a_wall(PreparedSession.of(
         film(seed, hidden[seed % len(hidden)], duration=10.0 + seed % 3 * 10.0)[0])).any()]
     assert not alarms
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason='needs shared/data')
+def test_a_roller_that_keeps_to_one_line_is_free():
+    """The motion along a border hardly says how far commands push towards it."""
+    dimer, _ = import_session(SHARED / 'dimers_20um' / '20umDimer4.xlsx', Answers())
+    travelled = np.abs(np.diff(PreparedSession.of(dimer).z[:, 0])).sum()
+    assert 15e-3 < travelled < 16e-3
+    assert not at_a_wall(PreparedSession.of(dimer)).any()
