@@ -103,15 +103,16 @@ def conclude(selection: StepwiseSelection, remarks: tuple[str, ...],
     assessments = [_Assessment.of(selection, effect.id, left, run)
                    for effect in selection.current.model.effects]
     doubts = [m for one in assessments for m in one.doubts]
+    decisive = any(not m.cut_out for m in left + doubts)
     unexplained = _worst(left + doubts)
     weak = [] if assessments else _suggestions(selection.open, selection.sessions, run)
     fit = selection.current
     known = Intervals(fit, complete=all(one.dwarfs for one in assessments))
     effects = [one.entry(known, bool(doubts)) for one in assessments] + [
-        one.entry(Intervals(one.own.fit), bool(unexplained)) for one in weak]
+        one.entry(Intervals(one.own.fit), decisive) for one in weak]
     told = not doubts and any(one.sure and one.dwarfs for one in assessments)
     rivals = [rival.fit.model for one in assessments for rival in one.rivals]
-    verdict = decided or _verdict(effects, bool(unexplained) and not told)
+    verdict = decided or _verdict(effects, decisive and not told)
     series = series_for_a_field(fit, report) if verdict == 'named' and not decided else None
     if series:
         verdict, unexplained = 'unnamed', _worst(
@@ -120,6 +121,8 @@ def conclude(selection: StepwiseSelection, remarks: tuple[str, ...],
         stand_ins = series.names if series else [e.id for e in effects if decided]
         effects = [replace(e, status='proxy') if e.id in stand_ins else e for e in effects]
     learned = _learned(selection, effects, report) if verdict == 'unnamed' else None
+    if verdict == 'unnamed':
+        effects = [replace(e, status='proxy') if e.status == 'established' else e for e in effects]
     if learned:
         fit = learned.fit
         known = Intervals(fit, complete=False)

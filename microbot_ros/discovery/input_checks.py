@@ -92,6 +92,11 @@ def _usable(session: Session) -> PreparedSession:
     if not np.isfinite(first_field(session.commands)):
         raise InputError(name, 'expected commands with a field that is not zero; found none, and '
                          'without them only drift and diffusion could be learnt')
+    commands = session.commands
+    if session.conditions.propulsion == 'rolling' and not np.any(commands.frequency):
+        raise InputError(name, 'expected commands with a field that rotates; found a frequency of '
+                         '0 Hz throughout, and without rolling only drift and diffusion could be '
+                         'learnt')
     whole = PreparedSession.of(session)
     frames = int((whole.seen.sum(axis=1) > 0).sum())
     if frames < FEWEST_FRAMES:
