@@ -93,9 +93,9 @@ class Covariates:
     def _switch(self) -> Iterator[Group]:
         """Body frame, with how far the command turned.
 
-        A switch is a change of the command after one that was held for HELD; the turn is that since
-        then. What changes all the time, as a ramp of angles or a closed loop, has none, and fewer
-        than FEWEST switches show nothing in common.
+        A switch is a change of the command after one that was held for HELD; the turn is that
+        since then. What changes all the time, as a ramp of angles or a closed loop, has none, and
+        fewer than FEWEST switches show nothing in common.
         """
         commands, times = self.session.commands, self.session.times
         field = commands.field[:, 0] + 1j * commands.field[:, 1]

@@ -163,7 +163,7 @@ def _references(sessions: Sequence[Session]) -> list[str]:
 
 
 def _remarks_on(e: PreparedSession, jumps: int) -> Iterator[str]:
-    """Remarks on a session `e` of whole tracks, `jumps` of whose steps are beyond any motion."""
+    """Remarks on a session `e` of whole tracks, `jumps` of whose steps were cut."""
     commands = e.commands
     field = commands.field[commands.index_at(e.times)]
     if np.abs(np.exp(1j * np.arctan2(field[:, 1], field[:, 0])).mean()) > 1 - 1e-6:
@@ -177,8 +177,8 @@ def _remarks_on(e: PreparedSession, jumps: int) -> Iterator[str]:
         yield (f'{e.name}: no field exceeds {strongest * 1e3:.2g} mT, less than the Earth’s: are '
                'the commands in mT?')
     if jumps:
-        yield (f'{e.name}: {jumps} step{" is" if jumps == 1 else "s are"} longer than any '
-               'motion; tracks were cut there. Did the stage move, were particles confused?')
+        yield (f'{e.name}: {jumps} step{" is" if jumps == 1 else "s are"} longer than the '
+               'motion around; tracks were cut there. Did the tracker slip, the stage move?')
     yield from _swaps(e)
     if len(np.unique(e.ids)) == 1:
         yield (f'{e.name}: one particle. What acts between particles can’t be seen, and what acts '

@@ -47,8 +47,8 @@ STANDS_OUT = 8.0
 deviations, which chance does not reach. At half of it 1 Gaussian step in 60,000 stands out; at
 twice of it a slip of 1 µm is missed where positions scatter by 0.05 µm."""
 
-RARE = 0.02
-"""Part of the steps of a track that may stand out: beyond it the motion itself is uneven."""
+RARE = 0.05
+"""Part of the steps of a track that may stand out, two for a slip: beyond it motion is uneven."""
 
 LARGEST_CONTACT = 15e-6
 """Particles that never came closer than this [m] did not touch."""
