@@ -44,6 +44,7 @@ from microbot_ros.discovery.stepwise_selection import (
     without,
 )
 from microbot_ros.estimation.model_fit import ModelFit
+from microbot_ros.estimation.noise import implausible_diffusion
 from microbot_ros.estimation.prepared_session import PreparedSession
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model, ParticleParameters
@@ -143,7 +144,7 @@ def conclude(selection: StepwiseSelection, remarks: tuple[str, ...],
             else next_experiment(fit, rivals, run)),
         model=fit.model,
         particles=_particle_parameters(fit),
-        remarks=(*remarks, *_confounded(start)),
+        remarks=(*remarks, *_confounded(start), *_not_thermal(fit)),
         learned=_told(learned) if learned else (),
     )
 
@@ -306,6 +307,12 @@ def _close(rival: CandidateFit, own: CandidateFit) -> bool:
     return rival.p_value < FORWARD and (rival.shape_seen or not clearly_better(own, rival)) and (
         rival.delta_bic > own.delta_bic - CLOSE
         or rival.likelihood_ratio > own.likelihood_ratio - CLOSE)
+
+
+def _not_thermal(fit: ModelFit) -> list[str]:
+    """What D of each session does not agree with."""
+    return [f'{p.session.name}: {one}.' for p in fit.session_fits
+            for one in implausible_diffusion(p.session.conditions, p.noise())]
 
 
 def _confounded(fit: ModelFit) -> list[str]:

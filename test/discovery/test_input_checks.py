@@ -37,6 +37,13 @@ def test_no_commands(film):
         check_sessions([replace(session, commands=commands)])
 
 
+def test_rollers_that_never_roll(film):
+    session, _ = film(0, duration=5.0, rolling=True)
+    still = replace(session.commands, frequency=np.zeros(len(session.commands.t)))
+    with pytest.raises(InputError, match='a field that rotates; found a frequency of 0 Hz'):
+        check_sessions([replace(session, commands=still)])
+
+
 def test_no_motion(film):
     session, _ = film(0, duration=5.0)
     with pytest.raises(InputError, match='particles that move'):
