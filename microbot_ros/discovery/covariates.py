@@ -15,6 +15,10 @@ HARMONICS = 4
 RELAXATION = (0.1, 0.3, 1.0, 3.0)
 """Times since a switch [s] over which something may relax."""
 
+HELD, FEWEST = RELAXATION[0], 3
+"""Seconds for which a command has to be held before a change of it is a switch: the shortest over
+which something may relax; and switches that a recording needs for what is common to all."""
+
 
 @dataclass(frozen=True)
 class Group:
@@ -62,7 +66,7 @@ class Covariates:
     def groups(self) -> Iterator[Group]:
         """All groups that the session can show."""
         yield from self._time()
-        yield self._switch()
+        yield from self._switch()
         yield from self._angles()
         yield from self._position()
         yield from self._strength_and_frequency()
@@ -86,19 +90,33 @@ class Covariates:
         yield self._group('time, along the heading', 'time [s]', waves[1:7], self.body,
                           self.middle)
 
-    def _switch(self) -> Group:
-        """Body frame, with how far the command turned."""
-        commands = self.session.commands
-        row = commands.index_at(self.middle[:, 0])
-        since = self.middle - commands.t[np.maximum(row, 0)][:, None]
+    def _switch(self) -> Iterator[Group]:
+        """Body frame, with how far the command turned.
+
+        A switch is a change of the command after one that was held for HELD; the turn is that
+        since then. What changes all the time, as a ramp of angles or a closed loop, has none, and
+        fewer than FEWEST switches show nothing in common.
+        """
+        commands, times = self.session.commands, self.session.times
         field = commands.field[:, 0] + 1j * commands.field[:, 1]
-        turn = np.angle(field[row] * np.conj(field[np.maximum(row - 1, 0)]))[:, None]
+        told = np.stack([field, commands.frequency_at(commands.t)], axis=1)
+        change = np.append(0, 1 + np.flatnonzero((told[1:] != told[:-1]).any(axis=1)))
+        began = commands.t[change]
+        switch = np.append(0, 1 + np.flatnonzero(np.diff(began) >= HELD))
+        inside = (began[switch] > times[0]) & (began[switch] < times[-1])
+        if np.count_nonzero(inside) < FEWEST:
+            return
+        latest = switch[np.maximum(np.searchsorted(began[switch], self.middle[:, 0], 'right') - 1,
+                                   0)]
+        since = self.middle - began[latest][:, None]
+        now = field[np.maximum(commands.index_at(self.middle[:, 0]), 0)]
+        turn = np.angle(now * np.conj(field[change[np.maximum(latest - 1, 0)]]))[:, None]
         fields = []
         for time in RELAXATION:
             fall = np.exp(-since / time)
             fields += [fall, fall * (1 - np.cos(turn)), fall * np.sin(turn)]
-        return self._group('time since switch', 'time since the last switch [s]', fields,
-                           self.body, since)
+        yield self._group('time since switch', 'time since the last switch [s]', fields,
+                          self.body, since)
 
     def _angles(self) -> Iterator[Group]:
         command = self.session.commands.field_at(self.middle[:, 0])

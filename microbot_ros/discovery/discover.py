@@ -33,6 +33,7 @@ from microbot_ros.discovery.result import (
 from microbot_ros.discovery.score_tests import residual_maps
 from microbot_ros.discovery.verdict import Judgement, judge, scrutinised
 from microbot_ros.estimation.model_fit import ModelFit
+from microbot_ros.estimation.noise import implausible_diffusion
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.parameter import Parameter
@@ -103,7 +104,7 @@ def conclude(known: Hypotheses, judgement: Judgement, remarks: tuple[str, ...],
                                        for one in slot.within_reach], run)),
         model=fit.model,
         particles=_particle_parameters(fit),
-        remarks=(*remarks, *_confounded(start)),
+        remarks=(*remarks, *_confounded(start), *_not_thermal(fit)),
         learned=_told(learned) if learned else (),
     )
 
@@ -148,6 +149,12 @@ def _worst(maps: Iterable[ResidualMap]) -> tuple[ResidualMap, ...]:
     for one in sorted(maps, key=lambda m: m.p_value):
         found.setdefault(one.against, one)
     return tuple(found.values())
+
+
+def _not_thermal(fit: ModelFit) -> list[str]:
+    """What D of each session does not agree with."""
+    return [f'{p.session.name}: {one}.' for p in fit.session_fits
+            for one in implausible_diffusion(p.session.conditions, p.noise())]
 
 
 def _confounded(fit: ModelFit) -> list[str]:

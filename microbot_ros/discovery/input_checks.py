@@ -92,6 +92,11 @@ def _usable(session: Session) -> PreparedSession:
     if not np.isfinite(first_field(session.commands)):
         raise InputError(name, 'expected commands with a field that is not zero; found none, and '
                          'without them only drift and diffusion could be learnt')
+    commands = session.commands
+    if session.conditions.propulsion == 'rolling' and not np.any(commands.frequency):
+        raise InputError(name, 'expected commands with a field that rotates; found a frequency of '
+                         '0 Hz throughout, and without rolling only drift and diffusion could be '
+                         'learnt')
     whole = PreparedSession.of(session)
     frames = int((whole.seen.sum(axis=1) > 0).sum())
     if frames < FEWEST_FRAMES:
@@ -158,7 +163,7 @@ def _references(sessions: Sequence[Session]) -> list[str]:
 
 
 def _remarks_on(e: PreparedSession, jumps: int) -> Iterator[str]:
-    """Remarks on a session `e` of whole tracks, `jumps` of whose steps are beyond any motion."""
+    """Remarks on a session `e` of whole tracks, `jumps` of whose steps were cut."""
     commands = e.commands
     field = commands.field[commands.index_at(e.times)]
     if np.abs(np.exp(1j * np.arctan2(field[:, 1], field[:, 0])).mean()) > 1 - 1e-6:
@@ -172,8 +177,8 @@ def _remarks_on(e: PreparedSession, jumps: int) -> Iterator[str]:
         yield (f'{e.name}: no field exceeds {strongest * 1e3:.2g} mT, less than the Earth’s: are '
                'the commands in mT?')
     if jumps:
-        yield (f'{e.name}: {jumps} step{" is" if jumps == 1 else "s are"} longer than any '
-               'motion; tracks were cut there. Did the stage move, were particles confused?')
+        yield (f'{e.name}: {jumps} step{" is" if jumps == 1 else "s are"} longer than the '
+               'motion around; tracks were cut there. Did the tracker slip, the stage move?')
     yield from _swaps(e)
     if len(np.unique(e.ids)) == 1:
         yield (f'{e.name}: one particle. What acts between particles can’t be seen, and what acts '
@@ -232,20 +237,23 @@ def _is_held(z: np.ndarray, steps: np.ndarray, swum: np.ndarray, legs: np.ndarra
     c = np.vdot(swum, steps) / np.vdot(swum, swum)
     breadth = BORDER * float(np.sqrt(np.mean(np.abs(steps - c * swum) ** 2) / 2))
     out = (z[:, None] * NORMALS.conj()).real
-    bordering = np.abs(out - np.quantile(out, INNER, axis=0)) < breadth
-    share = bordering.mean(axis=0)
-    normal, there = NORMALS[share.argmax()], bordering[:, share.argmax()]
+    inwards = np.quantile(out, INNER, axis=0) - out
+    share = (np.abs(inwards) < breadth).mean(axis=0)
+    k = int(share.argmax())
+    normal, there, free = NORMALS[k], np.abs(inwards[:, k]) < breadth, inwards[:, k] > 2 * breadth
     if share.max() < LONG:
         return False
-    # A wall leaves the motion along it free: c by that alone, as two real numbers.
+    # A wall leaves the motion along it free, and all motion elsewhere: c by these, as two real
+    # numbers. By the motion along it alone c is hardly known where that keeps to one line.
     along, way = (steps / (1j * normal)).real, swum / (1j * normal)
-    columns = np.stack([way.real, -way.imag], axis=1)
-    found = np.linalg.lstsq(columns, along, rcond=1e-6)[0]
+    moved, ways = np.append(along, (steps / normal).real[free]), np.append(way, 1j * way[free])
+    columns = np.stack([ways.real, -ways.imag], axis=1)
+    found = np.linalg.lstsq(columns, moved, rcond=1e-6)[0]
     towards = (complex(*found) * swum / normal).real
     if towards[there].sum() < 0:
         normal, towards = -normal, -towards
     pressed = there & (towards > 0)
-    spread = float(np.std(along - columns @ found)) * np.sqrt(pressed.sum())
+    spread = float(np.std(along - columns[:len(along)] @ found)) * np.sqrt(pressed.sum())
     expected, gone = towards[pressed].sum(), (steps[pressed] / normal).real.sum()
     pushes = np.bincount(legs[pressed] - legs[0], towards[pressed])
     return bool(np.count_nonzero(pushes > 2 * breadth) >= LEGS and gone < HELD * expected

@@ -154,7 +154,7 @@ class ResidualMap:
     middles: np.ndarray
     curves: dict[str, tuple[np.ndarray, np.ndarray]]
     cut_out: bool = False
-    """Whether all that is told was left out of the fit: steps too large for any motion."""
+    """Whether it decides nothing: steps too large for any motion, which are cut out of the fit."""
 
     @property
     def log_p(self) -> float:

@@ -14,14 +14,17 @@ import numpy as np
 
 from microbot_ros.discovery.covariates import Covariates, Group
 from microbot_ros.discovery.processes import Run, serially
-from microbot_ros.discovery.result import FIRES, ResidualMap
-from microbot_ros.discovery.starting_points import rotating_components
+from microbot_ros.discovery.result import ResidualMap
+from microbot_ros.discovery.starting_points import PADDING, rotating_components
 from microbot_ros.discovery.tail_probabilities import chi_square_tail, peak_tail_probability
 from microbot_ros.estimation.likelihood import SessionFit, eliminate, eliminate_shared, inner
 from microbot_ros.estimation.model_fit import ModelFit
 
 RANK = 1e-6
 """Eigenvalue, relative to 1 for a column of its own, below which a direction is fitted already."""
+
+BROAD = 12
+"""Independent frequencies on either side of a peak that tell the noise there."""
 
 BINS = 12
 
@@ -101,7 +104,8 @@ def _rhythm(fit: ModelFit, covariates: list[Covariates] | None = None) -> Residu
     """The largest peak of a periodogram: of all particles in the laboratory, or in their frame.
 
     Of the longest session. In the laboratory both axes count together (χ² of 4); along the
-    heading and across it count apart, since speed and angle may swing (χ² of 2 each).
+    heading and across it count apart, since speed and angle may swing (χ² of 2 each). A peak
+    stands out of the noise around it: a speed that wanders is broad, and no rhythm.
     """
     k = int(np.argmax([np.ptp(p.session.times) for p in fit.session_fits]))
     p = fit.session_fits[k]
@@ -120,14 +124,33 @@ def _rhythm(fit: ModelFit, covariates: list[Covariates] | None = None) -> Residu
         frequency = axes[0][0]
         power = np.max([2 * np.abs(ahead) ** 2 / weight for _, ahead, _ in axes], axis=0)
         name, dof, signals = 'rhythm, along the heading', 2, 2
+    power = power / _background(power, dof, signals)
     best = float(power.max())
     p_value = peak_tail_probability(best, dof, signals * fastest * float(np.ptp(p.session.times)))
     return ResidualMap(name, 'frequency [Hz]', best, dof, p_value, frequency, {
         'power': (power, np.zeros(len(frequency)))})
 
 
+def _background(power: np.ndarray, dof: int, signals: int) -> np.ndarray:
+    """The noise (F,) around each frequency of a `power` (F,), in units of white noise; at least 1.
+
+    `power` is the largest of so many `signals`, χ² of `dof` each where the noise is white. By the
+    median over BROAD independent frequencies on either side, of which a peak is one or two.
+    """
+    from scipy.ndimage import median_filter
+    from scipy.special import chdtri
+
+    usual = float(chdtri(dof, 1 - 0.5 ** (1 / signals)))
+    around = median_filter(power, 2 * BROAD * PADDING + 1, mode='nearest')
+    background: np.ndarray = np.maximum(around / usual, 1.0)
+    return background
+
+
 def _single_steps(fit: ModelFit) -> ResidualMap:
-    """The largest step of one particle, and of all of them at once; jumps that were cut out."""
+    """The largest step of one particle, and of all of them at once; jumps that were cut out.
+
+    It decides nothing: trackers slip and stages are touched, whatever the physics.
+    """
     worst, trials = 0.0, 0
     for p in fit.session_fits:
         number = np.maximum((p.residual != 0).sum(axis=1, keepdims=True), 1)
@@ -137,9 +160,8 @@ def _single_steps(fit: ModelFit) -> ResidualMap:
             trials += 2 * int((white != 0).sum())
     jumps = sum(int(p.session.jumps.sum()) for p in fit.session_fits)
     p_value = float(min(1.0, trials * np.exp(-worst / 2)))
-    cut_out = bool(jumps) and p_value >= FIRES
-    return ResidualMap('single steps', 'time [s]', worst, 2, 0.0 if cut_out else p_value,
-                       np.empty(0), {}, cut_out)
+    return ResidualMap('single steps', 'time [s]', worst, 2, 0.0 if jumps else p_value,
+                       np.empty(0), {}, cut_out=True)
 
 
 def _lasting(p: SessionFit, white: np.ndarray) -> np.ndarray:

@@ -11,13 +11,11 @@ from microbot_ros.estimation.delay import Delay, DelayedFits
 from microbot_ros.estimation.excitation import excitation
 from microbot_ros.estimation.likelihood import SessionFit
 from microbot_ros.estimation.model_fit import fit_sessions
-from microbot_ros.estimation.noise import Noise, sphere_in_fluid, whiten
+from microbot_ros.estimation.noise import Noise, implausible_diffusion, whiten
 from microbot_ros.estimation.one_leg_regression import Leg, one_leg
 from microbot_ros.estimation.phasor import Polar
 from microbot_ros.estimation.prepared_session import prepare
-from microbot_ros.model.floor import height_of_drag
 from microbot_ros.model.model import Model
-from microbot_ros.model.particle import translational_diffusion
 from microbot_ros.records import Session
 
 GATE = 40.0
@@ -93,7 +91,7 @@ def fit(session: Session, exposure: float = 0.0) -> FitResult:
             f'φ is stated for no delay; every 0.1 s of delay would add '
             f'{np.degrees(slope.imag) / 10:+.1f}° to it'
         )
-    warnings += _against_stokes_einstein(session, noise)
+    warnings += implausible_diffusion(session.conditions, noise)
     gains = _gains(best, noise) if model.propulsion == 'rolling' else []
     warnings += _uneven(gains)
     force, force_std = speeds.force(session.conditions)
@@ -166,30 +164,6 @@ def _uneven(gains: list[GainAt]) -> list[str]:
                         for one in (gains[0], gains[-1]))
     return [f'the gain is not constant in frequency: {ends}; `microbot response` measures it at '
             'each']
-
-
-def _against_stokes_einstein(session: Session, noise: Noise) -> list[str]:
-    sphere = sphere_in_fluid(session.conditions)
-    if sphere is None:
-        return []
-    fluid, radius = sphere
-    expected = translational_diffusion(fluid, radius)
-    if abs(noise.diffusion - expected) < max(4 * noise.diffusion_std, 0.2 * expected):
-        return []
-    where = f'{fluid.height * 1e6:g} µm above a floor' if fluid.height else 'far from walls'
-    found = (f'D is {noise.diffusion * 1e12:.3g} µm²/s where Stokes–Einstein gives '
-             f'{expected * 1e12:.3g} {where}')
-    factor = expected / noise.diffusion
-    height = None if fluid.height else height_of_drag(factor, radius)
-    if height is not None:
-        return [f'{found}: most likely the particles move near a floor. A centre '
-                f'{height * 1e6:.3g} µm above it would explain D; drag, and with it every force, '
-                f'is then {factor:.2g} times as large. State height_um where it is known']
-    what = f'{"height, " if fluid.height else ""}radius or viscosity are off'
-    if factor > 1:
-        return [f'{found}: {what}']
-    return [f'{found}: something moves the particles that this model lacks; `microbot discover` '
-            f'looks for it. Otherwise {what}']
 
 
 def _of_particles(tracks: np.ndarray, ids: np.ndarray) -> np.ndarray:

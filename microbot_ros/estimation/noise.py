@@ -18,8 +18,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from microbot_ros.model.floor import height_of_drag
 from microbot_ros.model.particle import Fluid, rotational_diffusion, translational_diffusion
 from microbot_ros.records import Conditions
+
+SMALLEST, WATER = 0.1e-6, 0.89e-3
+"""Radius [m] of the smallest sphere that a light microscope shows as a body, and the viscosity
+[Pa s] of water at 25 °C: together they bound the D of what moves by heat alone."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +64,42 @@ def stokes_einstein(conditions: Conditions) -> tuple[float, float] | None:
     """
     known = sphere_in_fluid(conditions)
     return known and (translational_diffusion(*known), rotational_diffusion(*known))
+
+
+def implausible_diffusion(conditions: Conditions, noise: Noise) -> list[str]:
+    """A sentence where the D of some `noise` is not that of Stokes–Einstein under `conditions`.
+
+    Where these do not say the radius and the viscosity: where D exceeds that of any sphere that a
+    microscope shows, of SMALLEST radius in water.
+    """
+    if not 0 < noise.diffusion < np.inf:
+        return []
+    sphere = sphere_in_fluid(conditions)
+    if sphere is None:
+        most = translational_diffusion(Fluid(WATER), SMALLEST)
+        if not noise.diffusion > most:
+            return []
+        return [f'D is {noise.diffusion * 1e12:.3g} µm²/s, and that of a sphere of '
+                f'{SMALLEST * 1e6:g} µm in water {most * 1e12:.2g}: it is not thermal. The speed '
+                'fluctuates, or positions are read badly']
+    fluid, radius = sphere
+    expected = translational_diffusion(fluid, radius)
+    if abs(noise.diffusion - expected) < max(4 * noise.diffusion_std, 0.2 * expected):
+        return []
+    where = f'{fluid.height * 1e6:g} µm above a floor' if fluid.height else 'far from walls'
+    found = (f'D is {noise.diffusion * 1e12:.3g} µm²/s where Stokes–Einstein gives '
+             f'{expected * 1e12:.3g} {where}')
+    factor = expected / noise.diffusion
+    height = None if fluid.height else height_of_drag(factor, radius)
+    if height is not None:
+        return [f'{found}: most likely the particles move near a floor. A centre '
+                f'{height * 1e6:.3g} µm above it would explain D; drag, and with it every force, '
+                f'is then {factor:.2g} times as large. State height_um where it is known']
+    what = f'{"height, " if fluid.height else ""}radius or viscosity are off'
+    if factor > 1:
+        return [f'{found}: {what}']
+    return [f'{found}: something moves the particles that this model lacks; `microbot discover` '
+            f'looks for it. Otherwise {what}']
 
 
 def whiten(

@@ -38,6 +38,18 @@ CONTACT, BLUR = 1.05, 3.0
 JUMP = 6.0
 """Steps longer than this many times the 99th percentile are no motion."""
 
+NEAR, AROUND = 5, 51
+"""Frames on either side of a step whose median velocity is the motion there, and frames around it
+in which the distance of steps from the motion is usual."""
+
+STANDS_OUT = 8.0
+"""Times the usual distance from the motion, a median, from which a step stands out: 9.4 standard
+deviations, which chance does not reach. At half of it 1 Gaussian step in 60,000 stands out; at
+twice of it a slip of 1 µm is missed where positions scatter by 0.05 µm."""
+
+RARE = 0.05
+"""Part of the steps of a track that may stand out, two for a slip: beyond it motion is uneven."""
+
 LARGEST_CONTACT = 15e-6
 """Particles that never came closer than this [m] did not touch."""
 
@@ -62,8 +74,8 @@ class PreparedSession:
     from the displacement between two pieces; `causal_positions` (T, N, 2) [m]: positions as known
     from earlier and present frames only, for terms that depend on position (raw ones would bias
     them), NaN while a particle is not in view; `commands` on the same clock; `conditions` of the
-    rig; `jumps` (P,): how many steps too large for any motion each particle made; `phi` (N,)
-    [rad], where some fit has told it already, for terms that depend on the heading.
+    rig; `jumps` (P,): how many slips and steps too large for any motion each particle made;
+    `phi` (N,) [rad], where some fit has told it already, for terms that depend on the heading.
     """
 
     name: str
@@ -173,7 +185,44 @@ class PreparedSession:
             pieces=np.where(within, self.pieces[:, columns], 0),
             causal_positions=np.where(
                 within[..., None], self.causal_positions[:, columns], np.nan),
-            jumps=jumped.sum(axis=0))
+            jumps=self.jumps + jumped.sum(axis=0))
+
+    def without_slips(self) -> PreparedSession:
+        """Without rows that a track jumps to and back from, as where a tracker slips for a frame.
+        """
+        odd = self._odd_steps()
+        out = np.zeros_like(self.seen)
+        out[1:-1] = odd[:-1] & odd[1:]
+        return self if not out.any() else replace(
+            self, pieces=np.where(out, 0, self.pieces), jumps=self.jumps + self._of_particles(out),
+            causal_positions=np.where(out[..., None], np.nan, self.causal_positions))
+
+    def cut_at_steps(self) -> PreparedSession:
+        """Tracks in pieces between steps that the motion around them does not explain.
+
+        A track that was seeded anew or a stage that was touched. The particle stays the same one.
+        """
+        cut = np.concatenate([np.zeros((1, self.z.shape[1]), bool), self._odd_steps()])
+        if not cut.any():
+            return self
+        number = np.cumsum(cut, axis=0)
+        pieces = np.where(self.seen, self.pieces * (number.max() + 1) + number, 0)
+        return replace(self, pieces=pieces, jumps=self.jumps + self._of_particles(cut))
+
+    def _odd_steps(self) -> np.ndarray:
+        """Steps (T − 1, N) bool that stand out of the motion around them.
+
+        Where more than RARE of the steps of a track do, that is how it moves, and none is odd.
+        """
+        steps = np.where(self.joined(), np.diff(self.z, axis=0), np.nan)
+        odd = np.stack([_stands_out(track, np.diff(self.times)) for track in steps.T], axis=1)
+        odd[:, odd.sum(axis=0) > RARE * np.isfinite(steps).sum(axis=0)] = False
+        return odd
+
+    def _of_particles(self, rows: np.ndarray) -> np.ndarray:
+        """How many of some `rows` (T, N) bool each particle has: (P,)."""
+        return np.bincount(np.unique(self.ids, return_inverse=True)[1],
+                           rows.sum(axis=0)).astype(int)
 
     def split_at_contacts(self) -> PreparedSession:
         """Tracks split where spheres may touch: there they push each other.
@@ -245,9 +294,47 @@ def distances(z: np.ndarray) -> np.ndarray:
     return apart
 
 
+def _stands_out(steps: np.ndarray, intervals: np.ndarray) -> np.ndarray:
+    """Which of the `steps` (T,) complex [m], NaN where not seen, no motion around them explains.
+
+    That is all between the steps before and after, and all between the median velocities of NEAR
+    frames before and after, since commands switch between frames; `intervals` (T,) [s].
+    """
+    result = np.zeros(len(steps), bool)
+    seen = np.flatnonzero(np.isfinite(steps))
+    if len(seen) < AROUND:
+        return result
+    velocity = steps[seen] / intervals[seen]
+    padded = np.pad(velocity, NEAR, mode='reflect')
+    windows = np.lib.stride_tricks.sliding_window_view(padded, NEAR)
+    medians = np.median(windows.real, axis=1) + 1j * np.median(windows.imag, axis=1)
+    count = len(velocity)
+    away = intervals[seen] * np.minimum(
+        _distance(velocity, medians[:count], medians[NEAR + 1:NEAR + 1 + count]),
+        _distance(velocity, padded[NEAR - 1:NEAR - 1 + count], padded[NEAR + 1:][:count]))
+    half = AROUND // 2
+    usual = np.median(np.lib.stride_tricks.sliding_window_view(
+        np.pad(away, half, mode='reflect'), AROUND), axis=1)
+    result[seen] = away > STANDS_OUT * np.maximum(usual, np.median(away))
+    return result
+
+
+def _distance(z: np.ndarray, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Of points `z` from the segments between `one` and an `other`, all complex (T,)."""
+    way = other - one
+    length = np.maximum(np.abs(way) ** 2, 1e-300)
+    along = np.clip(((z - one) * way.conj()).real / length, 0.0, 1.0)
+    distance: np.ndarray = np.abs(z - one - along * way)
+    return distance
+
+
 def prepare(session: Session) -> PreparedSession:
-    """A `session` as every fit takes it: from the first field on, split at jumps and contacts."""
-    return PreparedSession.of(session).split_at_jumps().split_at_contacts()
+    """A `session` as every fit takes it: from the first field on, without slips, cut at steps.
+
+    Split where tracks jump and where spheres touch.
+    """
+    whole = PreparedSession.of(session).without_slips()
+    return whole.split_at_jumps().cut_at_steps().split_at_contacts()
 
 
 def predictable_part(

@@ -63,13 +63,23 @@ def test_lag_is_told_from_delay_and_brownian_turning(film):
 @pytest.mark.parametrize(('effect', 'parameters', 'against'), [
     ('speed_by_heading', {'depth': 0.15}, 'heading'),
     ('pulsing_speed', {'depth': 0.5, 'frequency_hz': 0.7}, 'rhythm, along the heading'),
-    ('stage_jump', {'time_s': 15.0, 'x_um': 3.0, 'y_um': 1.0}, 'single steps'),
 ])
 def test_what_no_entry_explains_is_unnamed(film, effect, parameters, against):
     found = discover([film(14, {effect: parameters})[0]])
     assert found.verdict == 'unnamed'
     assert against in [m.against for m in found.unexplained]
     assert not any(e.status == 'established' for e in found.effects)
+
+
+@pytest.mark.parametrize(('hidden', 'verdict'), [
+    ({}, 'consistent'), ({'uniform_drift': {'wx_um_s': 0.8, 'wy_um_s': -0.5}}, 'named')])
+def test_a_stage_that_is_touched_decides_nothing(film, hidden, verdict):
+    """It is told, and what is missing is named beside it."""
+    touched = {'stage_jump': {'time_s': 15.0, 'x_um': 3.0, 'y_um': 1.0}}
+    found = discover([film(14, touched | hidden)[0]])
+    assert found.verdict == verdict
+    assert [e.id for e in found.effects if e.status == 'established'] == list(hidden)
+    assert any('3 steps are longer than the motion around' in r for r in found.remarks)
 
 
 def test_rollers_whose_speed_is_not_proportional_to_the_frequency(film):

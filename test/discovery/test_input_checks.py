@@ -1,6 +1,7 @@
 """Bad input is told in a sentence that says what would be enough."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +11,12 @@ from microbot_ros.errors import InputError
 from microbot_ros.estimation.prepared_session import PreparedSession
 from microbot_ros.model.particle import Fluid
 from microbot_ros.records import Commands, Conditions, Session
+from microbot_ros.session.spreadsheets.assemble import import_session
+from microbot_ros.session.spreadsheets.sheets import Answers
 from microbot_ros.virtual_rig.record_session import Camera, draw_swarm, record_session
 from microbot_ros.virtual_rig.world import World
+
+SHARED = Path(__file__).parents[2].parent / 'shared' / 'data' / 'speed_vs_frequency'
 
 
 def moved(session, change):
@@ -30,6 +35,13 @@ def test_no_commands(film):
     commands = replace(session.commands, field=np.zeros_like(session.commands.field))
     with pytest.raises(InputError, match='commands with a field that is not zero'):
         check_sessions([replace(session, commands=commands)])
+
+
+def test_rollers_that_never_roll(film):
+    session, _ = film(0, duration=5.0, rolling=True)
+    still = replace(session.commands, frequency=np.zeros(len(session.commands.t)))
+    with pytest.raises(InputError, match='a field that rotates; found a frequency of 0 Hz'):
+        check_sessions([replace(session, commands=still)])
 
 
 def test_no_motion(film):
@@ -171,9 +183,46 @@ def test_confused_tracks_are_cut_and_told(film):
     assert prepared.jumps.sum() == 2
     assert list(prepared.ids) == [0, 0, 1, 1]
     assert (prepared.seen.sum(axis=0) > 90).all()
-    assert any('2 steps are longer than any motion' in remark for remark in remarks)
+    assert any('2 steps are longer than the motion' in remark for remark in remarks)
     told, = (remark for remark in remarks if 'swapped' in remark)
     assert 'particles 0 and 1 exchange places at 5.05 s' in told
+
+
+def disturbed(session, size, seed=5):
+    """A tracker that slips in a hundredth of the frames, and a stage that is touched twice."""
+    rng = np.random.default_rng(seed)
+    tracks = session.tracks
+    slipped = rng.random(len(tracks.t)) < 0.01
+    away = size * np.exp(1j * rng.uniform(-np.pi, np.pi, slipped.sum()))
+    touched = (tracks.t > 7.0) * np.array([[size], [0]]) - (tracks.t > 15.0) * size
+
+    def change(position):
+        position[slipped] += np.stack([away.real, away.imag], axis=1)
+        return position + touched.T
+    return moved(session, change), int(slipped.sum()), 2 * len(tracks.particles)
+
+
+@pytest.mark.parametrize('size', [2e-6, 3e-6, 10e-6])
+def test_slips_and_steps_are_cut_and_counted(film, size):
+    """Particles stay the same ones, but where a step is too large for any motion at all."""
+    session, slips, steps = disturbed(film(6, duration=20.0)[0], size)
+    (prepared,), remarks = check_sessions([session])
+    assert prepared.jumps.sum() == pytest.approx(slips + steps, abs=0.2 * (slips + steps))
+    assert prepared.seen.sum() > 0.95 * len(session.tracks.t)
+    assert any(f'{prepared.jumps.sum()} steps are longer than the motion' in r for r in remarks)
+
+
+@pytest.mark.parametrize('hidden', [
+    {}, {'alignment_lag': {'tau_s': 0.1}}, {'alignment_lag': {'tau_s': 0.3}},
+    {'command_delay': {'delay_s': 0.1}}, {'amplifier_deadband': {'deadband_mT': 1.0}},
+    {'hot_spot': {'x_um': 0.0, 'y_um': 0.0, 'speed_um_s': 10.0, 'width_um': 15.0}}],
+    ids=lambda hidden: '-'.join(hidden) or 'nothing')
+@pytest.mark.parametrize('rolling', [False, True])
+def test_motion_is_never_cut(film, hidden, rolling):
+    """However sharply it turns, and at any speed."""
+    for seed in range(4):
+        (prepared,), _ = check_sessions([film(60 + seed, hidden, rolling=rolling)[0]])
+        assert prepared.jumps.sum() == 0
 
 
 def test_frames_before_the_first_field_are_left_out(film):
@@ -245,3 +294,12 @@ def test_free_particles_are_never_taken_for_pressed(film):
     alarms = [seed for seed in range(100) if at_a_wall(PreparedSession.of(
         film(seed, hidden[seed % len(hidden)], duration=10.0 + seed % 3 * 10.0)[0])).any()]
     assert not alarms
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason='needs shared/data')
+def test_a_roller_that_keeps_to_one_line_is_free():
+    """The motion along a border hardly says how far commands push towards it."""
+    dimer, _ = import_session(SHARED / 'dimers_20um' / '20umDimer4.xlsx', Answers())
+    travelled = np.abs(np.diff(PreparedSession.of(dimer).z[:, 0])).sum()
+    assert 15e-3 < travelled < 16e-3
+    assert not at_a_wall(PreparedSession.of(dimer)).any()

@@ -1,5 +1,7 @@
 """Maps say where model and data part, and are silent where they do not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,6 +12,7 @@ from microbot_ros.discovery.hypotheses import fit_first_order
 from microbot_ros.discovery.input_checks import check_sessions
 from microbot_ros.discovery.score_tests import _holm, along_and_across, residual_maps
 from microbot_ros.estimation.likelihood import Whitening, eliminate_shared
+from microbot_ros.records import Commands
 from microbot_ros.virtual_rig.record_session import Camera
 
 
@@ -111,3 +114,14 @@ def test_curves_show_the_velocity_that_is_missing(film):
     assert len(m.middles) == len(mean) == len(spread)
     assert np.average(mean, weights=spread**-2) == pytest.approx(1e-6, rel=0.4)
     assert np.average(m.curves['y'][0]) < 0
+
+
+def test_a_command_that_changes_with_every_row_has_no_switches(film):
+    """A ramp of angles has none, steps have, also where each row says the command again."""
+    session, _ = film(24)
+    commands, t = session.commands, np.arange(0.0, 30.0, 0.05)
+    again = Commands(t, commands.field_at(np.maximum(t, commands.t[0])))
+    angle = 0.3 * t
+    ramp = Commands(t, 5e-3 * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+    assert 'time since switch' in maps_of(replace(session, commands=again))
+    assert 'time since switch' not in maps_of(replace(session, commands=ramp))

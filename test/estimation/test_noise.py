@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from microbot_ros.estimation.expected_displacement import ExpectedDisplacement
 from microbot_ros.estimation.kernels import knot_products, whiten_columns
 from microbot_ros.estimation.likelihood import SessionFit, Whitening, search_noise_ratio
-from microbot_ros.estimation.noise import Noise, whiten
+from microbot_ros.estimation.noise import Noise, implausible_diffusion, whiten
 from microbot_ros.estimation.prepared_session import PreparedSession
 from microbot_ros.model.increments import as_vectors
 from microbot_ros.records import Commands, Conditions
@@ -193,3 +193,19 @@ def test_the_search_ends_at_the_maximum(sigma):
         spread = getattr(expected.noise(), f'{level}_std')
         off = getattr(found.noise(), level) - getattr(expected.noise(), level)
         assert abs(off) < 0.05 * spread
+
+
+@pytest.mark.parametrize(('diffusion', 'said'), [
+    (28e-12, '28 µm²/s, and that of a sphere of 0.1 µm in water 2.5: it is not thermal'),
+    (2.4e-12, ''), (np.nan, ''), (np.inf, ''), (0.0, '')])
+def test_diffusion_beyond_that_of_any_sphere_is_told_where_no_radius_is_stated(diffusion, said):
+    told = implausible_diffusion(Conditions(), Noise(diffusion, 1e-7, 0.0, 1e-15))
+    assert bool(told) == bool(said)
+    assert said in ' '.join(told)
+
+
+@pytest.mark.parametrize('diffusion', [np.nan, np.inf])
+def test_a_diffusion_that_is_no_number_is_in_no_sentence(diffusion):
+    known = Conditions(radius=10e-6, viscosity=1e-3)
+    assert not implausible_diffusion(known, Noise(diffusion, 1e-7))
+    assert implausible_diffusion(known, Noise(28e-12, 1e-7, 0.0, 1e-15))

@@ -12,7 +12,10 @@ from microbot_ros.model.parameter import parameter
 
 @dataclass(frozen=True)
 class CoilGainMismatch(Effect):
-    """B = diag(1, g) B_cmd."""
+    """B = diag(1, g) B_cmd.
+
+    Bounds of g: coils in series and in parallel differ by 2; beyond 2.5 a pair has failed.
+    """
 
     id = 'coil_gain_mismatch'
     stage = 'field'
@@ -24,7 +27,7 @@ class CoilGainMismatch(Effect):
     )
 
     gain_ratio: float = parameter(
-        'gain_ratio', 'y coils over x coils', 0.2, 5.0, 0.1, null_value=1.0,
+        'gain_ratio', 'y coils over x coils', 0.4, 2.5, 0.1, null_value=1.0,
     )
 
     def field(self, B: np.ndarray) -> np.ndarray:

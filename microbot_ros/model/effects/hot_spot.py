@@ -16,6 +16,9 @@ from microbot_ros.model.parameter import parameter
 _WIDTHS = (3, 5, 8, 12, 20)
 """Widths to begin with: the extent of the tracks over these."""
 
+PASSED = 4
+"""Frames in which a particle has to be within a width of the spot, on its way through it."""
+
 
 @dataclass(frozen=True)
 class HotSpot(Effect):
@@ -73,8 +76,21 @@ class HotSpot(Effect):
         return float(max(len({spot.width for spot in grid}) * area / (4 * self.width) ** 2, 1.0))
 
     def shape_seen(self, evidence: Evidence) -> bool:
-        """Not where only the far slope was passed: it stands in for anything smooth."""
+        """Not where only the far slope was passed: it stands in for anything smooth.
+
+        Nor where particles cross it within PASSED frames: that is a step of a track.
+        """
         std = evidence.deviations(self)
+        if self.width < PASSED / 2 * max(_step(recorded) for recorded in evidence.recordings):
+            return False
         within = all(p.low < value < p.high for p, value in self.values().items())
         placed = 3 * std['width'] < self.width > max(std['x'], std['y'])
         return within and placed and std['speed'] < abs(self.speed)
+
+
+def _step(recorded: Recorded) -> float:
+    """The usual distance between two frames [m]: half of all are longer."""
+    if recorded.positions is None:
+        return 0.0
+    steps = np.hypot(*np.moveaxis(np.diff(recorded.positions, axis=0), -1, 0))
+    return float(np.median(steps[np.isfinite(steps)])) if np.isfinite(steps).any() else 0.0

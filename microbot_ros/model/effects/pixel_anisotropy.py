@@ -7,12 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from microbot_ros.model.effect import Effect
+from microbot_ros.model.evidence import Evidence
 from microbot_ros.model.parameter import parameter
 
 
 @dataclass(frozen=True)
 class PixelAnisotropy(Effect):
-    """measured = diag(1, a) true."""
+    """measured = diag(1, a) true.
+
+    Bounds of a: one field of an interlaced picture has half the rows, and wide-screen video pixels
+    are 1.46 as wide as high; no camera goes beyond. Motion that is not isotropic for another
+    reason, as of rollers whose speed fluctuates along one line, would exceed them.
+    """
 
     id = 'pixel_anisotropy'
     stage = 'observation'
@@ -20,10 +26,20 @@ class PixelAnisotropy(Effect):
     required_excitation = 'commands in all directions'
     confounded_with = ('coil_gain_mismatch',)
 
-    aspect: float = parameter('aspect', 'y over x', 0.2, 5.0, 0.1, null_value=1.0)
+    aspect: float = parameter('aspect', 'y over x', 0.5, 2.0, 0.1, null_value=1.0)
 
     def observe(self, position: np.ndarray) -> np.ndarray:
         return position * np.array([1.0, self.aspect])
 
     def true_position(self, observed: np.ndarray) -> np.ndarray:
         return observed / np.array([1.0, self.aspect])
+
+    @classmethod
+    def applies(cls, evidence: Evidence) -> bool:
+        """Whether commands turn far enough: along one line, speeds absorb it."""
+        return not evidence.absorbs(cls(1.01))
+
+    def shape_seen(self, evidence: Evidence) -> bool:
+        """Not at a bound: then something else stretches the motion."""
+        aspect, = self.parameters()
+        return aspect.low < self.aspect < aspect.high

@@ -8,6 +8,7 @@ import numpy as np
 
 from microbot_ros.model.effect import Effect
 from microbot_ros.model.effect_context import EffectContext
+from microbot_ros.model.evidence import Evidence
 from microbot_ros.model.parameter import parameter
 
 
@@ -31,3 +32,8 @@ class SpeedDecay(Effect):
         half = context.span / (2 * self.tau)
         mean = np.divide(np.sinh(half), half, out=np.ones_like(half), where=half != 0)
         return np.exp(-context.t / self.tau) * mean
+
+    @classmethod
+    def applies(cls, evidence: Evidence) -> bool:
+        """Whether the particles burn fuel: rollers have none."""
+        return evidence.propulsion == 'catalytic'
