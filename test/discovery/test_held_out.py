@@ -53,7 +53,7 @@ def test_gap_is_the_distance_that_the_drift_carries(drifting):
 
 
 def test_without_an_effect_before_and_after_are_the_same(drifting):
-    gap = held_out_gap(drifting.start, drifting.sessions)
+    gap = held_out_gap(drifting.current, drifting.sessions)
     assert gap.before == gap.after
     assert (gap.closed.value, gap.closed.std) == (0, 0)
     assert len(gap.sentences()) == 1
