@@ -28,9 +28,10 @@ _LEAST_SPECKS = 20
 """Detections in a frame, fewer than which are never taken for noise: on a laboratory film a few
 bright marks beside one dark swimmer look like its negative."""
 
-_MIRRORED = 0.5
-"""Detections in the negative of a frame over those in the frame from which on they are noise.
-Compression noise has 0.82, laboratory films of particles 0.00 (`bench/films.py` holds both)."""
+_MIRRORED = 0.2
+"""Detections in the negative of a frame over those in the frame from which on they are noise. A
+choice: compression noise has 0.44 to 0.82, laboratory films of particles 0.00. At half of it a
+film with a bright particle to ten dark ones would be noise; at twice it some noise would pass."""
 
 _SHRINK, _WIDEST = 2, 120.0
 """How the pictures are first looked at: pixels taken as one, and the widest body [px]."""

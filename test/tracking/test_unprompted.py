@@ -74,7 +74,8 @@ def _specks(t: int) -> np.ndarray:
     """A grey frame (200, 200) with what a codec leaves of noise: specks of both signs."""
     noise = np.random.default_rng(t).normal(0, 1, (200, 200))
     rough: np.ndarray = cv2.GaussianBlur(noise, (0, 0), 1.6)
-    return 150 + 2.5 * rough / rough.std()
+    rough /= rough.std()
+    return 150 + 2.5 * rough + 0.3 * rough**5
 
 
 def _noisy_film(folder: Path, dimer: float) -> Path:
