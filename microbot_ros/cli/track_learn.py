@@ -86,14 +86,24 @@ def pointed(
     `named` holds the frames that were pointed into, `samples` frames from all over the film.
     """
     from microbot_ros.tracking import teach
-    from microbot_ros.tracking.unprompted import without_standing
+    from microbot_ros.tracking.unprompted import without_creeping, without_standing
 
+    meant = np.array([(point.x, point.y) for point in like]).reshape(-1, 2)
     said = []
     for point in like:
         settings, sentence = teach.like(
             settings, named[point.frame], point.x, point.y, point.kind)
         said.append(sentence)
     for point in unlike:
+        if any(place.holds(point.x, point.y) for place in settings.standing):
+            said.append(f'unlike: {point.x:g},{point.y:g} is left out already')
+            continue
+        if len(samples) >= 3:
+            settings, count = without_creeping(settings, samples, meant, point.x, point.y)
+            if count:
+                said.append(f'unlike: what is at {point.x:g},{point.y:g} goes with its '
+                            f'surroundings, as {count - 1} others do; all are left out')
+                continue
         try:
             settings, sentence = teach.unlike(settings, named[point.frame], point.x, point.y)
         except (teach.NothingError, teach.TwoError):
@@ -102,7 +112,6 @@ def pointed(
             sentence = f'unlike: at {point.x:g},{point.y:g} nothing like it is left, by colour'
         said.append(sentence)
     if len(samples) >= 3:
-        meant = np.array([(point.x, point.y) for point in like]).reshape(-1, 2)
         settings = without_standing(settings, samples, meant)
     return settings, said
 

@@ -10,11 +10,12 @@ import numpy as np
 from microbot_ros.errors import InputError
 from microbot_ros.tracking.bodies import Bodies, find_bodies
 from microbot_ros.tracking.detect import Detections
+from microbot_ros.tracking.kinds import Kind
 from microbot_ros.tracking.kinds_detector import KindsDetector
 from microbot_ros.tracking.learn import learn
 from microbot_ros.tracking.search import pixel_noise
 from microbot_ros.tracking.settings import TrackerSettings
-from microbot_ros.tracking.standing import standing
+from microbot_ros.tracking.standing import Place, creeping, standing
 from microbot_ros.tracking.teach import like
 from microbot_ros.tracking.tracker import make_detector
 
@@ -181,16 +182,41 @@ def without_standing(
     points at something that rests wants it followed. `carried`: what only drifts with the sample
     stands, too.
     """
-    places = []
-    for kind in settings.kinds:
-        seen = []
-        for frame in frames:
-            bodies = find_bodies(frame, kind.dark, 0.6 * kind.height_grey[0], kind.shrink,
-                                 kind.width_px[1], kind.parts_px)
-            seen.append(bodies[kind.members(bodies, np.ones(len(bodies), bool))])
-        places += [place for place in standing(seen, carried) if not np.any(
-            np.hypot(meant[:, 0] - place.x_px, meant[:, 1] - place.y_px) < 2 * place.radius_px)]
+    places = [place for kind in settings.kinds
+              for place in _unmeant(standing(_members(kind, frames), carried), meant)]
     return settings.model_copy(update={'standing': (*settings.standing, *places)})
+
+
+def without_creeping(
+    settings: TrackerSettings, frames: list[np.ndarray], meant: np.ndarray, x: float, y: float
+) -> tuple[TrackerSettings, int]:
+    """Return the `settings` without what stays where it is, as what is at (x, y) [px] does.
+
+    Nothing changes where what is at (x, y) moves by itself, or `meant` (M, 2) [px] points are
+    there; the number is that of the places left out. A place may creep by its own width. `frames`
+    (H, W) are from all over a film.
+    """
+    places = [place for kind in settings.kinds
+              for place in _unmeant(creeping(_members(kind, frames)), meant)]
+    if not any(place.holds(x, y) for place in places):
+        return settings, 0
+    return (settings.model_copy(update={'standing': (*settings.standing, *places)}), len(places))
+
+
+def _members(kind: Kind, frames: list[np.ndarray]) -> list[Bodies]:
+    """Return the bodies in each of the `frames` (H, W) that are leniently of a `kind`."""
+    seen = []
+    for frame in frames:
+        bodies = find_bodies(frame, kind.dark, 0.6 * kind.height_grey[0], kind.shrink,
+                             kind.width_px[1], kind.parts_px)
+        seen.append(bodies[kind.members(bodies, np.ones(len(bodies), bool))])
+    return seen
+
+
+def _unmeant(places: list[Place], meant: np.ndarray) -> list[Place]:
+    """Return the `places` that are far from all that is `meant` (M, 2) [px]."""
+    return [place for place in places if not np.any(
+        np.hypot(meant[:, 0] - place.x_px, meant[:, 1] - place.y_px) < 2 * place.radius_px)]
 
 
 def _compact(frame: np.ndarray, dark: bool) -> Bodies:
