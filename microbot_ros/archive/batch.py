@@ -8,20 +8,22 @@ import time
 from collections.abc import Callable, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from microbot_ros.archive.cluster import ClusterError, cluster, introduced, run_jobs
+from microbot_ros.archive.film_and_table import pairs
 from microbot_ros.archive.imports import siblings
 from microbot_ros.archive.labels import labels_of, own_answers, stated
-from microbot_ros.archive.recordings import Found, Refused, find, in_parallel
+from microbot_ros.archive.recordings import Found, Refused, content_of, find, in_parallel
 from microbot_ros.archive.store import REPORT, Archive
 from microbot_ros.archive.work import READS, Job, Task
 from microbot_ros.errors import InputError, ReportError
 from microbot_ros.files import read_yaml, writing_report
 from microbot_ros.session.folder import SessionFile
+from microbot_ros.session.spreadsheets.sheets import Answers
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -178,13 +180,17 @@ def _measurements(archive: Archive, settings: dict[str, Any]) -> list[Job]:
 
 def _look(archive: Archive, task: Task, folders: Sequence[Path], settings: dict[str, Any],
           summary: Summary, report: Callable[[Progress], None]) -> list[Job]:
-    """The jobs on all that is found; what is found is noted in the archive."""
+    """The jobs on all that is found; what is found is noted in the archive.
+
+    A film and the table of its name are one recording.
+    """
     report(Progress('looking for recordings'))
     everything = list(find(folders, archive.cards))
     found = [one for one in everything if isinstance(one, Found)]
     refused = {one.name: one for one in everything if isinstance(one, Refused)}
     wanted = [one for one in found if one.kind in READS[task]]
     jobs, there = [], {str(one.path) for one in found}
+    beside = pairs(found)
     for one in in_parallel(wanted, archive.cards, lambda what: report(Progress(what))):
         if isinstance(one, Refused):
             refused[one.name] = one
@@ -193,17 +199,22 @@ def _look(archive: Archive, task: Task, folders: Sequence[Path], settings: dict[
         labels = labels_of(recording)
         try:
             own = _settings(task, recording, settings)
-        except InputError as error:
+            table = beside.get(recording.path)
+            if table is not None:
+                own |= {'table': content_of(table, archive.cards),
+                        'answers': own_answers(table, asdict(Answers()))}
+        except (InputError, OSError) as error:
             refused[recording.name] = Refused.of(recording.path, recording.top, str(error))
             continue
         entry = archive.note(recording, content, labels)
         job = Job(task, recording.kind, recording.path, recording.files, content, archive.folder,
-                  own)
+                  own, table=None if table is None else table.path)
         entry.jobs[task] = job.key
         jobs.append(job)
     archive.forget([folder.resolve() for folder in folders], there)
     archive.refused |= refused
-    summary.found, summary.aside = len(found), len(found) - len(wanted)
+    summary.found = len(found) - len(beside)
+    summary.aside = summary.found - len(wanted)
     summary.refused |= {name: one.reason for name, one in refused.items()}
     return jobs
 

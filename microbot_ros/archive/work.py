@@ -9,8 +9,9 @@ from __future__ import annotations
 import errno
 import hashlib
 import json
+import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -48,7 +49,8 @@ class Job:
     """A `task` on a recording of that `kind` at `path`, made of `files`.
 
     `content` is its digest; `settings` are the task's, as JSON has them; the result goes into
-    `archive`. `version` is that of who asks.
+    `archive`. `version` is that of who asks. `table` is the table of the same name beside a film;
+    its digest and the answers to what it leaves open are in the `settings`.
     """
 
     task: Task
@@ -59,6 +61,7 @@ class Job:
     archive: Path
     settings: dict[str, Any] = field(default_factory=dict)
     version: str = __version__
+    table: Path | None = None
 
     @property
     def key(self) -> str:
@@ -118,22 +121,23 @@ def _read(job: Job) -> Session:
     if job.kind == 'recording':
         with open_recording(job.path) as recording:
             return session_of(recording)
-    session, said = _imported(job)
+    session, said = _imported(job.files, job.settings['answers'])
     return replace(session, name=job.path.stem,
                    remarks=(*session.remarks, *(f'assumed: {one}' for one in said)))
 
 
-def _imported(job: Job) -> tuple[Session, list[str]]:
+def _imported(files: Sequence[Path], given: dict[str, Any]) -> tuple[Session, list[str]]:
+    """Return the session of a table, made of `files`, by the `given` answers, and assumptions."""
     from microbot_ros.session.spreadsheets.assemble import import_session
     from microbot_ros.session.spreadsheets.sheets import Answers
 
-    answers = Answers(**job.settings['answers'])
+    answers = Answers(**given)
     with tempfile.TemporaryDirectory() as scratch:
         # Readers go by endings; people do not always, and other tables may lie beside these.
-        for file in job.files:
+        for file in files:
             ending = '.xlsx' if file.read_bytes()[:2] == b'PK' else '.csv'
             (Path(scratch) / f'{file.stem}{ending}').symlink_to(file)
-        single = next(Path(scratch).iterdir()) if len(job.files) == 1 else Path(scratch)
+        single = next(Path(scratch).iterdir()) if len(files) == 1 else Path(scratch)
         return import_session(single, answers)
 
 
@@ -179,7 +183,7 @@ def _import(job: Job) -> dict[str, Any]:
     from microbot_ros.session import write_session
     from microbot_ros.units import exact_display
 
-    session, said = _imported(job)
+    session, said = _imported(job.files, job.settings['answers'])
     write_session(made_session(job), session)
     pixel = session.conditions.pixel_size
     return {'facts': _facts(session), 'session': made_session(job).name, 'remarks': said,
@@ -196,13 +200,56 @@ def _track(job: Job) -> dict[str, Any]:
     from microbot_ros.tracking import TrackerSettings
     from microbot_ros.units import to_si
 
-    width = job.settings['pixel_size_um']
+    width, problem, table = job.settings['pixel_size_um'], '', None
+    pixel_size = None if width is None else to_si('_um', width)
+    if job.table is not None:
+        try:
+            table, _ = _imported([job.table], job.settings['answers'])
+        except InputError as error:
+            problem = f'not compared with the table of its name: {_reason(error)}'
+        else:
+            pixel_size = pixel_size or table.conditions.pixel_size
     with output_folder(made_session(job)) as folder:
-        told = track_film(job.files, folder / 'tracks.csv',
-                          None if width is None else to_si('_um', width),
+        told = track_film(job.files, folder / 'tracks.csv', pixel_size,
                           job.settings['frame_rate_hz'],
-                          TrackerSettings(**job.settings['tracker']))
+                          TrackerSettings(**job.settings['tracker']), table)
+        if table is not None and job.table is not None:
+            _beside_table(told, table, job.table.name)
+            _write_commands(folder, job, table, told)
+    if problem:
+        told['remarks'].append(problem)
     return {'film': told, 'session': made_session(job).name}
+
+
+def _beside_table(told: dict[str, Any], table: Session, name: str) -> None:
+    """Put into what is `told` of a film how it agrees with its `table`, as JSON and sentences."""
+    agreed = told.pop('beside_table', None)
+    if agreed is None:
+        said = [f'not compared with {name}: no pixel size is known']
+    else:
+        left = len(table.tracks.particles) - len(agreed)
+        said = [one.sentence(name) for one in agreed]
+        said += [f'{left} robots of {name} are not found in the film'] if left else []
+    told['table'] = {'name': name, 'robots': [one.as_json() for one in agreed or ()],
+                     'sentences': said}
+
+
+def _write_commands(folder: Path, job: Job, table: Session, told: dict[str, Any]) -> None:
+    """Write what the table of a film states, and how both agree, into the session in `folder`.
+
+    Not where a `commands.csv` or `session.yaml` lies beside the film: people wrote these.
+    """
+    from microbot_ros.session import write_session
+
+    beside = job.path if job.path.is_dir() else job.path.parent
+    said = [f'positions are those of the film, commands those of {told["table"]["name"]}',
+            *told['table']['sentences']]
+    with tempfile.TemporaryDirectory() as scratch:
+        write_session(Path(scratch) / 'table', replace(table, assumed=(*table.assumed, *said)))
+        for name in ('commands.csv', 'session.yaml'):
+            made = Path(scratch) / 'table' / name
+            if made.exists() and not (beside / name).exists():
+                shutil.copyfile(made, folder / name)
 
 
 _TASKS: dict[Task, Callable[[Job], dict[str, Any]]] = {

@@ -70,7 +70,8 @@ def _track(pixel_size_um: float | None, frame_rate_hz: float | None, settings_pa
     """Track every film: a video file, or a folder of images.
 
     Each becomes a session in ARCHIVE/sessions, with the commands.csv and session.yaml that lie
-    beside the film.
+    beside the film. A film and the table of the same name are one recording: the session has the
+    film's tracks and the table's commands and scale, and both positions are compared.
 
     \b
     Example:
@@ -162,7 +163,9 @@ def _run(task: Task, settings: dict[str, Any], folders: tuple[Path, ...], out: P
         write_text(json_path, json.dumps(content, indent=1, ensure_ascii=False,
                                          allow_nan=False) + '\n')
     console = Console(highlight=False, soft_wrap=True)
-    for line in [*(_assumed(found['imported']) if task == 'import' else ()), *found['sentences']]:
+    own = {'import': lambda: _assumed(found['imported']),
+           'track': lambda: _beside_tables(found['films'])}.get(task, list)
+    for line in [*own(), *found['sentences']]:
         console.print(line, markup=False)
     if summary.no_report:
         raise ReportError(summary.no_report)
@@ -191,6 +194,12 @@ def _assumed(imported: dict[str, Any]) -> list[str]:
             of, 3)
         lines.append(f'assumed  {one["sentence"]}  [{where}]')
     return lines
+
+
+def _beside_tables(films: dict[str, Any]) -> list[str]:
+    """Return a line for each film and robot of the table of the film's name."""
+    return [f'{name}: {sentence}' for name, film in films.items() if 'table' in film
+            for sentence in film['table']['sentences']]
 
 
 def _told(summary: Summary) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,12 +17,6 @@ from microbot_ros.errors import InputError
 if TYPE_CHECKING:
     from microbot_ros.cameras.source import Source
     from microbot_ros.tracking import TrackerSettings
-
-_SAMPLES = 12
-"""Frames from all over a film by which it is seen what moves and what stands still."""
-
-_LEAST_FRAMES = 24
-"""Frames of a film from which on it is looked at for what moves."""
 
 
 @dataclass(frozen=True)
@@ -62,20 +56,21 @@ def pictures(recording: Source, points: Sequence[Point]) -> tuple[dict[int, np.n
     Raises InputError for a frame that it doesn't have.
     """
     from microbot_ros.cameras.source import grey
+    from microbot_ros.tracking.unprompted import evenly
 
-    step = max(1, (recording.length or 10 * _SAMPLES) // _SAMPLES)
     wanted = {point.frame for point in points}
     named: dict[int, np.ndarray] = {}
-    samples: list[np.ndarray] = []
     last = -1
-    for frame in recording.frames():
-        last = frame.index
-        if frame.index in wanted:
-            named[frame.index] = frame.image
-        if frame.index % step == 0:
-            samples.append(np.asarray(grey(frame.image)))
-        if len(samples) > 2 * _SAMPLES:  # longer than it said: every second is enough
-            samples, step = samples[::2], 2 * step
+
+    def seen() -> Iterator[np.ndarray]:
+        nonlocal last
+        for frame in recording.frames():
+            last = frame.index
+            if frame.index in wanted:
+                named[frame.index] = frame.image
+            yield np.asarray(grey(frame.image))
+
+    samples = evenly(seen(), recording.length)
     if missing := sorted(wanted - set(named)):
         raise InputError(f'frame {missing[0]}', f'expected one of the frames 0 to {last} of '
                                                 f'{recording.name}')
@@ -91,14 +86,24 @@ def pointed(
     `named` holds the frames that were pointed into, `samples` frames from all over the film.
     """
     from microbot_ros.tracking import teach
-    from microbot_ros.tracking.unprompted import without_standing
+    from microbot_ros.tracking.unprompted import without_creeping, without_standing
 
+    meant = np.array([(point.x, point.y) for point in like]).reshape(-1, 2)
     said = []
     for point in like:
         settings, sentence = teach.like(
             settings, named[point.frame], point.x, point.y, point.kind)
         said.append(sentence)
     for point in unlike:
+        if any(place.holds(point.x, point.y) for place in settings.standing):
+            said.append(f'unlike: {point.x:g},{point.y:g} is left out already')
+            continue
+        if len(samples) >= 3:
+            settings, count = without_creeping(settings, samples, meant, point.x, point.y)
+            if count:
+                said.append(f'unlike: what is at {point.x:g},{point.y:g} goes with its '
+                            f'surroundings, as {count - 1} others do; all are left out')
+                continue
         try:
             settings, sentence = teach.unlike(settings, named[point.frame], point.x, point.y)
         except (teach.NothingError, teach.TwoError):
@@ -107,35 +112,8 @@ def pointed(
             sentence = f'unlike: at {point.x:g},{point.y:g} nothing like it is left, by colour'
         said.append(sentence)
     if len(samples) >= 3:
-        meant = np.array([(point.x, point.y) for point in like]).reshape(-1, 2)
         settings = without_standing(settings, samples, meant)
     return settings, said
-
-
-def chosen(settings: TrackerSettings, samples: list[np.ndarray], length: int) -> TrackerSettings:
-    """The `settings`, with a kind for what moves in `samples` from all over a film where the usual
-    way would miss much of it; as they are for a film of few frames, of which `length` says.
-    """
-    from microbot_ros.tracking import learn
-    from microbot_ros.tracking.tracker import make_detector
-    from microbot_ros.tracking.unprompted import choose, needed
-
-    told = (settings.contrast, settings.shape, settings.diameter_px) != (None, None, None)
-    if told or settings.kinds or length < _LEAST_FRAMES or len(samples) < 3:
-        return settings
-    found = choose(samples, settings)
-    if found is None:
-        return settings
-    appearance = learn(samples, settings)
-    usual = None
-    fitted = False
-    if appearance is not None:
-        fitted = appearance.round
-        detector = make_detector(appearance, settings)
-
-        def usual(image: np.ndarray) -> np.ndarray:
-            return np.asarray(detector.detect(image, np.empty((0, 2))).xy)
-    return found if needed(samples, found, usual, fitted) else settings
 
 
 @dataclass(frozen=True)
@@ -160,6 +138,7 @@ def look(
     """
     from microbot_ros.cameras.interlaced import interlaced, one_field
     from microbot_ros.cameras.source import decoded, open_source
+    from microbot_ros.tracking.unprompted import without_prompt
 
     film = open_source(source, report, frame_rate_hz, decoded)
     named, samples = pictures(film, (*like, *unlike))
@@ -180,7 +159,10 @@ def look(
         seen = {frame: np.asarray(view(picture)) for frame, picture in named.items()}
         settings, more = pointed(settings, like, unlike, seen, samples)
         return Look(recording, settings, said + more)
-    return Look(recording, chosen(settings, samples, recording.length or 0), said)
+    settings, doubts = without_prompt(settings, samples, recording.length or 0)
+    for doubt in doubts:
+        report(f'{source}: {doubt}')
+    return Look(recording, settings, said)
 
 
 def write_learned(folder: Path, settings: TrackerSettings, image: np.ndarray) -> None:

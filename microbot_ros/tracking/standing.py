@@ -65,6 +65,29 @@ def standing(seen: list[Bodies], carried: bool = False) -> list[Place]:
     return places
 
 
+def creeping(seen: list[Bodies]) -> list[Place]:
+    """Return where something stays within its own width in pictures from all over a film.
+
+    `seen` are the bodies of the pictures. Gaps between living cells stay so: they go with the
+    cells, at random and by little from picture to picture, while what moves by itself leaves.
+    """
+    places: list[Place] = []
+    for first in (seen[0], seen[len(seen) // 2]):
+        for xy, width in zip(first.xy, first.width, strict=True):
+            if any(np.hypot(place.x_px - xy[0], place.y_px - xy[1]) < _SAME for place in places):
+                continue
+            _, near = _found_again(seen, xy, True)
+            if len(near) < max(_MOSTLY * len(seen), 3):
+                continue
+            middle = np.median(near, axis=0)
+            strayed = float(np.linalg.norm(near - middle, axis=1).max())
+            if strayed <= width:
+                places.append(Place(x_px=round(float(middle[0]), 1),
+                                    y_px=round(float(middle[1]), 1),
+                                    radius_px=round(float(max(3.0, width / 2)) + strayed, 1)))
+    return places
+
+
 def _still(seen: list[Bodies], xy: np.ndarray, farthest: float) -> tuple[np.ndarray, float] | None:
     """The middle (2,) of the places of what is near `xy` in most pictures, and how far it drifts.
 

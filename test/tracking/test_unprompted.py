@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import math
 from pathlib import Path
 
@@ -67,3 +68,44 @@ def test_what_has_an_outline_only_is_followed_as_a_kind(tmp_path: Path) -> None:
     off, rows, names = _off(tmp_path / 'out')
     assert off < 1.0
     assert (rows, names) == (4 * _FRAMES, 4)
+
+
+def _specks(t: int) -> np.ndarray:
+    """A grey frame (200, 200) with what a codec leaves of noise: specks of both signs."""
+    noise = np.random.default_rng(t).normal(0, 1, (200, 200))
+    rough: np.ndarray = cv2.GaussianBlur(noise, (0, 0), 1.6)
+    rough /= rough.std()
+    return 150 + 2.5 * rough + 0.3 * rough**5
+
+
+def _noisy_film(folder: Path, dimer: float) -> Path:
+    """A film of specks, around a dimer that rests where `dimer` [grey] is its contrast."""
+    folder.mkdir()
+    v, u = np.mgrid[:200, :200]
+    body = sum(1 / (1 + np.exp(np.hypot(u - x, v - y) - 29)) for x, y in ((111, 70), (96, 125)))
+    for t in range(26):
+        picture = _specks(t) - dimer * np.minimum(body, 1)
+        cv2.imwrite(str(folder / f'{t}.png'), np.clip(np.rint(picture), 0, 255).astype(np.uint8))
+    return folder
+
+
+def test_a_large_body_that_rests_beats_the_specks_around_it(tmp_path: Path) -> None:
+    film = _noisy_film(tmp_path / 'film', 95)
+    assert microbot('track', film, '--out', tmp_path / 'out', '--no-overlay',
+                    '--json', tmp_path / 'said.json') == 0
+    with (tmp_path / 'out' / 'tracks.csv').open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert [int(row['frame']) for row in rows] == list(range(26))
+    assert len({row['particle'] for row in rows}) == 1
+    off = [math.dist((103.5, 97.5), (float(row['x_px']), float(row['y_px']))) for row in rows]
+    assert max(off) < 1.0
+    assert json.loads((tmp_path / 'said.json').read_text())['warnings'] == []
+
+
+def test_specks_alone_are_named_and_an_example_is_requested(tmp_path: Path) -> None:
+    film = _noisy_film(tmp_path / 'film', 0)
+    assert microbot('track', film, '--out', tmp_path / 'out', '--no-overlay',
+                    '--json', tmp_path / 'said.json') == 0
+    [*_, said] = [one for one in json.loads((tmp_path / 'said.json').read_text())['warnings']
+                  if 'specks' in one]
+    assert '--like FRAME,X,Y' in said

@@ -1,0 +1,155 @@
+"""A film and the table of its name as one recording."""
+
+from __future__ import annotations
+
+import csv
+import json
+from contextlib import nullcontext
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from command_line import microbot
+
+from microbot_ros.archive import batch, film_and_table, work
+from microbot_ros.archive.film_and_table import compare
+from microbot_ros.archive.recordings import FileCards, Found, find
+from microbot_ros.records import Commands, Conditions, Session, Tracks
+from microbot_ros.session import read_session
+
+SHARED = Path(__file__).parents[2].parent / 'shared' / 'data' / 'speed_vs_frequency'
+PIXEL = 0.5e-6
+FRAMES = 30
+_SETTINGS = {'pixel_size_um': None, 'frame_rate_hz': None, 'tracker': {}}
+
+
+@pytest.fixture(autouse=True)
+def inline(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Do the jobs in this process, one after the other."""
+    monkeypatch.setattr(batch, 'cluster', lambda *_: nullcontext())
+    monkeypatch.setattr(batch, 'introduced', lambda _: '')
+    monkeypatch.setattr(batch, 'run_jobs', lambda _, jobs, report: [
+        report(job, '') for job in jobs if work.do(job)])
+
+
+def _way(frame: np.ndarray) -> np.ndarray:
+    """Places (n, 2) [px] in the view of the stage, y down."""
+    return np.column_stack([700.3 + 0.11 * frame, 526.8 + 0.3 * np.sin(0.2 * frame)])
+
+
+def _session(frames: int = FRAMES) -> Session:
+    k = np.arange(frames)
+    tracks = Tracks(0.04 * k, np.ones(frames, int), _way(k) * PIXEL * (1, -1),
+                    *np.full((2, frames), np.nan))
+    return Session(tracks, Commands(np.empty(0), np.empty((0, 2))),
+                   Conditions('rolling', pixel_size=PIXEL, frame_rate=25.0))
+
+
+def _tracks(path: Path, places: dict[int, np.ndarray]) -> Path:
+    with path.open('w') as stream:
+        stream.write('frame,particle,x_px,y_px\n')
+        for name, of in places.items():
+            stream.writelines(f'{k},{name},{x},{y}\n' for k, (x, y) in enumerate(of))
+    return path
+
+
+@pytest.mark.parametrize('rows', [FRAMES, FRAMES + 7])
+def test_the_robot_is_the_particle_that_moves_as_it_does(tmp_path: Path, rows: int) -> None:
+    k = np.arange(FRAMES)
+    off = np.where(k % 2, 0.3, -0.3)[:, None]
+    film = _tracks(tmp_path / 'tracks.csv', {
+        4: _way(k)[::-1], 7: _way(k) - (600, 400) + off, 9: _way(k)[:5]})
+    [found] = compare(film, _session(rows), FRAMES, PIXEL)
+    assert (found.robot, found.particle, found.frames) == (1, 7, FRAMES)
+    assert found.rms_px == pytest.approx(0.3)
+    assert found.offset_px == pytest.approx((600, 400))
+    assert found.window_rms_px is None
+
+
+def test_a_window_that_follows_in_whole_pixels_is_seen(tmp_path: Path) -> None:
+    way = _way(np.arange(FRAMES))
+    film = _tracks(tmp_path / 'tracks.csv', {0: way - np.floor(way) + 100})
+    [found] = compare(film, _session(), FRAMES, PIXEL)
+    assert found.rms_px > 0.3
+    assert found.window_rms_px == pytest.approx(0, abs=1e-6)
+    assert 'window' in found.sentence('book.xlsx')
+
+
+def test_without_tracks_nothing_agrees(tmp_path: Path) -> None:
+    assert compare(_tracks(tmp_path / 'tracks.csv', {}), _session(), FRAMES, PIXEL) == []
+
+
+def _film(path: Path) -> None:
+    """Two dark spots on grey that go right by 0.11 px a frame, and one that goes its own way."""
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*'FFV1'), 10, (160, 120))
+    y, x = np.mgrid[:120, :160]
+    noise = np.random.default_rng(1)
+    for k, (px, py) in enumerate(_way(np.arange(FRAMES)) - (660, 480)):
+        image = 150 + 3 * noise.standard_normal(x.shape)
+        for at in ((px, py), (120 - k, 80)):
+            image -= 90 * np.exp(-((x - at[0]) ** 2 + (y - at[1]) ** 2) / 18)
+        writer.write(cv2.cvtColor(np.clip(image, 0, 255).astype(np.uint8), cv2.COLOR_GRAY2BGR))
+    writer.release()
+
+
+def _table(path: Path) -> None:
+    """A table in pixels, y down, with times that are not the film's."""
+    with path.open('w') as stream:
+        table = csv.writer(stream)
+        table.writerow(['t (s)', 'x (px)', 'y (px)', 'bx (mT)', 'by (mT)'])
+        table.writerows([round(0.05 * k, 2), x, y, 5, 0]
+                        for k, (x, y) in enumerate(_way(np.arange(FRAMES))))
+
+
+def test_batch_tracks_the_film_and_compares_it_with_its_table(
+        tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    place = tmp_path / 'lab'
+    place.mkdir()
+    _film(place / 'monday.avi')
+    _table(place / 'monday.csv')
+    (place / 'archive.yaml').write_text('pixel_size_um: 0.5\n')
+    assert microbot('batch', 'track', place, '--out', tmp_path / 'out',
+                    '--json', tmp_path / 'said.json') == 0
+    assert 'robot 0 of monday.csv is particle' in capsys.readouterr().out
+    said = json.loads((tmp_path / 'said.json').read_text())
+    assert (said['found'], said['done'], said['aside']) == (1, 1, 0)
+    [film] = said['films'].values()
+    [robot] = film['table']['robots']
+    assert robot['rms_px'] < 0.2
+    assert robot['offset_px'] == pytest.approx((660, 480), abs=0.2)
+    [made] = (tmp_path / 'out' / 'sessions').iterdir()
+    session = read_session(made)
+    assert film['table']['sentences'][0] in session.assumed
+    # The frames are at the times of the table, under its commands.
+    np.testing.assert_allclose(np.unique(session.tracks.t), 0.05 * np.arange(FRAMES), atol=1e-6)
+    assert session.commands.field[0] == pytest.approx((5e-3, 0))
+    assert 'beside its table' in (tmp_path / 'out' / 'archive.html').read_text()
+    assert 'RMS difference' in (tmp_path / 'out' / 'archive.html').read_text()
+
+
+def test_only_a_single_table_of_the_name_is_a_films(tmp_path: Path) -> None:
+    def found(name: str, kind: str) -> Found:
+        return Found(tmp_path / name, kind, tmp_path, (tmp_path / name,))  # type: ignore[arg-type]
+
+    film, other = found('a.mp4', 'film'), found('b.mp4', 'film')
+    table, second = found('a.csv', 'table'), found('a.xlsx', 'table')
+    assert film_and_table.pairs([film, other, table]) == {film.path: table}
+    assert film_and_table.pairs([film, table, second]) == {}
+    assert film_and_table.pairs([film, found('a.avi', 'film'), table]) == {}
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason='the shared recordings are not here')
+def test_a_dimer_of_a_laboratory_is_where_its_workbook_says(tmp_path: Path) -> None:
+    place = tmp_path / 'lab'
+    place.mkdir()
+    [film] = [one for one in find([SHARED], FileCards({}))
+              if isinstance(one, Found) and one.kind == 'film']
+    for ending in ('.mp4', '.xlsx'):
+        (place / f'dimer{ending}').symlink_to(film.path.with_name(film.path.stem + ending))
+    _, found = batch.run_batch('track', [place], tmp_path / 'out', _SETTINGS)
+    [told] = found['films'].values()
+    assert (told['frames'], told['particles'], told['positions']) == (90, 1, 90)
+    [robot] = told['table']['robots']
+    assert robot['rms_px'] < 0.7
+    assert robot['window_rms_px'] < 0.25
