@@ -23,7 +23,7 @@ from microbot_ros.errors import InputError, RigError
 from microbot_ros.nodes import messages, rig_client
 from microbot_ros.nodes.described_parameters import Described
 from microbot_ros.nodes.lifecycle import NEWEST, RigNode
-from microbot_ros.nodes.rig_client import RigClient, Steps
+from microbot_ros.nodes.rig_client import RigClient, Steps, Taken
 from microbot_ros.nodes.rig_view import RigView
 from microbot_ros.nodes.topics import CHANGES
 
@@ -146,30 +146,27 @@ class OperatedRig(RigView):
     async def goal(self, x_um: float, y_um: float, particle: int | None) -> Answer:
         """One goal at `x_um`, `y_um`, in place of those there are; or that of one `particle`
         beside the others'."""
-        async with self._handing_over:
-            if particle is None:
-                taken = await self._perform(self._client.send_goals([_metres(x_um, y_um)]))
-            else:
-                goals = {goal['id']: _metres(goal['x_um'], goal['y_um'])
-                         for goal in self.goals() if goal['id'] is not None}
-                goals[particle] = _metres(x_um, y_um)
-                taken = await self._perform(
-                    self._client.send_goals([*goals.values()], [*goals]))
-        return f'{taken.controller} has it'
+        if particle is None:
+            return await self._hand_over(self._client.send_goals([_metres(x_um, y_um)]))
+        goals = {goal['id']: _metres(goal['x_um'], goal['y_um'])
+                 for goal in self.goals() if goal['id'] is not None}
+        goals[particle] = _metres(x_um, y_um)
+        return await self._hand_over(self._client.send_goals([*goals.values()], [*goals]))
 
     async def clear_goals(self) -> Answer:
         """No goal, and no path."""
-        async with self._handing_over:
-            await self._perform(self._client.send_path([]))
-            taken = await self._perform(self._client.send_goals([]))
-        return f'{taken.controller} has it'
+        await self._hand_over(self._client.send_path([]))
+        return await self._hand_over(self._client.send_goals([]))
 
     async def path(self, points_um: list[tuple[float, float]]) -> Answer:
         """A path to follow, through `points_um`."""
+        return await self._hand_over(
+            self._client.send_path([_metres(x, y) for x, y in points_um]))
+
+    async def _hand_over(self, steps: Steps[Taken]) -> Answer:
+        """One after the other: the controller tells only of what it took last."""
         async with self._handing_over:
-            taken = await self._perform(
-                self._client.send_path([_metres(x, y) for x, y in points_um]))
-        return f'{taken.controller} has it'
+            return f'{(await self._perform(steps)).controller} has it'
 
     async def switch_controller(self, name: str) -> Answer:
         """Let the controller of that `name` drive."""
