@@ -262,8 +262,9 @@ class RigClient:
         if here in places:
             raise RigError(f'{node} is there, but {lack}')
         hint = f' There is one in --namespace {places[0]}' if places else ''
-        raise RigError(f'{node} was not found in the namespace {here} within {seconds:g} s: '
-                       f'is it running?{hint}')
+        within = f' within {seconds:g} s' if seconds else ''
+        raise RigError(f'{node} was not found in the namespace {here}{within}: is it running?'
+                       f'{hint}')
 
     def _set_gate(self, armed: bool, find_s: float | None) -> Steps[str]:
         service = self._service(SetBool, 'coil_driver/arm')
