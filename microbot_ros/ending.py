@@ -12,7 +12,6 @@ from pathlib import Path
 from types import FrameType
 
 from microbot_ros.drive.real_time import set_realtime_priority
-from microbot_ros.lost_signals import SentAgain
 
 PARENT = 'MICROBOT_PARENT'
 """Environment variable with the process id that a node must not outlive; 0 for none."""
@@ -68,7 +67,6 @@ class Ending:
         self._interruptible = False
         self._over = False
         self._done_at_once = threading.Event()
-        self._again = SentAgain()
 
     def __enter__(self) -> Ending:
         self._reader, self._writer = os.pipe()
@@ -78,13 +76,11 @@ class Ending:
             number: signal.signal(number, self._handle)
             for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
             if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN}
-        self._again.__enter__()
         self._thread = threading.Thread(target=self._watch, name='ending', daemon=True)
         self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._again.__exit__()
         for number, handler in self._handlers_before.items():
             signal.signal(number, handler)
         signal.set_wakeup_fd(self._wakeup_before)
@@ -96,11 +92,14 @@ class Ending:
 
     @contextmanager
     def interrupts(self) -> Iterator[None]:
-        """Let a signal raise Stopped in here; elsewhere, as in clean-up, none interrupts."""
+        """Let a signal raise Stopped in here; elsewhere, as in clean-up, none interrupts.
+
+        A library in C may swallow the exception. `due` and `at_once` do not depend on it.
+        """
         try:
             self._interruptible = True
             if self._received is not None:
-                raise self._again.watched(self._received, Stopped(self._received))
+                raise Stopped(self._received)
             yield
         finally:
             self._interruptible = False
@@ -108,9 +107,9 @@ class Ending:
     def _handle(self, number: int, _: FrameType | None) -> None:
         if self._received is None:
             self._received = number
-        if self._interruptible and not self._again.on_its_way:
+        if self._interruptible:
             self._done_at_once.wait(_HEAD_START_S)
-            raise self._again.watched(number, Stopped(self._received))
+            raise Stopped(self._received)
 
     def _watch(self) -> None:
         """In a thread: wait for the byte that the interpreter writes for a signal, or the end of

@@ -19,7 +19,7 @@ class About:
     """What is known of a setting beside its name and default.
 
     `description` for people; `lower` and `upper` bound it, None where nothing does; `choices`,
-    where only these are allowed; `read_only`: fixed at start-up; `formerly`: a name from before.
+    where only these are allowed; `read_only`: fixed at start-up.
     """
 
     description: str
@@ -27,7 +27,6 @@ class About:
     upper: float | None = None
     choices: tuple[str, ...] = ()
     read_only: bool = False
-    formerly: str = ''
 
 
 def setting(
@@ -38,15 +37,13 @@ def setting(
     upper: float | None = None,
     choices: tuple[str, ...] = (),
     read_only: bool = False,
-    formerly: str = '',
 ) -> Any:
     """A dataclass field with a default and what is allowed; the name ends in its unit.
 
     `description`, `lower`, `upper` and `choices` as in `About`. `read_only` settings are fixed at
-    start-up: safety limits, device names. `formerly` is a name from before, which is still taken;
-    two settings that have it in common are both set by it.
+    start-up: safety limits, device names.
     """
-    about = About(description, lower, upper, choices, read_only, formerly)
+    about = About(description, lower, upper, choices, read_only)
     if isinstance(default, list):
         return dataclasses.field(default_factory=lambda: list(default), metadata={'about': about})
     return dataclasses.field(default=default, metadata={'about': about})
@@ -64,15 +61,6 @@ def defaults(settings: type) -> dict[str, Any]:
         field.name: field.default_factory() if callable(field.default_factory) else field.default
         for field in dataclasses.fields(settings)
     }
-
-
-def renamed(settings: type) -> dict[str, list[str]]:
-    """Former name → the fields of the dataclass `settings` that took its place."""
-    found: dict[str, list[str]] = {}
-    for name in defaults(settings):
-        if former := about(settings, name).formerly:
-            found.setdefault(former, []).append(name)
-    return found
 
 
 def convert(settings: type, name: str, value: Any) -> Any:

@@ -47,38 +47,3 @@ def test_what_is_to_be_done_at_once_comes_before_the_clean_up() -> None:
 
 def test_a_lock_that_the_interrupted_holds_keeps_nobody_from_the_end() -> None:
     assert _order('SIGTERM', locked=True) == 'interrupted, at once'
-
-
-LOST = """
-import ctypes, os, signal, time
-from microbot_ros.ending import Ending, Stopped
-
-def signalled(*_):
-    os.kill(os.getpid(), signal.SIGTERM)
-    time.sleep(10)
-
-class Collected:
-    __del__ = signalled
-
-class Looked:
-    attribute = property(signalled)
-
-def cleared():
-    ctypes.pythonapi.PyObject_HasAttrString(ctypes.py_object(Looked()), b'attribute')
-
-try:
-    with Ending() as ending, ending.interrupts():
-        for _ in range({times}):
-            {where}()
-        time.sleep(10)
-except Stopped as stopped:
-    print(stopped)
-"""
-
-
-@pytest.mark.parametrize('times', [1, 3])
-@pytest.mark.parametrize('where', ['Collected', 'cleared'])
-def test_an_interruption_that_is_lost_comes_again(where: str, times: int) -> None:
-    done = subprocess.run([sys.executable, '-c', LOST.format(where=where, times=times)],
-                          capture_output=True, text=True, timeout=9, check=True)
-    assert (done.stdout.strip(), done.stderr) == ('SIGTERM', '')

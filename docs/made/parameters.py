@@ -33,5 +33,4 @@ def _rows(kind: type, prefix: str) -> Iterator[list[str]]:
         limits = ' … '.join('' if v is None else f'{v:g}' for v in (about.lower, about.upper))
         allowed = ', '.join(about.choices) or ('' if limits == ' … ' else limits)
         meaning = about.description + (' *Fixed.*' if about.read_only else '')
-        meaning += f' Formerly `{prefix}{about.formerly}`.' if about.formerly else ''
         yield [code(prefix + name), code(repr(default)), units.symbol(name), allowed, meaning]

@@ -16,12 +16,14 @@ import click
 
 from microbot_ros import __version__
 from microbot_ros.errors import InputError, ReportError, RigError, one_line
-from microbot_ros.lost_signals import SentAgain
 
 # What the system says of a place that somebody named, and of a disk that nobody can help.
 _WRONG_PLACE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOENT, errno.ENOTDIR, errno.EISDIR,
                 errno.EEXIST, errno.ENAMETOOLONG, errno.ELOOP)
 _DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+
+_CLEAN_UP_S = 20
+"""How long a command that was told to end may take to clean up."""
 
 # Command → one line for `microbot --help`; the module of the same name defines `command`.
 _COMMANDS = {
@@ -114,40 +116,30 @@ def _failed(who: str, sentence: str, status: int) -> int:
     return status
 
 
-class _Ended(SystemExit):
-    """SIGTERM or SIGHUP came; of this class so that it can be watched."""
-
-
-class _Interrupted(KeyboardInterrupt):
-    """Ctrl-C; of this class so that it can be watched."""
-
-
 @contextmanager
 def _cleaned_up_on(*signals: int) -> Iterator[None]:
     """Leave by way of what cleans up when the first of the `signals` comes, so that no folder
-    stays half filled; at every Ctrl-C too. Workers that were forked end at once, as ever.
+    stays half filled. The process ends within `_CLEAN_UP_S` all the same: a library in C may
+    swallow the exception. Workers that were forked end at once.
     """
     ours = os.getpid()
-    again = SentAgain()
 
     def end(number: int, _: FrameType | None) -> None:
         if os.getpid() != ours:
             signal.signal(number, signal.SIG_DFL)
             os.kill(os.getpid(), number)
-        elif not again.on_its_way:
-            raise again.watched(number, _Ended(128 + number))
+        else:
+            for one in before:
+                signal.signal(one, signal.SIG_IGN)
+            signal.alarm(_CLEAN_UP_S)
+            raise SystemExit(128 + number)
 
-    def interrupt(number: int, _: FrameType | None) -> None:
-        raise again.watched(number, _Interrupted())
-
-    # `nohup` has one of them ignored; a shell has Ctrl-C, for what it runs in the background.
+    # `nohup` has one of them ignored.
     before = {one: signal.signal(one, end) for one in signals
               if signal.getsignal(one) == signal.SIG_DFL}
-    if signal.getsignal(signal.SIGINT) == signal.default_int_handler:
-        before[signal.SIGINT] = signal.signal(signal.SIGINT, interrupt)
     try:
-        with again:
-            yield
+        yield
     finally:
+        signal.alarm(0)
         for one, handler in before.items():
             signal.signal(one, handler)

@@ -30,5 +30,5 @@ def command(off: bool, namespace: str) -> None:
     from microbot_ros.nodes.graph_client import GraphClient
 
     with GraphClient(namespace=namespace) as client:
-        answer = client.arm(not off)
+        answer = client.stop() if off else client.arm()
     click.echo(f'disarmed: {answer}' if off else answer)

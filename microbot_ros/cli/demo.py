@@ -164,7 +164,7 @@ def _steer(graph: Graph, seconds: float, robots: Robots, began: float) -> _Run:
             f'({x:.0f}, {y:.0f}) µm' for x, y in goals * 1e6))
         watch.until(start + seconds)
         client.set('controller', controller='hold')
-        _say(began, f'disarmed: {client.arm(False)}')
+        _say(began, f'disarmed: {client.stop()}')
     return _Run(goals, armed_at, ['hold', 'open_loop', robots.controller, 'hold'],
                 sorted(watch.faults))
 

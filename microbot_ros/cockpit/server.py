@@ -321,7 +321,7 @@ class Server:
             if verb.attended:
                 self._rig.attend()
         try:
-            said = await verb.perform(self._rig, self._discovery)
+            said = await verbs.perform(verb, self._rig, self._discovery)
         except RefusedError as refusal:
             if isinstance(verb, verbs.Arm):
                 self._control.attended = False

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal, get_args
+from collections.abc import Awaitable, Callable
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic_core import from_json
@@ -69,10 +70,6 @@ class TakeControl(Verb):
 class Order(Verb):
     """A verb that ends with an answer."""
 
-    async def perform(self, rig: Rig, discovery: Discovery) -> Answer:
-        """Have it done by the `rig`, or by `discovery`; RefusedError with the reason if not."""
-        raise NotImplementedError
-
 
 class Stop(Order):
     """Zero the coils, whoever asks; the server sends it by `Stopping`."""
@@ -86,9 +83,6 @@ class Arm(Order):
 
     verb: Literal['arm']
     attended: bool
-
-    async def perform(self, rig: Rig, discovery: Discovery) -> Answer:
-        return await rig.arm()
 
 
 class Disarm(Order):
@@ -105,17 +99,11 @@ class Goal(Order):
     y_um: Micrometres
     particle: Annotated[int, Field(ge=0, lt=2**32)] | None = None
 
-    async def perform(self, rig: Rig, discovery: Discovery) -> Answer:
-        return await rig.goal(self.x_um, self.y_um, self.particle)
-
 
 class ClearGoals(Order):
     """No place to go to any more."""
 
     verb: Literal['clear_goals']
-
-    async def perform(self, rig: Rig, discovery: Discovery) -> Answer:
-        return await rig.clear_goals()
 
 
 class Path(Order):
@@ -126,18 +114,12 @@ class Path(Order):
         list[Annotated[list[Micrometres], Field(min_length=2, max_length=2)]],
         Field(min_length=2, max_length=_LONGEST_PATH)]
 
-    async def perform(self, rig: Rig, discovery: Discovery) -> Answer:
-        return await rig.path([(x, y) for x, y in self.points_um])
-
 
 class SwitchController(Order):
     """Another controller is to drive."""
 
     verb: Literal['switch_controller']
     name: Name
-
-    async def perform(self, rig: Rig, discovery: Discovery) -> Answer:
-        return await rig.switch_controller(self.name)
 
 
 class Set(Order):
@@ -146,9 +128,6 @@ class Set(Order):
     verb: Literal['set']
     name: Name
     value: _Scalar | Annotated[list[_Scalar], Field(max_length=1000)]
-
-    async def perform(self, rig: Rig, discovery: Discovery) -> Answer:
-        return await rig.set(self.name, self.value)
 
 
 class Teach(Order):
@@ -161,10 +140,11 @@ class Teach(Order):
     example: Literal['like', 'unlike']
     particle_kind: Annotated[str, Field(pattern=r'^[^\s,@]{1,40}$')] | None = None
 
-    async def perform(self, rig: Rig, discovery: Discovery) -> Answer:
+    @property
+    def order(self) -> str:
+        """As the service `tracker/teach` takes it."""
         kind = f',{self.particle_kind}' if self.particle_kind else ''
-        return await rig.teach(
-            f'{self.example} {self.x_px:.3f},{self.y_px:.3f}{kind}@{self.stamp}')
+        return f'{self.example} {self.x_px:.3f},{self.y_px:.3f}{kind}@{self.stamp}'
 
 
 class Record(Order):
@@ -174,18 +154,12 @@ class Record(Order):
     on: bool
     title: Text = ''
 
-    async def perform(self, rig: Rig, discovery: Discovery) -> Answer:
-        return await rig.record(self.on, one_line(self.title))
-
 
 class Note(Order):
     """A line for the recording that runs."""
 
     verb: Literal['note']
     text: Annotated[str, Field(min_length=1, max_length=_LONGEST_TEXT)]
-
-    async def perform(self, rig: Rig, discovery: Discovery) -> Answer:
-        return await rig.note(one_line(self.text))
 
 
 class Discover(Order):
@@ -194,9 +168,6 @@ class Discover(Order):
     verb: Literal['discover']
     on: bool
     minutes: Annotated[float, Field(ge=0.5, le=600.0, allow_inf_nan=False)] = 10.0
-
-    async def perform(self, rig: Rig, discovery: Discovery) -> Answer:
-        return await (discovery.start(self.minutes) if self.on else discovery.stop())
 
 
 AnyVerb = Annotated[
@@ -207,6 +178,26 @@ _ADAPTER: TypeAdapter[AnyVerb] = TypeAdapter(AnyVerb)
 NAMES = tuple(get_args(kind.model_fields['verb'].annotation)[0]
               for kind in get_args(get_args(AnyVerb)[0]))
 """What pages may say, in the words of the protocol."""
+
+
+_METHODS: dict[type[Verb], Callable[[Any, Rig, Discovery], Awaitable[Answer]]] = {
+    Arm: lambda _verb, rig, _: rig.arm(),
+    Goal: lambda verb, rig, _: rig.goal(verb.x_um, verb.y_um, verb.particle),
+    ClearGoals: lambda _verb, rig, _: rig.clear_goals(),
+    Path: lambda verb, rig, _: rig.path([(x, y) for x, y in verb.points_um]),
+    SwitchController: lambda verb, rig, _: rig.switch_controller(verb.name),
+    Set: lambda verb, rig, _: rig.set(verb.name, verb.value),
+    Teach: lambda verb, rig, _: rig.teach(verb.order),
+    Record: lambda verb, rig, _: rig.record(verb.on, one_line(verb.title)),
+    Note: lambda verb, rig, _: rig.note(one_line(verb.text)),
+    Discover: lambda verb, _, discovery: (
+        discovery.start(verb.minutes) if verb.on else discovery.stop())}
+"""What does each; STOP and the others that wait for nobody are the server's."""
+
+
+async def perform(verb: Order, rig: Rig, discovery: Discovery) -> Answer:
+    """Have a `verb` done by the `rig`, or by `discovery`; RefusedError with the reason if not."""
+    return await _METHODS[type(verb)](verb, rig, discovery)
 
 
 class VerbError(ValueError):

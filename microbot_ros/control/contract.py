@@ -11,7 +11,6 @@ from __future__ import annotations
 import dataclasses
 import enum
 import math
-import warnings
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -24,14 +23,6 @@ from microbot_ros.records import Commands
 
 INTERFACE_VERSION = 1
 """Raised when a controller written for the contract before would no longer work."""
-
-
-def __getattr__(name: str) -> Any:
-    """The former names of this module, for one release."""
-    if name != 'Situation':
-        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
-    warnings.warn('Situation is now called ControllerInput', DeprecationWarning, stacklevel=2)
-    return ControllerInput
 
 
 class Result(enum.Enum):

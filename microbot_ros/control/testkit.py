@@ -9,7 +9,6 @@
 from __future__ import annotations
 
 import dataclasses
-import warnings
 from collections.abc import Iterator
 from typing import Any
 
@@ -37,16 +36,6 @@ _MORE: dict[Input, dict[str, Any]] = {
     Input.JOYSTICK: {'joystick': np.array([0.6, 0.8])}}
 
 VIEW = Workspace(np.array([-144e-6, -108e-6]), np.array([144e-6, 108e-6]))
-
-
-def __getattr__(name: str) -> Any:
-    """The former names of this module, for one release."""
-    renamed = {'situation': controller_input, 'odd_situations': odd_inputs}
-    if name not in renamed:
-        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
-    warnings.warn(f'{name} is now called {renamed[name].__name__}', DeprecationWarning,
-                  stacklevel=2)
-    return renamed[name]
 
 
 def controller_input(

@@ -36,7 +36,7 @@ class GateParameters:
         200.0, 'Fastest lasting change of a current.', lower=0.01, upper=1e5, read_only=True)
     command_timeout_ms: float = setting(
         75.0, 'How long a command other than zero holds without the next.', lower=10.0,
-        upper=2000.0, read_only=True, formerly='stale_ms')
+        upper=2000.0, read_only=True)
     deviation_A: float = setting(
         0.2, 'How far a measured current may lie from what was commanded.', lower=0.001,
         upper=10.0, read_only=True)
@@ -45,10 +45,9 @@ class GateParameters:
         read_only=True)
     feedback_timeout_ms: float = setting(
         200.0, 'How long currents may flow without a measurement.', lower=10.0, upper=5000.0,
-        read_only=True, formerly='silence_ms')
+        read_only=True)
     rated_current_A: float = setting(
-        1.5, 'Current that a coil bears for ever.', lower=0.001, upper=100.0, read_only=True,
-        formerly='continuous_A')
+        1.5, 'Current that a coil bears for ever.', lower=0.001, upper=100.0, read_only=True)
     thermal_s: float = setting(
         60.0, 'Thermal time constant of a coil.', lower=1.0, upper=3600.0, read_only=True)
     idle_disarm_s: float = setting(

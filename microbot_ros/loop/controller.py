@@ -45,7 +45,7 @@ class ControllerParameters:
                                       upper=1000.0, read_only=True)
     pose_timeout_ms: float = setting(
         200.0, 'Age of the poses beyond which nothing is commanded.', lower=10.0, upper=5000.0,
-        read_only=True, formerly='stale_ms')
+        read_only=True)
     joy_timeout_ms: float = setting(
         250.0, 'Age of the joystick beyond which it counts as centred; its driver must repeat.',
         lower=20.0, upper=2000.0, read_only=True)

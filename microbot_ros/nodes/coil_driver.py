@@ -59,7 +59,7 @@ class CoilDriverParameters(GateParameters):
         2.0, 'Current of each channel at full output.', lower=0.01, upper=100.0, read_only=True)
     max_command_age_ms: float = setting(
         75.0, 'A command whose stamp, the exposure that it answers, is older is not driven.',
-        lower=10.0, upper=2000.0, read_only=True, formerly='stale_ms')
+        lower=10.0, upper=2000.0, read_only=True)
     board_turns: bool = setting(
         False, 'The firmware of the board turns a rotating field by itself, as the reference '
         'firmware does; else the driver sends every sample.', read_only=True)

@@ -32,9 +32,9 @@ def read_rig(path: str | Path, namespace: str = '') -> dict[str, dict[str, Any]]
     """Node → its parameters by full names, from the ROS parameter file `path`.
 
     With a `namespace` ('/' for none) only sections that ROS gives to nodes in it; without, those
-    of a file about one rig. Former names become those of today. Raises InputError naming file and
-    line for an unknown node, an unknown parameter, a value of the wrong type or out of range; and
-    where no section is for nodes of the `namespace`, which ROS would leave at their defaults.
+    of a file about one rig. Raises InputError naming file and line for an unknown node, an
+    unknown parameter, a value of the wrong type or out of range; and where no section is for nodes
+    of the `namespace`, which ROS would leave at their defaults.
     """
     sections = read_yaml(path, _File).root
     rig: dict[str, dict[str, Any]] = {}
@@ -47,7 +47,8 @@ def read_rig(path: str | Path, namespace: str = '') -> dict[str, dict[str, Any]]
         found: dict[str, Any] = {}
         for keys, value in _flatten(section.ros__parameters):
             line = line_of(path, key, 'ros__parameters', *keys)
-            found |= _checked(path, node, '.'.join(keys), value, line)
+            name = '.'.join(keys)
+            found[name] = _checked(path, node, name, value, line)
         if not namespace or _is_in(place, namespace):
             rig[node] = rig.get(node, {}) | found
         else:
@@ -183,19 +184,15 @@ def _flatten(tree: dict[str, Any]) -> list[tuple[tuple[str, ...], Any]]:
     return flat
 
 
-def _checked(path: str | Path, node: str, name: str, value: Any, line: int | None,
-             ) -> dict[str, Any]:
-    """The parameters that a name stands for, a former one perhaps for several, and their value."""
-    known = node_class(node).known_parameters()
+def _checked(path: str | Path, node: str, name: str, value: Any, line: int | None) -> Any:
+    """The value of a parameter in its type."""
     if name in EVERY_NODE:
-        return {name: value}
-    present = {full: described for full, described in known.items() if name in (
-        full, full.removesuffix(described[1]) + settings.about(*described).formerly)}
-    if not present:
+        return value
+    known = node_class(node).known_parameters()
+    if name not in known:
         raise InputError(path, f"unknown parameter '{clipped(name)}' of {node}; "
                                f'{errors.known(known, name)}', line)
     try:
-        return {full: settings.convert(kind, field, value)
-                for full, (kind, field) in present.items()}
+        return settings.convert(*known[name], value)
     except ValueError as error:
         raise InputError(path, f'{node}: {error}', line) from None

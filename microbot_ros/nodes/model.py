@@ -28,8 +28,7 @@ class ModelNodeParameters(ModelParameters):
     field_source: str = setting(
         'applied', 'What the particles felt: the field read back from the coils, or the one '
         'commanded where nothing is read back. Rollers roll as commanded, and with applied only '
-        'while a field is read back.', choices=('applied', 'command'), read_only=True,
-        formerly='command_source')
+        'while a field is read back.', choices=('applied', 'command'), read_only=True)
 
 
 class ModelNode(RigNode):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, Generic, TypeVar
 
 from rcl_interfaces.msg import (
@@ -30,9 +30,6 @@ class ParameterSet(Generic[ValuesT]):
     `veto(new_values)` (a reason, or '' to accept), neither of which has effects; then the first
     set's `take(changed, named)`, which hands the new values, by prefix, to what runs with them,
     and may refuse too if it leaves everything as it was. `values` change only after that.
-
-    A former name (`settings.setting`) that is still used sets what took its place, with a
-    warning; who gives the present name too means that.
     """
 
     def __init__(
@@ -49,18 +46,10 @@ class ParameterSet(Generic[ValuesT]):
         self._veto = veto
         self._take = take
         self._sets: dict[str, ParameterSet[Any]] = {} if beside is None else beside._sets
-        self._renamed: dict[str, list[str]] = {} if beside is None else beside._renamed
-        self._renamed |= {prefix + former: [prefix + name for name in names]
-                          for former, names in settings.renamed(kind).items()}
-        self._node = node
         self._prefix = prefix
-        overrides = node._parameter_overrides
-        present = self._in_present_names(overrides.values())
-        overrides.clear()
-        overrides |= {parameter.name: parameter for parameter in present}
         initial = {}
         for name, default in settings.defaults(kind).items():
-            override = overrides.get(prefix + name)
+            override = node._parameter_overrides.get(prefix + name)
             # Checked before rclpy does, whose exceptions name neither unit nor range.
             value = default if override is None else override.value
             initial[name] = self._converted(node, name, value)
@@ -72,7 +61,6 @@ class ParameterSet(Generic[ValuesT]):
             raise InputError(node.get_name(), reason)
         self._sets[prefix] = self
         if beside is None:
-            node.add_pre_set_parameters_callback(self._in_present_names)
             node.add_on_set_parameters_callback(self._validate)
             node.add_post_set_parameters_callback(self._apply)
 
@@ -81,16 +69,6 @@ class ParameterSet(Generic[ValuesT]):
             return settings.convert(self._kind, name, value)
         except ValueError as error:
             raise InputError(node.get_name(), str(error)) from None
-
-    def _in_present_names(self, parameters: Iterable[Parameter]) -> list[Parameter]:
-        named = {parameter.name: parameter for parameter in parameters}
-        for former in [name for name in named if name in self._renamed]:
-            given, names = named.pop(former), self._renamed[former]
-            self._node.get_logger().warning(
-                f"parameter '{former}' is now called {' and '.join(names)}")
-            for name in names:
-                named.setdefault(name, Parameter(name, given.type_, given.value))
-        return list(named.values())
 
     def _changed(self, parameters: list[Parameter]) -> ValuesT:
         known = settings.defaults(self._kind)

@@ -41,7 +41,7 @@ class TrackerNodeParameters(TrackerParameters):
         'applied', 'What turns the particles, so that a turn is expected: the field read back '
         'from the coils, the one commanded, the rotation of rollers while a field is read '
         'back, or nothing known.',
-        choices=('applied', 'command', 'rotation', 'none'), read_only=True, formerly='drive')
+        choices=('applied', 'command', 'rotation', 'none'), read_only=True)
     overlay_rate_hz: float = setting(
         10.0, 'Rate of `overlay/image_raw` while somebody looks; 0 turns it off.',
         lower=0.0, upper=60.0)

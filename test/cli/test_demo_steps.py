@@ -44,8 +44,11 @@ class Client:
         self.tell(points)
         self.health('coil_driver', b'\2', 'silent', {})
 
-    def arm(self, on: bool = True) -> None:
-        self.calls.append(('arm', on))
+    def arm(self) -> None:
+        self.calls.append(('arm',))
+
+    def stop(self) -> None:
+        self.calls.append(('stop',))
 
     def set(self, node: str, **values: Any) -> None:
         self.calls.append((node, values['controller']))
@@ -73,8 +76,8 @@ def test_it_learns_goes_and_comes_to_rest_in_order(
     kind = KINDS[robots](tmp_path)
     run = demo._steer(GRAPH, 30.0, kind, 0.0)
     assert client.calls == [
-        ('arm', True), ('controller', 'open_loop'), ('controller', kind.controller),
-        ('goals', len(run.goals)), ('controller', 'hold'), ('arm', False)]
+        ('arm',), ('controller', 'open_loop'), ('controller', kind.controller),
+        ('goals', len(run.goals)), ('controller', 'hold'), ('stop',)]
     assert run.controllers == ['hold', 'open_loop', kind.controller, 'hold']
     assert run.faults == ['silent']
     assert 1 <= len(run.goals) <= 3

@@ -5,7 +5,7 @@ from command_line import runner
 
 from microbot_ros.cli.goal import command
 from microbot_ros.errors import InputError, RigError
-from microbot_ros.nodes import graph_client
+from microbot_ros.nodes import graph_client, rig_client
 
 
 class Graph:
@@ -26,11 +26,11 @@ class Graph:
 
     def send_goals(self, places, particles=None):
         self.sent.append(('goals', places, particles))
-        return graph_client.Taken(5.0, self.controller)
+        return rig_client.Taken(5.0, self.controller)
 
     def send_path(self, places):
         self.sent.append(('path', places))
-        return graph_client.Taken(5.0, self.controller)
+        return rig_client.Taken(5.0, self.controller)
 
     left = ()
 

@@ -13,7 +13,7 @@ from in_process import command
 
 from microbot_ros.cli import run
 from microbot_ros.errors import InputError
-from microbot_ros.nodes import graph_client
+from microbot_ros.nodes import rig_client
 
 
 class Children:
@@ -118,7 +118,7 @@ def test_what_a_node_refuses_is_two_and_where_it_stands(
 @pytest.mark.usefixtures('children')
 def test_arming_without_a_driver_is_one(
         config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(graph_client, '_FIND_SECONDS', 0.2)
+    monkeypatch.setattr(rig_client, 'FIND_S', 0.2)
     status, _, error = _run(config, '--arm')
     assert status == 1
     assert 'coil_driver was not found in the namespace /lab' in error

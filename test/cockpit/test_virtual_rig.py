@@ -252,4 +252,4 @@ def _at_rest() -> Iterator[None]:
 
     with GraphClient() as client:
         client.set('controller', controller='hold')
-        client.arm(False)
+        client.stop()

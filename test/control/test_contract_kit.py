@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from microbot_ros.control import contract, registry, testkit
+from microbot_ros.control import registry
 from microbot_ros.control.contract import (
     Controller,
     FieldCommand,
@@ -138,16 +138,6 @@ def test_a_requested_plugin_that_fails_is_an_error_with_its_reason(name, reason)
     for ask in (registry.controller_class, registry.controller_classes):
         with pytest.raises(registry.PluginError, match=reason):
             ask(name)
-
-
-@pytest.mark.parametrize(('module', 'former', 'present'), [
-    (contract, 'Situation', 'ControllerInput'), (testkit, 'situation', 'controller_input'),
-    (testkit, 'odd_situations', 'odd_inputs')])
-def test_former_names_still_work_with_a_warning(module, former, present):
-    with pytest.warns(DeprecationWarning, match=f'{former} is now called {present}'):
-        assert getattr(module, former) is getattr(module, present)
-    with pytest.raises(AttributeError, match='nobody'):
-        _ = module.nobody
 
 
 def test_controller_input_knows_who_is_who():

@@ -27,16 +27,6 @@ def test_nested_keys_are_those_with_dots(tmp_path: Path) -> None:
     assert read_rig(file) == {'controller': {'waypoint.arrival_um': 3.0}}
 
 
-def test_former_names_stand_for_those_of_today(tmp_path: Path) -> None:
-    file = tmp_path / 'rig.yaml'
-    file.write_text('coil_driver:\n  ros__parameters: {stale_ms: 90, continuous_A: 1}\n'
-                    'tracker:\n  ros__parameters: {drive: none}\n')
-    assert read_rig(file) == {
-        'coil_driver': {'command_timeout_ms': 90.0, 'max_command_age_ms': 90.0,
-                        'rated_current_A': 1.0},
-        'tracker': {'field_source': 'none'}}
-
-
 def test_who_asks_for_no_measurement_gets_an_amplifier_without(tmp_path: Path) -> None:
     file = tmp_path / 'rig.yaml'
     file.write_text('model:\n  ros__parameters: {field_source: command}\n'
@@ -61,7 +51,7 @@ def test_who_asks_for_no_measurement_gets_an_amplifier_without(tmp_path: Path) -
     ('tracker:\n  ros__parameters:\n    pixel_size_um: -1.0\n', 3,
      'pixel_size_um must be 0.001 to 100 µm; received -1'),
     ('tracker:\n  ros__parameters:\n    pixel_size_um: .nan\n', 3, 'must be finite'),
-    ('model:\n  ros__parameters:\n    command_source: none\n', 3,
+    ('model:\n  ros__parameters:\n    field_source: none\n', 3,
      'field_source must be one of applied, command; received none'),
     ('tracker:\n  ros__parameters:\n    pixel_size_um: wide\n', 3, 'must be a number'),
     ('tracker:\n  parameters: {}\n', 2, "unknown key 'tracker.parameters'"),

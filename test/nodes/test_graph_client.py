@@ -16,15 +16,15 @@ from sensor_msgs.msg import PointCloud2
 from microbot_ros.drive.amplifier import Zero
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.loop.points import ESTIMATE
-from microbot_ros.nodes import graph_client, messages
+from microbot_ros.nodes import messages, rig_client
 from microbot_ros.nodes.graph_client import GraphClient
 
 
 @pytest.fixture(autouse=True)
 def _soon(monkeypatch: pytest.MonkeyPatch) -> None:
     """Give up soon what is given up, and ask again soon."""
-    for name, seconds in (('_ANSWER_SECONDS', 20.0), ('_ASK_AGAIN_SECONDS', 1.0)):
-        monkeypatch.setattr(graph_client, name, seconds)
+    for name, seconds in (('ASK_S', 20 * (1.0,)), ('STOP_S', 20 * (1.0,)), ('ARM_S', (20.0,))):
+        monkeypatch.setattr(rig_client, name, seconds)
 
 
 def test_goals_are_taken_each_time_beside_a_recorder_that_was_there_first(
@@ -84,7 +84,7 @@ def test_goals_outside_the_workspace_are_one_and_the_reason(
     (('set', 'controller', 'controller', 'hold'), 'controller')])
 def test_a_node_that_is_not_there_is_one_and_the_reason(
         monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], node: str) -> None:
-    monkeypatch.setattr(graph_client, '_FIND_SECONDS', 0.5)
+    monkeypatch.setattr(rig_client, 'FIND_S', 0.5)
     assert command(*words, '--namespace', 'nowhere') == (
         1, '', f'microbot: {node} was not found in the namespace /nowhere within 0.5 s: is it '
         'running?\n')
@@ -119,7 +119,7 @@ def test_each_command_speaks_to_the_rig_of_its_namespace(
         client.watch_health(lambda node, _, sentence, __: heard.setdefault(node, sentence))
         assert client.until(lambda: heard.keys() >= {*nodes}, 30.0)
         assert client.get('controller', 'controller') == {'controller': 'waypoint'}
-    monkeypatch.setattr(graph_client, '_FIND_SECONDS', 0.5)
+    monkeypatch.setattr(rig_client, 'FIND_S', 0.5)
     elsewhere = {('goal', '1,1'): 'controller', ('arm', '--off'): 'coil_driver',
                  ('record', '--stop'): 'recorder'}
     for words, node in elsewhere.items():
@@ -146,7 +146,7 @@ def lose(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], list[str]]:
 
 def test_a_controller_that_does_not_answer_is_one_and_the_reason(
         ros: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(graph_client, '_TAKE_SECONDS', 1.0)
+    monkeypatch.setattr(rig_client, 'TAKE_S', 1.0)
     graph = ros({'controller': {'controller': 'waypoint'}})
     graph.add('controller').trigger_deactivate()
     assert graph.microbot('goal', '1,1', '--wait', '60') == (
@@ -211,13 +211,14 @@ def test_arming_whose_answer_was_lost_is_not_asked_for_again(
 def test_arming_that_was_given_up_does_not_come_true_later(
         ros: Any, emulator: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """A driver that hangs while it is asked finds the requests when it goes on."""
-    monkeypatch.setattr(graph_client, '_ANSWER_SECONDS', 1.0)
-    monkeypatch.setattr(graph_client, '_ASK_AGAIN_SECONDS', 0.2)
+    monkeypatch.setattr(rig_client, 'ARM_S', (1.0,))
+    monkeypatch.setattr(rig_client, 'STOP_S', (0.25, 0.25, 0.5))
     graph, driver = _driver_and_commander(ros, emulator)
     asked = _requests(driver)
     assert command('arm') == (
-        1, '', 'microbot: coil_driver did not answer within 1 s; asked to disarm: coil_driver did '
-        'not answer within 1 s: not reachable, switch the amplifier off by hand\n')
+        1, '', 'microbot: coil_driver did not answer within 1 s; asked to disarm: not reachable: '
+        'coil_driver did not answer within 1 s; coils may carry current, switch the amplifier off '
+        'by hand\n')
     graph.until(lambda: False in asked)
     graph.until(lambda: driver._driver.zero is Zero.CONFIRMED)
     assert asked.count(True) <= 1

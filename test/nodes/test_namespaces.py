@@ -98,7 +98,7 @@ def test_two_rigs_are_driven_at_once(tmp_path: Path, emulator_in: Any) -> None:
             assert client.until(lambda: 'coil_driver' in heard, 10)
             assert client.get('controller', 'open_loop.field_mT') == {'open_loop.field_mT': 4.0}
         with GraphClient(namespace='rig_1') as client:
-            client.arm(False)
+            client.stop()
         _until(lambda: emulators['rig_1'].zero, 10)
         assert not emulators['rig_2'].zero
 

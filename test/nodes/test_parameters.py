@@ -11,7 +11,6 @@ import pytest
 import rclpy
 from hypothesis import given
 from hypothesis import strategies as st
-from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.parameter import Parameter
 
 from microbot_ros import settings
@@ -30,10 +29,7 @@ class Sample:
     name: str = setting('a', 'A choice.', choices=('a', 'b'))
     on: bool = setting(True, 'A switch.')
     angles_rad: list[float] = setting([0.0], 'A list.', lower=-4.0, upper=4.0)
-    limit_A: float = setting(1.0, 'A safety limit.', lower=0.0, upper=2.0, read_only=True,
-                             formerly='most_A')
-    wait_ms: float = setting(5.0, 'A time.', lower=1.0, upper=9.0, formerly='time_ms')
-    hold_ms: float = setting(5.0, 'Another.', lower=1.0, upper=9.0, formerly='time_ms')
+    limit_A: float = setting(1.0, 'A safety limit.', lower=0.0, upper=2.0, read_only=True)
 
 
 @given(st.floats(allow_nan=True, allow_infinity=True))
@@ -122,48 +118,11 @@ def test_a_misspelt_override_is_refused(node: rclpy.node.Node) -> None:
         refuse_unknown(node)
 
 
-@pytest.fixture
-def warned(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """What nodes warn of."""
-    said: list[str] = []
-    monkeypatch.setattr(RcutilsLogger, 'warning', lambda _, line: said.append(line))
-    return said
-
-
-@pytest.mark.parametrize(('node', 'hold_ms'), [
-    (['time_ms:=7', 'most_A:=2.0'], 7.0), (['time_ms:=7', 'most_A:=2.0', 'hold_ms:=3'], 3.0),
-], indirect=['node'])
-def test_a_former_name_still_sets_what_took_its_place(
-        node: rclpy.node.Node, hold_ms: float, warned: list[str]) -> None:
-    """All of that, unless the present name says something else; with a line for each."""
-    held: ParameterSet[Sample] = ParameterSet(node, Sample)
-    refuse_unknown(node)
-    assert (held.values.wait_ms, held.values.hold_ms, held.values.limit_A) == (7.0, hold_ms, 2.0)
-    assert sorted(warned) == ["parameter 'most_A' is now called limit_A",
-                              "parameter 'time_ms' is now called wait_ms and hold_ms"]
-
-
-def test_a_former_name_is_held_to_the_same_rules_while_the_node_runs(
-        node: rclpy.node.Node, warned: list[str]) -> None:
-    held: ParameterSet[Sample] = ParameterSet(node, Sample)
-    part: ParameterSet[Part] = ParameterSet(node, Part, prefix='part.', beside=held)
-    changes = [Parameter('time_ms', value=2.0), Parameter('part.gains', value=3.0)]
-    assert node.set_parameters_atomically(changes).successful
-    assert (held.values.wait_ms, held.values.hold_ms, part.values.gain) == (2.0, 2.0, 3.0)
-    assert len(warned) == 2
-    assert not node.has_parameter('time_ms')
-    refused = node.set_parameters([Parameter('time_ms', value=0.5),
-                                   Parameter('most_A', value=2.0)])
-    assert [answer.successful for answer in refused] == [False, False]
-    assert 'limit_A' in refused[1].reason
-    assert (held.values.wait_ms, held.values.limit_A) == (2.0, 1.0)
-
-
 @dataclass(frozen=True)
 class Part:
     """Of what runs in the same node."""
 
-    gain: float = setting(1.0, 'A gain.', lower=0.0, upper=9.0, formerly='gains')
+    gain: float = setting(1.0, 'A gain.', lower=0.0, upper=9.0)
 
 
 @pytest.mark.parametrize(('changes', 'refuses', 'asked'), [

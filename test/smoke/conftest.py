@@ -120,7 +120,7 @@ class SmokeRig:
         """Let nothing drive any more, and nothing flow."""
         self.driven = False
         self.client.set('controller', controller='hold')
-        self.client.arm(False)
+        self.client.stop()
         self.until(lambda: self.zero)
 
     def learn(self) -> None:

@@ -58,7 +58,7 @@ def _at_rest(virtual: VirtualRig) -> Iterator[None]:
     assert virtual.address
     with GraphClient() as client:
         client.set('controller', controller='hold')
-        client.arm(False)
+        client.stop()
 
 
 @pytest.fixture

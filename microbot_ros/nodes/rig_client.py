@@ -1,0 +1,317 @@
+"""What may be asked of a running rig, for commands, the cockpit's page and discovery alike."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.srv import AddDiagnostics
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Path
+from rcl_interfaces.msg import ParameterDescriptor
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
+from rclpy.client import Client
+from rclpy.exceptions import NameValidationException
+from rclpy.node import Node
+from rclpy.parameter import Parameter, parameter_value_to_python
+from rclpy.publisher import Publisher
+from rclpy.task import Future
+from std_srvs.srv import SetBool
+
+from microbot_ros.control.controller_thread import AGAIN, CONFIGURING
+from microbot_ros.drive.amplifier import BY_HAND, Zero
+from microbot_ros.errors import InputError, RigError
+from microbot_ros.loop.points import GOAL
+from microbot_ros.nodes import messages
+from microbot_ros.records import Commands
+
+FIND_S = 5.0
+"""How long a node may take to be seen. What is said to a process that has just started may be
+lost, and is said again after 0.5 s."""
+ASK_S = (3.0, 3.0, 3.0, 3.0)
+"""A request is sent again after each of these [s] without an answer, which is longer than any
+service takes for its work. After the last the service counts as silent."""
+ARM_S = (12.0,)
+"""A request to arm is sent once: a second one could arm after a STOP that came in between."""
+STOP_S = (0.3, 0.7, 1.0, 1.0)
+"""The driver sends zero when it takes a request to stop, and answers once that is read back,
+within `READ_BACK_S`."""
+TAKE_S, REPEAT_S = 5.0, 0.3
+"""How long a controller may take to have goals, a path or a plan; how often they are sent."""
+MATCH_S = 2.0
+
+T = TypeVar('T')
+Wait = tuple[Callable[[], Any], float]
+Steps = Generator[Wait, bool, T]
+"""The work on a request. It yields what it waits for and for how many seconds at most, and is sent
+whether that came true. It ends with the answer."""
+
+
+class RefusedError(RigError):
+    """A `node` refused what it was asked, for a `reason` in its own words."""
+
+    def __init__(self, node: str, reason: str) -> None:
+        self.reason = reason or 'refused, without a reason'
+        super().__init__(f'{node}: {self.reason}')
+
+
+class NoAnswerError(RigError):
+    """A node is there and does not answer: whether it did what was asked is not known."""
+
+
+@dataclass(frozen=True)
+class Taken:
+    """What a controller said of goals or a path that it took: their stamp [s], and which one it
+    is."""
+
+    stamp: float
+    controller: str
+
+
+class RigClient:
+    """Asks the nodes in the namespace of a `node`, which somebody else spins.
+
+    Each request is a generator (`Steps`), so that it can wait in a command's own thread or in an
+    event loop. It ends with the answer, or raises RigError: a node is not there, is silent or
+    refuses. `services` and `publishers` hold what was made so far, by name.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self.services: dict[str, Client] = {}
+        self.publishers: dict[str, Publisher] = {}
+        self.progress: dict[str, str] = {}
+        self._progress_s = 0.0
+        self._node = node
+
+    def hear(self, progress: dict[str, str]) -> None:
+        """Take in what the controller says of its `progress`."""
+        self.progress, self._progress_s = progress, time.monotonic()
+
+    def arm(self, now: bool = False) -> Steps[str]:
+        """Arm the gate of the coil driver; return its answer.
+
+        Without an answer the driver is asked to disarm. If it is to be `now`, a driver that is
+        not seen yet is not waited for.
+        """
+        try:
+            return (yield from self._set_gate(True, 0.0 if now else FIND_S))
+        except NoAnswerError as silence:
+            try:
+                disarmed = f'disarmed: {(yield from self.stop(now=True))}'
+            except RigError as error:
+                disarmed = f'asked to disarm: {error}'
+            raise RigError(f'{silence}; {disarmed}') from None
+
+    def stop(self, now: bool = False) -> Steps[str]:
+        """Zero the coils and disarm; return the driver's answer, which begins with a `Zero`.
+
+        The answer to any of the requests counts. If it is to be `now`, the driver is asked
+        whether it is seen or not.
+        """
+        try:
+            return (yield from self._set_gate(False, None if now else FIND_S))
+        except NoAnswerError as silence:
+            raise RigError(f'{Zero.UNREACHABLE}: {silence}; coils may carry current, {BY_HAND}'
+                           ) from None
+
+    def record(self, begin: bool) -> Steps[str]:
+        """End a recording or `begin` one; return what the recorder answered.
+
+        That it is already so is a refusal of the first request only: a later one is sent because
+        the answer to the first was lost.
+        """
+        answer, first = yield from self._ask(
+            SetBool, 'recorder/record', SetBool.Request(data=begin))
+        if not first and begin and answer.message.startswith('already recording'):
+            return str(answer.message).removeprefix('already ')
+        if not first and not begin and answer.message == 'not recording':
+            return 'the recording has ended'
+        return _done('recorder', answer)
+
+    def teach(self, order: str) -> Steps[str]:
+        """Show the tracker an example, by an `order` as its service takes it."""
+        request = AddDiagnostics.Request(load_namespace=order)
+        answer, _ = yield from self._ask(AddDiagnostics, 'tracker/teach', request)
+        return _done('tracker', answer)
+
+    def switch(self, controller: str) -> Steps[None]:
+        """Let a `controller` drive. InputError with the reason if it is refused."""
+        return self.set('controller', controller=controller)
+
+    def set(self, node: str, **values: Any) -> Steps[None]:
+        """Set parameters of a `node`, again while it still takes the `values` aside.
+
+        InputError with the node's reason if it refuses a value.
+        """
+        try:
+            request = SetParameters.Request(parameters=[
+                Parameter(name, value=value).to_parameter_msg()
+                for name, value in values.items()])
+        except (TypeError, ValueError, AssertionError):
+            raise InputError(node, 'expected booleans, numbers, texts or lists of one of them; '
+                                   f'received {values}') from None
+        deadline = time.monotonic() + CONFIGURING + sum(ASK_S)
+        while True:
+            answer, _ = yield from self._ask(SetParameters, f'{node}/set_parameters', request)
+            going_on = any(result.reason.endswith(AGAIN) for result in answer.results)
+            if not going_on or time.monotonic() > deadline:
+                break
+            yield (lambda: False), REPEAT_S
+        for name, result in zip(values, answer.results, strict=True):
+            if not result.successful:
+                raise InputError(node, result.reason or f'{name} was refused')
+
+    def get(self, node: str, *names: str) -> Steps[dict[str, Any]]:
+        """Values of parameters of a `node`, by their `names`."""
+        answer, _ = yield from self._ask(
+            GetParameters, f'{node}/get_parameters', GetParameters.Request(names=list(names)))
+        return {name: parameter_value_to_python(value)
+                for name, value in zip(names, answer.values, strict=True)}
+
+    def describe(self, node: str) -> Steps[list[ParameterDescriptor]]:
+        """The descriptors of all parameters of a `node`."""
+        listed, _ = yield from self._ask(
+            ListParameters, f'{node}/list_parameters', ListParameters.Request())
+        answer, _ = yield from self._ask(
+            DescribeParameters, f'{node}/describe_parameters',
+            DescribeParameters.Request(names=listed.result.names))
+        return list(answer.descriptors)
+
+    def send_goals(self, positions: Sequence[tuple[float, float]],
+                   particles: Sequence[int] | None = None) -> Steps[Taken]:
+        """Send `positions` (x, y) [m] to go to, in order, until the controller has taken them.
+
+        With `particles` the goal of each of those; no position cancels.
+        """
+        xy, stamp = np.array(positions, float).reshape(-1, 2), self._now()
+        if particles is None:
+            return self._hand_over('goals', messages.poses(xy, np.zeros(len(xy)), stamp), 'goals')
+        goals = np.zeros(len(xy), GOAL)
+        goals['id'], goals['x'], goals['y'] = particles, *xy.T
+        return self._hand_over('particle_goals', messages.cloud(goals, stamp), 'goals')
+
+    def send_path(self, positions: Sequence[tuple[float, float]]) -> Steps[Taken]:
+        """Send `positions` (x, y) [m] as a path to follow, until the controller has taken it; no
+        position cancels.
+        """
+        array = messages.poses(np.array(positions, float).reshape(-1, 2),
+                               np.zeros(len(positions)), self._now())
+        return self._hand_over('path', Path(header=array.header, poses=[
+            PoseStamped(header=array.header, pose=pose) for pose in array.poses]), 'path')
+
+    def send_plan(self, commands: Commands) -> Steps[Taken]:
+        """Send a plan, whose last row is its end, until the controller has taken it."""
+        return self._hand_over('field/plan', messages.plan(commands, self._now()), 'plan')
+
+    def _now(self) -> Time:
+        return self._node.get_clock().now().to_msg()
+
+    def namespaces_of(self, node: str) -> list[str]:
+        """The namespaces in which a `node` of that name runs, as far as the graph is known."""
+        return [namespace for name, namespace in self._node.get_node_names_and_namespaces()
+                if name == node]
+
+    def _hand_over(self, topic: str, message: Any, what: str) -> Steps[Taken]:
+        """Publish to the controller, again and again, until it says that it has this stamp.
+
+        RefusedError with its reason where it refuses. That somebody listens says nothing: it may
+        be a recorder. To be told twice changes nothing for a controller, whose goals are the same
+        then.
+        """
+        stamp, began = messages.to_seconds(message.header.stamp), time.monotonic()
+        took, refused = f'{what}_stamp_s', 'refused_stamp_s'
+
+        def says(*keys: str) -> bool:
+            return any(float(self.progress.get(key, 'nan')) == stamp for key in keys)
+        yield from self._find('controller', lambda: self._controller_listens(topic),
+                              f'takes no {topic}', FIND_S)
+        publisher = self.publishers.get(topic)
+        if publisher is None:
+            publisher = self.publishers[topic] = self._node.create_publisher(
+                type(message), topic, 10)
+        # A recorder is to have it too: what is published before it is matched passes it by.
+        yield (lambda: publisher.get_subscription_count() >= len(
+            self._node.get_subscriptions_info_by_topic(topic))), MATCH_S
+        deadline = time.monotonic() + TAKE_S
+        while not says(took, refused):
+            if time.monotonic() > deadline:
+                answer = ('it answers, but not to these' if self._progress_s > began else
+                          'it says nothing; is it active?')
+                raise RigError(f'controller did not take the {what} within {TAKE_S:g} s: {answer}')
+            publisher.publish(message)
+            yield (lambda: says(took, refused)), REPEAT_S
+        if says(took):
+            return Taken(stamp, self.progress['controller'])
+        raise RefusedError('controller', self.progress['refused'])
+
+    def _controller_listens(self, topic: str) -> bool:
+        controller = 'controller', self._node.get_namespace()
+        return any((end.node_name, end.node_namespace) == controller
+                   for end in self._node.get_subscriptions_info_by_topic(topic))
+
+    def _find(self, node: str, true: Callable[[], bool], lack: str, seconds: float,
+              ) -> Steps[None]:
+        """Wait until it is true of a node; RigError with what is known of it otherwise."""
+        if (yield true, seconds):
+            return
+        here, places = self._node.get_namespace(), self.namespaces_of(node)
+        if here in places:
+            raise RigError(f'{node} is there, but {lack}')
+        hint = f' There is one in --namespace {places[0]}' if places else ''
+        within = f' within {seconds:g} s' if seconds else ''
+        raise RigError(f'{node} was not found in the namespace {here}{within}: is it running?'
+                       f'{hint}')
+
+    def _set_gate(self, armed: bool, find_s: float | None) -> Steps[str]:
+        service = self._service(SetBool, 'coil_driver/arm')
+        if find_s is not None:
+            yield from self._find('coil_driver', service.service_is_ready,
+                                  'has no service coil_driver/arm', find_s)
+        answer, _ = yield from self._send('coil_driver', service, SetBool.Request(data=armed),
+                                          ARM_S if armed else STOP_S)
+        return _done('coil_driver', answer)
+
+    def _service(self, kind: type, name: str) -> Client:
+        if name not in self.services:
+            self.services[name] = self._node.create_client(kind, name)
+        return self.services[name]
+
+    def _ask(self, kind: type, name: str, request: Any) -> Steps[tuple[Any, bool]]:
+        """Find the service `name` and send it a request, see `_send`."""
+        node = name.rpartition('/')[0]
+        try:
+            service = self._service(kind, name)
+        except NameValidationException:
+            raise InputError('', f"expected the name of a node; received '{node}'") from None
+        yield from self._find(node, service.service_is_ready, f'has no service {name}', FIND_S)
+        return (yield from self._send(node, service, request, ASK_S))
+
+    def _send(self, node: str, service: Client, request: Any, again_s: Sequence[float],
+              ) -> Steps[tuple[Any, bool]]:
+        """Return the answer to a request, and whether it is that to the first one sent.
+
+        A server that does not know yet where to send an answer drops it: the request is sent
+        again after each of `again_s` but the last. NoAnswerError without an answer.
+        """
+        asked: list[Future] = []
+        try:
+            for seconds in again_s:
+                asked.append(service.call_async(request))
+                if (yield (lambda: any(one.done() for one in asked)), seconds):
+                    answered = next(one for one in asked if one.done())
+                    return answered.result(), answered is asked[0]
+        finally:
+            for one in asked:
+                service.remove_pending_request(one)
+        raise NoAnswerError(f'{node} did not answer within {sum(again_s):g} s')
+
+
+def _done(node: str, answer: Any) -> str:
+    """What a `node` said that it has done; RefusedError with its reason where it has not."""
+    if not answer.success:
+        raise RefusedError(node, answer.message)
+    return str(answer.message)
