@@ -859,6 +859,20 @@ def test_a_field_that_turns_waits_for_a_zero_too(rig):
     assert max(abs(current) for current in rig.device.flowed[-1]) > 0.5
 
 
+def test_a_zero_ends_what_turns(rig):
+    rig.arm()
+    rig.driver.turn(turning(1.0, 5.0))
+    rig.turn(0.1)
+    assert any(rig.device.flowed[-1])
+    rig.driver.command(ZERO)
+    rig.turn(0.01)
+    count = len(rig.device.flowed)
+    rig.turn(0.3)
+    assert rig.gate.armed
+    assert len(rig.device.flowed) == count
+    assert rig.device.flows(ZERO)
+
+
 def test_a_field_that_turned_before_a_stop_does_not_turn_after_arming(make):
     """Though the thread sees the stop and arming at once, and a zero comes during the check."""
     rig = make(self_check=True, command_timeout_s=60.0)
