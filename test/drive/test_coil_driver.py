@@ -645,6 +645,13 @@ def test_current_that_stays_is_no_zero_and_outranks_what_stopped_it(make):
     rig.until(lambda: rig.driver.zero is Zero.CONFIRMED, SOON_S)
 
 
+def test_nothing_is_said_of_a_zero_while_one_coil_is_driven(rig):
+    rig.drive((0.0, 0.0, 0.5, 0.0))
+    assert rig.driver.zero is None
+    rig.turn(0.2)
+    assert rig.driver.zero is None
+
+
 def test_a_zero_is_awaited_until_it_is_confirmed_or_time_is_up(rig):
     rig.drive()
     begin_s = rig.clock.now_s
@@ -857,6 +864,17 @@ def test_a_field_that_turns_waits_for_a_zero_too(rig):
         rig.turn(0.01)
     assert rig.gate.fault is None
     assert max(abs(current) for current in rig.device.flowed[-1]) > 0.5
+
+
+def test_what_turns_goes_stale_in_time_though_the_device_is_silent(make):
+    rig = make(command_timeout_s=0.2)
+    rig.arm()
+    rig.driver.turn(turning(1.0, 5.0))
+    given_s = rig.clock.now_s
+    rig.turn(0.1)
+    rig.device.fault('silence')
+    assert rig.until(lambda: rig.gate.fault).reason is Reason.STALE
+    assert rig.clock.now_s - given_s < 0.21
 
 
 def test_a_zero_ends_what_turns(rig):
