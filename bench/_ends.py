@@ -6,6 +6,7 @@ driver another, and the sentinel, or the device's own watchdog, must bring every
 
 from __future__ import annotations
 
+import math
 import os
 import random
 import signal
@@ -17,11 +18,13 @@ from pathlib import Path
 from bench._emulator import Emulator
 from bench._lines import Host
 from bench._matrix import PHASES, Cell, longest_s, table
-from microbot_ros.drive.amplifier import Zero
+from microbot_ros.drive.amplifier import Zero, amplifier_class
 from microbot_ros.drive.emulator.process import DEVICES
 
 _WATCHED_S = 0.6
 """How long the currents are watched after the end."""
+_ARMING_S = 0.3
+"""How long the first pulse may take to come; then arming is asked again."""
 
 
 def _kill(host: Host) -> None:
@@ -57,7 +60,7 @@ def cells(tries: int) -> Iterator[tuple[str, str, str, Cell]]:
 def _try(protocol: str, board: Emulator, way: str, phase: str, cell: Cell) -> None:
     host = Host(protocol, board.url)
     try:
-        _bring_into(host, board, phase)
+        _bring_into(protocol, host, board, phase)
         per_line = 4 // len(board.url.split(','))
         away = set(range(per_line)) if phase == 'reconnecting' else set()
         cell.unreachable += host.say('state') == Zero.UNREACHABLE.value
@@ -73,11 +76,13 @@ def _try(protocol: str, board: Emulator, way: str, phase: str, cell: Cell) -> No
         host.end()
 
 
-def _bring_into(host: Host, board: Emulator, phase: str) -> None:
+def _bring_into(protocol: str, host: Host, board: Emulator, phase: str) -> None:
     if phase == 'arming':
-        time.sleep(0.2)  # arming needs a measurement
-        host.say('arm')
-        time.sleep(random.uniform(0.0, 0.15))
+        if amplifier_class(protocol).reads_back:
+            _await_pulse(host, board)
+        else:
+            host.say('arm')
+        time.sleep(random.choice([0.0, random.uniform(0.0, 0.1)]))
         return
     while host.say('drive') != 'driving':
         time.sleep(0.01)
@@ -87,6 +92,19 @@ def _bring_into(host: Host, board: Emulator, phase: str) -> None:
     elif phase == 'reconnecting':
         board.fault('unplug/1+1.5')
         time.sleep(random.uniform(0.2, 0.4))
+
+
+def _await_pulse(host: Host, board: Emulator) -> None:
+    """Arm, and return once a coil carries the current of the self-check."""
+    board.read()
+    before = len(board.changes)
+    asked_s = -math.inf
+    while all(zero for _, zero in board.changes[before:]):
+        if time.monotonic() - asked_s > _ARMING_S:
+            host.say('arm')  # refused until something was measured
+            asked_s = time.monotonic()
+        time.sleep(0.0005)
+        board.read()
 
 
 if __name__ == '__main__':

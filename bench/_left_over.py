@@ -31,7 +31,9 @@ def left_over(sessions: int = 30) -> int:
                                 lambda _: None)
             driver.start()
             _await(lambda: driver.arm() is None)  # noqa: B023 — called before the next is made
+            driver.command([0.0] * 4)  # nothing else flows before
             driver.command([1.0, -1.0, 0.5, 0.0])
+            _await(lambda: not board.read() and not board.changes[-1][1])
             board.fault('unplug+0.2')
             _await(lambda: not driver.gate.armed)  # noqa: B023
             driver.stop()

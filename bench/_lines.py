@@ -23,7 +23,7 @@ from bench._emulator import FULL_SCALE_A, Emulator
 from bench._served import MEASURED
 from microbot_ros.drive.amplifier import amplifier_class
 from microbot_ros.drive.coil_driver import CoilDriver
-from microbot_ros.drive.errors import PortBusyError
+from microbot_ros.drive.errors import AmplifierError
 from microbot_ros.drive.real_time import SAFETY, set_realtime_priority_of_all
 from microbot_ros.loop.allocation import GateParameters, limits
 
@@ -161,12 +161,14 @@ def _host(protocol: str, url: str) -> None:
 
 
 def _start(driver: CoilDriver) -> None:
-    """Connect; the sentinel of a host that ended holds its lines for 0.2 s more."""
+    """Connect once the lines are there, free and in order: the sentinel of a host that ended holds
+    them for 0.2 s more.
+    """
     deadline = time.monotonic() + _DEADLINE_S
     while True:
         try:
             driver.start()
-        except PortBusyError:
+        except AmplifierError:
             if time.monotonic() > deadline:
                 raise
             time.sleep(0.02)

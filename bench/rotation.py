@@ -78,6 +78,7 @@ class _Rig:
         self.amplifier.rotation = self.driver._rotation
         self.driver.start()
         until(lambda: self.driver.arm() is None)
+        self.driver.command(np.zeros(6))  # nothing else flows before
         self.rng = np.random.default_rng(0)
 
     def end(self) -> None:

@@ -506,6 +506,7 @@ class CoilDriver:
         if self.gate.armed:
             answer.set_result(None)
             return
+        self._rotation.stop()  # a stop that came just before was not sampled yet
         self._asked_s = self._clock.now()
         refusal = self.gate.arm(self._asked_s)
         self._arming = answer

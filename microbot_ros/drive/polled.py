@@ -81,6 +81,8 @@ class PolledAmplifier(Amplifier):
     """How long a device may take to answer: twice what a USB adapter holds bytes back at most."""
     gap_s = 0.0
     """The silence that ends a request, where nothing else does."""
+    zero_again = b''
+    """Request that repeats a zero while an answer is awaited; empty where a device takes none."""
 
     def __init__(self, url: str, full_scale_A: float | Sequence[float],
                  channels: int = len(COILS)) -> None:
@@ -244,9 +246,16 @@ class PolledAmplifier(Amplifier):
         self._require_lines()
         flows = bool(np.any(command.currents_A))
         ahead = self._flowing and not flows
+        beside = self.zero_again and not (flows or self._flowing or self._order)
         self._flowing, self._order = flows, command
         self.counters.frames_sent += 1
-        if ahead and (error := self._zero_lines(self.devices)) is not None:
+        error = None
+        if ahead:
+            error = self._zero_lines(self.devices)
+        elif beside and self._asked is not None:
+            self._order = None
+            error = self._send_to(dict.fromkeys(range(len(self._lines)), self.zero_again))
+        if error is not None:
             raise error
 
     def _zero_lines(self, devices: Iterable[int]) -> AmplifierError | None:
@@ -256,17 +265,26 @@ class PolledAmplifier(Amplifier):
         """
         self._flowing = False
         self.clock.sleep(self.gap_s)
-        errors, zeros = [], self._zeros()
-        for line in sorted({self._line(device) for device in devices}):
-            port, zero = self._lines[line], zeros[line]
+        zeros = self._zeros()
+        error = self._send_to({line: zeros[line] for line in sorted(map(self._line, devices))},
+                              discard=self.queues)
+        self._begin_again(self._strays())
+        return error
+
+    def _send_to(self, requests: dict[int, bytes], *, discard: bool = False,
+                 ) -> AmplifierError | None:
+        """Send each line its request, with `discard` in place of what has not gone out; return the
+        first error, once every other line was sent its own.
+        """
+        errors = []
+        for line, request in requests.items():
             try:
-                if self.queues:
-                    port.discard_output()
-                port.send(zero)
+                if discard:
+                    self._lines[line].discard_output()
+                self._lines[line].send(request)
             except UnreachableError as error:
                 errors.append(error)
         self._lose_all(errors)
-        self._begin_again(self._strays())
         return errors[0] if errors else None
 
     def _strays(self) -> Round:

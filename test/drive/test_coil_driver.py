@@ -351,10 +351,24 @@ def test_a_line_that_is_back_is_at_zero_within_a_moment(rig):
     rig.until(lambda: rig.device.flows(ZERO), SOON_S)
 
 
+def test_a_line_that_is_away_is_tried_ten_times_a_second(rig):
+    rig.device.fault('unplug')
+    rig.until(lambda: not rig.driver.connected)
+    tried = len(rig.device.opened)
+    rig.turn(1.0)
+    assert len(rig.device.opened) - tried == pytest.approx(10, abs=1)
+
+
 def test_stopping_while_the_line_is_away(rig):
     rig.device.fault('unplug')
     rig.until(lambda: not rig.driver.connected)
     assert rig.stop() is Zero.UNREACHABLE
+
+
+def test_stopping_disarms(rig):
+    rig.drive()
+    assert rig.stop() is Zero.CONFIRMED
+    assert not rig.gate.armed
 
 
 def checking(make, **options):
@@ -631,6 +645,40 @@ def test_current_that_stays_is_no_zero_and_outranks_what_stopped_it(make):
     rig.until(lambda: rig.driver.zero is Zero.CONFIRMED, SOON_S)
 
 
+def test_nothing_is_said_of_a_zero_while_one_coil_is_driven(rig):
+    rig.drive((0.0, 0.0, 0.5, 0.0))
+    assert rig.driver.zero is None
+    rig.turn(0.2)
+    assert rig.driver.zero is None
+
+
+def test_a_zero_is_awaited_until_it_is_confirmed_or_time_is_up(rig):
+    rig.drive()
+    begin_s = rig.clock.now_s
+    sent = rig.driver.request_zero()
+    assert rig.driver.await_zero(sent, 0.1) is Zero.UNREACHABLE  # as nobody sends it
+    assert rig.clock.now_s - begin_s == pytest.approx(0.1)
+    rig.until(sent.is_set)
+    begin_s = rig.clock.now_s
+    assert rig.driver.await_zero(sent, 0.1) is Zero.SENT  # as nobody reads it back
+    assert rig.clock.now_s - begin_s == pytest.approx(0.1, abs=0.003)
+    rig.turn(0.1)
+    begin_s = rig.clock.now_s
+    assert rig.driver.await_zero(sent, 0.1) is Zero.CONFIRMED
+    assert rig.clock.now_s - begin_s < 0.003
+
+
+def test_nobody_waits_for_a_zero_that_cannot_be_confirmed():
+    rig = VirtualDriver(VirtualAmplifier('sabertooth'), LIMITS, self_check=False,
+                        accept_no_feedback=True)
+    rig.connect()
+    sent = rig.driver.request_zero()
+    rig.until(sent.is_set)
+    begin_s = rig.clock.now_s
+    assert rig.driver.await_zero(sent, 0.1) is Zero.SENT
+    assert rig.clock.now_s - begin_s < 0.003
+
+
 LINES = [('scpi', line) for line in (1, 2, 3, 4)] + [('roboteq', 1), ('roboteq', 2)]
 
 
@@ -668,10 +716,10 @@ class Sentinel:
     ended: list[str] = []  # noqa: RUF012 — emptied by its fixture
 
     def __init__(self, words):
-        pass
+        self.there = True
 
     def feed(self):
-        return True
+        return self.there
 
     def dismiss(self):
         self.ended.append('dismissed')
@@ -701,6 +749,19 @@ def test_the_sentinel_is_dismissed_by_a_confirmed_zero_alone(protocol, fault, en
     assert sentinel == [end]
 
 
+def test_without_its_sentinel_the_coils_are_at_zero_and_another_begins(sentinel):
+    rig = Rig('scpi')
+    rig.driver.amplifier.last_words = lambda: [(0, b'')]
+    rig.connect().drive()
+    first = rig.driver._last_resort
+    first.there = False
+    assert 'watches' in rig.tripped(Reason.INTERNAL).detail
+    assert rig.driver._last_resort is not first
+    assert sentinel == ['dismissed']
+    rig.drive()
+    assert rig.gate.fault is None
+
+
 # Arming is asked in an epoch --------------------------------------------------------------------
 
 @pytest.mark.parametrize('stop', ['disarm', 'fault', 'trip', 'line'])
@@ -723,6 +784,16 @@ def test_arming_from_before_a_stop_is_refused(make, stop):
     assert rig.ask(epoch) == STOPPED
     assert not rig.gate.armed
     rig.arm()
+
+
+def test_an_epoch_lasts_until_something_stops_the_rig(rig):
+    rig.drive()
+    epoch = rig.driver.epoch
+    rig.turn(0.5)
+    assert rig.driver.epoch == epoch
+    rig.tripped(Reason.STALE)
+    rig.turn(0.5)
+    assert rig.driver.epoch == epoch + 1  # though the fault stands
 
 
 def test_a_stop_that_is_queued_before_arming_goes_first(make):
@@ -782,23 +853,73 @@ def test_currents_that_cancel_the_field_of_the_room_are_no_command_to_move(rig):
 
 def test_a_field_that_turns_waits_for_a_zero_too(rig):
     rig.until(lambda: rig.ask() is None)
-    turning = Turning(_array(ZERO), _array([[1.0, 0, 0], [0, 1.0, 0], [-1, 0, 0], [0, -1, 0]]),
-                      _array((0, 0, 1.0)), 30.0, _array((1.0, 0, 0)))
     for _ in range(30):
-        rig.driver.turn(turning)
+        rig.driver.turn(turning(1.0, 5.0))
         rig.turn(0.01)
     assert rig.device.flows(ZERO)
     rig.driver.command(ZERO)
     rig.turn(0.01)
     for _ in range(30):
-        rig.driver.turn(turning)
+        rig.driver.turn(turning(1.0, 5.0))
         rig.turn(0.01)
     assert rig.gate.fault is None
     assert max(abs(current) for current in rig.device.flowed[-1]) > 0.5
 
 
+def test_what_turns_goes_stale_in_time_though_the_device_is_silent(make):
+    rig = make(command_timeout_s=0.2)
+    rig.arm()
+    rig.driver.turn(turning(1.0, 5.0))
+    given_s = rig.clock.now_s
+    rig.turn(0.1)
+    rig.device.fault('silence')
+    assert rig.until(lambda: rig.gate.fault).reason is Reason.STALE
+    assert rig.clock.now_s - given_s < 0.21
+
+
+def test_a_zero_ends_what_turns(rig):
+    rig.arm()
+    rig.driver.turn(turning(1.0, 5.0))
+    rig.turn(0.1)
+    assert any(rig.device.flowed[-1])
+    rig.driver.command(ZERO)
+    rig.turn(0.01)
+    count = len(rig.device.flowed)
+    rig.turn(0.3)
+    assert rig.gate.armed
+    assert len(rig.device.flowed) == count
+    assert rig.device.flows(ZERO)
+
+
+def test_a_field_that_turned_before_a_stop_does_not_turn_after_arming(make):
+    """Though the thread sees the stop and arming at once, and a zero comes during the check."""
+    rig = make(self_check=True, command_timeout_s=60.0)
+    rig.arm()
+    rig.turn(0.01)
+    rig.driver.turn(turning(0.1, 30.0))
+    rig.turn(0.1)
+    assert any(rig.device.flowed[-1])
+    rig.driver.request_zero()
+    answer = rig.driver.request_arming(rig.driver.epoch)
+    rig.until(lambda: rig.driver.arming)
+    rig.driver.command(ZERO)
+    rig.until(answer.done)
+    assert answer.result() is None
+    count = len(rig.device.flowed)
+    rig.turn(0.5)
+    assert rig.gate.armed
+    assert {*rig.device.flowed[count:]} <= {ZERO}
+    assert rig.device.flows(ZERO)
+
+
 def _array(values):
     return np.array(values, float)
+
+
+def turning(amplitude_A, hertz):
+    """Currents of so many amperes in four coils that turn, a quarter of a turn apart."""
+    part = amplitude_A * _array([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
+    return Turning(_array(ZERO), part, _array((0, 0, 1.0)), math.tau * hertz, _array((1.0, 0, 0)))
 
 
 def test_an_operator_who_leaves_ends_the_permission(rig):
@@ -837,21 +958,47 @@ def test_the_heat_of_before_keeps_a_hot_coil_from_being_driven(make):
 
 @pytest.mark.parametrize(('amplitude_A', 'hertz', 'reason'), [
     (1.0, 5.0, None), (1.0, 24.0, None), (1.0, 26.0, Reason.SLEW), (1.3, 5.0, None)])
-def test_what_a_board_turns_is_judged_before_it_is_sent(make, amplitude_A, hertz, reason):
+def test_what_a_board_turns_is_judged_before_it_is_sent(swinging, amplitude_A, hertz, reason):
     """A sine of 1 A and 26 Hz changes by 104 A/s, whatever samples of it look like."""
-    rig = make(slew_A_per_s=100.0, command_timeout_s=60.0)
-    rig.driver.amplifier.swings = True
-    rig.arm()
-    rig.turn(0.05)
-    part = amplitude_A * _array([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
-    rig.driver.turn(Turning(_array(ZERO), part, _array((0, 0, 1.0)), math.tau * hertz,
-                            _array((1.0, 0, 0))))
+    rig, swings = swinging(slew_A_per_s=100.0, command_timeout_s=60.0)
+    rig.driver.turn(turning(amplitude_A, hertz))
     if reason is None:
         rig.turn(0.5)
         assert rig.gate.fault is None
         assert rig.driver._swinging
     else:
         rig.tripped(reason)
+    assert any(swings) == (reason is None)
+
+
+@pytest.fixture
+def swinging(make, monkeypatch):
+    """A function that makes an armed rig whose board turns by itself, and a list of whether each
+    packet let it."""
+    def swing(**limits):
+        rig, swings = make(**limits), []
+        write = rig.driver.amplifier.write
+
+        def noted(currents, tag=None, swing=None):
+            swings.append(swing is not None)
+            return write(currents, tag, swing)
+
+        monkeypatch.setattr(rig.driver.amplifier, 'write', noted)
+        rig.driver.amplifier.swings = True
+        rig.arm()
+        rig.turn(0.05)
+        return rig, swings
+    return swing
+
+
+def test_a_board_that_turns_is_stopped_as_soon_as_a_fault_comes(swinging):
+    rig, swings = swinging(command_timeout_s=0.2)
+    rig.driver.turn(turning(1.0, 5.0))
+    rig.until(lambda: any(swings))
+    assert rig.until(lambda: rig.gate.fault).reason is Reason.STALE
+    assert rig.driver._sent == ZERO
+    assert not rig.driver._swinging
+    assert not swings[-1]
 
 
 def test_requests_come_from_any_thread(rig):

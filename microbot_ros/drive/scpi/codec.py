@@ -23,8 +23,12 @@ def line(*commands: str) -> bytes:
 
 
 def current(amperes: float) -> str:
-    """The command that sets a current of `amperes`: five digits, far finer than the supply's."""
-    return f'CURR {amperes:.4E}'
+    """Return the command that sets a current of `amperes`: five digits, far finer than the
+    supply's.
+
+    Zero has an exponent so small that no bit which flips on the line makes a current of it.
+    """
+    return f'CURR {amperes:.4E}' if amperes else 'CURR 0.0E-9'
 
 
 def text(answer: bytes) -> str | None:
