@@ -16,7 +16,7 @@ import sys
 import jax
 import jax.numpy as jnp
 import numpy as np
-from mime.nodes.robot.umr_ode import pack_params, params_array_to_dict, umr_ode_rhs
+from mime.nodes.robot.umr_ode import pack_params, umr_ode_rhs
 
 SECONDS, RATE, ROBOTS = 60.0, 30, 4
 RADIUS, VISCOSITY, FIELD = 4e-6, 1e-3, 5e-3
@@ -41,8 +41,8 @@ def main() -> None:
     step_out = rng.uniform(9.0, 15.0) if steps_out else 80.0
     steps = int(SECONDS / STEP_S)
     row = np.searchsorted(begin, (np.arange(steps) + 0.5) * STEP_S, side='right') - 1
-    speed = [_speeds(frequency[row], step_out, PITCH * rng.uniform(0.8, 1.2), seed_robot)
-             for seed_robot in range(ROBOTS)]
+    speed = [_speeds(frequency[row], step_out, PITCH * rng.uniform(0.8, 1.2))
+             for _ in range(ROBOTS)]
     aim = direction[row][:, None] + rng.uniform(-math.pi, math.pi, ROBOTS)
     moved = STEP_S * np.stack(speed, axis=1) * np.exp(1j * aim)
     moved = moved + math.sqrt(2 * DIFFUSION * STEP_S) * (
@@ -57,7 +57,7 @@ def main() -> None:
              frequency=frequency)
 
 
-def _speeds(frequency: np.ndarray, step_out: float, pitch: float, _: int) -> np.ndarray:
+def _speeds(frequency: np.ndarray, step_out: float, pitch: float) -> np.ndarray:
     """Return the speed [m/s] in every step of a robot that steps out at `step_out` [Hz]."""
     drag = 8 * math.pi * VISCOSITY * RADIUS**3
     drag_of_translation = 6 * math.pi * VISCOSITY * RADIUS
@@ -66,19 +66,13 @@ def _speeds(frequency: np.ndarray, step_out: float, pitch: float, _: int) -> np.
              'm_eff': drag_of_translation * INERTIA_S, 'C_rot': drag,
              'C_prop': pitch / (2 * math.pi) * drag_of_translation,
              'C_trans': drag_of_translation}
-    template = _packed(known | {'omega_field': 0.0})
-    at = list(params_array_to_dict(template)).index('omega_field')
 
     def step(state: jax.Array, omega: jax.Array) -> tuple[jax.Array, jax.Array]:
-        state = state + STEP_S * umr_ode_rhs(state, template.at[at].set(omega))
+        state = state + STEP_S * umr_ode_rhs(state, pack_params(omega, **known))
         return state, state[2]
 
     speeds = jax.lax.scan(step, jnp.zeros(3), jnp.asarray(2 * math.pi * frequency))[1]
     return np.asarray(speeds, float)
-
-
-def _packed(known: dict[str, float]) -> jax.Array:
-    return pack_params(**known)
 
 
 if __name__ == '__main__':
