@@ -10,7 +10,7 @@ export PYTHONDONTWRITEBYTECODE :=
 WORKERS := $(shell expr $$(nproc) + 1)
 MEASURED := --cov microbot_ros --cov-report term:skip-covered --cov-report json:out/coverage.json
 
-.PHONY: setup demo test test-rig soak coverage compiled bench docs lowest lint clean
+.PHONY: setup demo test test-rig soak coverage compiled bench foreign docs lowest lint clean
 
 # The first of these that is Python 3.12 or 3.11 and can make environments.
 PYTHON := $(shell for p in python3.12 python3.11 python3; do \
@@ -67,9 +67,23 @@ lint: $(VENV)/.development
 	@$(BIN)/lint-imports --no-logo
 	@$(BIN)/python test/lint.py
 
-# Within an hour; `make bench FULL=1` takes all runs of every group, `make bench ONLY=tracker` one.
+# Within an hour; `make bench FULL=1` takes all runs of every group, `make bench ONLY=tracker` one,
+# `make bench ONLY=judge CASES=3` three sessions of each kind.
 bench: $(VENV)/.development
-	@$(BIN)/python -m bench $(if $(ONLY),--only $(ONLY)) $(if $(FULL),--full)
+	@$(BIN)/python -m bench $(if $(ONLY),--only $(ONLY)) $(if $(FULL),--full) $(if $(CASES),--cases $(CASES))
+
+# Simulators of other projects, by which discovery is judged, in an environment of their own.
+FOREIGN := out/foreign
+foreign: $(FOREIGN)/.ready
+
+$(FOREIGN)/.ready: bench/foreign/requirements.txt
+	@echo 'setting up the foreign simulators in $(FOREIGN), about 10 minutes: pystokes is compiled'
+	@[ -x $(FOREIGN)/bin/python ] || $(PYTHON) -m venv $(FOREIGN)
+	@PIP_DISABLE_PIP_VERSION_CHECK=1 $(FOREIGN)/bin/pip install --quiet 'setuptools<81' wheel \
+		'cython<4' 'numpy<3' scipy matplotlib
+	@PIP_DISABLE_PIP_VERSION_CHECK=1 $(FOREIGN)/bin/pip install --quiet --no-build-isolation \
+		--requirement bench/foreign/requirements.txt
+	@touch $@
 
 # The documents as HTML, in out/docs; what is made from the code is made anew.
 docs: $(VENV)/.development

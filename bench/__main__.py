@@ -48,13 +48,18 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog='make bench', description=__doc__)
     parser.add_argument('--only', choices=GROUPS, help='run one group, as long as it takes')
     parser.add_argument('--full', action='store_true', help='all runs of every group: many hours')
+    parser.add_argument('--cases', type=int, help='sessions of each kind that `judge` takes')
     parser.add_argument('--into', type=Path, help=argparse.SUPPRESS)
     chosen = parser.parse_args()
+    if chosen.cases is not None and (chosen.only != 'judge' or chosen.cases < 1):
+        parser.error('--cases takes a number of sessions from 1 on, and needs --only judge')
     if chosen.into:
         _write(chosen.into, importlib.import_module(f'bench.{chosen.only}').figures())
         return 0
     if chosen.full:
         os.environ['MICROBOT_BENCH_FULL'] = '1'
+    if chosen.cases is not None:
+        os.environ['MICROBOT_BENCH_CASES'] = str(chosen.cases)
     entries: list[dict[str, Any]] = []
     deadline = time.monotonic() + (math.inf if chosen.full or chosen.only else TOTAL_S)
     for group in [chosen.only] if chosen.only else GROUPS:

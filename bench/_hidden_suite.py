@@ -47,8 +47,7 @@ COMMANDS = ('paper', 'fast', 'closed_loop', 'narrow')
 class Blind:
     """A session, and what was hidden in it: parameters as people write them, and evidence λ.
 
-    `path` is where the particles really were and headed, `swarm` what they are, filmed by a
-    `camera`.
+    `path` is where the particles really were and headed, in the `experiment` that was filmed.
     """
 
     session: Session
@@ -57,8 +56,17 @@ class Blind:
     commands: str
     hidden: dict[str, Parameters]
     evidence: float
-    swarm: np.ndarray
-    camera: Camera
+    experiment: Experiment
+
+    @property
+    def swarm(self) -> np.ndarray:
+        """What the particles are without the effect (N,) of type BODY."""
+        return self.experiment.swarm
+
+    @property
+    def camera(self) -> Camera:
+        """What filmed them."""
+        return self.experiment.camera
 
     def __str__(self) -> str:
         what = f'{" + ".join(self.hidden)} at λ {self.evidence:.0f}' if self.hidden else 'nothing'
@@ -78,8 +86,9 @@ class Experiment:
 
     def film(
         self, effects: dict[str, Parameters], quiet: Commands | None = None,
+        world: Callable[[np.ndarray, np.random.Generator], World] = World,
     ) -> tuple[Session, Path]:
-        """The session and the true path with these effects.
+        """The session and the true path with these effects, in the `world` that is made.
 
         `quiet`: without diffusion, camera errors or blur, under these commands.
         """
@@ -92,7 +101,7 @@ class Experiment:
         rng = np.random.default_rng(self.chance)
         control = self.control() if quiet is None else quiet
         session, path = record_session(
-            World(swarm, rng), control, camera, self.duration, rng, self.conditions)
+            world(swarm, rng), control, camera, self.duration, rng, self.conditions)
         return session, path
 
     def apart(self, path: Path) -> bool:
@@ -124,8 +133,7 @@ def blind(
         if filmed is not None and experiment.apart(filmed[1]):
             session, path, hidden = filmed
             named = replace(session, name=f'blind-{seed}')
-            return Blind(named, path, seed, commands, hidden, evidence, experiment.swarm,
-                         experiment.camera)
+            return Blind(named, path, seed, commands, hidden, evidence, experiment)
     raise RuntimeError(f'seed {seed}: {effects} under {commands} commands always ends in contact')
 
 
