@@ -147,9 +147,12 @@ def _band(axis: Axes, prediction: Prediction, n: int, k: int) -> None:
                       label='5–95 % of the model found')
     axis.plot(t, plain, ':', color=BEFORE, lw=1.1, label='measured − first-order model')
     axis.plot(t, found, '-', color='black', lw=0.8, label='measured − model found')
-    usual, other = (float(np.nanquantile(np.abs(left), 0.9)) for left in (found, plain))
-    reach = max(1.3 * float(np.nanmax(half)), 2 * usual, min(other, 4 * usual))
-    axis.set_ylim(-reach, reach)
+    usual, other = (float(np.quantile(known, 0.9)) if (
+        known := np.abs(left[np.isfinite(left)])).size else 0.0 for left in (found, plain))
+    widest = float(np.max(half, where=np.isfinite(half), initial=0.0))
+    reach = max(1.3 * widest, 2 * usual, min(other, 4 * usual))
+    if reach > 0:
+        axis.set_ylim(-reach, reach)
     axis.tick_params(labelsize=8)
     axis.spines[['top', 'right']].set_visible(False)
 

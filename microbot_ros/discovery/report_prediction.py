@@ -22,8 +22,8 @@ class Prediction:
 
     `times` (T,) [s]; `names` of the N particles; `measured` and `without` (N, T, 2) [m] are
     against the model found and the first-order model, NaN for gaps; the model found expects nine
-    in ten coordinates within ± `band` (N, T) [m]; `elapsed` (N, T) [s] since the place that a
-    prediction started from, NaN until the particle is seen.
+    in ten coordinates within ± `band` (N, T) [m], NaN where v is not known; `elapsed` (N, T) [s]
+    since the place that a prediction started from, NaN until the particle is seen.
     """
 
     times: np.ndarray
@@ -35,8 +35,12 @@ class Prediction:
 
     @property
     def inside(self) -> float:
-        """The fraction of all measured coordinates within the band, starts left out."""
-        known = np.isfinite(self.measured) & (self.elapsed > 0)[..., None]
+        """The fraction of the measured coordinates within the band, starts left out.
+
+        NaN where no band is known.
+        """
+        known = np.isfinite(self.measured) & (
+            (self.elapsed > 0) & np.isfinite(self.band))[..., None]
         within = np.abs(self.measured) <= self.band[..., None]
         return float(within[known].mean()) if known.any() else float('nan')
 
@@ -52,8 +56,9 @@ def predict(found: Discovery, left: Residual) -> Prediction:
     measured, without, swum = (_since(x, starts) for x in (left.found, left.plain, left.path))
     elapsed = np.take(left.times, starts).T
     elapsed = np.where(starts.T >= 0, left.times - elapsed, np.nan)
+    speed_std = np.where(np.isfinite(left.speed_std), left.speed_std, np.nan)
     variance = (2 * found.diffusion.value * elapsed + 2 * found.localisation.value**2
-                + left.speed_std[:, None] ** 2 * (swum**2).sum(axis=-1))
+                + speed_std[:, None] ** 2 * (swum**2).sum(axis=-1))
     return Prediction(left.times, left.names, measured, without, EDGE * np.sqrt(variance),
                       elapsed)
 

@@ -81,6 +81,8 @@ def by_place(left: Residual, positions: np.ndarray) -> tuple[np.ndarray, ...]:
     """
     step, span = np.diff(positions, axis=0), np.diff(left.times)[:, None]
     used = np.isfinite(step[..., 0]) & ~left.jumps[1:]
+    if not used.any():
+        return np.empty((0, 2)), np.empty((0, 2)), np.empty(0)
     where, step, span = left.places[:-1][used], step[used], np.broadcast_to(span, used.shape)[used]
     low, size = where.min(axis=0), max(float(np.ptp(where, axis=0).max()), 1e-9) / PLACES
     cell = ((where - low) / size).astype(int) @ np.array([1, PLACES + 1])

@@ -14,12 +14,12 @@ import pytest
 from microbot_ros.discovery.discover import discover
 from microbot_ros.discovery.report import digests, headline, page, write_report
 from microbot_ros.discovery.report_drive import drive
+from microbot_ros.discovery.report_figures import draw_bands, embedded
 from microbot_ros.discovery.report_prediction import predict
 from microbot_ros.discovery.report_residual import by_place, residual
 from microbot_ros.discovery.report_words import chance, interval, limit, listed, number, odds
-from microbot_ros.discovery.result import Estimate, Learned, Limit
+from microbot_ros.discovery.result import Estimate, Limit
 from microbot_ros.model.effects import EFFECTS
-from microbot_ros.model.learned_term import AXES, COVARIATES, VALUES, LearnedTerm
 from microbot_ros.records import Tracks
 
 DRIFT = {'uniform_drift': {'wx_um_s': 0.8, 'wy_um_s': -0.5}}
@@ -151,6 +151,18 @@ def test_the_band_holds_how_well_speed_and_phi_are_known(drifting):
         assert band == pytest.approx(expected, rel=1e-6, abs=1e-12)
 
 
+def test_where_no_speed_is_known_no_band_is_drawn(drifting):
+    """As beside an effect at a bound at which particles stop."""
+    found, session = drifting
+    left = residual(found, session)
+    prediction = predict(found, replace(left, speed_std=np.full(3, np.inf)))
+    assert np.isnan(prediction.band).all()
+    assert np.isnan(prediction.inside)
+    assert embedded(draw_bands(prediction)).startswith('data:image')
+    nowhere = replace(left, found=np.full_like(left.found, np.nan))
+    assert [len(one) for one in by_place(nowhere, nowhere.found)] == [0, 0, 0]
+
+
 def test_predictions_start_anew_where_a_particle_jumps(drifting):
     found, session = drifting
     moved = session.tracks.position.copy()
@@ -205,22 +217,6 @@ def test_particles_that_were_left_out_are_not_drawn(drifting):
     np.testing.assert_allclose(left.found, without.found, atol=1e-12)
     np.testing.assert_allclose(left.times, without.times, atol=1e-12)
     assert 'particle 99' not in page(found, [shifted], [])
-
-
-@pytest.mark.parametrize('against', COVARIATES)
-def test_a_term_against_anything_is_drawn(drifting, against):
-    """A term against heading needs φ of the particles, one against particles their names."""
-    found, session = drifting
-    frame, acts_on = {'heading': ('heading', 'speed'), 'particle': ('heading', 'speed'),
-                      'neighbour distance': ('radial', 'velocity')}.get(
-        against, ('laboratory', 'velocity'))
-    axes = (np.linspace(-1.0, 1.0, 3),) * len(AXES[against])
-    values = np.full((3 ** len(axes), len(VALUES[frame, acts_on])), 0.1)
-    term = LearnedTerm(against, frame, acts_on, axes, values, values, values,
-                       np.ones(len(values), bool))
-    learned = replace(found, model=replace(found.model, learned=(term,)),
-                      learned=(Learned(term, '', 9.0, {}),))
-    assert 'data:image' in page(learned, [session], [])
 
 
 def test_no_drive_is_drawn_of_swimmers(drifting):
