@@ -48,6 +48,34 @@ def among_cells(
     return Film(film, truth, np.full(robots, 6.0))
 
 
+def over_texture(
+    texture: np.ndarray, frames: int = 60, robots: int = 6, seed: int = 7,
+) -> Film:
+    """Robots, absorbing discs that swim over a micrograph that creeps and is deformed.
+
+    `texture` (H, W) uint8 is the micrograph. Each of its parts goes its own way at random, some
+    pixels in the film, as living cells do; neighbours go together.
+    """
+    import cv2
+
+    rng = np.random.default_rng(seed)
+    height, width = texture.shape
+    truth = _swimmers(frames, robots, np.array([width, height]), 40.0, 2.5, rng)
+    v, u = np.mgrid[:height, :width].astype(np.float32)
+    shift = np.zeros((2, height, width), np.float32)
+    film = []
+    for t in range(frames):
+        shift += [cv2.resize(rng.normal(0, 0.15, (5, 5)).astype(np.float32), (width, height),
+                             interpolation=cv2.INTER_CUBIC) for _ in range(2)]
+        picture = cv2.remap(texture.astype(np.float32), u + shift[0], v + shift[1],
+                            cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+        shade = np.zeros(texture.shape)
+        for centre in truth[t]:
+            _draw_disc(shade, centre, 6.0, 0.7)
+        film.append(_exposed(picture * (1 - np.minimum(shade, 0.7)), 3.0, rng))
+    return Film(film, truth, np.full(robots, 6.0))
+
+
 def of_sizes(
     frames: int = 40, seed: int = 5, radii: tuple[float, ...] = (4.0, 6.3, 10.0, 16.0),
     each: int = 8, noise: float = SIZES_NOISE,

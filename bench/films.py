@@ -17,11 +17,12 @@ import cv2
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from bench._film_scenes import SIZES_NOISE, among_cells, disc_bound, of_sizes
+from bench._film_scenes import SIZES_NOISE, among_cells, disc_bound, of_sizes, over_texture
+from bench._film_scores import available, rivals, scores
 from bench._kept import run_kept
 from bench.figure import Figure
 from microbot_ros.cameras.source import Source, open_source
-from microbot_ros.cli.track_learn import Look, Point, look
+from microbot_ros.cli.track_learn import Look, Point, look, pointed
 from microbot_ros.tracking import Tracker, TrackerSettings, learn, teach
 from microbot_ros.tracking.kinds_detector import KindsDetector
 
@@ -61,7 +62,7 @@ Seen = dict[int, tuple[np.ndarray, np.ndarray]]
 def figures() -> list[Figure]:
     """All figures of pointing; those of real films only where these are."""
     cv2.setNumThreads(1)
-    found = _cells() + _sizes()
+    found = _cells() + _sizes() + (_textures() if available() else [])
     if _DATA.is_dir():
         found += _films() + _live()
     return found
@@ -239,6 +240,36 @@ def _cells() -> list[Figure]:
                       hits / max(hits + false, 1), 0.98),
             Figure(20, '10 robots among 500 cells: exchanges', switches, '', '0', 'truth',
                    switches == 0)]
+
+
+def _textures() -> list[Figure]:
+    """HOTA and IDF1 of robots over a creeping texture, one example and one counter-example.
+
+    The rivals have the least mass that scores best against the truth.
+    """
+    from skimage import data
+
+    texture = cv2.resize(data.gravel(), (560, 560)).astype(float)
+    texture = np.clip(texture.mean() + 0.6 * (texture - texture.mean()), 0, 255).astype(np.uint8)
+    film = over_texture(texture)
+    first, robot = film.frames[0], Point(0, *film.truth[0, 0].tolist())
+    samples = film.frames[::5]
+    settings, _ = pointed(TrackerSettings(), [robot], [], {0: first}, samples)
+    found = KindsDetector(settings.kinds, settings.standing).detect(first, np.empty((0, 2))).xy
+    wrong = found[np.linalg.norm(found[:, None] - film.truth[0], axis=2).min(axis=1) > 12]
+    gap = [Point(0, *wrong[0].tolist())] if len(wrong) else []
+    settings, _ = pointed(TrackerSettings(), [robot], gap, {0: first}, samples)
+    tracker, seen = Tracker(settings), {}
+    for t, frame in enumerate(film.frames):
+        poses = tracker.update(frame, t / 30)
+        seen[t] = poses.id[poses.seen], poses.xy[poses.seen]
+    ours = scores(film.truth, seen, 5.0)
+    best: dict[str, tuple[float, float]] = {}
+    for rival, theirs in rivals(film.frames, 13, 8.0):
+        best[rival] = max(best.get(rival, (0.0, 0.0)), scores(film.truth, theirs, 5.0))
+    return [Figure(35, f'robots over gravel, one example, one counter-example: {name}', ours[k],
+                   '', f'> {pair[k]:.3f}', f'{rival}, grid search', ours[k] > pair[k])
+            for rival, pair in best.items() for k, name in enumerate(('HOTA', 'IDF1'))]
 
 
 def _sizes() -> list[Figure]:
