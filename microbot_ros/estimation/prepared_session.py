@@ -47,8 +47,10 @@ STANDS_OUT = 8.0
 deviations, which chance does not reach. At half of it 1 Gaussian step in 60,000 stands out; at
 twice of it a slip of 1 µm is missed where positions scatter by 0.05 µm."""
 
-RARE = 0.05
-"""Part of the steps of a track that may stand out, two for a slip: beyond it motion is uneven."""
+SLIPS, TOUCHES = 0.05, 0.005
+"""Parts of the steps of a track that may stand out where it slips, two for each, and where it is
+cut: beyond them the motion itself is uneven, as of a dimer that leaps with every half turn. More
+than one step in 200 frames is no stage that was touched."""
 
 LARGEST_CONTACT = 15e-6
 """Particles that never came closer than this [m] did not touch."""
@@ -190,7 +192,7 @@ class PreparedSession:
     def without_slips(self) -> PreparedSession:
         """Without rows that a track jumps to and back from, as where a tracker slips for a frame.
         """
-        odd = self._odd_steps()
+        odd = self._odd_steps(SLIPS)
         out = np.zeros_like(self.seen)
         out[1:-1] = odd[:-1] & odd[1:]
         return self if not out.any() else replace(
@@ -202,21 +204,21 @@ class PreparedSession:
 
         A track that was seeded anew or a stage that was touched. The particle stays the same one.
         """
-        cut = np.concatenate([np.zeros((1, self.z.shape[1]), bool), self._odd_steps()])
+        cut = np.concatenate([np.zeros((1, self.z.shape[1]), bool), self._odd_steps(TOUCHES)])
         if not cut.any():
             return self
         number = np.cumsum(cut, axis=0)
         pieces = np.where(self.seen, self.pieces * (number.max() + 1) + number, 0)
         return replace(self, pieces=pieces, jumps=self.jumps + self._of_particles(cut))
 
-    def _odd_steps(self) -> np.ndarray:
+    def _odd_steps(self, rare: float) -> np.ndarray:
         """Steps (T − 1, N) bool that stand out of the motion around them.
 
-        Where more than RARE of the steps of a track do, that is how it moves, and none is odd.
+        Where more than `rare` of the steps of a track do, that is how it moves, and none is odd.
         """
         steps = np.where(self.joined(), np.diff(self.z, axis=0), np.nan)
         odd = np.stack([_stands_out(track, np.diff(self.times)) for track in steps.T], axis=1)
-        odd[:, odd.sum(axis=0) > RARE * np.isfinite(steps).sum(axis=0)] = False
+        odd[:, odd.sum(axis=0) > np.maximum(rare * np.isfinite(steps).sum(axis=0), 2)] = False
         return odd
 
     def _of_particles(self, rows: np.ndarray) -> np.ndarray:

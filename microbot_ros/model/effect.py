@@ -149,5 +149,15 @@ class Effect(ABC):
         """Whether the `evidence` shows its shape whole, now that it is fitted.
 
         What shows a flank only could stand in for anything smooth, and is not added to a model.
+        Nor is what has a strength at a bound that physics sets: something else is there then.
         """
+        return self.within_bounds()
+
+    def within_bounds(self) -> bool:
+        """Whether all strengths lie inside their bounds; doing nothing does, even at a bound."""
+        for p, value in self.values().items():
+            x, ends = p.to_fit(value), p.fit_bounds
+            at_an_end = np.isclose(x, ends, rtol=1e-6, atol=1e-6).any() and abs(x) > 1e-6
+            if not p.shape and (at_an_end or not ends[0] <= x <= ends[1]):
+                return False
         return True

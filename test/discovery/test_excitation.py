@@ -29,10 +29,17 @@ def test_pixels_are_no_candidate_under_commands_along_one_line(film):
     assert not fit_candidate(fitted(alone), 'pixel_anisotropy')
 
 
-@pytest.mark.parametrize(('aspect', 'seen'), [
-    (0.5, False), (0.51, True), (1.99, True), (2.0, False), (np.nan, False)])
-def test_pixels_beyond_those_of_any_camera_are_not_seen(aspect, seen):
-    assert EFFECTS['pixel_anisotropy'](aspect).shape_seen(SimpleNamespace()) == seen
+@pytest.mark.parametrize(('name', 'parameters', 'seen'), [
+    *(('pixel_anisotropy', {'aspect': x}, ok) for x, ok in (
+        (0.5, False), (0.51, True), (1.0, True), (1.99, True), (2.0, False), (np.nan, False))),
+    ('coil_gain_mismatch', {'gain_ratio': 2.5}, False),
+    ('coil_misalignment', {'skew': -1.0}, False), ('coil_misalignment', {'skew': 0.2}, True),
+    ('speed_decay', {'tau': np.inf}, True), ('speed_decay', {'tau': 1.0}, False),
+    ('command_delay', {'delay': 0.0}, True),
+    ('drive_response', {'cut_in': 0.0, 'slip': 1.0, 'step_out': 10.0}, True)])
+def test_a_strength_at_a_bound_is_not_seen(name, parameters, seen):
+    """No camera and no coil goes beyond; a slip of all the gain is a limit of the curve."""
+    assert EFFECTS[name](**parameters).shape_seen(SimpleNamespace()) == seen
 
 
 def test_rollers_burn_no_fuel(film):
@@ -44,9 +51,19 @@ def test_rollers_burn_no_fuel(film):
 @pytest.mark.parametrize(('width', 'seen'), [(19e-6, False), (21e-6, True), (np.nan, False)])
 def test_a_spot_that_is_passed_within_four_frames_is_a_step(width, seen):
     """However sure its place and its width are."""
-    positions = np.cumsum(np.full((60, 1, 2), [8e-6, 6e-6]), axis=0)
-    positions[30] = np.nan
+    row = np.cumsum(np.full((60, 1, 2), [8e-6, 6e-6]), axis=0) - [240e-6, 180e-6]
+    row[5] = np.nan
+    positions = np.concatenate([row, row[::-1], row])
     evidence = SimpleNamespace(
         recordings=[SimpleNamespace(positions=positions)],
         deviations=lambda _: dict.fromkeys(('x', 'y', 'speed', 'width'), 0.0))
     assert EFFECTS['hot_spot'](0.0, 0.0, 1e-6, width).shape_seen(evidence) == seen
+
+
+@pytest.mark.parametrize(('passes', 'seen'), [(1, False), (2, False), (3, True)])
+def test_a_spot_that_was_passed_but_once_or_twice_is_an_event(passes, seen):
+    row = np.linspace(-500e-6, 500e-6, 400)[:, None, None] * np.array([1.0, 0.0])
+    evidence = SimpleNamespace(
+        recordings=[SimpleNamespace(positions=np.concatenate([row, row[::-1], row][:passes]))],
+        deviations=lambda _: dict.fromkeys(('x', 'y', 'speed', 'width'), 0.0))
+    assert EFFECTS['hot_spot'](0.0, 0.0, 1e-6, 10e-6).shape_seen(evidence) == seen

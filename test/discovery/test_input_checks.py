@@ -225,6 +225,15 @@ def test_motion_is_never_cut(film, hidden, rolling):
         assert prepared.jumps.sum() == 0
 
 
+def test_a_body_that_leaps_with_every_turn_is_not_cut(film):
+    """That is how it moves."""
+    session, _ = film(7, duration=20.0)
+    tracks = session.tracks
+    leaps = np.floor(2.0 * tracks.t)[:, None] * np.array([3e-6, 0.0])
+    (prepared,), _ = check_sessions([moved(session, lambda position: position + leaps)])
+    assert prepared.jumps.sum() == 0
+
+
 def test_frames_before_the_first_field_are_left_out(film):
     session, _ = film(4, duration=10.0)
     late = replace(session.commands, t=session.commands.t + 3.0)

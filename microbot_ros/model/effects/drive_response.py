@@ -60,6 +60,10 @@ class DriveResponse(Effect):
     def degrees_of_freedom(cls, evidence: Evidence) -> int:
         return min(len(cls.parameters()), len(evidence.frequencies) - 1)
 
+    def shape_seen(self, evidence: Evidence) -> bool:
+        """At the bounds too: they are limits of the curve, as a slip of all the gain."""
+        return True
+
     @classmethod
     def starts(cls, evidence: Evidence) -> Sequence[Self]:
         f = evidence.recordings[0].commands.frequency

@@ -19,6 +19,10 @@ _WIDTHS = (3, 5, 8, 12, 20)
 PASSED = 4
 """Frames in which a particle has to be within a width of the spot, on its way through it."""
 
+VISITS, LITTLE = 3, 0.1
+"""Times that particles come within two widths, and part of all rows, below which what happens
+there has happened but once or twice."""
+
 
 @dataclass(frozen=True)
 class HotSpot(Effect):
@@ -65,6 +69,14 @@ class HotSpot(Effect):
     def _near(self, other: Self) -> bool:
         return bool(np.hypot(self.x - other.x, self.y - other.y) <= max(self.width, other.width))
 
+    def _inside(self, recorded: Recorded) -> np.ndarray:
+        """Rows (T, N) bool within two widths, which is as far as the spot reaches."""
+        if recorded.positions is None:
+            return np.zeros((1, 1), bool)
+        away = recorded.positions - np.array([self.x, self.y])
+        inside: np.ndarray = np.hypot(*np.moveaxis(away, -1, 0)) < 2 * self.width
+        return inside
+
     def trials(self, evidence: Evidence) -> float:
         """Chance is shared out evenly over octaves of width, since a spot may be of any size.
 
@@ -78,10 +90,16 @@ class HotSpot(Effect):
     def shape_seen(self, evidence: Evidence) -> bool:
         """Not where only the far slope was passed: it stands in for anything smooth.
 
-        Nor where particles cross it within PASSED frames: that is a step of a track.
+        Nor where particles cross it within PASSED frames, which is a step of a track, or came
+        by on fewer than VISITS occasions for little of the time, which is an event.
         """
         std = evidence.deviations(self)
-        if self.width < PASSED / 2 * max(_step(recorded) for recorded in evidence.recordings):
+        recordings = evidence.recordings
+        if not self.width > PASSED / 2 * max(_step(recorded) for recorded in recordings):
+            return False
+        inside = [self._inside(recorded) for recorded in recordings]
+        visits = sum(np.count_nonzero(np.diff(one, axis=0, prepend=False) & one) for one in inside)
+        if visits < VISITS and max(one.mean() for one in inside) < LITTLE:
             return False
         within = all(p.low < value < p.high for p, value in self.values().items())
         placed = 3 * std['width'] < self.width > max(std['x'], std['y'])

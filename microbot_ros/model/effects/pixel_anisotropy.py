@@ -38,8 +38,3 @@ class PixelAnisotropy(Effect):
     def applies(cls, evidence: Evidence) -> bool:
         """Whether commands turn far enough: along one line, speeds absorb it."""
         return not evidence.absorbs(cls(1.01))
-
-    def shape_seen(self, evidence: Evidence) -> bool:
-        """Not at a bound: then something else stretches the motion."""
-        aspect, = self.parameters()
-        return aspect.low < self.aspect < aspect.high
