@@ -77,11 +77,9 @@ FOREIGN := out/foreign
 foreign: $(FOREIGN)/.ready
 
 $(FOREIGN)/.ready: bench/foreign/requirements.txt
-	@echo 'setting up the foreign simulators in $(FOREIGN), about 10 minutes: pystokes is compiled'
+	@echo 'setting up the foreign simulators in $(FOREIGN), about a minute'
 	@[ -x $(FOREIGN)/bin/python ] || $(PYTHON) -m venv $(FOREIGN)
-	@PIP_DISABLE_PIP_VERSION_CHECK=1 $(FOREIGN)/bin/pip install --quiet 'setuptools<81' wheel \
-		'cython<4' 'numpy<3' scipy matplotlib
-	@PIP_DISABLE_PIP_VERSION_CHECK=1 $(FOREIGN)/bin/pip install --quiet --no-build-isolation \
+	@PIP_DISABLE_PIP_VERSION_CHECK=1 $(FOREIGN)/bin/pip install --quiet \
 		--requirement bench/foreign/requirements.txt
 	@touch $@
 
