@@ -54,7 +54,7 @@ def _film(case: Case) -> Session:
         with np.load(file) as made:
             tracks = as_tracks(made['t'], made['position'])
             commands = Commands(made['command_t'], _FIELD * unit(made['direction']),
-                                made['frequency'] if 'frequency' in made else None)
+                                made.get('frequency'))
     propulsion = 'catalytic' if commands.frequency is None else 'rolling'
     conditions = Conditions(propulsion, frame_rate=30.0, reference_field=_FIELD)
     return Session(tracks, commands, conditions, f'{case.kind} {case.seed}')
