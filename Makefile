@@ -77,9 +77,11 @@ FOREIGN := out/foreign
 foreign: $(FOREIGN)/.ready
 
 $(FOREIGN)/.ready: bench/foreign/requirements.txt
-	@echo 'setting up the foreign simulators in $(FOREIGN), about a minute'
+	@echo 'setting up the foreign simulators in $(FOREIGN), about 10 minutes: pystokes is compiled'
 	@[ -x $(FOREIGN)/bin/python ] || $(PYTHON) -m venv $(FOREIGN)
 	@PIP_DISABLE_PIP_VERSION_CHECK=1 $(FOREIGN)/bin/pip install --quiet \
+		'setuptools<80' wheel cython numpy scipy
+	@PIP_DISABLE_PIP_VERSION_CHECK=1 $(FOREIGN)/bin/pip install --quiet --no-build-isolation \
 		--requirement bench/foreign/requirements.txt
 	@touch $@
 

@@ -160,10 +160,11 @@ def scrutinised(known: Hypotheses, judgement: Judgement,
                 report: Callable[[str], None] = lambda _: None) -> Judgement:
     """The `judgement` on what is `known` once a term was looked for that no name explains.
 
-    Beside the model, and in place of its fields of place together. The evidence of a term is a
-    Bayes factor like that of a name, and pays for all that were looked at; maps see less of what
-    is spread over time and place. What is surely there, but in a shape that was not seen, has no
-    name either: the flank of a spot beside a flow may be any field of place.
+    `report` is told what is being done. A term is looked for beside the model, and in place of its
+    fields of place together. The evidence of a term is a Bayes factor like that of a name, and
+    pays for all that were looked at; maps see less of what is spread over time and place. What is
+    surely there, but in a shape that was not seen, has no name either: the flank of a spot beside
+    a flow may be any field of place.
     """
     if found := _in_place_of_fields(known, report):
         return replace(judgement, left=(_as_map(found), *judgement.left), unlisted=True)

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from microbot_ros.estimation.batch import _against_stokes_einstein
-from microbot_ros.estimation.noise import Noise
+from microbot_ros.estimation.noise import Noise, implausible_diffusion
 from microbot_ros.estimation.report import beside
-from microbot_ros.records import Commands, Conditions, Session, Tracks
+from microbot_ros.records import Conditions
 
 
 @pytest.mark.parametrize(('angle', 'other', 'drawn'), [
@@ -23,9 +22,7 @@ def test_an_angle_is_drawn_beside_the_one_that_it_is_compared_with(angle, other,
 def test_more_motion_than_diffusion_points_to_what_is_missing(factor, said, unsaid):
     conditions = Conditions('catalytic', radius=4.6e-6, viscosity=1.245e-3, temperature=298.15)
     nothing = np.empty(0)
-    session = Session(Tracks(nothing, nothing, nothing, nothing, nothing),
-                      Commands(nothing, np.empty((0, 2))), conditions)
-    (sentence,) = _against_stokes_einstein(
-        session, Noise(3.81e-14 * factor, 1e-7, diffusion_std=1e-16))
+    (sentence,) = implausible_diffusion(
+        conditions, Noise(3.81e-14 * factor, 1e-7, diffusion_std=1e-16))
     assert said in sentence
     assert not unsaid or unsaid not in sentence
