@@ -21,7 +21,6 @@ def test_an_angle_is_drawn_beside_the_one_that_it_is_compared_with(angle, other,
     (8.0, 'microbot discover', None), (0.2, 'viscosity', 'discover')])
 def test_more_motion_than_diffusion_points_to_what_is_missing(factor, said, unsaid):
     conditions = Conditions('catalytic', radius=4.6e-6, viscosity=1.245e-3, temperature=298.15)
-    nothing = np.empty(0)
     (sentence,) = implausible_diffusion(
         conditions, Noise(3.81e-14 * factor, 1e-7, diffusion_std=1e-16))
     assert said in sentence
