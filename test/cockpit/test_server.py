@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import time
@@ -327,7 +328,10 @@ class TestAttended:
     """Armed on condition that somebody is there: heartbeats for the driver, which judges."""
 
     def test_heartbeats_of_the_page_in_control_go_to_the_driver(self, served: Any) -> None:
-        with served.page() as page, served.page() as viewer:
+        with contextlib.ExitStack() as pages:
+            page = pages.enter_context(served.page())
+            page.until(lambda message: message['kind'] == 'state')  # and so in control
+            viewer = pages.enter_context(served.page())
             page.say('heartbeat')
             assert page.ask('arm', attended=True)['ok']
             assert [name for _, name, _ in served.rig.calls] == ['attend', 'arm']

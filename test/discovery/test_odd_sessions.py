@@ -128,7 +128,7 @@ def test_an_effect_at_its_bound(film, swimmers, judged, name, end):
     part = predictable_part(prepared[0], model)
     fit = fit_noise(evaluate(model, [part], [Whitening(part.interval)]))
     known, last = Intervals(fit, complete=False), fit.session_fits[0]
-    entry = NamedEffect(name, 'suggested', known.effect(name), 1.0, 0.1, np.nan)
+    entry = NamedEffect(name, 'suggested', known.effect(name), 1.0, 2.0, 0.1)
     json.dumps(entry.as_json(), allow_nan=False)
     assert 'nan' not in entry.sentence()
     main = last.session.main

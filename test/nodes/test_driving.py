@@ -23,7 +23,8 @@ from microbot_ros.nodes.driven_rig import DrivenRig
 from microbot_ros.nodes.graph_client import GraphClient
 from microbot_ros.records import Session
 
-SHORT = Plan(np.array([0.0, 2.0, 4.0, 1.0]), np.full(4, FIELD), np.full(4, 0.5))
+# A process that is held up skips what it had no time for: each field lasts longer than that.
+SHORT = Plan(np.array([0.0, 2.0, 4.0, 1.0]), np.full(4, FIELD), np.full(4, 1.0))
 LONG = Plan(np.array([0.0, 2.0]), np.full(2, FIELD), np.full(2, 30.0))
 
 
