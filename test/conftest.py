@@ -33,9 +33,11 @@ os.environ.setdefault('MPLBACKEND', 'Agg')
 # As `microbot discover` does: several threads for matrices of a hundred rows make only heat.
 os.environ.setdefault('OMP_NUM_THREADS', '1')
 
-# `nohup` ignores SIGHUP, and children inherit what is ignored, but no handler.
-if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
-    signal.signal(signal.SIGHUP, lambda *_: None)
+# `nohup` ignores SIGHUP, and a script SIGINT for what it runs in the background. Children inherit
+# what is ignored, but no handler.
+for number in (signal.SIGHUP, signal.SIGINT):
+    if signal.getsignal(number) is signal.SIG_IGN:
+        signal.signal(number, lambda *_: None)
 
 # The same examples on every run, and no deadline: how long one takes depends on the machine.
 hypothesis.settings.register_profile(
