@@ -173,12 +173,12 @@ class CoilDriverNode(RigNode):
 
     def _condition_of_coils(self) -> tuple[bytes, str]:
         gate, zero = self._driver.gate, self._zero_sentence(self._driver.zero)
-        if gate.fault and gate.fault.reason is Reason.IDLE:
-            return WARN, f'disarmed: {gate.fault.detail}; {zero}'
-        if gate.fault:
+        if gate.fault and gate.fault.reason is not Reason.IDLE:
             return ERROR, f'disarmed, {_told(gate.fault)}; {zero}'
         if not self._driver.connected:
             return ERROR, f'amplifier lost at {self.settings.port}, reconnecting; {zero}'
+        if gate.fault:
+            return WARN, f'disarmed: {gate.fault.detail}; {zero}'
         if not gate.armed:
             return ERROR if self._driver.zero_overdue else WARN, f'disarmed; {zero}'
         if self._driver.arming:
