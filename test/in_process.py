@@ -155,6 +155,9 @@ class Ros:
         while not true():
             assert time.monotonic() < deadline, 'did not happen'
             self._executor.spin_once(timeout_sec=0.01)
+            # A test that commands in `true` must not flood the line faster than the emulated
+            # amplifier, a thread of this process, reads it.
+            time.sleep(0.001)
 
     def hear(self, kind: type, topic: str, qos: Any = 100) -> list[Any]:
         """Return a list that fills with the messages of a topic."""
