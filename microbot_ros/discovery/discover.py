@@ -55,8 +55,10 @@ def discover(sessions: Sequence[Session],
     prepared, remarks = check_sessions(sessions)
     run: Run = partial(in_processes, jobs=jobs) if jobs > 1 else serially
     known = consider(prepared, (), report, run)
+    report('mapping what is left')
+    judgement = judge(known, run)
     report('asking whether something is there that no name explains')
-    judgement = scrutinised(known, judge(known, run), report)
+    judgement = scrutinised(known, judgement, report)
     return conclude(known, judgement, remarks, report, truth, run)
 
 
@@ -68,10 +70,8 @@ def conclude(known: Hypotheses, judgement: Judgement, remarks: tuple[str, ...],
     `remarks` on the sessions come before those on the result; `report`, `truth` and `run` as for
     `discover` and `judge`.
     """
-    report('mapping what is left')
     fit, start = known.fit, known.start
-    before = residual_maps(start, run)
-    after = residual_maps(fit, run) if fit.model.effects else before
+    before = residual_maps(start, run) if known.slots else judgement.maps
     complete = judgement.verdict != 'unnamed'
     intervals = Intervals(fit, complete)
     effects = [NamedEffect(
@@ -81,7 +81,7 @@ def conclude(known: Hypotheses, judgement: Judgement, remarks: tuple[str, ...],
     learned = None if complete else _learned(known, report)
     if learned:
         fit = learned.fit
-        intervals = Intervals(fit, complete)
+        intervals = Intervals(fit, complete=False)
     report('predicting what was held out')
     sessions = [p.session for p in start.session_fits]
     return Discovery(
@@ -89,7 +89,7 @@ def conclude(known: Hypotheses, judgement: Judgement, remarks: tuple[str, ...],
         effects=tuple(sorted(effects, key=lambda e: -e.log_evidence)),
         gap=held_out_gap(fit, sessions, truth, run,
                          partial(relearn, learned.findings) if learned else None),
-        maps_before=before, maps_after=after,
+        maps_before=before, maps_after=judgement.maps,
         unexplained=_worst([*judgement.left, *judgement.beside]),
         considered=tuple(Considered(
             one.id, one.evidence, one.found.likelihood_ratio, one.found.dof,

@@ -53,6 +53,11 @@ CLEARLY = 3.0
 """The same for a rival whose shape was not seen."""
 
 
+def likelier_than_not() -> float:
+    """Log evidence from which an effect, any of the library, is rather there than not."""
+    return float(np.log(len(EFFECTS)))
+
+
 def log_bayes_factor(found: CandidateFit) -> float:
     """Natural log of the odds that what was seen gives an effect, against the fit without it."""
     return _log_evidence(found.fit, [found.id], found.likelihood_ratio) - _price(
@@ -172,7 +177,7 @@ class Hypotheses:
         if not self.slots:
             return 0.0
         return joint_log_bayes_factor(self.fit, self.start, [s.own.found for s in self.slots]) - (
-            len(self.slots) * float(np.log(len(EFFECTS))))
+            len(self.slots) * likelier_than_not())
 
     def odds(self) -> dict[str, float]:
         """The probability of each effect of the library to be there, and of none ('').
@@ -219,16 +224,11 @@ def consider(sessions: Sequence[PreparedSession], taken: Sequence[str] = (),
         better = _exchange(slots)
         if better is None:
             more = _candidates(fit, [name for name in EFFECTS if name not in present], run)
-            if not more or more[0].evidence < _worth() or len(present) >= MOST:
+            if not more or more[0].evidence < likelier_than_not() + WORTH or len(present) >= MOST:
                 break
             better = more[0].found.fit.model
         fit = fit_sessions(better, sessions)
     return Hypotheses(start, fit, slots, more)
-
-
-def _worth() -> float:
-    """Log evidence from which an effect is taken into the model."""
-    return float(np.log(len(EFFECTS)) + WORTH)
 
 
 def _slots(fit: ModelFit, run: Run) -> tuple[Slot, ...]:
@@ -245,7 +245,7 @@ def _exchange(slots: Sequence[Slot]) -> Model | None:
     """The model with an effect less that is not worth it, or with a likelier rival in its place.
     """
     for slot in slots:
-        if slot.own.evidence < np.log(len(EFFECTS)):
+        if slot.own.evidence < likelier_than_not():
             return slot.rest.model
         for rival in slot.rivals:
             if slot.behind(rival) < (-LIKELIER if rival.found.shape_seen else -CLEARLY):

@@ -275,8 +275,8 @@ class Discovery:
     not supported; `baseline`: every particle under the final model, with `diffusion` [m²/s] and
     `localisation` [m], means over sessions; `next_experiment`, None where nothing is open;
     `remarks`: sentences.
-    `unexplained` are maps that fire with the final model, and maps of it less one effect that
-    explain more than this effect does: the worst first. `learned`: terms for what is unnamed,
+    `unexplained`: what no effect explains, and what is small beside one, the worst first.
+    `learned`: terms for what is unnamed,
     parts of the model.
     """
 

@@ -20,7 +20,9 @@ from microbot_ros.discovery.hypotheses import (
     RIVAL,
     Candidate,
     Hypotheses,
+    Slot,
     joint_log_bayes_factor,
+    likelier_than_not,
 )
 from microbot_ros.discovery.learned.learn import Finding, learn_term, with_term
 from microbot_ros.discovery.processes import Run, serially
@@ -28,11 +30,6 @@ from microbot_ros.discovery.result import FRAMES, ResidualMap, Status, Verdict
 from microbot_ros.discovery.score_tests import residual_maps
 from microbot_ros.discovery.search import without
 from microbot_ros.model.effects import EFFECTS
-
-LOOKALIKE = dict.fromkeys(('uniform_drift', 'linear_flow', 'hot_spot'), 210.0) | {
-    'speed_decay': 54.0}
-"""Seconds for which a field of place or a change in time that no name has may look like these:
-particles must have been elsewhere, or some time must have gone by, for the difference to show."""
 
 BETTER = 2.0
 """Log p by which a map has to explain more than an effect, to put it in doubt."""
@@ -44,12 +41,7 @@ its prediction then errs by √0.02, a seventh, of what it errs by without the e
 
 def enough() -> float:
     """Log evidence from which an effect is named: the chance FALSE, over the whole library."""
-    return float(np.log(len(EFFECTS) / FALSE))
-
-
-def likelier_than_not() -> float:
-    """Log evidence from which an effect, any of the library, is rather there than not."""
-    return float(np.log(len(EFFECTS)))
+    return likelier_than_not() - float(np.log(FALSE))
 
 
 @dataclass(frozen=True)
@@ -61,7 +53,7 @@ class Judgement:
     worst first; `beside`: what is left too, but decides nothing: steps that were cut out, and what
     is small beside a named effect; `unlisted`: whether a term was learned that shows what is left;
     `early`: names that had not the time yet to show that they are the same everywhere, or all
-    along.
+    along; `maps`: all of what the model leaves.
     """
 
     named: tuple[str, ...]
@@ -71,6 +63,7 @@ class Judgement:
     beside: tuple[ResidualMap, ...] = ()
     unlisted: bool = False
     early: tuple[str, ...] = ()
+    maps: tuple[ResidualMap, ...] = ()
 
     @property
     def settled(self) -> bool:
@@ -97,43 +90,40 @@ class Judgement:
 
 def judge(known: Hypotheses, run: Run = serially) -> Judgement:
     """What follows from what is `known`; `run` shares the maps."""
-    named = tuple(slot.own.id for slot in known.slots
-                  if slot.own.evidence >= enough() and slot.own.found.shape_seen)
+    named = tuple(slot.own.id for slot in _likely(known) if slot.own.found.shape_seen)
     open_ = {slot.own.id: tuple(one.id for one in slot.within_reach)
              for slot in known.slots if slot.own.id in named}
     pending = [slot.own.id for slot in known.slots if slot.own.id not in named]
     pending += [one.id for one in known.more if one.evidence > likelier_than_not()]
-    left, beside = _left(known, named, run)
-    return Judgement(named, open_, tuple(pending), left, beside)
+    maps = residual_maps(known.fit, run)
+    left, beside = _left(known, named, maps, run)
+    return Judgement(named, open_, tuple(pending), left, beside, maps=maps)
 
 
-def too_early(named: Sequence[str], times: np.ndarray) -> tuple[str, ...]:
-    """Of the names `named` those that what is in no list may look like for longer than all frames
-    last, whose `times` (T,) [s] these are."""
-    return tuple(name for name in named if np.ptp(times) < LOOKALIKE.get(name, 0.0))
+def _likely(known: Hypotheses) -> list[Slot]:
+    """The effects of the model whose evidence is enough for a name."""
+    return [slot for slot in known.slots if slot.own.evidence >= enough()]
 
 
-def _left(known: Hypotheses, named: Sequence[str],
+def _left(known: Hypotheses, named: Sequence[str], maps: Sequence[ResidualMap],
           run: Run) -> tuple[tuple[ResidualMap, ...], tuple[ResidualMap, ...]]:
-    """Maps that fire beside the model, or explain more than an effect of it does.
+    """Of the `maps` those that fire beside the model, and what explains more than an effect of it.
 
     First those that keep a name back, then those that do not: what was cut out of the fit, and
     all that fire beside the model where the worst of them is small beside a named effect.
     """
-    maps = [m for m in residual_maps(known.fit, run) if m.fires]
-    left, cut_out = [m for m in maps if not m.cut_out], [m for m in maps if m.cut_out]
+    left = [m for m in maps if m.fires and not m.cut_out]
+    beside = [m for m in maps if m.fires and m.cut_out]
     worst = max(left, key=_excess, default=None)
     doubts, small = [], False
-    for slot in known.slots:
-        if slot.own.evidence < enough():
-            continue
+    for slot in _likely(known):
         alone = residual_maps(slot.rest, run)
-        most = slot.own.found.log_p + np.log(len(EFFECTS)) - BETTER
+        most = slot.own.found.log_p + likelier_than_not() - BETTER
         doubts += [m for m in alone if m.fires and not m.cut_out and m.log_p < most]
         small |= bool(worst and slot.own.id in named and _is_small(worst, slot.own, alone))
     if small:
-        left, cut_out = [], left + cut_out
-    return _by_chance(left + doubts), _by_chance(cut_out)
+        left, beside = [], left + beside
+    return _by_chance(left + doubts), _by_chance(beside)
 
 
 def _is_small(worst: ResidualMap, own: Candidate, without_it: Sequence[ResidualMap]) -> bool:
@@ -174,8 +164,8 @@ def scrutinised(known: Hypotheses, judgement: Judgement,
         if not judgement.left and 2 * found.gain < SMALL * shown:
             return replace(judgement, beside=(_as_map(found), *judgement.beside))
         return replace(judgement, left=(_as_map(found), *judgement.left), unlisted=True)
-    unseen = [_in_no_shape(slot.own) for slot in known.slots
-              if slot.own.evidence >= enough() and not slot.own.found.shape_seen]
+    unseen = [_in_no_shape(slot.own) for slot in _likely(known)
+              if not slot.own.found.shape_seen]
     return replace(judgement, left=(*judgement.left, *unseen))
 
 

@@ -56,7 +56,6 @@ class Port:
             if getattr(error, 'errno', None) in (errno.EBUSY, errno.EAGAIN):
                 raise PortBusyError(url) from None
             raise PortMissingError(url, str(error)) from None
-        self._watched = url.startswith('spy:')  # pyserial logs what goes through its own methods
         self.low_latency = request_low_latency(self._serial)
         """Whether the system hands over every byte at once."""
 
@@ -68,7 +67,8 @@ class Port:
         """
         with self._named():
             descriptor = self.descriptor
-            if descriptor is None or self._watched:
+            # pyserial's spy logs what goes through its own methods alone.
+            if descriptor is None or self.url.startswith('spy:'):
                 self._serial.write(data)
                 return
             while data:

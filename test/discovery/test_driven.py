@@ -38,7 +38,7 @@ from microbot_ros.discovery.driven.drive import (
 from microbot_ros.discovery.driven.joined import PAUSE, SETTLING, join
 from microbot_ros.discovery.driven.page import section
 from microbot_ros.discovery.driven.plan import Plan, marking_time
-from microbot_ros.discovery.driven.questions import likeliest, questions
+from microbot_ros.discovery.driven.questions import likeliest, questions, too_early
 from microbot_ros.discovery.hypotheses import (
     SCALES,
     Candidate,
@@ -49,7 +49,7 @@ from microbot_ros.discovery.hypotheses import (
 from microbot_ros.discovery.learned.learn import learn_term
 from microbot_ros.discovery.report import headline
 from microbot_ros.discovery.search import compare, fit_candidate, without
-from microbot_ros.discovery.verdict import Judgement, enough, judge, scrutinised, too_early
+from microbot_ros.discovery.verdict import Judgement, enough, judge, scrutinised
 from microbot_ros.estimation.model_fit import fit_sessions
 from microbot_ros.estimation.prepared_session import prepare
 from microbot_ros.model.effects import EFFECTS

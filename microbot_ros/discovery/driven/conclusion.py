@@ -9,10 +9,10 @@ from typing import Any
 from microbot_ros.discovery.discover import conclude
 from microbot_ros.discovery.driven.drive import Driven
 from microbot_ros.discovery.driven.joined import join
+from microbot_ros.discovery.driven.questions import LOOKALIKE
 from microbot_ros.discovery.input_checks import check_sessions
 from microbot_ros.discovery.report_words import words
 from microbot_ros.discovery.result import Discovery
-from microbot_ros.discovery.verdict import LOOKALIKE
 from microbot_ros.records import Session
 
 

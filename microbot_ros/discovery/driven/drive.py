@@ -11,11 +11,18 @@ import numpy as np
 from microbot_ros.discovery.driven.design import Design, Range, choose_plan, random_steps
 from microbot_ros.discovery.driven.joined import join
 from microbot_ros.discovery.driven.plan import Plan
-from microbot_ros.discovery.driven.questions import hopeless, likeliest, questions, search, twins
+from microbot_ros.discovery.driven.questions import (
+    hopeless,
+    likeliest,
+    questions,
+    search,
+    too_early,
+    twins,
+)
 from microbot_ros.discovery.hypotheses import Hypotheses, consider
 from microbot_ros.discovery.input_checks import check_sessions
 from microbot_ros.discovery.report_words import words
-from microbot_ros.discovery.verdict import Judgement, judge, scrutinised, too_early
+from microbot_ros.discovery.verdict import Judgement, judge, scrutinised
 from microbot_ros.errors import InputError
 from microbot_ros.records import Session
 
