@@ -17,7 +17,7 @@ from typing import Any
 import hypothesis
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))
+sys.path[:0] = [str(Path(__file__).parent / 'harness'), str(Path(__file__).parent)]
 
 from domains import own_domain
 from retries import Retries
