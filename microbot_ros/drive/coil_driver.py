@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.real_time import set_realtime_priority
 from microbot_ros.drive.amplifier import (
     COILS,
     READ_BACK_S,
@@ -28,10 +30,8 @@ from microbot_ros.drive.amplifier import (
 from microbot_ros.drive.errors import AmplifierError
 from microbot_ros.drive.gate import Currents, Fault, Gate, Limits, Reason
 from microbot_ros.drive.last_resort import LastResort
-from microbot_ros.drive.real_time import set_realtime_priority
 from microbot_ros.drive.rotation import Rotation, Turning
 from microbot_ros.drive.self_check import SelfCheck
-from microbot_ros.errors import InputError
 
 _TICK_S = 0.005
 """How late the dead-man can be, beside the gate's own times."""

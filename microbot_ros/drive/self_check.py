@@ -11,9 +11,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from microbot_ros.common.errors import InputError
 from microbot_ros.drive.amplifier import COILS
 from microbot_ros.drive.gate import Currents, Limits
-from microbot_ros.errors import InputError
 
 _PULSE = 3
 """The pulse is so many times what a reading may deviate by; half a gain is then off by 1.5 of
