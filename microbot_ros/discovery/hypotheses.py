@@ -30,8 +30,8 @@ from scipy.special import logsumexp
 from microbot_ros.discovery.learned.learn import Finding, learn_term
 from microbot_ros.discovery.processes import Run, serially
 from microbot_ros.discovery.search import CandidateFit, compare, search, without
-from microbot_ros.estimation.model_fit import ModelFit, fit_sessions, fit_with_noise
-from microbot_ros.estimation.prepared_session import PreparedSession
+from microbot_ros.estimation.likelihood.model_fit import ModelFit, fit_sessions, fit_with_noise
+from microbot_ros.estimation.likelihood.prepared_session import PreparedSession
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model
 

@@ -20,12 +20,12 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.settings import defaults
 from microbot_ros.nodes.account import Account
 from microbot_ros.nodes.messages import MessageError, to_seconds
 from microbot_ros.nodes.parameters import ParameterSet, refuse_unknown
 from microbot_ros.nodes.rig import HangingError, Outlet, Rig
-from microbot_ros.settings import defaults
 
 # Small messages: deep enough for a replay at many times real time.
 RELIABLE = QoSProfile(depth=200)

@@ -22,9 +22,9 @@ from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
 from rclpy.time import Time
 
+from microbot_ros.common.errors import InputError
 from microbot_ros.control.deadline_worker import Call, DeadlineWorker, HungError, LateError
-from microbot_ros.control.policy import EXECUTED_FILE
-from microbot_ros.errors import InputError
+from microbot_ros.control.plugins.policy import EXECUTED_FILE
 from microbot_ros.nodes.account import Account
 from microbot_ros.nodes.lifecycle import RELIABLE, RigNode
 from microbot_ros.nodes.process import NODES

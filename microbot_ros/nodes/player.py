@@ -17,7 +17,8 @@ from rclpy.client import Client
 from rclpy.serialization import deserialize_message
 from std_srvs.srv import SetBool, Trigger
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.settings import setting
 from microbot_ros.nodes.lifecycle import OK, RigNode
 from microbot_ros.nodes.live_rig import LiveRig
 from microbot_ros.nodes.playback_publishers import PlaybackPublishers
@@ -26,7 +27,6 @@ from microbot_ros.session.lockstep import LockStep, frame_topic, header_stamp_ns
 from microbot_ros.session.playback import Playback, open_source
 from microbot_ros.session.recording import Message, is_topic
 from microbot_ros.session.replay_order import ReplayOrder
-from microbot_ros.settings import setting
 
 _CLOCK_SECONDS = 0.01
 _SETTLED_SECONDS = 0.5

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from microbot_ros import strict_yaml
-from microbot_ros.control.policy import EXECUTED_FILE
-from microbot_ros.errors import InputError
+from microbot_ros.common import strict_yaml
+from microbot_ros.common.errors import InputError
+from microbot_ros.control.plugins.policy import EXECUTED_FILE
 from microbot_ros.nodes.graph import Graph
 from microbot_ros.nodes.offline import alone, end_offline, make_offline
 from microbot_ros.nodes.recorder import keep_parameters

@@ -14,8 +14,9 @@ from geometry_msgs.msg import PoseArray, Vector3Stamped
 from sensor_msgs.msg import Image, MagneticField, PointCloud2
 from std_msgs.msg import String
 
-from microbot_ros import units
-from microbot_ros.errors import InputError
+from microbot_ros.common import units
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.settings import setting
 from microbot_ros.loop.tracker import TrackerParameters, TrackerStage
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.felt_rotation import follow_rotation
@@ -29,7 +30,6 @@ from microbot_ros.nodes.lifecycle import (
     WARN,
     RigNode,
 )
-from microbot_ros.settings import setting
 from microbot_ros.tracking import FrameError
 
 

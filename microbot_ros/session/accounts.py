@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import NamedTuple
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 from microbot_ros.session.lockstep import header_stamp_ns
 from microbot_ros.session.playback import Source
 from microbot_ros.session.recording import Message

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from microbot_ros.discovery.check.input_checks import check_sessions
 from microbot_ros.discovery.hypotheses import (
     Candidate,
     Slot,
@@ -15,12 +16,11 @@ from microbot_ros.discovery.hypotheses import (
     joint_log_bayes_factor,
     log_bayes_factor,
 )
-from microbot_ros.discovery.input_checks import check_sessions
 from microbot_ros.discovery.search import contribution, fit_candidate
 from microbot_ros.discovery.verdict import judge
-from microbot_ros.model.effects.command_delay import CommandDelay
-from microbot_ros.model.effects.speed_decay import SpeedDecay
-from microbot_ros.model.effects.uniform_drift import UniformDrift
+from microbot_ros.model.effects.field.command_delay import CommandDelay
+from microbot_ros.model.effects.velocity.speed_decay import SpeedDecay
+from microbot_ros.model.effects.velocity.uniform_drift import UniformDrift
 
 
 @pytest.fixture(scope='module')

@@ -28,20 +28,20 @@ from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import MagneticField, PointCloud2
 
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.records import Commands, Conditions, Session, Tracks
 from microbot_ros.control.contract import Controller, ControllerInput, FieldCommand
-from microbot_ros.control.controller_manager import ControllerManager
 from microbot_ros.control.deadline_worker import DeadlineWorker
-from microbot_ros.control.policy import OnnxPolicy
+from microbot_ros.control.manager import ControllerManager
+from microbot_ros.control.plugins.policy import OnnxPolicy
 from microbot_ros.control.testkit import controller_input
-from microbot_ros.errors import InputError
 from microbot_ros.estimation.batch import fit
-from microbot_ros.estimation.online import Estimates, Estimator
+from microbot_ros.estimation.online.estimator import Estimates, Estimator
 from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes import messages, process
 from microbot_ros.nodes.account import NotingWorker
 from microbot_ros.nodes.offline import ScriptedWorker, alone, end_offline, make_offline
 from microbot_ros.nodes.replay_check import ReplayCheck, plan_replay, recorded_parameters
-from microbot_ros.records import Commands, Conditions, Session, Tracks
 from microbot_ros.session import RecordingWriter, open_recording, read_session
 from microbot_ros.session.accounts import BUSY, CHANGE, HUNG, IN_TIME, LATE
 from microbot_ros.session.cloud import cloud_table

@@ -7,7 +7,7 @@ import struct
 import pytest
 from recordings import Listed, vector
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 from microbot_ros.session.accounts import (
     HEALED_NS,
     Doubt,
