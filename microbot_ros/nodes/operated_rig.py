@@ -182,7 +182,7 @@ class OperatedRig(RigView):
         except ValueError as error:
             raise RefusedError(str(error)) from None
         await self._perform(self._client.set('controller', **{name: value}))
-        return f'{name} is set'
+        return f'{name} is {value} now'
 
     async def teach(self, order: str) -> Answer:
         """Show the tracker an example, by an `order` as its service takes it."""
@@ -207,7 +207,7 @@ class OperatedRig(RigView):
             line = f'{datetime.now():%H:%M:%S} {text}'
             await self._perform(self._client.set(
                 'recorder', notes='\n'.join(filter(None, [before, line]))))
-        return 'notes is set'
+        return 'it is in the recording'
 
     def _is_recording(self) -> bool:
         recording = self.recording()
