@@ -59,7 +59,7 @@ coverage:
 # Compile once what several processes need, before they start; what was compiled of the same
 # sources, in whatever clone, is not compiled again.
 compiled: $(VENV)/.development
-	@$(BIN)/python test/warm.py
+	@$(BIN)/python test/harness/warm.py
 
 lint: $(VENV)/.development
 	@$(BIN)/ruff check .

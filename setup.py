@@ -38,6 +38,12 @@ nodes = [
     'virtual_rig',
 ]
 
+amplifiers = {
+    'serial_transfer': 'SerialTransferAmplifier', 'scpi': 'ScpiAmplifier',
+    'sabertooth': 'SabertoothAmplifier', 'roboclaw': 'RoboclawAmplifier',
+    'modbus': 'ModbusAmplifier', 'roboteq': 'RoboteqAmplifier',
+}
+
 setup(
     name=package_name,
     version='0.1.0',
@@ -73,28 +79,24 @@ setup(
             *(f'{node}_node = microbot_ros.nodes.process:script' for node in nodes),
         ],
         'microbot_ros.controllers': [
-            'ensemble = microbot_ros.control.ensemble:Ensemble',
-            'experiment = microbot_ros.control.experiment:Experiment',
-            'formation = microbot_ros.control.formation:Formation',
-            'hold = microbot_ros.control.hold:Hold',
-            'manual = microbot_ros.control.manual:Manual',
-            'open_loop = microbot_ros.control.open_loop:OpenLoop',
-            'path_following = microbot_ros.control.path_following:PathFollowing',
-            'policy = microbot_ros.control.policy:Policy',
-            'predictive = microbot_ros.control.predictive:Predictive',
-            'pushing = microbot_ros.control.pushing:Pushing',
-            'roller = microbot_ros.control.roller:Roller',
-            'swarm = microbot_ros.control.swarm:Swarm',
-            'teleop = microbot_ros.control.teleop:Teleop',
-            'waypoint = microbot_ros.control.waypoint:Waypoint',
+            'ensemble = microbot_ros.control.plugins.ensemble:Ensemble',
+            'experiment = microbot_ros.control.plugins.experiment:Experiment',
+            'formation = microbot_ros.control.plugins.formation:Formation',
+            'hold = microbot_ros.control.plugins.hold:Hold',
+            'manual = microbot_ros.control.plugins.manual:Manual',
+            'open_loop = microbot_ros.control.plugins.open_loop:OpenLoop',
+            'path_following = microbot_ros.control.plugins.path_following:PathFollowing',
+            'policy = microbot_ros.control.plugins.policy:Policy',
+            'predictive = microbot_ros.control.plugins.predictive:Predictive',
+            'pushing = microbot_ros.control.plugins.pushing:Pushing',
+            'roller = microbot_ros.control.plugins.roller:Roller',
+            'swarm = microbot_ros.control.plugins.swarm:Swarm',
+            'teleop = microbot_ros.control.plugins.teleop:Teleop',
+            'waypoint = microbot_ros.control.plugins.waypoint:Waypoint',
         ],
         'microbot_ros.amplifiers': [
-            'serial_transfer = microbot_ros.drive.serial_transfer.driver:SerialTransferAmplifier',
-            'scpi = microbot_ros.drive.scpi.driver:ScpiAmplifier',
-            'sabertooth = microbot_ros.drive.sabertooth.driver:SabertoothAmplifier',
-            'roboclaw = microbot_ros.drive.roboclaw.driver:RoboclawAmplifier',
-            'modbus = microbot_ros.drive.modbus.driver:ModbusAmplifier',
-            'roboteq = microbot_ros.drive.roboteq.driver:RoboteqAmplifier',
+            f'{protocol} = microbot_ros.drive.amplifiers.{protocol}.driver:{driver}'
+            for protocol, driver in amplifiers.items()
         ],
         'microbot_ros.cameras': [
             'aravis = microbot_ros.cameras.aravis:AravisCamera',

@@ -29,7 +29,7 @@ from rich.table import Table
 
 import bench
 from bench.figure import Figure, Timing
-from microbot_ros.files import write_text
+from microbot_ros.common.files import write_text
 
 GROUPS = sorted(
     module.name for module in pkgutil.iter_modules(bench.__path__)

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 
 from bench._estimation_runs import FIELD, FLUID, RADIUS
-from microbot_ros.files import write_text
-from microbot_ros.records import Conditions, Session
+from microbot_ros.common.files import write_text
+from microbot_ros.common.records import Conditions, Session
 from microbot_ros.session import write_session
 from microbot_ros.virtual_rig.commands import steps
 from microbot_ros.virtual_rig.injected_effects import inject_effect

@@ -43,8 +43,8 @@ from microbot_ros.discovery.driven.joined import join
 from microbot_ros.discovery.driven.plan import Plan
 from microbot_ros.discovery.hypotheses import log_bayes_factor
 from microbot_ros.discovery.search import CandidateFit, search
-from microbot_ros.estimation.model_fit import ModelFit, fit_sessions
-from microbot_ros.estimation.prepared_session import prepare
+from microbot_ros.estimation.likelihood.model_fit import ModelFit, fit_sessions
+from microbot_ros.estimation.likelihood.prepared_session import prepare
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model
 

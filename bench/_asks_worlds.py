@@ -9,9 +9,9 @@ import numpy as np
 from bench._driven_rig import SimulatedRig
 from bench._hidden_effects import KINDS, Hideout, Parameters
 from bench._hidden_suite import FIELD, FLUID, Experiment, Yardstick
+from microbot_ros.common.records import Conditions
 from microbot_ros.control.contract import Workspace
 from microbot_ros.discovery.driven.design import Range, random_steps
-from microbot_ros.records import Conditions
 from microbot_ros.virtual_rig.injected_effects import inject_effect
 from microbot_ros.virtual_rig.record_session import Camera, draw_swarm
 from microbot_ros.virtual_rig.world import World

@@ -16,7 +16,7 @@ import rclpy
 from rclpy.time import Time
 from sensor_msgs.msg import Image
 
-from microbot_ros.drive.real_time import LOOP, set_realtime_priority_of_all
+from microbot_ros.common.real_time import LOOP, set_realtime_priority_of_all
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.graph import READY
 from microbot_ros.nodes.lifecycle import IMAGES_OUT

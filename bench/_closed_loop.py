@@ -20,9 +20,9 @@ from microbot_ros.control.contract import (
     Limits,
     Workspace,
 )
-from microbot_ros.control.controller_manager import ControllerManager
+from microbot_ros.control.manager import ControllerManager
 from microbot_ros.model.model import Model
-from microbot_ros.model.particle import Fluid, rotational_drag
+from microbot_ros.model.physics.particle import Fluid, rotational_drag
 from microbot_ros.virtual_rig.body import bodies
 from microbot_ros.virtual_rig.injected_effects import inject_effect
 from microbot_ros.virtual_rig.world import FieldHistory, World

@@ -14,14 +14,14 @@ import numpy as np
 
 from bench._hidden_suite import FLUID, Blind
 from bench._score_card import Case, one_each, truths
+from microbot_ros.common.records import Session
 from microbot_ros.discovery.intervals import Intervals
 from microbot_ros.discovery.result import Estimate
 from microbot_ros.discovery.search import fit_candidate
-from microbot_ros.estimation.model_fit import ModelFit, fit_sessions
-from microbot_ros.estimation.prepared_session import prepare
+from microbot_ros.estimation.likelihood.model_fit import ModelFit, fit_sessions
+from microbot_ros.estimation.likelihood.prepared_session import prepare
 from microbot_ros.model.model import Model
-from microbot_ros.model.particle import stokes_drag
-from microbot_ros.records import Session
+from microbot_ros.model.physics.particle import stokes_drag
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from microbot_ros.drive.amplifiers.serial_transfer import codec
+from microbot_ros.drive.amplifiers.serial_transfer.emulated import Board
 from microbot_ros.drive.emulator.coils import Coils
 from microbot_ros.drive.emulator.faults import Fault, Faults
 from microbot_ros.drive.gate import Currents, Gate, Limits
-from microbot_ros.drive.serial_transfer import codec
-from microbot_ros.drive.serial_transfer.emulated import Board
 
 ZERO = (0.0,) * 4
 

@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
+from microbot_ros.common.records import Commands, Conditions, Session, Tracks
 from microbot_ros.control.contract import Workspace
 from microbot_ros.discovery.driven.design import Range
 from microbot_ros.discovery.driven.drive import Played
 from microbot_ros.discovery.driven.plan import Plan, marking_time
-from microbot_ros.records import Commands, Conditions, Session, Tracks
 from microbot_ros.virtual_rig.record_session import Camera, as_tracks, detection_errors, picture
 from microbot_ros.virtual_rig.world import FieldHistory, World
 

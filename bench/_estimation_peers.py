@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from microbot_ros.estimation.expected_displacement import ExpectedDisplacement
+from microbot_ros.common.records import Session
+from microbot_ros.estimation.likelihood.expected_displacement import ExpectedDisplacement
 from microbot_ros.model.model import Model
 from microbot_ros.model.timeline import Timeline
-from microbot_ros.records import Session
 
 
 @dataclass(frozen=True)

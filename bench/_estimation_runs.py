@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from microbot_ros.estimation.expected_displacement import ExpectedDisplacement
-from microbot_ros.estimation.likelihood import SessionFit, Whitening
-from microbot_ros.estimation.online import Estimates, Estimator, Settings
-from microbot_ros.estimation.prepared_session import PreparedSession
+from microbot_ros.common.records import Conditions, Session, Tracks
+from microbot_ros.estimation.likelihood.expected_displacement import ExpectedDisplacement
+from microbot_ros.estimation.likelihood.joint import SessionFit, Whitening
+from microbot_ros.estimation.likelihood.prepared_session import PreparedSession
+from microbot_ros.estimation.online.estimator import Estimates, Estimator, Settings
 from microbot_ros.model.first_order import simulate
 from microbot_ros.model.model import Model, ParticleParameters
-from microbot_ros.model.particle import Fluid, translational_diffusion
-from microbot_ros.records import Conditions, Session, Tracks
+from microbot_ros.model.physics.particle import Fluid, translational_diffusion
 from microbot_ros.session import read_session
 from microbot_ros.virtual_rig.commands import Herding, steps
 from microbot_ros.virtual_rig.record_session import Camera, as_tracks, draw_swarm, record_session

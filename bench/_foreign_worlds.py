@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from bench._judge_cases import Case
-from microbot_ros.model.vectors import unit
-from microbot_ros.records import Commands, Conditions, Session
+from microbot_ros.common.records import Commands, Conditions, Session
+from microbot_ros.model.physics.vectors import unit
 from microbot_ros.virtual_rig.record_session import as_tracks
 
 PYTHON = Path('out/foreign/bin/python')

@@ -18,15 +18,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
+from microbot_ros.drive.amplifiers.modbus import codec as modbus
+from microbot_ros.drive.amplifiers.roboclaw import codec as roboclaw
+from microbot_ros.drive.amplifiers.roboteq import codec as roboteq
+from microbot_ros.drive.amplifiers.sabertooth import codec as sabertooth
+from microbot_ros.drive.amplifiers.scpi import codec as scpi
+from microbot_ros.drive.amplifiers.serial_transfer import codec as serial_transfer
 from microbot_ros.drive.emulator.coils import Coils
 from microbot_ros.drive.emulator.device import Device
 from microbot_ros.drive.emulator.process import DEVICES, make_device
-from microbot_ros.drive.modbus import codec as modbus
-from microbot_ros.drive.roboclaw import codec as roboclaw
-from microbot_ros.drive.roboteq import codec as roboteq
-from microbot_ros.drive.sabertooth import codec as sabertooth
-from microbot_ros.drive.scpi import codec as scpi
-from microbot_ros.drive.serial_transfer import codec as serial_transfer
 
 FULL_SCALE_A = 2.0
 _QUESTION = b'\x80\x31'

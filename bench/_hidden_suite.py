@@ -17,16 +17,16 @@ from functools import cached_property
 import numpy as np
 
 from bench._hidden_effects import KINDS, LISTED, Hideout, Parameters
-from microbot_ros.estimation.noise import Noise, whiten
-from microbot_ros.estimation.prepared_session import distances
+from microbot_ros.common.records import Commands, Conditions, Session
+from microbot_ros.common.units import to_si
+from microbot_ros.estimation.likelihood.noise import Noise, whiten
+from microbot_ros.estimation.likelihood.prepared_session import distances
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.increments import increments, respond
-from microbot_ros.model.langevin import Path
 from microbot_ros.model.model import Model, ParticleParameters
-from microbot_ros.model.particle import Fluid
+from microbot_ros.model.physics.langevin import Path
+from microbot_ros.model.physics.particle import Fluid
 from microbot_ros.model.timeline import Timeline
-from microbot_ros.records import Commands, Conditions, Session
-from microbot_ros.units import to_si
 from microbot_ros.virtual_rig.commands import Herding, steps
 from microbot_ros.virtual_rig.dynamics import roll_frequency
 from microbot_ros.virtual_rig.injected_effects import inject_effect

@@ -15,12 +15,12 @@ import numpy as np
 from bench._hidden_effects import LISTED
 from bench._hidden_suite import COMMANDS, FLUID, Blind, blind
 from bench._nuisances import NUISANCES, differing_sizes
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.files import write_text
+from microbot_ros.common.records import Session
 from microbot_ros.discovery.discover import discover
-from microbot_ros.discovery.report import write_report
-from microbot_ros.errors import InputError
-from microbot_ros.files import write_text
-from microbot_ros.model.model_file import write_model
-from microbot_ros.records import Session
+from microbot_ros.discovery.report.page import write_report
+from microbot_ros.model.io.model_file import write_model
 
 EVIDENCE = 100.0
 """λ of an effect in the session without the nuisance: at 40 one in ten would be missed anyway."""

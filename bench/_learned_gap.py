@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from bench._unlisted_worlds import Filmed
-from microbot_ros.discovery import held_out
-from microbot_ros.discovery.input_checks import check_sessions
-from microbot_ros.estimation.model_fit import ModelFit, fit_sessions
-from microbot_ros.estimation.prepared_session import PreparedSession
+from microbot_ros.discovery.check import held_out
+from microbot_ros.discovery.check.input_checks import check_sessions
+from microbot_ros.estimation.likelihood.model_fit import ModelFit, fit_sessions
+from microbot_ros.estimation.likelihood.prepared_session import PreparedSession
 from microbot_ros.model.model import Model
 
 Foretold = tuple[ModelFit, np.ndarray | float]

@@ -23,10 +23,10 @@ import numpy as np
 
 from bench._learned_gap import Foretold, first_order, gaps, only_session
 from bench._unlisted_worlds import film
-from microbot_ros.discovery import held_out
-from microbot_ros.estimation.likelihood import eliminate, inner
-from microbot_ros.estimation.model_fit import ModelFit
-from microbot_ros.estimation.prepared_session import PreparedSession
+from microbot_ros.discovery.check import held_out
+from microbot_ros.estimation.likelihood.joint import eliminate, inner
+from microbot_ros.estimation.likelihood.model_fit import ModelFit
+from microbot_ros.estimation.likelihood.prepared_session import PreparedSession
 
 MICRO = 1e6
 LONGEST = 15

@@ -10,9 +10,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from bench._emulator import FULL_SCALE_A, Emulator
+from microbot_ros.drive.amplifiers.serial_transfer.driver import SerialTransferAmplifier
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.gate import Limits
-from microbot_ros.drive.serial_transfer.driver import SerialTransferAmplifier
 
 _LIMITS = Limits(current_A=FULL_SCALE_A, step_A=4.0, slew_A_per_s=1e4, command_timeout_s=0.08,
                  deviation_A=0.2, settling_s=0.1, feedback_timeout_s=0.2,

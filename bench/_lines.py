@@ -21,10 +21,10 @@ from pathlib import Path
 
 from bench._emulator import FULL_SCALE_A, Emulator
 from bench._served import MEASURED
+from microbot_ros.common.real_time import SAFETY, set_realtime_priority_of_all
 from microbot_ros.drive.amplifier import amplifier_class
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.errors import AmplifierError
-from microbot_ros.drive.real_time import SAFETY, set_realtime_priority_of_all
 from microbot_ros.loop.allocation import GateParameters, limits
 
 DELAYS_MS = (1, 4, 16)

@@ -42,13 +42,13 @@ TESTS = {
                 'test_roboclaw'], ''),
     'last_resort': (['test_sentinel'], ''),
     'sentinel': (['test_sentinel'], ''),
-    'serial_transfer.driver': (['test_amplifiers', 'test_lines', 'test_serial_transfer_driver'],
-                               'serial_transfer'),
-    'roboclaw.driver': (['test_roboclaw', 'test_amplifiers', 'test_lines'], 'roboclaw'),
-    'sabertooth.driver': (['test_sabertooth'], ''),
-    'modbus.driver': (['test_modbus', 'test_amplifiers', 'test_lines'], 'modbus'),
-    'roboteq.driver': (['test_roboteq', 'test_amplifiers', 'test_lines'], 'roboteq'),
-    'scpi.driver': (['test_scpi', 'test_amplifiers', 'test_lines'], 'scpi'),
+    'amplifiers.serial_transfer.driver': (
+        ['test_amplifiers', 'test_lines', 'test_serial_transfer_driver'], 'serial_transfer'),
+    'amplifiers.roboclaw.driver': (['test_roboclaw', 'test_amplifiers', 'test_lines'], 'roboclaw'),
+    'amplifiers.sabertooth.driver': (['test_sabertooth'], ''),
+    'amplifiers.modbus.driver': (['test_modbus', 'test_amplifiers', 'test_lines'], 'modbus'),
+    'amplifiers.roboteq.driver': (['test_roboteq', 'test_amplifiers', 'test_lines'], 'roboteq'),
+    'amplifiers.scpi.driver': (['test_scpi', 'test_amplifiers', 'test_lines'], 'scpi'),
 }
 """Every module that can hold the coils on, its tests, and which of them: those of a protocol."""
 

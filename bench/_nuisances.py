@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from microbot_ros.model.particle import Fluid, rotational_drag, stokes_drag
-from microbot_ros.records import Session, Tracks
+from microbot_ros.common.records import Session, Tracks
+from microbot_ros.model.physics.particle import Fluid, rotational_drag, stokes_drag
 from microbot_ros.virtual_rig.world import FieldHistory, World
 
 OUTLIERS = 0.01

@@ -11,10 +11,10 @@ import warnings
 
 import numpy as np
 
+from microbot_ros.common.records import Session
 from microbot_ros.model.increments import as_vectors, respond
 from microbot_ros.model.model import Model
 from microbot_ros.model.timeline import Timeline
-from microbot_ros.records import Session
 
 THRESHOLDS = np.geomspace(3e-3, 1.0, 9)
 BLOCKS = 4

@@ -18,7 +18,7 @@ from sensor_msgs.msg import Image, JointState, TimeReference
 from visualization_msgs.msg import MarkerArray
 
 from bench._emulator import FULL_SCALE_A, Emulator
-from microbot_ros.errors import RigError
+from microbot_ros.common.errors import RigError
 from microbot_ros.nodes.graph import Graph
 from microbot_ros.nodes.graph_client import GraphClient
 from microbot_ros.nodes.process import processes

@@ -13,12 +13,12 @@ import numpy as np
 
 from bench._hidden_effects import LISTED, UNLISTED
 from bench._hidden_suite import COMMANDS, FIELD, Blind, blind
+from microbot_ros.common.records import Session
+from microbot_ros.common.units import to_si
 from microbot_ros.discovery.discover import discover
 from microbot_ros.discovery.result import Discovery, Estimate
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model
-from microbot_ros.records import Session
-from microbot_ros.units import to_si
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from microbot_ros.common.records import Session
 from microbot_ros.model.increments import as_vectors, respond
 from microbot_ros.model.model import Model
 from microbot_ros.model.timeline import Timeline
-from microbot_ros.records import Session
 
 LATE = 0.1
 """Seconds by which the motion is shifted for the term of lags and delays."""

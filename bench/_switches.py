@@ -31,8 +31,8 @@ from microbot_ros.control.contract import (
     ParticleLostError,
     no_field,
 )
-from microbot_ros.control.controller_manager import ControllerManager
-from microbot_ros.control.predictive import PredictiveParameters
+from microbot_ros.control.manager import ControllerManager
+from microbot_ros.control.plugins.predictive import PredictiveParameters
 from microbot_ros.control.registry import controller_classes
 from microbot_ros.control.testkit import controller_input
 from microbot_ros.model.model import Model

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bench._hidden_suite import FIELD, FLUID, Experiment, Yardstick
-from microbot_ros.records import Commands, Conditions, Session
+from microbot_ros.common.records import Commands, Conditions, Session
 from microbot_ros.virtual_rig.commands import steps
 from microbot_ros.virtual_rig.record_session import Camera, draw_swarm, record_session
 from microbot_ros.virtual_rig.world import FieldHistory, World

@@ -109,7 +109,7 @@ import sys
 from pathlib import Path
 from microbot_ros.archive.measure import measure
 from microbot_ros.discovery.discover import discover
-from microbot_ros.model.effect_table import write_effects
+from microbot_ros.model.io.effect_table import write_effects
 from microbot_ros.session import read_session
 
 for path in sorted(Path(sys.argv[1]).rglob('tracks.csv')):

@@ -35,7 +35,7 @@ from bench._kept import run_kept
 from bench.figure import Figure, sized
 from microbot_ros.discovery.driven.design import Design, Question, Range, Search, random_steps
 from microbot_ros.discovery.driven.drive import Driven, drive
-from microbot_ros.estimation.model_fit import ModelFit
+from microbot_ros.estimation.likelihood.model_fit import ModelFit
 from microbot_ros.model.effects import EFFECTS
 
 ISSUE = 18

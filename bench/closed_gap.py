@@ -21,13 +21,13 @@ import numpy as np
 
 from bench._closed_loop import FIELD, FLUID, QUICK, Loop
 from bench.figure import Figure
+from microbot_ros.common.records import Conditions, Session
 from microbot_ros.control.contract import ControllerInput
-from microbot_ros.control.predictive import Predictive
+from microbot_ros.control.plugins.predictive import Predictive
 from microbot_ros.discovery.discover import discover
-from microbot_ros.estimation.online import Estimator
+from microbot_ros.estimation.online.estimator import Estimator
 from microbot_ros.model.model import Model
-from microbot_ros.model.particle import rotational_drag
-from microbot_ros.records import Conditions, Session
+from microbot_ros.model.physics.particle import rotational_drag
 from microbot_ros.virtual_rig.body import bodies
 from microbot_ros.virtual_rig.commands import steps
 from microbot_ros.virtual_rig.injected_effects import inject_effect

@@ -23,7 +23,7 @@ from bench import _browser, _rig
 from bench._emulator import Emulator
 from bench.figure import Figure
 from microbot_ros.cockpit.address import WORDS
-from microbot_ros.errors import RigError
+from microbot_ros.common.errors import RigError
 from microbot_ros.nodes.graph import Graph
 from microbot_ros.nodes.graph_client import GraphClient
 from microbot_ros.nodes.lifecycle import IMAGES_IN

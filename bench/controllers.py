@@ -11,15 +11,15 @@ from bench._closed_loop import FIELD, Loop
 from bench._switches import switched
 from bench.figure import Figure
 from microbot_ros.control.contract import Controller, ControllerInput, Goals
-from microbot_ros.control.drift_compensator import DriftCompensator
-from microbot_ros.control.ensemble import Ensemble
-from microbot_ros.control.path_following import PathFollowing
-from microbot_ros.control.predictive import Predictive, PredictiveParameters
-from microbot_ros.control.route import Route
-from microbot_ros.control.shared import as_complex, best_displacement, floor
-from microbot_ros.control.waypoint import Waypoint
-from microbot_ros.model.effects.hydrodynamic_slowdown import HydrodynamicSlowdown
-from microbot_ros.model.effects.uniform_drift import UniformDrift
+from microbot_ros.control.planning.route import Route
+from microbot_ros.control.planning.shared import as_complex, best_displacement, floor
+from microbot_ros.control.plugins.ensemble import Ensemble
+from microbot_ros.control.plugins.path_following import PathFollowing
+from microbot_ros.control.plugins.predictive import Predictive, PredictiveParameters
+from microbot_ros.control.plugins.waypoint import Waypoint
+from microbot_ros.control.steering.drift_compensator import DriftCompensator
+from microbot_ros.model.effects.velocity.hydrodynamic_slowdown import HydrodynamicSlowdown
+from microbot_ros.model.effects.velocity.uniform_drift import UniformDrift
 from microbot_ros.model.model import Model
 
 ISSUE = 7

@@ -31,7 +31,7 @@ from bench._score_card import (
     unlisted_cases,
 )
 from bench.figure import Figure, sized
-from microbot_ros.files import write_text
+from microbot_ros.common.files import write_text
 
 
 def figures() -> list[Figure]:
@@ -179,7 +179,7 @@ def _time() -> Figure:
     from threadpoolctl import threadpool_limits
 
     from microbot_ros.discovery.discover import discover
-    from microbot_ros.discovery.report import write_report
+    from microbot_ros.discovery.report.page import write_report
 
     session = next(
         b.session for seed in range(100)

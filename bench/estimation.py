@@ -24,10 +24,10 @@ from bench._estimation_runs import (
     told_of_change,
 )
 from bench.figure import Figure, sized
+from microbot_ros.common.records import Conditions
 from microbot_ros.estimation.batch import fit
 from microbot_ros.estimation.one_leg_regression import one_leg
-from microbot_ros.estimation.online import Estimator
-from microbot_ros.records import Conditions
+from microbot_ros.estimation.online.estimator import Estimator
 
 ISSUE = 4
 RUNS = sized(400, 60)

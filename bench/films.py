@@ -22,9 +22,10 @@ from bench._film_scores import available, rivals, scores
 from bench._kept import run_kept
 from bench.figure import Figure
 from microbot_ros.cameras.source import Source, open_source
-from microbot_ros.cli.track_learn import Look, Point, look, pointed
-from microbot_ros.tracking import Tracker, TrackerSettings, learn, teach
-from microbot_ros.tracking.kinds_detector import KindsDetector
+from microbot_ros.cli.track.learn import Look, Point, look, pointed
+from microbot_ros.tracking import Tracker, TrackerSettings, learn
+from microbot_ros.tracking.locate.kinds_detector import KindsDetector
+from microbot_ros.tracking.teach import teacher
 
 _ROOT = Path(__file__).parents[1]
 _DATA = _ROOT.parent / 'shared' / 'data'
@@ -217,7 +218,7 @@ def _trackpy(film: str, known: dict[int, list[Mark]], held: set[int]
 
 def _cells() -> list[Figure]:
     film = among_cells()
-    settings, _ = teach.like(TrackerSettings(), film.frames[0], *film.truth[0, 0])
+    settings, _ = teacher.like(TrackerSettings(), film.frames[0], *film.truth[0, 0])
     tracker = Tracker(settings)
     hits = false = switches = 0
     last: dict[int, int] = {}
@@ -275,7 +276,7 @@ def _textures() -> list[Figure]:
 def _sizes() -> list[Figure]:
     """Errors of discs of four sizes in one field, one example, over what their noise allows."""
     film = of_sizes()
-    settings, _ = teach.like(TrackerSettings(), film.frames[0],
+    settings, _ = teacher.like(TrackerSettings(), film.frames[0],
                              *film.truth[0, len(film.radius) // 3])
     detector = KindsDetector(settings.kinds)
     off = np.full(film.truth.shape, np.nan)
@@ -296,11 +297,11 @@ def _sizes() -> list[Figure]:
 def _live() -> list[Figure]:
     images = [frame.image for frame, _ in zip(_open('mickyroll1').frames(), range(60),
                                               strict=False)]
-    settings, _ = teach.like(TrackerSettings(), images[0], *_EXAMPLE['mickyroll1'])
+    settings, _ = teacher.like(TrackerSettings(), images[0], *_EXAMPLE['mickyroll1'])
     spent = []
     for _ in range(7):
         start = time.process_time()
-        teach.like(TrackerSettings(), images[0], *_EXAMPLE['mickyroll1'])
+        teacher.like(TrackerSettings(), images[0], *_EXAMPLE['mickyroll1'])
         spent.append(time.process_time() - start)
     tracker, each = Tracker(settings), []
     for t, image in enumerate(images):

@@ -22,7 +22,7 @@ from bench._judge_cases import Judged, checking_cases, judge, tuning_cases
 from bench._score_card import run
 from bench.discovery import interval
 from bench.figure import Figure, sized
-from microbot_ros.files import write_text
+from microbot_ros.common.files import write_text
 
 ISSUE = 34
 CASES = int(os.environ.get('MICROBOT_BENCH_CASES', sized(25, 1)))

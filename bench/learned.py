@@ -23,8 +23,8 @@ from bench._learned_gap import Foretold, first_order, gaps, only_session
 from bench._unlisted_worlds import KINDS, Filmed, HiddenWorld, Law, film
 from bench.discovery import interval
 from bench.figure import Figure, sized
-from microbot_ros.control.predictive import Predictive
-from microbot_ros.discovery import held_out
+from microbot_ros.control.plugins.predictive import Predictive
+from microbot_ros.discovery.check import held_out
 from microbot_ros.discovery.discover import discover
 from microbot_ros.discovery.learned.candidates import accumulated, steps
 from microbot_ros.discovery.learned.learn import learn_terms, relearn, told

@@ -15,13 +15,13 @@ import numpy as np
 
 from bench import _rig
 from bench.figure import Figure, sized
+from microbot_ros.common.records import Commands
 from microbot_ros.control.contract import Goals
 from microbot_ros.loop.controller import ControllerParameters
 from microbot_ros.loop.loop import Loop, LoopParameters
 from microbot_ros.loop.tracker import TrackerParameters
 from microbot_ros.magnetics import Allocator, CoilSet
-from microbot_ros.model.particle import Fluid
-from microbot_ros.records import Commands
+from microbot_ros.model.physics.particle import Fluid
 from microbot_ros.virtual_rig import simulation
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 from microbot_ros.virtual_rig.record_session import draw_swarm

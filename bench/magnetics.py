@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from bench.figure import Figure, seconds
-from microbot_ros.files import read_yaml
+from microbot_ros.common.files import read_yaml
 from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings
 
 _CONFIG = Path(__file__).parents[1] / 'config'

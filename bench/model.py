@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from bench.figure import Figure, seconds
-from microbot_ros.model.effects.alignment_lag import AlignmentLag
-from microbot_ros.model.effects.background_field import BackgroundField
+from microbot_ros.common.records import Commands
+from microbot_ros.model.effects.field.background_field import BackgroundField
+from microbot_ros.model.effects.heading.alignment_lag import AlignmentLag
 from microbot_ros.model.first_order import simulate
 from microbot_ros.model.increments import increments
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.timeline import Timeline
-from microbot_ros.records import Commands
 
 _FIELD = 2e-3
 

@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from bench.figure import Figure, seconds
+from microbot_ros.common.records import Commands
 from microbot_ros.model.first_order import simulate
-from microbot_ros.model.langevin import simulate_langevin
 from microbot_ros.model.model import Model, ParticleParameters
-from microbot_ros.model.particle import Fluid, Particle, rotational_drag, speed_from_force
+from microbot_ros.model.physics.langevin import simulate_langevin
+from microbot_ros.model.physics.particle import Fluid, Particle, rotational_drag, speed_from_force
 from microbot_ros.paper import repetition as paper
-from microbot_ros.records import Commands
 
 _CALLS = 50
 

@@ -18,7 +18,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from bench.figure import Figure
-from microbot_ros.records import Commands, Session, Tracks
+from microbot_ros.common.records import Commands, Session, Tracks
 from microbot_ros.session import Message, RecordingWriter, open_recording
 from microbot_ros.session.as_messages import SessionMessages
 from microbot_ros.session.bag import typestore

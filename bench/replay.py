@@ -22,7 +22,7 @@ from sensor_msgs.msg import Image, PointCloud2, TimeReference
 from bench._camera_load import PIXEL_SIZE_UM
 from bench.figure import Figure, sized
 from bench.recording import _session
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.graph import Graph

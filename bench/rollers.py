@@ -13,11 +13,11 @@ import numpy as np
 
 from bench.figure import Figure, sized
 from microbot_ros.control.contract import ControllerInput, FieldCommand, Goals
-from microbot_ros.control.controller_manager import Outcome
-from microbot_ros.control.pushing import Pushing, PushingParameters
-from microbot_ros.control.route import Route
-from microbot_ros.control.shared import as_complex, floor
-from microbot_ros.control.swarm import Swarm, SwarmParameters
+from microbot_ros.control.manager import Outcome
+from microbot_ros.control.planning.route import Route
+from microbot_ros.control.planning.shared import as_complex, floor
+from microbot_ros.control.plugins.pushing import Pushing, PushingParameters
+from microbot_ros.control.plugins.swarm import Swarm, SwarmParameters
 from microbot_ros.virtual_rig.rolling_loop import Rollers, RollingLoop
 
 ISSUE = 19

@@ -17,11 +17,11 @@ import numpy as np
 
 from bench._served import FULL_SCALE_A, LIMITS, Served, until
 from bench.figure import Figure
-from microbot_ros.cli.demo_robots import three_pairs
+from microbot_ros.cli.demo.robots import three_pairs
 from microbot_ros.drive.amplifier import Command
+from microbot_ros.drive.amplifiers.serial_transfer.driver import SerialTransferAmplifier
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.rotation import Rotation, Turning
-from microbot_ros.drive.serial_transfer.driver import SerialTransferAmplifier
 from microbot_ros.magnetics import Allocator, CoilSet
 
 _FREQUENCIES_HZ = (0.1, 1.0, 5.0, 20.0, 40.0)

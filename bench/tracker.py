@@ -17,8 +17,8 @@ from bench._tracker_worlds import LEARNING, World, world
 from bench.figure import Figure, seconds
 from microbot_ros.cameras.source import open_source
 from microbot_ros.tracking import Tracker, TrackerSettings, learn
-from microbot_ros.tracking.detect import RoundDetector
-from microbot_ros.tracking.outline import OutlineDetector
+from microbot_ros.tracking.locate.detect import RoundDetector
+from microbot_ros.tracking.locate.outline import OutlineDetector
 from microbot_ros.tracking.tracker import make_detector
 
 _DATA = Path(__file__).parents[1].parent / 'shared' / 'data'

@@ -13,7 +13,7 @@ from launch.actions import ExecuteProcess, OpaqueFunction, SetEnvironmentVariabl
 from launch_ros.actions import LifecycleNode
 from launch_ros.substitutions import ExecutableInPackage
 
-from microbot_ros.ending import PARENT
+from microbot_ros.common.ending import PARENT
 
 NODES = ('virtual_rig', 'tracker', 'model', 'controller', 'coil_driver')
 

@@ -12,7 +12,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode
 from launch_ros.parameter_descriptions import ParameterValue
 
-from microbot_ros.ending import PARENT
+from microbot_ros.common.ending import PARENT
 
 
 def generate_launch_description() -> LaunchDescription:

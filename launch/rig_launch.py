@@ -12,7 +12,7 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironment
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode
 
-from microbot_ros.ending import PARENT
+from microbot_ros.common.ending import PARENT
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -31,7 +31,7 @@ def generate_launch_description() -> LaunchDescription:
 
 def start(context: LaunchContext) -> list[LifecycleNode]:
     """The nodes that the file has a section for; InputError for a file that is not right."""
-    from microbot_ros.errors import InputError
+    from microbot_ros.common.errors import InputError
     from microbot_ros.nodes.configuration import read_rig
     from microbot_ros.nodes.process import NODES
 

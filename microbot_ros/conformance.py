@@ -20,17 +20,17 @@ from pathlib import Path
 
 import numpy as np
 
+from microbot_ros.common.records import Commands, Conditions
 from microbot_ros.discovery.discover import discover
 from microbot_ros.discovery.result import Discovery
 from microbot_ros.model.effect import STAGES, Effect
 from microbot_ros.model.effect_context import EffectContext, Places
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.increments import respond
+from microbot_ros.model.io.model_file import read_model, write_model
 from microbot_ros.model.model import Model, ParticleParameters
-from microbot_ros.model.model_file import read_model, write_model
-from microbot_ros.model.particle import Fluid
+from microbot_ros.model.physics.particle import Fluid
 from microbot_ros.model.timeline import Timeline
-from microbot_ros.records import Commands, Conditions
 from microbot_ros.virtual_rig.commands import steps
 from microbot_ros.virtual_rig.foreign_effects import make_world
 from microbot_ros.virtual_rig.injected_effects import INJECTABLE, inject_effect

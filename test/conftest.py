@@ -18,6 +18,7 @@ import hypothesis
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parent / 'harness'))
 
 from domains import own_domain
 from retries import Retries

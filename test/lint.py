@@ -190,7 +190,7 @@ def circle(graph):
 
 def unshared():
     """Files that import numba itself, and not the one with the cache of ours."""
-    for name in FILES.keys() - {'microbot_ros.compiled'}:
+    for name in FILES.keys() - {'microbot_ros.common.compiled'}:
         for node in ast.walk(ast.parse(FILES[name].read_text(encoding='utf-8'))):
             if isinstance(node, ast.Import):
                 wrong = 'numba' in {alias.name for alias in node.names}
@@ -207,7 +207,7 @@ def main():
              for where, what in complaints(path, tree)]
     if around := circle({name: sorted({*needs(name)} - {name}) for name in FILES}):
         found.append(f'imports run in a circle: {" → ".join(around)}')
-    found += [f'{name}: import numba from microbot_ros.compiled' for name in unshared()]
+    found += [f'{name}: import numba from microbot_ros.common.compiled' for name in unshared()]
     for complaint in found:
         print(complaint)
     return 1 if found else 0

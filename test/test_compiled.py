@@ -10,14 +10,14 @@ from pathlib import Path
 import pytest
 
 import microbot_ros
-from microbot_ros.first_compilation import COMPILES
+from microbot_ros.common.first_compilation import COMPILES
 
 pytestmark = pytest.mark.rig
 
 PACKAGE = Path(microbot_ros.__file__).parent
 
 FUNCTION = """
-from microbot_ros.compiled import numba
+from microbot_ros.common.compiled import numba
 
 @numba.njit(cache=True)
 def half(x):
@@ -27,11 +27,11 @@ def half(x):
 COMPILE = """
 import sys
 
-from microbot_ros.first_compilation import COMPILES
+from microbot_ros.common.first_compilation import COMPILES
 import threading
 import time
 from pathlib import Path
-from microbot_ros.compiled import numba
+from microbot_ros.common.compiled import numba
 from numba.core import caching
 from compiled_twice import half
 
@@ -58,7 +58,7 @@ print(half(3), half(3), half(4 + 2j), half(4 + 2j), *half.stats.cache_hits.value
 
 END = """
 import os
-from microbot_ros.compiled import numba
+from microbot_ros.common.compiled import numba
 from numba.core import caching
 from compiled_twice import half
 
@@ -98,7 +98,7 @@ def test_code_of_older_sources_is_never_called(tmp_path):
 
 
 TOLD = """
-from microbot_ros.first_compilation import tell_of_compiling
+from microbot_ros.common.first_compilation import tell_of_compiling
 tell_of_compiling(print)
 from compiled_twice import half
 half(8), half(2.5)
@@ -114,7 +114,7 @@ def test_it_is_told_once_that_code_is_compiled_and_only_where_it_is(tmp_path):
 
 
 CLONED = """
-from microbot_ros.first_compilation import tell_of_compiling
+from microbot_ros.common.first_compilation import tell_of_compiling
 tell_of_compiling(print)
 import numpy as np
 from microbot_ros.magnetics import loop
@@ -144,7 +144,7 @@ def test_a_clone_compiles_only_what_changed(tmp_path):
     assert float(field.split()[1]) == pytest.approx(1.0)
     other, = run(again)
     assert other.startswith(str(again))
-    units = changed / 'microbot_ros' / 'units.py'
+    units = changed / 'microbot_ros' / 'common' / 'units.py'
     units.write_text(re.sub(r'^MU_0 = .*$', 'MU_0 = 8e-7 * math.pi', units.read_text(),
                             flags=re.MULTILINE))
     *told, field = run(changed)

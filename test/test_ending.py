@@ -11,7 +11,7 @@ pytestmark = pytest.mark.rig
 
 PROGRAM = """
 import os, signal, threading, time
-from microbot_ros.ending import Ending, Stopped
+from microbot_ros.common.ending import Ending, Stopped
 done = []
 held = threading.Lock()
 

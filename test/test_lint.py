@@ -35,7 +35,7 @@ def test_a_circle_is_found():
 
 
 def test_imports_of_other_files_are_seen():
-    assert 'microbot_ros.units' in set(lint.needs('microbot_ros.magnetics.loop'))
+    assert 'microbot_ros.common.units' in set(lint.needs('microbot_ros.magnetics.loop'))
     assert sum(len({*lint.needs(name)}) for name in lint.FILES) > len(lint.FILES)
 
 

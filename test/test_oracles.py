@@ -11,8 +11,8 @@ from oracles import (
     swimmer_flow,
 )
 
-from microbot_ros.model.particle import Fluid, stokes_drag
-from microbot_ros.units import MU_0
+from microbot_ros.common.units import MU_0
+from microbot_ros.model.physics.particle import Fluid, stokes_drag
 
 
 def dipole_field(moment, displacement):

@@ -19,7 +19,7 @@ import pytest
 import yaml
 
 import microbot_ros
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 from microbot_ros.nodes.configuration import node_class
 
 ROOT = Path(__file__).parents[1]

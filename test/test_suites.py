@@ -44,7 +44,7 @@ def test_fails_twice_at_its_end(broken):
 """
 CONFTEST = f"""
 import sys
-sys.path.insert(0, {str(HERE)!r})
+sys.path.insert(0, {str(HERE / 'harness')!r})
 from retries import Retries
 
 def pytest_addoption(parser):

@@ -27,14 +27,14 @@ _PARTS: dict[str, tuple[str, ...]] = {
         'drive/gate.py', 'drive/coil_driver.py', 'drive/self_check.py', 'nodes/coil_driver.py'),
     'The amplifier and its line': (
         'drive/errors.py', 'drive/amplifier.py', 'drive/polled.py', 'drive/transport.py',
-        'drive/*/driver.py'),
+        'drive/amplifiers/*/driver.py'),
     'The controller': (
-        'control/*.py', 'loop/controller.py', 'loop/allocation.py', 'nodes/controller.py',
+        'control/**/*.py', 'loop/controller.py', 'loop/allocation.py', 'nodes/controller.py',
         'nodes/messages.py'),
     'Camera, tracker and model': (
-        'nodes/camera.py', 'cameras/stream.py', 'nodes/tracker.py', 'tracking/*.py',
-        'nodes/model.py', 'estimation/track_faults.py', 'estimation/monitor.py',
-        'estimation/online.py', 'estimation/jumps.py',
+        'nodes/camera.py', 'cameras/stream.py', 'nodes/tracker.py', 'tracking/**/*.py',
+        'nodes/model.py', 'estimation/online/track_faults.py', 'estimation/online/monitor.py',
+        'estimation/online/estimator.py', 'estimation/online/jumps.py',
         'nodes/virtual_rig.py'),
     'Every node, recorder and player': (
         'nodes/lifecycle.py', 'nodes/recorder.py', 'session/recorder.py', 'nodes/player.py',
@@ -61,7 +61,7 @@ _ERRORS = {kind.__name__ for module in (errors, contract, deadline_worker)
 
 
 _ALSO = {
-    'controller_manager.py': 'ValueError', 'allocation.py': 'ValueError',
+    'manager.py': 'ValueError', 'allocation.py': 'ValueError',
     'stream.py': 'InputError', 'deadline_worker.py': 'RuntimeError'}
 """File → an error of Python's, or of input, that is one there."""
 

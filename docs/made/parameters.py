@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from made.text import MADE, code, table
-from microbot_ros import settings, units
+from microbot_ros.common import settings, units
 from microbot_ros.control.registry import controller_classes
 from microbot_ros.nodes.configuration import node_class
 from microbot_ros.nodes.process import NODES

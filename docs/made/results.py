@@ -18,7 +18,7 @@ MEANING = Path(__file__).with_name('results.yaml')
 _WRITERS = {
     'result.json': ('microbot_ros.discovery.result', 'microbot_ros.discovery.driven.conclusion'),
     'fit.json': ('microbot_ros.estimation.report',),
-    'summary.json': ('microbot_ros.cli.demo_results', 'microbot_ros.cli.demo'),
+    'summary.json': ('microbot_ros.cli.demo.results', 'microbot_ros.cli.demo.demo'),
 }
 """File → the modules in whose functions named here its fields stand."""
 

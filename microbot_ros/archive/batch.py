@@ -20,8 +20,8 @@ from microbot_ros.archive.labels import labels_of, own_answers, stated
 from microbot_ros.archive.recordings import Found, Refused, content_of, find, in_parallel
 from microbot_ros.archive.store import REPORT, Archive
 from microbot_ros.archive.work import READS, Job, Task
-from microbot_ros.errors import InputError, ReportError
-from microbot_ros.files import read_yaml, writing_report
+from microbot_ros.common.errors import InputError, ReportError
+from microbot_ros.common.files import read_yaml, writing_report
 from microbot_ros.session.folder import SessionFile
 from microbot_ros.session.spreadsheets.sheets import Answers
 

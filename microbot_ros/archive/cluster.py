@@ -13,7 +13,7 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from microbot_ros.archive.work import Job, VersionError, do
-from microbot_ros.errors import InputError, RigError
+from microbot_ros.common.errors import InputError, RigError
 
 if TYPE_CHECKING:
     from distributed import Client

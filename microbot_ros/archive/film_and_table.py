@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from microbot_ros.archive.recordings import Found
-from microbot_ros.records import Session
+from microbot_ros.common.records import Session
 
 _LEAST_SHARE = 0.5
 """Frames of the longest track in which another must be seen, too, to be compared."""

@@ -10,12 +10,12 @@ import numpy as np
 
 from microbot_ros.archive.film_and_table import compare, times_of_frames
 from microbot_ros.cameras.source import ImageSource, Source, VideoSource, natural_order
-from microbot_ros.records import Session
+from microbot_ros.common.records import Session
 from microbot_ros.tracking import FrameError, Tracker, TrackerSettings
-from microbot_ros.tracking.kinds_detector import stand_in
-from microbot_ros.tracking.learn import learn_first
+from microbot_ros.tracking.locate.kinds_detector import stand_in
 from microbot_ros.tracking.rows import Remarks, Rows
-from microbot_ros.tracking.unprompted import evenly, without_prompt
+from microbot_ros.tracking.teach.learn import learn_first
+from microbot_ros.tracking.teach.unprompted import evenly, without_prompt
 
 
 def track_film(files: Sequence[Path], tracks: Path, pixel_size: float | None,

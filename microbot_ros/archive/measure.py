@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from microbot_ros.discovery.input_checks import check_sessions
+from microbot_ros.common.records import Session
+from microbot_ros.discovery.check.input_checks import check_sessions
 from microbot_ros.discovery.search import CandidateFit, contribution, fit_candidate
-from microbot_ros.estimation.model_fit import fit_sessions
-from microbot_ros.model.effect_table import build_effects
+from microbot_ros.estimation.likelihood.model_fit import fit_sessions
+from microbot_ros.model.io.effect_table import build_effects
 from microbot_ros.model.model import Model
-from microbot_ros.records import Session
 
 
 def measure(session: Session, effects: list[str], known: dict[str, dict[str, float]],

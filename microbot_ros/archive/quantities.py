@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from microbot_ros.archive.random_effects import Spread, Trend, spread, trend, unlike
-from microbot_ros.units import symbol
+from microbot_ros.common.units import symbol
 
 NAMES = {'v_um_s': 'v', 'gain_um_s_hz': 'gain', 'phi_rad': 'φ', 'diffusion_um2_s': 'D',
          'localisation_um': 'σ'}

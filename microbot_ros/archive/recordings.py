@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 from microbot_ros.session.bag import METADATA_FILE
 from microbot_ros.session.spreadsheets.columns import find_columns
 from microbot_ros.session.spreadsheets.sheets import read_sheets

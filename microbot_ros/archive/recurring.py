@@ -22,9 +22,9 @@ import numpy as np
 from scipy.special import bdtrc, chdtrc, chdtri
 
 from microbot_ros.archive.random_effects import Spread, spread
+from microbot_ros.common.units import symbol
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.parameter import Parameter
-from microbot_ros.units import symbol
 
 SURE = 0.95
 """Probability from which an effect is said to be in a session, or in its absence not."""

@@ -12,10 +12,10 @@ from microbot_ros.archive.quantities import LABELS, Quantity
 from microbot_ros.archive.random_effects import Spread
 from microbot_ros.archive.report_figures import draw_parameters, draw_quantities
 from microbot_ros.archive.store import REPORT, Archive
-from microbot_ros.discovery import report_words
-from microbot_ros.discovery.report_figures import embedded
-from microbot_ros.discovery.report_words import number
-from microbot_ros.files import write_text
+from microbot_ros.common.files import write_text
+from microbot_ros.discovery.report import words as report_words
+from microbot_ros.discovery.report.figures import embedded
+from microbot_ros.discovery.report.words import number
 from microbot_ros.model.effects import EFFECTS
 
 _TEMPLATE = Path(__file__).with_name('report.html')

@@ -23,8 +23,8 @@ from typing import Any
 from microbot_ros.archive.labels import Labels
 from microbot_ros.archive.recordings import LABELS, MARK, FileCards, Found, Kind, Refused
 from microbot_ros.archive.work import SESSIONS, result_file
-from microbot_ros.errors import InputError
-from microbot_ros.files import write_text
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.files import write_text
 
 TABLE, REPORT = OUTPUTS = ('archive.parquet', 'archive.html')
 _INDEX, _LOCK, _FINDINGS = 'recordings.json', 'lock', 'findings.json'

@@ -95,7 +95,7 @@ def write_table(archive: Archive, all_rows: list[dict[str, Any]]) -> Path:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    from microbot_ros.files import output_folder
+    from microbot_ros.common.files import output_folder
 
     with output_folder(archive.folder) as folder:
         pq.write_table(pa.Table.from_pylist(all_rows, schema()), folder / TABLE)
@@ -117,7 +117,7 @@ def read_table(archive: str | Path) -> pyarrow.Table:
     """
     import pyarrow.parquet as pq
 
-    from microbot_ros.errors import InputError
+    from microbot_ros.common.errors import InputError
 
     file = Path(archive) / TABLE
     if not file.is_file():

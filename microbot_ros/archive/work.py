@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from microbot_ros import __version__
 from microbot_ros.archive.recordings import MARK, Kind
-from microbot_ros.errors import InputError
-from microbot_ros.files import output_folder, write_text
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.files import output_folder, write_text
 from microbot_ros.session.spreadsheets.summary import SummaryError
 
 if TYPE_CHECKING:
-    from microbot_ros.records import Session
+    from microbot_ros.common.records import Session
 
 Task = Literal['track', 'fit', 'discover', 'import', 'measure']
 
@@ -160,7 +160,7 @@ def _fit(job: Job) -> dict[str, Any]:
 
 def _discover(job: Job) -> dict[str, Any]:
     from microbot_ros.discovery.discover import discover
-    from microbot_ros.model.effect_table import write_effects
+    from microbot_ros.model.io.effect_table import write_effects
 
     session = _read(job)
     found = discover([session])
@@ -180,8 +180,8 @@ def _measure(job: Job) -> dict[str, Any]:
 
 
 def _import(job: Job) -> dict[str, Any]:
+    from microbot_ros.common.units import exact_display
     from microbot_ros.session import write_session
-    from microbot_ros.units import exact_display
 
     session, said = _imported(job.files, job.settings['answers'])
     write_session(made_session(job), session)
@@ -197,8 +197,8 @@ def made_session(job: Job) -> Path:
 
 def _track(job: Job) -> dict[str, Any]:
     from microbot_ros.archive.films import track_film
+    from microbot_ros.common.units import to_si
     from microbot_ros.tracking import TrackerSettings
-    from microbot_ros.units import to_si
 
     width, problem, table = job.settings['pixel_size_um'], '', None
     pixel_size = None if width is None else to_si('_um', width)

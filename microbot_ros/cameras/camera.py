@@ -18,10 +18,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from microbot_ros import settings, units
-from microbot_ros.errors import InputError
-from microbot_ros.plugins import installed
-from microbot_ros.settings import setting
+from microbot_ros.common import settings, units
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.plugins import installed
+from microbot_ros.common.settings import setting
 
 GROUP = 'microbot_ros.cameras'
 INTERFACE_VERSION = 1

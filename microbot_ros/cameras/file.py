@@ -10,7 +10,7 @@ import numpy as np
 
 from microbot_ros.cameras.camera import CameraDriver, CameraFormat, CameraFrame, Clock, EndOfFrames
 from microbot_ros.cameras.source import Frame, open_source
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 
 
 class FileCamera(CameraDriver):

@@ -16,7 +16,7 @@ from microbot_ros.cameras.camera import (
     optional,
 )
 from microbot_ros.cameras.pixels import encoding_of, picture
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 
 _ENCODINGS = {'GRAY8': 'mono8', 'GRAY16': 'mono16', 'RGB32': 'bgra8'}
 _BUFFER_MB = 256

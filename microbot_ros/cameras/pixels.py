@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from microbot_ros.cameras.camera import ENCODINGS
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 
 GENICAM = {
     'Mono8': 'mono8', 'Mono10': 'mono16', 'Mono12': 'mono16', 'Mono14': 'mono16',

@@ -10,7 +10,7 @@ from typing import Any
 
 from microbot_ros.cameras.camera import CameraDriver, CameraFormat, CameraFrame, Clock, optional
 from microbot_ros.cameras.pixels import GENICAM, encoding_of, picture
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 
 _BUFFERS = 32
 _NO_NUMBER = 2**64 - 1

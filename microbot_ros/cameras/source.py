@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 
 # FFmpeg writes its own complaints to standard error; what matters of them is said by us, once.
 os.environ.setdefault('OPENCV_FFMPEG_LOGLEVEL', '-8')

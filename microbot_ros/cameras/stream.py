@@ -6,7 +6,7 @@ import time
 
 from microbot_ros.cameras.camera import ENCODINGS, CameraDriver, CameraFrame, Clock
 from microbot_ros.cameras.exposure_clock import ExposureClock
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 
 
 class FrameStream:

@@ -22,7 +22,7 @@ from microbot_ros.cameras.camera import (
     Clock,
 )
 from microbot_ros.cameras.stream import FrameStream
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 
 _IMPOSSIBLE: dict[str, Any] = {
     'source': 'no such camera', 'pixel_format': 'no such format', 'trigger': 'no such line',

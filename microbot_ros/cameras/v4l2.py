@@ -11,7 +11,7 @@ from microbot_ros.cameras import v4l2_device
 from microbot_ros.cameras.camera import CameraDriver, CameraFormat, CameraFrame, Clock
 from microbot_ros.cameras.pixels import encoding_of, picture
 from microbot_ros.cameras.v4l2_device import Captured, PixelLayout, VideoDevice
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 
 _LUMA = {'YUYV': (2, 0), 'YVYU': (2, 0), 'UYVY': (2, 1), 'VYUY': (2, 1)}
 """Packed colour: the brightness is every second byte, from that one on."""

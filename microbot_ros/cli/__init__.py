@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import importlib
-import keyword
 import os
 import signal
 import sys
@@ -15,7 +14,7 @@ from types import FrameType
 import click
 
 from microbot_ros import __version__
-from microbot_ros.errors import InputError, ReportError, RigError, one_line
+from microbot_ros.common.errors import InputError, ReportError, RigError, one_line
 
 # What the system says of a place that somebody named, and of a disk that nobody can help.
 _WRONG_PLACE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOENT, errno.ENOTDIR, errno.EISDIR,
@@ -25,29 +24,29 @@ _DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 _CLEAN_UP_S = 20
 """How long a command that was told to end may take to clean up."""
 
-# Command → one line for `microbot --help`; the module of the same name defines `command`.
+# Command → the module that defines `command`, and one line for `microbot --help`.
 _COMMANDS = {
-    'demo': 'Close the loop on the virtual rig.',
-    'run': 'Run the nodes beside a real rig.',
-    'cockpit': "Open the operator's page of a running rig.",
-    'replay': 'Play a recording through its topics.',
-    'record': 'Begin and end a recording of a running rig.',
-    'arm': 'Arm or disarm the gate of a running rig.',
-    'set': 'Change a parameter of a running node.',
-    'goal': 'Send goals to the running controller.',
-    'track': 'Track the particles of a video or of images.',
-    'simulate': 'Simulate particles, camera and hidden effects as a session.',
-    'discover': 'Find, name and add the effect that the model is missing.',
-    'batch': 'Track, fit, discover or import all recordings of an archive.',
-    'response': 'Measure speed and slip at each plateau of what was commanded.',
-    'fit': 'Fit v, φ and F of every particle of a session.',
-    'paper': "Repeat the paper's experiment beside its own numbers.",
-    'import': 'Turn the tables of a laboratory into a session.',
-    'info': 'Show what is in a session or recording.',
-    'doctor': 'Is this machine, is the rig ready?',
-    'calibrate': 'Find constants of the rig from measurements.',
-    'reach': 'What particles under one field can and cannot reach.',
-    'emulate': 'Emulate an amplifier on a pseudo-terminal.',
+    'demo': ('demo.demo', 'Close the loop on the virtual rig.'),
+    'run': ('rig.run', 'Run the nodes beside a real rig.'),
+    'cockpit': ('rig.cockpit', "Open the operator's page of a running rig."),
+    'replay': ('replay.replay', 'Play a recording through its topics.'),
+    'record': ('rig.record', 'Begin and end a recording of a running rig.'),
+    'arm': ('rig.arm', 'Arm or disarm the gate of a running rig.'),
+    'set': ('rig.set', 'Change a parameter of a running node.'),
+    'goal': ('rig.goal', 'Send goals to the running controller.'),
+    'track': ('track.track', 'Track the particles of a video or of images.'),
+    'simulate': ('simulate', 'Simulate particles, camera and hidden effects as a session.'),
+    'discover': ('discover.discover', 'Find, name and add the effect that the model is missing.'),
+    'batch': ('batch', 'Track, fit, discover or import all recordings of an archive.'),
+    'response': ('response', 'Measure speed and slip at each plateau of what was commanded.'),
+    'fit': ('fit', 'Fit v, φ and F of every particle of a session.'),
+    'paper': ('paper', "Repeat the paper's experiment beside its own numbers."),
+    'import': ('import_', 'Turn the tables of a laboratory into a session.'),
+    'info': ('info', 'Show what is in a session or recording.'),
+    'doctor': ('rig.doctor', 'Is this machine, is the rig ready?'),
+    'calibrate': ('calibrate.calibrate', 'Find constants of the rig from measurements.'),
+    'reach': ('reach', 'What particles under one field can and cannot reach.'),
+    'emulate': ('rig.emulate', 'Emulate an amplifier on a pseudo-terminal.'),
 }
 
 
@@ -58,15 +57,13 @@ class _LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in _COMMANDS:
             return None
-        # `import` is no name for a module.
-        name = f'{cmd_name}_' if keyword.iskeyword(cmd_name) else cmd_name
-        module = importlib.import_module(f'microbot_ros.cli.{name}')
+        module = importlib.import_module(f'microbot_ros.cli.{_COMMANDS[cmd_name][0]}')
         command: click.Command = module.command
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section('Commands'):
-            formatter.write_dl(list(_COMMANDS.items()))
+            formatter.write_dl([(name, line) for name, (_, line) in _COMMANDS.items()])
 
 
 @click.group(cls=_LazyGroup, context_settings={'help_option_names': ['-h', '--help']})

@@ -77,7 +77,7 @@ def _track(pixel_size_um: float | None, frame_rate_hz: float | None, settings_pa
     Example:
       microbot batch track films/ --out archive --pixel-size-um 0.33
     """
-    from microbot_ros.files import read_yaml
+    from microbot_ros.common.files import read_yaml
     from microbot_ros.tracking import TrackerSettings
 
     tracker = read_yaml(settings_path, TrackerSettings) if settings_path else TrackerSettings()
@@ -149,8 +149,8 @@ def _run(task: Task, settings: dict[str, Any], folders: tuple[Path, ...], out: P
     from rich.console import Console
 
     from microbot_ros.archive import run_batch
-    from microbot_ros.errors import ReportError
-    from microbot_ros.files import write_text
+    from microbot_ros.common.errors import ReportError
+    from microbot_ros.common.files import write_text
 
     if workers is not None and scheduler is not None:
         raise click.UsageError('expected either --workers or --scheduler')

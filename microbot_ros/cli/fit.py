@@ -35,9 +35,9 @@ def command(session: Path, out: Path, exposure_ms: float, json_path: Path | None
 
     from rich.console import Console
 
+    from microbot_ros.common.files import output_folder, refuse_to_overwrite, write_text
     from microbot_ros.estimation import report
     from microbot_ros.estimation.batch import fit
-    from microbot_ros.files import output_folder, refuse_to_overwrite, write_text
     from microbot_ros.session import read_session
 
     refuse_to_overwrite(out, ('fit.json', 'fit.png'), force)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from microbot_ros.cli.options import FiniteFloatRange, plausible_number
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 
 if TYPE_CHECKING:
     from microbot_ros.session.spreadsheets.sheets import Answers
@@ -74,10 +74,10 @@ def command(source: Path, out: Path, json_path: Path | None, **given: Any) -> No
     """
     from rich.console import Console
 
-    from microbot_ros.files import write_text
+    from microbot_ros.common.files import write_text
+    from microbot_ros.common.units import exact_display
     from microbot_ros.session import write_session
     from microbot_ros.session.spreadsheets.assemble import import_session
-    from microbot_ros.units import exact_display
 
     with Console(stderr=True).status(f'reading {source}'):
         session, said = import_session(source, answers(**given))

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from microbot_ros.errors import InputError
-from microbot_ros.files import write_text
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.files import write_text
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -42,7 +42,7 @@ def command(session: Path, json_path: Path | None, figure: Path | None, repair: 
     """
     from rich.console import Console
 
-    from microbot_ros.estimation.excitation import command_excitation
+    from microbot_ros.estimation.likelihood.excitation import command_excitation
     from microbot_ros.session import is_recording, open_recording
     from microbot_ros.session.survey import survey_folder, survey_recording
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from microbot_ros.plausible import plausible_range
+from microbot_ros.common.plausible import plausible_range
 
 namespace_option = click.option(
     '--namespace', default='/', show_default=True, metavar='NAME',

@@ -35,7 +35,7 @@ def command(out: Path, repetitions: int, seed: int, json_path: Path | None) -> N
     from rich.console import Console
     from rich.progress import track
 
-    from microbot_ros.files import output_folder, write_text
+    from microbot_ros.common.files import output_folder, write_text
     from microbot_ros.paper.repetition import attempt, run_times
     from microbot_ros.paper.report import draw_errors, draw_trajectories, page, png
     from microbot_ros.paper.summary import summarise

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from microbot_ros import units
 from microbot_ros.cli.options import FiniteFloatRange
-from microbot_ros.errors import InputError
+from microbot_ros.common import units
+from microbot_ros.common.errors import InputError
 
 if TYPE_CHECKING:
-    from microbot_ros.control.plan import Swarm
+    from microbot_ros.control.planning.plan import Swarm
     from microbot_ros.control.reach import Reach
 
 _PAIR = 'X_UM,Y_UM'
@@ -52,10 +52,10 @@ def command(model_file: Path | None, particles: tuple[str, ...], places: tuple[s
     """
     import numpy as np
 
+    from microbot_ros.common.files import write_text
     from microbot_ros.control.contract import Workspace
+    from microbot_ros.control.planning.shared import as_complex
     from microbot_ros.control.reach import opened, planned_floor, reach
-    from microbot_ros.control.shared import as_complex
-    from microbot_ros.files import write_text
 
     swarm = _swarm(model_file, particles, places, alignment_times_s)
     goal = as_complex(np.array([_numbers('--goal', g, _PAIR) for g in goals]) * 1e-6)
@@ -85,10 +85,10 @@ def _swarm(model_file: Path | None, particles: tuple[str, ...], places: tuple[st
            alignment_times_s: str | None) -> Swarm:
     import numpy as np
 
-    from microbot_ros.control.plan import Swarm, with_lags
-    from microbot_ros.control.shared import as_complex
+    from microbot_ros.control.planning.plan import Swarm, with_lags
+    from microbot_ros.control.planning.shared import as_complex
+    from microbot_ros.model.io.model_file import read_model
     from microbot_ros.model.model import Model, ParticleParameters
-    from microbot_ros.model.model_file import read_model
 
     if model_file is None and not particles:
         raise InputError('reach', 'expected --model FILE or --particle V_UM_S,PHI_RAD')

@@ -48,8 +48,8 @@ def command(sources: tuple[Path, ...], out: Path, against: Against, definition: 
     """
     from rich.console import Console
 
-    from microbot_ros.errors import InputError
-    from microbot_ros.files import output_folder, refuse_to_overwrite, write_text
+    from microbot_ros.common.errors import InputError
+    from microbot_ros.common.files import output_folder, refuse_to_overwrite, write_text
     from microbot_ros.response import report, words
     from microbot_ros.response.result import respond_all
 
@@ -96,7 +96,7 @@ def _sessions(sources: tuple[Path, ...]) -> list[Path]:
     """The sessions among `sources`, and those in archives; InputError for what is neither."""
     from microbot_ros.archive.recordings import MARK
     from microbot_ros.archive.work import SESSIONS
-    from microbot_ros.errors import InputError
+    from microbot_ros.common.errors import InputError
 
     found: list[Path] = []
     for source in sources:

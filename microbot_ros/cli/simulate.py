@@ -34,9 +34,9 @@ def command(scenario_yaml: Path, out: Path, json_path: Path | None, force: bool)
     from rich.console import Console
 
     from microbot_ros import __version__
-    from microbot_ros.files import output_folder, refuse_to_overwrite, write_text
+    from microbot_ros.common.files import output_folder, refuse_to_overwrite, write_text
+    from microbot_ros.common.units import exact_display
     from microbot_ros.session import write_session
-    from microbot_ros.units import exact_display
     from microbot_ros.virtual_rig.scenario import read_scenario
     from microbot_ros.virtual_rig.simulation import run, strays
 

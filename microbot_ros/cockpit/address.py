@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TextIO
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 
 WORDS = 'the address to open is in '
 """How a line ends that names the file, before its path."""

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from microbot_ros.cockpit.rig import Answer, RefusedError
-from microbot_ros.ending import PARENT
-from microbot_ros.errors import clipped, one_line
+from microbot_ros.common.ending import PARENT
+from microbot_ros.common.errors import clipped, one_line
 
 _PATIENCE_S = 10.0
 """So long it may take to write what it has learned when it is told to end."""

@@ -13,7 +13,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 
 _LOOPBACK = ('localhost', '127.0.0.1', '::1')
 

@@ -31,7 +31,7 @@ from microbot_ros.cockpit.discovery import Discovery
 from microbot_ros.cockpit.rig import Answer, RefusedError, Rig, zero_in
 from microbot_ros.cockpit.security import Gatekeeper
 from microbot_ros.cockpit.stopping import Stopping
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 
 _STATE_S = 0.1
 _LAST_STOP_S = 0.5

@@ -10,8 +10,8 @@ from pydantic_core import from_json
 
 from microbot_ros.cockpit.discovery import Discovery
 from microbot_ros.cockpit.rig import Answer, Rig
-from microbot_ros.errors import one_line, shown
-from microbot_ros.plausible import plausible_range
+from microbot_ros.common.errors import one_line, shown
+from microbot_ros.common.plausible import plausible_range
 
 _LONGEST_PATH = 2000
 _LONGEST_TEXT = 2000

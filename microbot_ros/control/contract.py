@@ -17,9 +17,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from microbot_ros.common.records import Commands
 from microbot_ros.control.field_record import FieldRecord
 from microbot_ros.model.model import Model
-from microbot_ros.records import Commands
 
 INTERFACE_VERSION = 1
 """Raised when a controller written for the contract before would no longer work."""

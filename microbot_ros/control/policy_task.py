@@ -20,9 +20,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from microbot_ros.control.assignment import Assignment
 from microbot_ros.control.contract import ControllerInput, ParticleLostError, Workspace
-from microbot_ros.control.shared import as_complex
+from microbot_ros.control.planning.assignment import Assignment
+from microbot_ros.control.planning.shared import as_complex
 
 SHARED_NUMBERS, PARTICLE_NUMBERS = 2, 7
 """How many numbers of an observation are of the field, and how many of each particle."""

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from microbot_ros.control.contract import Workspace
-from microbot_ros.control.manoeuvre import Task, search
-from microbot_ros.control.plan import Swarm, roll_out
-from microbot_ros.control.refine import improve
-from microbot_ros.control.shared import best_displacement, floor
+from microbot_ros.control.planning.manoeuvre import Task, search
+from microbot_ros.control.planning.plan import Swarm, roll_out
+from microbot_ros.control.planning.refine import improve
+from microbot_ros.control.planning.shared import best_displacement, floor
 
 HANDLES = {
     'direction': 'turning a field of full strength',

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from microbot_ros.control.plan import Swarm
+from microbot_ros.control.planning.plan import Swarm
 from microbot_ros.control.reach import HANDLES, Reach
 
 _COLOURS = ('#0072B2', '#D55E00', '#009E73', '#CC79A7', '#E69F00', '#56B4E9')

@@ -6,8 +6,8 @@ import functools
 import logging
 from importlib.metadata import EntryPoint, entry_points
 
+from microbot_ros.common.errors import clipped
 from microbot_ros.control.contract import INTERFACE_VERSION, Controller
-from microbot_ros.errors import clipped
 
 GROUP = 'microbot_ros.controllers'
 

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from microbot_ros import settings
+from microbot_ros.common import settings
+from microbot_ros.common.records import Commands
 from microbot_ros.control.contract import (
     INTERFACE_VERSION,
     Controller,
@@ -25,7 +26,6 @@ from microbot_ros.control.contract import (
     Limits,
     Workspace,
 )
-from microbot_ros.records import Commands
 
 _PLACES = np.array([[20e-6, 10e-6], [-30e-6, 0], [0, 40e-6]])
 _MORE: dict[Input, dict[str, Any]] = {

@@ -8,10 +8,12 @@ from functools import partial
 
 import numpy as np
 
+from microbot_ros.common.records import Session
+from microbot_ros.discovery.check.held_out import held_out_gap
+from microbot_ros.discovery.check.input_checks import check_sessions
+from microbot_ros.discovery.check.score_tests import residual_maps
 from microbot_ros.discovery.evidence import FitEvidence
-from microbot_ros.discovery.held_out import held_out_gap
 from microbot_ros.discovery.hypotheses import Candidate, Hypotheses, consider
-from microbot_ros.discovery.input_checks import check_sessions
 from microbot_ros.discovery.intervals import Intervals
 from microbot_ros.discovery.learned.learn import (
     Finding,
@@ -30,14 +32,12 @@ from microbot_ros.discovery.result import (
     NamedEffect,
     ResidualMap,
 )
-from microbot_ros.discovery.score_tests import residual_maps
 from microbot_ros.discovery.verdict import Judgement, judge, scrutinised
-from microbot_ros.estimation.model_fit import ModelFit
-from microbot_ros.estimation.noise import implausible_diffusion
+from microbot_ros.estimation.likelihood.model_fit import ModelFit
+from microbot_ros.estimation.likelihood.noise import implausible_diffusion
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.parameter import Parameter
-from microbot_ros.records import Session
 
 ONE_SIDED = 1.645
 

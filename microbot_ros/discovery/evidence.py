@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from microbot_ros.discovery.starting_points import likely_places, rotating_components
-from microbot_ros.estimation.expected_displacement import ExpectedDisplacement
-from microbot_ros.estimation.model_fit import ModelFit
-from microbot_ros.estimation.prepared_session import PreparedSession
+from microbot_ros.estimation.likelihood.expected_displacement import ExpectedDisplacement
+from microbot_ros.estimation.likelihood.model_fit import ModelFit
+from microbot_ros.estimation.likelihood.prepared_session import PreparedSession
 from microbot_ros.model.effect import Effect
 from microbot_ros.model.evidence import AnyEffect, Evidence, Recorded
 from microbot_ros.model.model import Propulsion

@@ -25,8 +25,8 @@ from scipy.special import logsumexp
 
 from microbot_ros.discovery.processes import Run, serially
 from microbot_ros.discovery.search import CandidateFit, compare, search, without
-from microbot_ros.estimation.model_fit import ModelFit, fit_sessions
-from microbot_ros.estimation.prepared_session import PreparedSession
+from microbot_ros.estimation.likelihood.model_fit import ModelFit, fit_sessions
+from microbot_ros.estimation.likelihood.prepared_session import PreparedSession
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model
 

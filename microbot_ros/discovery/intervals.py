@@ -15,9 +15,9 @@ from functools import cached_property
 import numpy as np
 
 from microbot_ros.discovery.result import Estimate, Particle
-from microbot_ros.estimation.model_fit import ModelFit, maximise
-from microbot_ros.estimation.noise import Noise
-from microbot_ros.estimation.phasor import Polar
+from microbot_ros.estimation.likelihood.model_fit import ModelFit, maximise
+from microbot_ros.estimation.likelihood.noise import Noise
+from microbot_ros.estimation.likelihood.phasor import Polar
 from microbot_ros.model.parameter import Parameter
 
 ROOT = 1.96

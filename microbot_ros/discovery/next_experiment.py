@@ -7,15 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from microbot_ros.common.records import Commands
 from microbot_ros.discovery.processes import Run, serially
 from microbot_ros.discovery.result import NextExperiment
-from microbot_ros.estimation.likelihood import Whitening
-from microbot_ros.estimation.model_fit import ModelFit, evaluate, maximise
-from microbot_ros.estimation.prepared_session import PreparedSession
+from microbot_ros.estimation.likelihood.joint import Whitening
+from microbot_ros.estimation.likelihood.model_fit import ModelFit, evaluate, maximise
+from microbot_ros.estimation.likelihood.prepared_session import PreparedSession
 from microbot_ros.model.first_order import simulate
 from microbot_ros.model.increments import as_vectors
 from microbot_ros.model.model import Model, ParticleParameters
-from microbot_ros.records import Commands
 
 DECIDES = 10.0
 """Expected difference in log likelihood that settles a question: odds of 20 000 to 1."""

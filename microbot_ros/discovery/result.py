@@ -7,10 +7,10 @@ from typing import Any, Literal
 
 import numpy as np
 
+from microbot_ros.common.units import from_si, suffix, symbol
 from microbot_ros.model.learned_term import LearnedTerm
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.parameter import Parameter
-from microbot_ros.units import from_si, suffix, symbol
 
 Verdict = Literal['consistent', 'named', 'unnamed']
 FIRES = 0.003

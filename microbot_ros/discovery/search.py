@@ -15,10 +15,10 @@ from itertools import compress
 
 import numpy as np
 
+from microbot_ros.discovery.check.tail_probabilities import log_chi_square_tail, log_of_any
 from microbot_ros.discovery.evidence import NEGLIGIBLE, FitEvidence
 from microbot_ros.discovery.processes import Run, serially
-from microbot_ros.discovery.tail_probabilities import log_chi_square_tail, log_of_any
-from microbot_ros.estimation.model_fit import ModelFit, fit_with_noise, maximise
+from microbot_ros.estimation.likelihood.model_fit import ModelFit, fit_with_noise, maximise
 from microbot_ros.model.effects import EFFECTS
 
 COARSE = 0.5

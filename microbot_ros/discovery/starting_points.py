@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from microbot_ros.estimation.likelihood import SessionFit
-from microbot_ros.estimation.model_fit import ModelFit
+from microbot_ros.estimation.likelihood.joint import SessionFit
+from microbot_ros.estimation.likelihood.model_fit import ModelFit
 from microbot_ros.model.effect import Effect
 from microbot_ros.model.effect_context import EffectContext, Places
 from microbot_ros.model.evidence import AnyEffect
 from microbot_ros.model.model import Model
-from microbot_ros.model.vectors import as_vectors
+from microbot_ros.model.physics.vectors import as_vectors
 
 PADDING = 4
 """Frequencies looked at for every independent one."""

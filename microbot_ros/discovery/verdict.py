@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from microbot_ros.discovery.check.score_tests import residual_maps
 from microbot_ros.discovery.hypotheses import (
     FALSE,
     RIVAL,
@@ -27,7 +28,6 @@ from microbot_ros.discovery.hypotheses import (
 from microbot_ros.discovery.learned.learn import Finding, learn_term, with_term
 from microbot_ros.discovery.processes import Run, serially
 from microbot_ros.discovery.result import FRAMES, ResidualMap, Status, Verdict
-from microbot_ros.discovery.score_tests import residual_maps
 from microbot_ros.discovery.search import without
 from microbot_ros.model.effects import EFFECTS
 

@@ -19,6 +19,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.plugins import installed
 from microbot_ros.drive.adapter import Adapter, adapter_at
 from microbot_ros.drive.clock import Clock
 from microbot_ros.drive.errors import (
@@ -28,8 +30,6 @@ from microbot_ros.drive.errors import (
     WrongDeviceError,
 )
 from microbot_ros.drive.transport import Port, has_descriptor
-from microbot_ros.errors import InputError
-from microbot_ros.plugins import installed
 
 COILS = ('coil_plus_y', 'coil_plus_x', 'coil_minus_y', 'coil_minus_x')
 """Names of four coils in the plane, in the order of every array of currents."""

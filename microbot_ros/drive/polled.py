@@ -20,6 +20,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from microbot_ros.common.errors import InputError
 from microbot_ros.drive.amplifier import COILS, Amplifier, Command, Counters, Zero
 from microbot_ros.drive.clock import Clock
 from microbot_ros.drive.errors import (
@@ -29,7 +30,6 @@ from microbot_ros.drive.errors import (
     WrongDeviceError,
 )
 from microbot_ros.drive.transport import AbsentPort, Port
-from microbot_ros.errors import InputError
 
 _ATTEMPTS = 2
 """All requests set or ask for absolute values, so a damaged exchange may simply be repeated."""

@@ -6,17 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from microbot_ros.errors import InputError
-from microbot_ros.estimation.delay import Delay, DelayedFits
-from microbot_ros.estimation.excitation import excitation
-from microbot_ros.estimation.likelihood import SessionFit
-from microbot_ros.estimation.model_fit import fit_sessions
-from microbot_ros.estimation.noise import Noise, implausible_diffusion, whiten
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.records import Session
+from microbot_ros.estimation.likelihood.delay import Delay, DelayedFits
+from microbot_ros.estimation.likelihood.excitation import excitation
+from microbot_ros.estimation.likelihood.joint import SessionFit
+from microbot_ros.estimation.likelihood.model_fit import fit_sessions
+from microbot_ros.estimation.likelihood.noise import Noise, implausible_diffusion, whiten
+from microbot_ros.estimation.likelihood.phasor import Polar
+from microbot_ros.estimation.likelihood.prepared_session import prepare
 from microbot_ros.estimation.one_leg_regression import Leg, one_leg
-from microbot_ros.estimation.phasor import Polar
-from microbot_ros.estimation.prepared_session import prepare
 from microbot_ros.model.model import Model
-from microbot_ros.records import Session
 
 GATE = 40.0
 """Squared whitened residual beyond which diffusion does not explain a step: 2e-9 by chance."""

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.records import Session
 from microbot_ros.estimation.batch import fit
-from microbot_ros.records import Session
 
 CLEARLY = 10.0
 """Log likelihood by which one handedness must beat the other: 1 in 22,000."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from microbot_ros.records import Commands, Session
+from microbot_ros.common.records import Commands, Session
 
 
 @dataclass(frozen=True)

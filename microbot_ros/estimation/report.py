@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from microbot_ros.common.units import from_si, symbol
 from microbot_ros.estimation.batch import FitResult
 from microbot_ros.estimation.one_leg_regression import Leg
-from microbot_ros.units import from_si, symbol
 
 if TYPE_CHECKING:
     from rich.table import Table

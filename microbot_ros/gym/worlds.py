@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from microbot_ros.control.border import kept_in_view
+from microbot_ros.common.errors import InputError
 from microbot_ros.control.contract import (
     ControllerInput,
     FieldCommand,
@@ -17,10 +17,10 @@ from microbot_ros.control.contract import (
     Limits,
     Workspace,
 )
-from microbot_ros.control.controller_manager import LONGEST_STEP
+from microbot_ros.control.manager import LONGEST_STEP
 from microbot_ros.control.policy_task import ARRIVAL, distances, observation, wanted_field
+from microbot_ros.control.steering.border import kept_in_view
 from microbot_ros.drive.gate import Gate
-from microbot_ros.errors import InputError
 from microbot_ros.loop.allocation import AllocationStage, GateParameters, limits
 from microbot_ros.loop.controller import ControllerParameters
 from microbot_ros.magnetics import Allocator

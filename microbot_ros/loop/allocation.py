@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.files import read_yaml
+from microbot_ros.common.settings import setting
 from microbot_ros.drive.gate import Limits
 from microbot_ros.drive.rotation import Turning
-from microbot_ros.errors import InputError
-from microbot_ros.files import read_yaml
 from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings
-from microbot_ros.settings import setting
 
 _IN_PLANE = 1e-6
 """A field is in the plane where less than this part of it is not."""

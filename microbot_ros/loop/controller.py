@@ -11,6 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.records import Commands
+from microbot_ros.common.settings import setting
 from microbot_ros.control.contract import (
     ControllerInput,
     Goals,
@@ -19,17 +22,14 @@ from microbot_ros.control.contract import (
     Result,
     Workspace,
 )
-from microbot_ros.control.controller_manager import ControllerManager, Outcome, SwitchResult
 from microbot_ros.control.controller_thread import CONFIGURING
 from microbot_ros.control.deadline_worker import DeadlineWorker
+from microbot_ros.control.manager import ControllerManager, Outcome, SwitchResult
+from microbot_ros.control.plugins.waypoint import Waypoint
 from microbot_ros.control.registry import PluginError, controller_classes
-from microbot_ros.control.waypoint import Waypoint
-from microbot_ros.errors import InputError
 from microbot_ros.loop.points import numbers
+from microbot_ros.model.io.model_file import read_model
 from microbot_ros.model.model import Model
-from microbot_ros.model.model_file import read_model
-from microbot_ros.records import Commands
-from microbot_ros.settings import setting
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from microbot_ros.control.controller_manager import Outcome
 from microbot_ros.control.deadline_worker import UnhurriedWorker
+from microbot_ros.control.manager import Outcome
 from microbot_ros.drive.gate import Gate
 from microbot_ros.loop.allocation import AllocationStage, GateParameters, limits
 from microbot_ros.loop.controller import ControllerParameters, ControllerStage

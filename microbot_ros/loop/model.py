@@ -9,10 +9,10 @@ from functools import cache
 
 import numpy as np
 
-from microbot_ros.estimation.online import Estimates, Estimator, Settings
+from microbot_ros.common.records import Conditions
+from microbot_ros.common.settings import setting
+from microbot_ros.estimation.online.estimator import Estimates, Estimator, Settings
 from microbot_ros.loop.points import ESTIMATE, numbers
-from microbot_ros.records import Conditions
-from microbot_ros.settings import setting
 
 _EARLY = 256
 """Commands kept until the first frame."""

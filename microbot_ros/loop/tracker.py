@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from microbot_ros import units
-from microbot_ros.errors import InputError
-from microbot_ros.estimation.commands import NEGLIGIBLE
-from microbot_ros.files import read_yaml
+from microbot_ros.common import units
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.files import read_yaml
+from microbot_ros.common.settings import setting
+from microbot_ros.estimation.online.commands import NEGLIGIBLE
 from microbot_ros.loop.points import PARTICLE
-from microbot_ros.settings import setting
 from microbot_ros.tracking import (
     Drive,
     FrameError,
@@ -21,12 +21,12 @@ from microbot_ros.tracking import (
     Poses,
     Tracker,
     TrackerSettings,
-    teach,
     warm_up,
 )
-from microbot_ros.tracking.burnt_in import LEAST_FRAMES, burnt_in
-from microbot_ros.tracking.colour import Weights
-from microbot_ros.tracking.doubt import together
+from microbot_ros.tracking.link.doubt import together
+from microbot_ros.tracking.locate.burnt_in import LEAST_FRAMES, burnt_in
+from microbot_ros.tracking.locate.colour import Weights
+from microbot_ros.tracking.teach import teacher
 
 _HELD, _HELD_EVERY = 40, 0.1
 """Frames that can be pointed into, and the least time [s] between them."""
@@ -139,10 +139,10 @@ class TrackerStage:
         verb, _, rest = words.strip().partition(' ')
         settings = self._wanted
         if verb == 'forget':
-            settings, said = teach.forget(settings, rest.strip() or None)
+            settings, said = teacher.forget(settings, rest.strip() or None)
         elif verb in ('like', 'unlike'):
             x, y, name, stamp = _pointed(rest)
-            learn = teach.like if verb == 'like' else teach.unlike
+            learn = teacher.like if verb == 'like' else teacher.unlike
             settings, said = learn(settings, self._frame_at(stamp), x, y, name)
             if verb == 'like':
                 # Who points at something that was left out wants it followed.

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.plugins import installed
 from microbot_ros.magnetics.sources import Source, as_points
-from microbot_ros.plugins import installed
 
 GROUP = 'microbot_ros.coils'
 """Entry points of coils: each a `Source`, or a source or collection of magpylib's under 1 A."""

@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 from microbot_ros.magnetics.coils import CoilSet
 
 # With the gradient to cancel, a gradient weighs this much more than the heat, both measured in
@@ -78,7 +78,7 @@ class Allocator:
     def __init__(
         self, coils: CoilSet, point: ArrayLike = (0.0, 0.0, 0.0), cancel_gradient: bool = False,
     ) -> None:
-        from microbot_ros.magnetics.within import within_limits
+        from microbot_ros.magnetics.allocation_kernels import within_limits
         axes = coils.axes
         self.matrix = coils.actuation_matrix(point)[:axes]
         """Field at the point per (effective) ampere (axes, N) [T/A]."""
@@ -237,7 +237,7 @@ class Allocator:
     @cached_property
     def _together(self) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, ...]]:
         """`together` with these coils; the gradient has j first, so that b @ it is (b·∇)B."""
-        from microbot_ros.magnetics.together import together
+        from microbot_ros.magnetics.allocation_kernels import together
         axes = self._coils.axes
         along = np.ascontiguousarray(np.swapaxes(self._gradient, 0, 1)).reshape(axes, -1)
         coils = (self._background, self._unlimited, self._spare, along, _SINGULAR * self._steepest)

@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.units import from_si, to_si
 from microbot_ros.magnetics.coils import CoilSet
 from microbot_ros.magnetics.settings import CoilSettings, Vector, Winding
 from microbot_ros.magnetics.table import read_table
-from microbot_ros.units import from_si, to_si
 
 # A fit is believed when it leaves less than this part of the readings' variation unexplained (a
 # few percent is what probe placement costs), and when it is clean or no swap of columns leaves so

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.units import from_si, to_si
 from microbot_ros.magnetics.sources import as_points
 from microbot_ros.magnetics.table import read_table
-from microbot_ros.units import from_si, to_si
 
 COLUMNS = ('x_mm', 'y_mm', 'z_mm', 'bx_mT_per_A', 'by_mT_per_A', 'bz_mT_per_A')
 _FIELD = 'field_mT_per_A'

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 from microbot_ros.magnetics.allocation import Allocator
 from microbot_ros.magnetics.coils import CoilSet
 

@@ -27,8 +27,8 @@ import math
 
 import numpy as np
 
-from microbot_ros.compiled import numba
-from microbot_ros.units import MU_0
+from microbot_ros.common.compiled import numba
+from microbot_ros.common.units import MU_0
 
 ON_WIRE = 1e-12
 """Closer to the wire than this part of the radius, a point counts as on it: field NaN."""

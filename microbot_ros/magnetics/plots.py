@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from microbot_ros.common.units import from_si
 from microbot_ros.magnetics.calibration import Calibration, Readings
-from microbot_ros.units import from_si
 
 
 def draw_calibration(calibration: Calibration, readings: Readings, path: str | Path) -> None:

@@ -17,8 +17,8 @@ import math
 
 import numpy as np
 
-from microbot_ros.compiled import numba
-from microbot_ros.units import MU_0
+from microbot_ros.common.compiled import numba
+from microbot_ros.common.units import MU_0
 
 ON_WIRE = 1e-12
 """Closer to a segment than this part of its length, a point counts as on it: field NaN."""

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 
 
 class Saturation:

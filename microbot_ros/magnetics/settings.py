@@ -10,7 +10,7 @@ import numpy as np
 import pydantic
 from pydantic import Field, PositiveFloat, PositiveInt
 
-from microbot_ros.files import Settings
+from microbot_ros.common.files import Settings
 from microbot_ros.magnetics.saturation import Saturation
 from microbot_ros.magnetics.sources import Loop, Placed, Polyline, Source
 

@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 
 
 class Source(Protocol):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 
 
 def read_table(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal, Protocol, TypeVar
 
 import numpy as np
 
-from microbot_ros.records import Commands
+from microbot_ros.common.records import Commands
 
 if TYPE_CHECKING:
     from microbot_ros.model.effect import Effect

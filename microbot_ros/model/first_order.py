@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from microbot_ros.common.records import Commands
 from microbot_ros.model.effect_context import EffectContext, Places
 from microbot_ros.model.heading import integrate_heading
 from microbot_ros.model.increments import Response, respond
 from microbot_ros.model.model import Model, ParticleParameters
+from microbot_ros.model.physics.vectors import as_complex, as_vectors
 from microbot_ros.model.timeline import Timeline
-from microbot_ros.model.vectors import as_complex, as_vectors
-from microbot_ros.records import Commands
 
 
 def simulate(model: Model, particles: ParticleParameters, commands: Commands, times: np.ndarray,

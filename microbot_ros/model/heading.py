@@ -8,8 +8,8 @@ import numpy as np
 
 from microbot_ros.model.effect_context import EffectContext
 from microbot_ros.model.model import Model
+from microbot_ros.model.physics.vectors import as_complex
 from microbot_ros.model.timeline import Segments, Timeline
-from microbot_ros.model.vectors import as_complex
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def heading_course(
     target, driven = _target(model, context)
     rate = model.alignment_rate(context)
     if rate is not None:
-        from microbot_ros.model.alignment_kernel import integrate_alignment
+        from microbot_ros.model.physics.alignment_kernel import integrate_alignment
 
         begin = np.zeros(1, complex) if start is None else np.asarray(start, dtype=complex)
         shape = np.broadcast_shapes(target.shape, rate.shape, (1, len(begin)))

@@ -12,8 +12,8 @@ from microbot_ros.model.effect_context import EffectContext
 from microbot_ros.model.heading import integrate_heading
 from microbot_ros.model.learned_term import LearnedTerm
 from microbot_ros.model.model import Model, ParticleParameters
+from microbot_ros.model.physics.vectors import as_vectors
 from microbot_ros.model.timeline import Segments, Timeline
-from microbot_ros.model.vectors import as_vectors
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def _drifted(effect: Effect | LearnedTerm, segments: Segments,
 
 def _directly(model: Model, timeline: Timeline, start: complex) -> Response:
     """The same where no effect acts, in a fraction of the time."""
-    from microbot_ros.model.alignment_kernel import integrate_direction
+    from microbot_ros.model.physics.alignment_kernel import integrate_direction
 
     commands, times = timeline.commands, timeline.times
     turns = np.zeros(len(commands.t)) if commands.frequency is None else commands.frequency
@@ -130,7 +130,7 @@ def heading_response(model: Model, particles: ParticleParameters,
 
     For a filter of positions whose state holds the heading too.
     """
-    from microbot_ros.model.alignment_kernel import chain_intervals
+    from microbot_ros.model.physics.alignment_kernel import chain_intervals
 
     segments, course, context = integrate_heading(model, timeline)
     sensitivity = course.heading_sensitivity * model.speed_factor(context)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from importlib.metadata import EntryPoint, entry_points
 
-from microbot_ros.errors import PackageError
+from microbot_ros.common.errors import PackageError
 from microbot_ros.model.effect import STAGES, Effect
 
 GROUP = 'microbot_ros.effects'

@@ -8,12 +8,12 @@ from typing import Literal
 
 import numpy as np
 
+from microbot_ros.common.records import Commands, Conditions
 from microbot_ros.model.effect import STAGES, Effect
 from microbot_ros.model.effect_context import EffectContext, Places
 from microbot_ros.model.effects import BUILT_IN
 from microbot_ros.model.learned_term import LearnedTerm
 from microbot_ros.model.parameter import Parameter
-from microbot_ros.records import Commands, Conditions
 
 Propulsion = Literal['catalytic', 'rolling']
 _ORDER = {effect.id: rank for rank, effect in enumerate(BUILT_IN)}

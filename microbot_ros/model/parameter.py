@@ -6,7 +6,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
-from microbot_ros import units
+from microbot_ros.common import units
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ from typing import TypeVar, cast
 
 import numpy as np
 
+from microbot_ros.common.records import Commands
 from microbot_ros.model.effect_context import EffectContext, Places
 from microbot_ros.model.model import Model
-from microbot_ros.records import Commands
 
 Key = TypeVar('Key')
 Value = TypeVar('Value')

@@ -17,11 +17,11 @@ from microbot_ros.cameras.camera import (
     kind_of,
 )
 from microbot_ros.cameras.stream import FrameStream
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.settings import setting
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import ERROR, IMAGES_OUT, OK, WARN, RigNode
 from microbot_ros.nodes.preview import Preview
-from microbot_ros.settings import setting
 
 _RETRY_SECONDS = 1.0
 _FRESH_SECONDS = 1.0

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from microbot_ros.cockpit import address
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.settings import setting
 from microbot_ros.nodes.lifecycle import ERROR, OK, RigNode
-from microbot_ros.settings import setting
 
 if TYPE_CHECKING:
     from microbot_ros.cockpit.server import Server

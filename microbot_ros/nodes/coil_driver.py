@@ -14,16 +14,16 @@ from sensor_msgs.msg import JointState, MagneticField, TimeReference
 from std_msgs.msg import Bool, Empty
 from std_srvs.srv import SetBool
 
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.settings import setting
 from microbot_ros.drive.amplifier import BY_HAND, Command, Reading, Zero, amplifier_class
 from microbot_ros.drive.coil_driver import STOPPED, CoilDriver
 from microbot_ros.drive.errors import AmplifierError
 from microbot_ros.drive.gate import Fault, Reason
 from microbot_ros.drive.heat import HeatRecord
-from microbot_ros.errors import InputError
 from microbot_ros.loop.allocation import AllocationStage, GateParameters, limits
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import ERROR, LATCHED, NEWEST, OK, WARN, RigNode
-from microbot_ros.settings import setting
 
 _WARM = 0.01
 """Heat of a coil, as a part of what it bears, from which on it is kept for a restart."""

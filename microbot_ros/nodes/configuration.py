@@ -9,11 +9,11 @@ from typing import Any
 
 import pydantic
 
-from microbot_ros import errors, settings
+from microbot_ros.common import errors, settings
+from microbot_ros.common.errors import InputError, clipped
+from microbot_ros.common.files import Settings, line_of, load_yaml, read_yaml
 from microbot_ros.control.registry import PluginError, controller_class
 from microbot_ros.drive.amplifier import amplifier_class
-from microbot_ros.errors import InputError, clipped
-from microbot_ros.files import Settings, line_of, load_yaml, read_yaml
 from microbot_ros.nodes.lifecycle import RigNode
 from microbot_ros.nodes.process import NODES
 

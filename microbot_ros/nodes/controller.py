@@ -22,20 +22,20 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
+from microbot_ros.common.errors import InputError, shown
+from microbot_ros.common.settings import defaults
 from microbot_ros.control.contract import FieldCommand, Goals, Input, Result, no_field
 from microbot_ros.control.deadline_worker import DeadlineWorker
 from microbot_ros.control.registry import controller_classes
-from microbot_ros.errors import InputError, shown
 from microbot_ros.loop.controller import ControllerParameters, ControllerStage
 from microbot_ros.loop.points import GOAL, PLACE
-from microbot_ros.model.model_file import read_model
+from microbot_ros.model.io.model_file import read_model
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.core import Core
 from microbot_ros.nodes.lifecycle import ERROR, LATCHED, NEWEST, OK, WARN, RigNode, status
 from microbot_ros.nodes.markers import markers
 from microbot_ros.nodes.parameters import ParameterSet
 from microbot_ros.session.log import EXPIRE, LET_GO
-from microbot_ros.settings import defaults
 
 _MARKERS_SECONDS = 0.2
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from rcl_interfaces.msg import ParameterDescriptor
 
-from microbot_ros import units
+from microbot_ros.common import units
 
 _TYPES: tuple[tuple[type, str, str], ...] = (
     (bool, 'boolean', ''), (int, 'integer', 'numbers'), (float, 'number', 'numbers'),

@@ -12,14 +12,14 @@ from types import TracebackType
 import numpy as np
 from sensor_msgs.msg import PointCloud2
 
+from microbot_ros.common.errors import InputError, RigError
+from microbot_ros.common.records import Commands, Session
 from microbot_ros.control.contract import Workspace
 from microbot_ros.discovery.driven.design import Range
 from microbot_ros.discovery.driven.drive import Played
 from microbot_ros.discovery.driven.plan import Plan, marking_time
-from microbot_ros.errors import InputError, RigError
 from microbot_ros.nodes.graph_client import GraphClient
 from microbot_ros.nodes.live_session_buffer import LiveSessionBuffer
-from microbot_ros.records import Commands, Session
 
 CONTROLLER, AT_REST = 'experiment', 'hold'
 """What drives, and what is left driving."""

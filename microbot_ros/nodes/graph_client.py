@@ -18,7 +18,7 @@ from rclpy.validate_namespace import validate_namespace
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 
-from microbot_ros.errors import InputError, clipped
+from microbot_ros.common.errors import InputError, clipped
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.participant import client_context
 from microbot_ros.nodes.rig_client import RigClient, Steps

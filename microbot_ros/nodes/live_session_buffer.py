@@ -11,11 +11,11 @@ import numpy as np
 from geometry_msgs.msg import Vector3Stamped
 from sensor_msgs.msg import JointState, MagneticField, PointCloud2
 
-from microbot_ros import units
+from microbot_ros.common import units
+from microbot_ros.common.records import Conditions, Session, Tracks
 from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.graph_client import GraphClient
-from microbot_ros.records import Conditions, Session, Tracks
 from microbot_ros.session.from_recording import commands_of
 
 _LIVE_SECONDS = 1.0

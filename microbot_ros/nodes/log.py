@@ -57,8 +57,7 @@ class Log:
         return take
 
     def note(self, name: str, what: Any) -> None:
-        """Note that the node takes `name` now; `what` is the stamp of a message [ns] or its content.
-        """
+        """Note that the node takes `name` now; `what` is its stamp [ns] or its content."""
         self._node.now_ns = self._node.get_clock().now().nanoseconds
         self._taken.append([name, what, self._node.now_ns])
 

@@ -23,10 +23,10 @@ from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from microbot_ros.cameras.camera import CameraFormat
-from microbot_ros.errors import clipped
+from microbot_ros.common.errors import clipped
+from microbot_ros.common.records import Commands
 from microbot_ros.loop.points import ESTIMATE
-from microbot_ros.records import Commands
-from microbot_ros.tracking.colour import Weights, weighted
+from microbot_ros.tracking.locate.colour import Weights, weighted
 
 WORKSPACE = 'workspace'
 """Frame of every position and every field: x right, y up."""

@@ -10,16 +10,16 @@ from typing import ClassVar
 from geometry_msgs.msg import Vector3Stamped
 from sensor_msgs.msg import MagneticField, PointCloud2
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.records import height_problem
+from microbot_ros.common.settings import setting
 from microbot_ros.loop.model import ModelParameters, ModelStage
 from microbot_ros.loop.points import PARTICLE
-from microbot_ros.model.model_file import read_model
+from microbot_ros.model.io.model_file import read_model
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.core import Core
 from microbot_ros.nodes.felt_rotation import follow_rotation
 from microbot_ros.nodes.lifecycle import OK, SILENCE_SECONDS, WARN, RigNode, in_one_line
-from microbot_ros.records import height_problem
-from microbot_ros.settings import setting
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from std_msgs.msg import Empty, Header
 from std_srvs.srv import SetBool
 
 from microbot_ros.cockpit.rig import Answer, RefusedError
-from microbot_ros.errors import InputError, RigError
+from microbot_ros.common.errors import InputError, RigError
 from microbot_ros.nodes import messages, rig_client
 from microbot_ros.nodes.described_parameters import Described
 from microbot_ros.nodes.lifecycle import NEWEST, RigNode

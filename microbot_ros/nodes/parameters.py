@@ -15,8 +15,8 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from microbot_ros import settings
-from microbot_ros.errors import InputError, clipped, known
+from microbot_ros.common import settings
+from microbot_ros.common.errors import InputError, clipped, known
 
 ValuesT = TypeVar('ValuesT')
 

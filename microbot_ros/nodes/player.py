@@ -12,14 +12,14 @@ from typing import Any, ClassVar
 
 from std_srvs.srv import SetBool, Trigger
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.settings import setting
 from microbot_ros.nodes.lifecycle import OK, RigNode
 from microbot_ros.nodes.live_rig import LiveRig
 from microbot_ros.nodes.playback_publishers import PlaybackPublishers
 from microbot_ros.nodes.topics import CHANGES
 from microbot_ros.session.playback import Playback, open_source
 from microbot_ros.session.recording import Message
-from microbot_ros.settings import setting
 
 _CLOCK_SECONDS = 0.01
 _SETTLED_SECONDS = 0.5

@@ -19,13 +19,13 @@ from rclpy.parameter import parameter_value_to_python
 from rclpy.serialization import deserialize_message
 from std_srvs.srv import SetBool
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.settings import setting
 from microbot_ros.nodes.lifecycle import OK, WARN, RigNode
 from microbot_ros.nodes.parameter_collector import ParameterCollector
 from microbot_ros.nodes.topics import CHANGES, TOPICS, type_name
 from microbot_ros.session import RecordingWriter
 from microbot_ros.session.bag import typestore
-from microbot_ros.settings import setting
 
 _FRAMES, _OVERLAY = 'camera/image_raw', 'overlay/image_raw'
 _CONDITIONS = (

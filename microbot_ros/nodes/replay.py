@@ -18,10 +18,10 @@ from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
-from microbot_ros import settings, strict_yaml
-from microbot_ros.control.policy import EXECUTED_FILE
+from microbot_ros.common import settings, strict_yaml
+from microbot_ros.common.errors import InputError
+from microbot_ros.control.plugins.policy import EXECUTED_FILE
 from microbot_ros.control.recorded_worker import IN_TIME, RepeatingWorker
-from microbot_ros.errors import InputError
 from microbot_ros.loop.allocation import AllocationStage, GateParameters
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.controller import ControllerCore

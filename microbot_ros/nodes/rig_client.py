@@ -22,12 +22,12 @@ from rclpy.publisher import Publisher
 from rclpy.task import Future
 from std_srvs.srv import SetBool
 
+from microbot_ros.common.errors import InputError, RigError
+from microbot_ros.common.records import Commands
 from microbot_ros.control.controller_thread import AGAIN, CONFIGURING
 from microbot_ros.drive.amplifier import BY_HAND, Zero
-from microbot_ros.errors import InputError, RigError
 from microbot_ros.loop.points import GOAL
 from microbot_ros.nodes import messages
-from microbot_ros.records import Commands
 
 FIND_S = 5.0
 """How long a node may take to be seen. What is said to a process that has just started may be

@@ -27,8 +27,8 @@ from sensor_msgs.msg import (
 )
 from std_msgs.msg import Bool, String
 
-from microbot_ros import strict_yaml, units
 from microbot_ros.cockpit.rig import ParticleListener, PictureListener, zero_in
+from microbot_ros.common import strict_yaml, units
 from microbot_ros.loop.points import GOAL, PARTICLE, PLACE
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import LATCHED, RigNode

@@ -14,8 +14,9 @@ from geometry_msgs.msg import PoseArray, Vector3Stamped
 from sensor_msgs.msg import Image, MagneticField, PointCloud2
 from std_msgs.msg import String
 
-from microbot_ros import units
-from microbot_ros.errors import InputError
+from microbot_ros.common import units
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.settings import setting
 from microbot_ros.loop.tracker import TrackerParameters, TrackerStage
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.core import Core
@@ -30,7 +31,6 @@ from microbot_ros.nodes.lifecycle import (
     WARN,
     RigNode,
 )
-from microbot_ros.settings import setting
 from microbot_ros.tracking import FrameError
 
 
@@ -71,7 +71,7 @@ class TrackerCore(Core):
         self.subscribe(Image, 'camera/image_raw', self._on_image, IMAGES_IN)
 
     def seen(self, image: np.ndarray, stamp: Time) -> None:
-        """Called after each frame, an `image` (H, W) of a `stamp`, whose particles are published."""
+        """Called after each frame: an `image` (H, W) of a `stamp`, its particles published."""
 
     def _on_image(self, message: Image) -> None:
         image = messages.gray(message, self.stage.colour)

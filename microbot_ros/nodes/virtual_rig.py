@@ -18,20 +18,20 @@ from typing import ClassVar, TextIO
 import numpy as np
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
-from microbot_ros import units
-from microbot_ros.errors import InputError
-from microbot_ros.files import read_yaml
+from microbot_ros.common import units
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.files import read_yaml
+from microbot_ros.common.records import height_problem
+from microbot_ros.common.settings import setting
 from microbot_ros.magnetics.coils import CoilSet
 from microbot_ros.magnetics.settings import CoilSettings
-from microbot_ros.model.effect_table import write_effects
+from microbot_ros.model.io.effect_table import write_effects
+from microbot_ros.model.io.model_file import read_model
 from microbot_ros.model.model import Model
-from microbot_ros.model.model_file import read_model
-from microbot_ros.model.particle import Fluid, rolling_drag, rotational_drag
+from microbot_ros.model.physics.particle import Fluid, rolling_drag, rotational_drag
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import IMAGES_OUT, OK, WARN, RigNode
 from microbot_ros.nodes.preview import Preview
-from microbot_ros.records import height_problem
-from microbot_ros.settings import setting
 from microbot_ros.virtual_rig.body import bodies
 from microbot_ros.virtual_rig.foreign_effects import make_world
 from microbot_ros.virtual_rig.injected_effects import INJECTABLE, inject_effect

@@ -13,12 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from microbot_ros.common.records import Commands, Session
 from microbot_ros.estimation.one_leg_regression import one_leg
 from microbot_ros.magnetics.force import MagneticParticle
 from microbot_ros.model.first_order import simulate
 from microbot_ros.model.model import Model, ParticleParameters
-from microbot_ros.model.newton_stokes import newton_stokes, stokes_translation
-from microbot_ros.model.particle import (
+from microbot_ros.model.physics.newton_stokes import newton_stokes, stokes_translation
+from microbot_ros.model.physics.particle import (
     Fluid,
     Particle,
     alignment_time,
@@ -29,8 +30,7 @@ from microbot_ros.model.particle import (
     translational_diffusion,
     translational_time,
 )
-from microbot_ros.model.vectors import unit
-from microbot_ros.records import Commands, Session
+from microbot_ros.model.physics.vectors import unit
 from microbot_ros.virtual_rig.body import bodies
 from microbot_ros.virtual_rig.commands import steps
 from microbot_ros.virtual_rig.record_session import Camera, record_session, scatter

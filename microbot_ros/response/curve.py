@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 from scipy.special import fdtri
 
 from microbot_ros.model.effect_context import EffectContext
-from microbot_ros.model.effects.drive_response import DriveResponse
+from microbot_ros.model.effects.velocity.drive_response import DriveResponse
 from microbot_ros.response.plateaus import Measured
 
 FEWEST_LEVELS = 4

@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 from scipy.special import stdtrit
 
-from microbot_ros.records import Commands, Session, SpeedWindow, Tracks
+from microbot_ros.common.records import Commands, Session, SpeedWindow, Tracks
 
 Against = Literal['frequency', 'field', 'tilt']
 Definition = Literal['motion', 'tables']

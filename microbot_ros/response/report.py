@@ -11,8 +11,8 @@ from typing import Any
 import jinja2
 import numpy as np
 
-from microbot_ros.discovery import report_words
-from microbot_ros.discovery.report_figures import embedded
+from microbot_ros.discovery.report import words as report_words
+from microbot_ros.discovery.report.figures import embedded
 from microbot_ros.response import words
 from microbot_ros.response.figure import draw
 from microbot_ros.response.plateaus import Measured

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from microbot_ros.discovery.report_words import number
+from microbot_ros.discovery.report.words import number
 from microbot_ros.response.plateaus import SETTLE_S, TURN, Against, Measured
 from microbot_ros.response.result import Group, Response, Unlike
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from microbot_ros.errors import InputError
-from microbot_ros.records import Session
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.records import Session
 from microbot_ros.session.folder import read_folder, write_folder
 from microbot_ros.session.from_recording import session_of
 from microbot_ros.session.recorder import RecorderStatus, RecordingWriter

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from microbot_ros.records import Session
+from microbot_ros.common.records import Session
 from microbot_ros.session.bag import typestore
 from microbot_ros.session.recording import Message, Topic
 

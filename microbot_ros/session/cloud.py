@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 
 # sensor_msgs/msg/PointField: INT8 = 1 … FLOAT64 = 8.
 _TYPES = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}

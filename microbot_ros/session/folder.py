@@ -9,10 +9,10 @@ import numpy as np
 import pydantic
 import yaml
 
-from microbot_ros.errors import InputError
-from microbot_ros.files import Settings, output_folder, read_yaml
-from microbot_ros.plausible import LONGEST_S
-from microbot_ros.records import (
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.files import Settings, output_folder, read_yaml
+from microbot_ros.common.plausible import LONGEST_S
+from microbot_ros.common.records import (
     Commands,
     Conditions,
     Session,
@@ -21,9 +21,9 @@ from microbot_ros.records import (
     Tracks,
     height_problem,
 )
+from microbot_ros.common.units import exact_display, exact_si
 from microbot_ros.session.plausibility import LARGEST_ID
 from microbot_ros.session.tables import Layout, Table, read_table, write_table
-from microbot_ros.units import exact_display, exact_si
 
 NOMINAL_FIELD = 1e-3
 """Magnitude [T] given to a rolling field where a session states none: only its direction and

@@ -9,8 +9,8 @@ from typing import Any, NoReturn
 import numpy as np
 import pydantic
 
-from microbot_ros.errors import InputError
-from microbot_ros.records import Commands, Conditions, Session, Tracks
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.records import Commands, Conditions, Session, Tracks
 from microbot_ros.session.cloud import cloud_points
 from microbot_ros.session.folder import SessionFile
 from microbot_ros.session.plausibility import check_session

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from microbot_ros.errors import InputError
-from microbot_ros.plausible import LONGEST_S, expected_range, implausible
-from microbot_ros.records import Session
-from microbot_ros.units import from_si
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.plausible import LONGEST_S, expected_range, implausible
+from microbot_ros.common.records import Session
+from microbot_ros.common.units import from_si
 
 LARGEST_ID = 2**32 - 1
 """The largest that a message can carry."""

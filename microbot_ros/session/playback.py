@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Protocol
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 from microbot_ros.session.as_messages import SessionMessages
 from microbot_ros.session.folder import read_folder
 from microbot_ros.session.recording import Message, Topic, is_recording, is_topic, open_recording

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from mcap.records import Attachment, Channel, Metadata, Schema
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 from microbot_ros.session.bag import typestore
 from microbot_ros.session.recording import is_topic
 from microbot_ros.session.store import MIB, Priority, RecordedTopic, Store

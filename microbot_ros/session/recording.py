@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from microbot_ros.errors import InputError
-from microbot_ros.files import load_yaml, write_text
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.files import load_yaml, write_text
 from microbot_ros.session.bag import METADATA_FILE, metadata_text, typestore
 from microbot_ros.session.mcap_file import McapFile, Message
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from mcap.records import Attachment, Channel, Metadata, Schema
 
-from microbot_ros.files import write_text
+from microbot_ros.common.files import write_text
 from microbot_ros.session.bag import METADATA_FILE, metadata_text
 from microbot_ros.session.mcap_chunk import ChunkBuilder, ClosedChunk
 from microbot_ros.session.mcap_writer import McapWriter

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from microbot_ros.errors import InputError
-from microbot_ros.records import Commands, Session
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.records import Commands, Session
 from microbot_ros.session.as_messages import SessionMessages
 from microbot_ros.session.folder import read_folder
 from microbot_ros.session.from_recording import CUT_OFF, session_of, stamp_ns

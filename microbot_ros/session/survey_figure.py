@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from microbot_ros.errors import InputError
-from microbot_ros.records import Session
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.records import Session
 from microbot_ros.session.survey import Survey
 
 if TYPE_CHECKING:

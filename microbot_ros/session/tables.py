@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from microbot_ros.errors import InputError, clipped
-from microbot_ros.plausible import expected_range, implausible
-from microbot_ros.units import exact_display, exact_si, from_si
+from microbot_ros.common.errors import InputError, clipped
+from microbot_ros.common.plausible import expected_range, implausible
+from microbot_ros.common.units import exact_display, exact_si, from_si
 
 
 @dataclass(frozen=True)

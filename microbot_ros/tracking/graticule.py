@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 
 _LEAST_LINES = 3
 """Periods across a part of the picture; fewer look like uneven light."""

@@ -8,10 +8,10 @@ from typing import TextIO
 
 import numpy as np
 
+from microbot_ros.common.units import from_si
 from microbot_ros.tracking.camera import ImageToWorkspace
-from microbot_ros.tracking.doubt import together
+from microbot_ros.tracking.link.doubt import together
 from microbot_ros.tracking.tracker import Poses
-from microbot_ros.units import from_si
 
 
 class Rows:

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from microbot_ros.compiled import numba
-from microbot_ros.tracking.states import PLACE, UNNAMED, TrackStates
+from microbot_ros.common.compiled import numba
+from microbot_ros.tracking.link.states import PLACE, UNNAMED, TrackStates
 
 _WORTH = 0.5
 """Share of the picture from which on windows save nothing."""

@@ -6,10 +6,10 @@ from typing import Literal
 
 from pydantic import Field, field_validator
 
-from microbot_ros.files import Settings
-from microbot_ros.tracking.colour import Weights
-from microbot_ros.tracking.kinds import Kind
-from microbot_ros.tracking.standing import Place
+from microbot_ros.common.files import Settings
+from microbot_ros.tracking.locate.colour import Weights
+from microbot_ros.tracking.locate.kinds import Kind
+from microbot_ros.tracking.locate.standing import Place
 
 
 class TrackerSettings(Settings):

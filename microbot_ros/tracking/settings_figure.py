@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from microbot_ros.tracking.appearance import Appearance
-from microbot_ros.tracking.detect import Detections
-from microbot_ros.tracking.fit import TABLE_STEP
+from microbot_ros.tracking.locate.detect import Detections
+from microbot_ros.tracking.refine.appearance import Appearance
+from microbot_ros.tracking.refine.fit import TABLE_STEP
 from microbot_ros.tracking.settings import TrackerSettings
 
 

@@ -8,18 +8,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from microbot_ros.compiled import numba
-from microbot_ros.errors import InputError
-from microbot_ros.tracking.appearance import Appearance
-from microbot_ros.tracking.detect import RoundDetector
+from microbot_ros.common.compiled import numba
+from microbot_ros.common.errors import InputError
 from microbot_ros.tracking.frame_quality import FrameQuality
-from microbot_ros.tracking.kinds_detector import KindsDetector, stand_in
-from microbot_ros.tracking.learn import learning
-from microbot_ros.tracking.link import Linker
-from microbot_ros.tracking.outline import OutlineDetector
+from microbot_ros.tracking.link.linker import Linker
+from microbot_ros.tracking.link.states import PLACE, VELOCITY, VELOCITY_PHASOR, TrackStates
+from microbot_ros.tracking.locate.detect import RoundDetector
+from microbot_ros.tracking.locate.kinds_detector import KindsDetector, stand_in
+from microbot_ros.tracking.locate.outline import OutlineDetector
+from microbot_ros.tracking.refine.appearance import Appearance
 from microbot_ros.tracking.search_windows import SearchWindows
 from microbot_ros.tracking.settings import TrackerSettings
-from microbot_ros.tracking.states import PLACE, VELOCITY, VELOCITY_PHASOR, TrackStates
+from microbot_ros.tracking.teach.learn import learning
 
 
 class FrameError(InputError):

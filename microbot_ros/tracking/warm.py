@@ -7,10 +7,10 @@ from functools import cache
 
 import numpy as np
 
-from microbot_ros.tracking.assign import assign
-from microbot_ros.tracking.learn import learn
+from microbot_ros.tracking.link.assign import assign
 from microbot_ros.tracking.settings import TrackerSettings
-from microbot_ros.tracking.teach import like
+from microbot_ros.tracking.teach.learn import learn
+from microbot_ros.tracking.teach.teacher import like
 from microbot_ros.tracking.tracker import Tracker
 
 

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from microbot_ros.model.particle import (
+from microbot_ros.model.physics.particle import (
     Fluid,
     rotational_diffusion,
     rotational_drag,

@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from microbot_ros import settings
+from microbot_ros.common import settings
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.records import Commands, Session, Tracks
 from microbot_ros.control.contract import Controller, Goals
 from microbot_ros.control.registry import PluginError, controller_class
-from microbot_ros.errors import InputError
 from microbot_ros.loop.allocation import GateParameters
 from microbot_ros.loop.controller import ControllerParameters
 from microbot_ros.loop.loop import Loop, LoopParameters, LoopStep
 from microbot_ros.loop.model import ModelParameters
 from microbot_ros.loop.points import particles_at
 from microbot_ros.loop.tracker import TrackerParameters
-from microbot_ros.records import Commands, Session, Tracks
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 from microbot_ros.virtual_rig.scenario import ControllerSettings, Scenario
 from microbot_ros.virtual_rig.world import FieldHistory, World

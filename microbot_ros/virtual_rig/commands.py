@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from microbot_ros.model.vectors import unit
-from microbot_ros.records import Commands
+from microbot_ros.common.records import Commands
+from microbot_ros.model.physics.vectors import unit
 
 Levels = float | Sequence[float] | np.ndarray
 ROTATING_HZ = 20.0

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from microbot_ros.compiled import numba
-from microbot_ros.model.langevin import step_heading
+from microbot_ros.common.compiled import numba
+from microbot_ros.model.physics.langevin import step_heading
 from microbot_ros.virtual_rig.coil_gradients import SPACING
 
 Pair = tuple[float, float]

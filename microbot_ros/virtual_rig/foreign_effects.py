@@ -15,11 +15,11 @@ from numpy.typing import ArrayLike
 
 from microbot_ros.model.effect import Effect
 from microbot_ros.model.effect_context import EffectContext, Places
-from microbot_ros.model.effect_table import read_effects
 from microbot_ros.model.effects import EFFECTS
-from microbot_ros.model.langevin import step_grid
+from microbot_ros.model.io.effect_table import read_effects
 from microbot_ros.model.learned_term import LearnedTerm
 from microbot_ros.model.model import Model
+from microbot_ros.model.physics.langevin import step_grid
 from microbot_ros.model.timeline import last_change
 from microbot_ros.virtual_rig.dynamics import coil_fields, felt_field
 from microbot_ros.virtual_rig.injected_effects import INJECTABLE, check

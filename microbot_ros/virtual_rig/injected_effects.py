@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from microbot_ros.units import to_si
+from microbot_ros.common.units import to_si
 from microbot_ros.virtual_rig.coil_gradients import pull_of_coil, pull_of_pair
 
 # Effect → parameter as people write it → column of the particle's record.

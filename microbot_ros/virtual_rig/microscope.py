@@ -13,8 +13,8 @@ import math
 import numpy as np
 from pydantic import Field
 
-from microbot_ros import units
-from microbot_ros.files import Settings
+from microbot_ros.common import units
+from microbot_ros.common.files import Settings
 
 _NOISE_BANK = 1 << 20
 _GOLDEN = 0.6180339887498949

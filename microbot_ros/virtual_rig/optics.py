@@ -6,7 +6,7 @@ import math
 
 from numpy import ndarray
 
-from microbot_ros.compiled import numba
+from microbot_ros.common.compiled import numba
 
 
 @numba.njit(cache=True)

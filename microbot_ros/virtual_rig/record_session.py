@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from microbot_ros.model.langevin import Path
-from microbot_ros.model.particle import Fluid, rotational_drag
-from microbot_ros.records import Commands, Conditions, Session, Tracks
+from microbot_ros.common.records import Commands, Conditions, Session, Tracks
+from microbot_ros.model.physics.langevin import Path
+from microbot_ros.model.physics.particle import Fluid, rotational_drag
 from microbot_ros.virtual_rig.body import bodies
 from microbot_ros.virtual_rig.world import FieldHistory, World
 

@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microbot_ros.compiled import numba
+from microbot_ros.common.compiled import numba
 from microbot_ros.virtual_rig.world import FieldHistory
 
 _LONGEST_S = 2e-3

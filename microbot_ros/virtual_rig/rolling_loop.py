@@ -23,11 +23,11 @@ from microbot_ros.control.contract import (
     Limits,
     Workspace,
 )
-from microbot_ros.control.controller_manager import ControllerManager, Outcome
 from microbot_ros.control.deadline_worker import UnhurriedWorker
+from microbot_ros.control.manager import ControllerManager, Outcome
 from microbot_ros.drive.rotation import Rotation, Turning
 from microbot_ros.model.model import Model
-from microbot_ros.model.particle import Fluid, rotational_drag
+from microbot_ros.model.physics.particle import Fluid, rotational_drag
 from microbot_ros.virtual_rig.body import bodies
 from microbot_ros.virtual_rig.rolling import Rolling
 from microbot_ros.virtual_rig.world import World

@@ -10,16 +10,16 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import pydantic
 
-from microbot_ros.errors import InputError
-from microbot_ros.files import Settings, line_of, read_yaml
-from microbot_ros.model.effect_table import write_effects
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.files import Settings, line_of, read_yaml
+from microbot_ros.common.plausible import check_plausible
+from microbot_ros.common.records import Commands, Conditions, height_problem
+from microbot_ros.common.units import exact_si
+from microbot_ros.model.io.effect_table import write_effects
+from microbot_ros.model.io.model_file import read_model
 from microbot_ros.model.learned_term import LearnedTerm
 from microbot_ros.model.model import Model, ParticleParameters, Propulsion
-from microbot_ros.model.model_file import read_model
-from microbot_ros.model.particle import Fluid
-from microbot_ros.plausible import check_plausible
-from microbot_ros.records import Commands, Conditions, height_problem
-from microbot_ros.units import exact_si
+from microbot_ros.model.physics.particle import Fluid
 from microbot_ros.virtual_rig.commands import ROTATING_HZ, Herding, rotating, steps
 from microbot_ros.virtual_rig.foreign_effects import check_effect
 from microbot_ros.virtual_rig.record_session import Camera, Feedback

@@ -7,15 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from microbot_ros.errors import InputError
-from microbot_ros.model.effect_table import read_effects
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.records import Commands, Session
 from microbot_ros.model.first_order import simulate
 from microbot_ros.model.increments import beyond_learned
+from microbot_ros.model.io.effect_table import read_effects
 from microbot_ros.model.model import Model, ParticleParameters
-from microbot_ros.model.newton_stokes import newton_stokes
-from microbot_ros.model.particle import Particle, rotational_drag, sphere_mass, stokes_drag
+from microbot_ros.model.physics.newton_stokes import newton_stokes
+from microbot_ros.model.physics.particle import Particle, rotational_drag, sphere_mass, stokes_drag
 from microbot_ros.model.timeline import Timeline
-from microbot_ros.records import Commands, Session
 from microbot_ros.virtual_rig.body import bodies
 from microbot_ros.virtual_rig.closed_loop import LoopFeedback, film, make_feedback, tell_fault
 from microbot_ros.virtual_rig.foreign_effects import make_world

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from microbot_ros.model.langevin import step_grid
-from microbot_ros.records import Commands
+from microbot_ros.common.records import Commands
+from microbot_ros.model.physics.langevin import step_grid
 from microbot_ros.virtual_rig.coil_gradients import coil_gradients
 from microbot_ros.virtual_rig.dynamics import advance
 

@@ -17,7 +17,7 @@ from command_line import microbot
 
 from microbot_ros.archive import Archive, batch, conclude, read_table, work
 from microbot_ros.archive.cluster import ClusterError
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 from microbot_ros.session import read_session
 from microbot_ros.session.spreadsheets.sheets import Answers
 

@@ -14,7 +14,7 @@ from laboratories import fill
 from bench._dask_by_hand import by_hand, kill_children, results, until
 from microbot_ros.archive import batch, cluster, read_table
 from microbot_ros.archive.cluster import ClusterError
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 from microbot_ros.session.spreadsheets.sheets import Answers
 
 # On a machine that is lent to others new workers take their time.

@@ -15,7 +15,7 @@ from command_line import microbot
 from microbot_ros.archive import batch, film_and_table, work
 from microbot_ros.archive.film_and_table import compare
 from microbot_ros.archive.recordings import FileCards, Found, find
-from microbot_ros.records import Commands, Conditions, Session, Tracks
+from microbot_ros.common.records import Commands, Conditions, Session, Tracks
 from microbot_ros.session import read_session
 
 SHARED = Path(__file__).parents[2].parent / 'shared' / 'data' / 'speed_vs_frequency'

@@ -15,7 +15,7 @@ from microbot_ros.archive.imports import imported
 from microbot_ros.archive.labels import labels_of, own_answers, stated
 from microbot_ros.archive.quantities import of_sessions, unlike_the_others
 from microbot_ros.archive.recordings import Found
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 from microbot_ros.session import read_session
 
 

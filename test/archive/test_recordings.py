@@ -18,7 +18,7 @@ from microbot_ros.archive.recordings import (
     content_of,
     find,
 )
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 
 DATA = Path(__file__).parents[1] / 'data'
 TABLE = 'time (s);x (um);y (um)\n0;1;2\n0,1;1;2\n0,2;1;3\n'

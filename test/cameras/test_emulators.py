@@ -11,7 +11,7 @@ from bench._aravis import has_aravis
 from microbot_ros.cameras.camera import CameraSettings, Clock, camera_class
 from microbot_ros.cameras.stream import FrameStream
 from microbot_ros.cameras.testkit import exercise
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 
 pytestmark = pytest.mark.rig
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from microbot_ros.cameras.source import grey, open_source
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 
 
 def _picture(level: int, size: tuple[int, int] = (48, 64)) -> np.ndarray:

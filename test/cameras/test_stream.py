@@ -16,7 +16,7 @@ from microbot_ros.cameras.camera import (
     Clock,
 )
 from microbot_ros.cameras.stream import FrameStream
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 
 FORM = CameraFormat(4, 6, 'mono8', 'Mono8', Clock.NONE)
 PICTURE = np.zeros((4, 6), np.uint8)

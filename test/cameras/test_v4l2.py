@@ -22,7 +22,7 @@ from microbot_ros.cameras.camera import CameraSettings, Clock
 from microbot_ros.cameras.stream import FrameStream
 from microbot_ros.cameras.v4l2 import V4l2Camera
 from microbot_ros.cameras.v4l2_device import VideoDevice
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 
 GREY = np.arange(48 * 64, dtype=np.uint16).reshape(48, 64).astype(np.uint8)
 

@@ -326,7 +326,7 @@ def test_no_damage_to_a_recording_is_more_than_a_line(tmp_path, capsys):
 
 @pytest.mark.parametrize('command', ['fit', 'discover'])
 def test_data_that_were_cut_off_are_said_to_be(tmp_path, capsys, command):
-    from microbot_ros.records import Session
+    from microbot_ros.common.records import Session
     from microbot_ros.session import RecordingWriter, read_session
     from microbot_ros.session.as_messages import SessionMessages
 
@@ -410,7 +410,7 @@ def test_a_file_that_ends_too_soon_is_no_ctrl_c(tmp_path, monkeypatch):
     path = tmp_path / 'rig.yaml'
     path.write_text('{}')
     cut_off = mock.Mock(side_effect=EOFError('cut off'))
-    monkeypatch.setattr('microbot_ros.strict_yaml.load', cut_off)
+    monkeypatch.setattr('microbot_ros.common.strict_yaml.load', cut_off)
     with pytest.raises(EOFError, match='cut off'), \
             mock.patch.object(sys, 'argv', ['microbot', 'simulate', str(path), '--out', 'none']):
         main()

@@ -12,9 +12,9 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
-from microbot_ros.cli.calibrate import command
-from microbot_ros.errors import InputError
-from microbot_ros.records import Commands, Conditions, Session, Tracks
+from microbot_ros.cli.calibrate.calibrate import command
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.records import Commands, Conditions, Session, Tracks
 from microbot_ros.session import write_session
 
 _PERIOD, _ANGLE = 16.0, 0.05

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import yaml
 
-from microbot_ros.cli import demo
-from microbot_ros.cli.demo_robots import KINDS
-from microbot_ros.errors import InputError
+from microbot_ros.cli.demo import demo
+from microbot_ros.cli.demo.robots import KINDS
+from microbot_ros.common.errors import InputError
 from microbot_ros.loop.points import ESTIMATE
 from microbot_ros.nodes import graph_client
 

@@ -10,9 +10,9 @@ import psutil
 import pytest
 import yaml
 
-from microbot_ros.cli import doctor
-from microbot_ros.cli.doctor import _camera, _dead_man, _real_time, _rig, _watchdog
-from microbot_ros.drive.real_time import lateness
+from microbot_ros.cli.rig import doctor
+from microbot_ros.cli.rig.doctor import _camera, _dead_man, _real_time, _rig, _watchdog
+from microbot_ros.common.real_time import lateness
 from microbot_ros.magnetics import CoilSettings
 
 

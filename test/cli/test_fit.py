@@ -6,10 +6,10 @@ import numpy as np
 from click.testing import CliRunner
 
 from microbot_ros.cli.fit import command
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.records import Commands, Conditions, Session
 from microbot_ros.model.first_order import simulate
 from microbot_ros.model.model import Model, ParticleParameters
-from microbot_ros.records import Commands, Conditions, Session
 from microbot_ros.session import write_session
 from microbot_ros.virtual_rig.record_session import as_tracks
 

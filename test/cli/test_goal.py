@@ -3,8 +3,8 @@
 import pytest
 from command_line import runner
 
-from microbot_ros.cli.goal import command
-from microbot_ros.errors import InputError, RigError
+from microbot_ros.cli.rig.goal import command
+from microbot_ros.common.errors import InputError, RigError
 from microbot_ros.nodes import graph_client, rig_client
 
 

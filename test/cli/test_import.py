@@ -7,7 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 from microbot_ros import cli
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 from microbot_ros.session import read_session
 
 TABLE = 't;x;y\n' + ''.join(f'{i * 0.05:.2f};{i}00,5;{i}\n'.replace('.', ',') for i in range(9))

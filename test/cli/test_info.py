@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from microbot_ros import cli
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 from microbot_ros.session import RecordingWriter, open_recording
 
 TRACKS = 't_s,particle,x_um,y_um\n' + ''.join(

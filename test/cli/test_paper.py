@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from microbot_ros.cli import microbot
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 from microbot_ros.paper import repetition as experiment
 
 

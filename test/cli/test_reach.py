@@ -6,7 +6,7 @@ import pytest
 from click.testing import CliRunner
 
 from microbot_ros.cli.reach import command
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 
 TWO = ['--particle', '4,0', '--particle', '4,2', '--at', '0,0', '--at', '30,0',
        '--goal', '20,0', '--goal', '30,-15']

@@ -11,8 +11,8 @@ import pytest
 import yaml
 from in_process import command
 
-from microbot_ros.cli import run
-from microbot_ros.errors import InputError
+from microbot_ros.cli.rig import run
+from microbot_ros.common.errors import InputError
 from microbot_ros.nodes import rig_client
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from click.testing import CliRunner
 
-from microbot_ros.cli.set import command
+from microbot_ros.cli.rig.set import command
 from microbot_ros.nodes import graph_client
 
 

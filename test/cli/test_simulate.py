@@ -11,11 +11,11 @@ import yaml
 from click.testing import CliRunner
 
 from microbot_ros.cli import microbot
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.first_order import simulate
+from microbot_ros.model.io.model_file import write_model
 from microbot_ros.model.model import Model, ParticleParameters
-from microbot_ros.model.model_file import write_model
 from microbot_ros.session import read_session
 
 CONFIG = Path(__file__).parents[2] / 'config'

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from microbot_ros.cockpit import address
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 
 HERE = 'http://127.0.0.1:8642/?token=secret'
 

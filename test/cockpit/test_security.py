@@ -17,7 +17,7 @@ from websockets.sync.client import connect
 from microbot_ros.cockpit.connections import MOST, BriefConnection
 from microbot_ros.cockpit.security import Gatekeeper, is_loopback
 from microbot_ros.cockpit.server import Server
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 
 
 def get(port: int, path: str = '/', method: str = 'GET', **headers: str) -> Any:

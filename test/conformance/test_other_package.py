@@ -39,12 +39,12 @@ exercise(LightGradient)
 USE = """
 import sys
 import numpy as np
-from microbot_ros.control.controller_manager import ControllerManager
+from microbot_ros.control.manager import ControllerManager
 from microbot_ros.control.contract import Goals
 from microbot_ros.control.registry import controller_class
 from microbot_ros.control.testkit import controller_input
 from microbot_ros.loop.model import ModelParameters, ModelStage
-from microbot_ros.model.model_file import read_model
+from microbot_ros.model.io.model_file import read_model
 model, particles = read_model(sys.argv[1])
 effect, = model.effects
 print(type(effect).__module__, effect.east, effect.north)

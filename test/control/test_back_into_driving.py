@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from microbot_ros.control.border import kept_in_view
 from microbot_ros.control.contract import (
     Controller,
     FieldCommand,
@@ -19,11 +18,12 @@ from microbot_ros.control.contract import (
     Result,
     no_field,
 )
-from microbot_ros.control.controller_manager import LONGEST_STEP, ControllerManager
-from microbot_ros.control.hold import Hold
+from microbot_ros.control.manager import LONGEST_STEP, ControllerManager
+from microbot_ros.control.plugins.hold import Hold
+from microbot_ros.control.plugins.waypoint import Waypoint
+from microbot_ros.control.steering.border import kept_in_view
 from microbot_ros.control.testkit import controller_input
-from microbot_ros.control.waypoint import Waypoint
-from microbot_ros.model.effects.background_field import BackgroundField
+from microbot_ros.model.effects.field.background_field import BackgroundField
 from microbot_ros.model.model import Model
 
 STALE = 0.2

@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from microbot_ros.control.border import kept_in_view
 from microbot_ros.control.contract import FieldCommand, Result
-from microbot_ros.control.controller_manager import ControllerManager
-from microbot_ros.control.open_loop import OpenLoop, OpenLoopParameters
-from microbot_ros.control.teleop import Teleop, TeleopParameters
+from microbot_ros.control.manager import ControllerManager
+from microbot_ros.control.plugins.open_loop import OpenLoop, OpenLoopParameters
+from microbot_ros.control.plugins.teleop import Teleop, TeleopParameters
+from microbot_ros.control.steering.border import kept_in_view
 from microbot_ros.control.testkit import VIEW, controller_input
-from microbot_ros.model.effects.background_field import BackgroundField
+from microbot_ros.model.effects.field.background_field import BackgroundField
 from microbot_ros.model.model import Model
 
 HORIZON = 0.5

@@ -17,13 +17,13 @@ from microbot_ros.control.contract import (
     Result,
     no_field,
 )
-from microbot_ros.control.controller_manager import ControllerManager
 from microbot_ros.control.controller_thread import AGAIN
-from microbot_ros.control.hold import Hold
-from microbot_ros.control.open_loop import OpenLoop, OpenLoopParameters
+from microbot_ros.control.manager import ControllerManager
+from microbot_ros.control.plugins.hold import Hold
+from microbot_ros.control.plugins.open_loop import OpenLoop, OpenLoopParameters
 from microbot_ros.control.registry import controller_classes
 from microbot_ros.control.testkit import controller_input
-from microbot_ros.model.effects.command_delay import CommandDelay
+from microbot_ros.model.effects.field.command_delay import CommandDelay
 from microbot_ros.model.model import Model
 
 LIMITS = Limits(field=5e-3, slew=0.1)

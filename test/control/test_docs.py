@@ -16,7 +16,7 @@ TEMPLATE = DOCS / 'template'
 USE = """
 import numpy as np
 from microbot_ros.control.registry import controller_classes
-from microbot_ros.control.controller_manager import ControllerManager
+from microbot_ros.control.manager import ControllerManager
 from microbot_ros.control.testkit import controller_input, exercise
 kinds = controller_classes(required='northwards')
 assert 'waypoint' in kinds

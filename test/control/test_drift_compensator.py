@@ -5,8 +5,8 @@ import cmath
 import numpy as np
 import pytest
 
-from microbot_ros.control.drift_compensator import DriftCompensator
 from microbot_ros.control.field_record import FieldRecord
+from microbot_ros.control.steering.drift_compensator import DriftCompensator
 from microbot_ros.control.testkit import controller_input
 
 ANSWER, DRIFT, DT = cmath.rect(4e-6, 2.2), 0.4e-6 - 0.3e-6j, 1 / 60

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from microbot_ros.control.contract import ControllerError, Goals, Result
-from microbot_ros.control.controller_manager import ControllerManager
-from microbot_ros.control.predictive import Predictive, PredictiveParameters
+from microbot_ros.control.manager import ControllerManager
+from microbot_ros.control.plugins.predictive import Predictive, PredictiveParameters
 from microbot_ros.control.registry import controller_classes
 from microbot_ros.control.testkit import VIEW, controller_input
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model
-from microbot_ros.model.particle import Fluid, rotational_drag
+from microbot_ros.model.physics.particle import Fluid, rotational_drag
 from microbot_ros.virtual_rig.body import bodies
 from microbot_ros.virtual_rig.world import FieldHistory, World
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from microbot_ros.common.records import Commands
 from microbot_ros.control.contract import ControllerInput, Limits, NoSolutionError, Workspace
-from microbot_ros.control.experiment import Experiment
+from microbot_ros.control.plugins.experiment import Experiment
 from microbot_ros.loop.controller import ControllerParameters, ControllerStage
-from microbot_ros.records import Commands
 
 VIEW = Workspace(np.full(2, -1e-4), np.full(2, 1e-4))
 PLAN = Commands(np.array([0.0, 1.0, 3.0]), np.array([[1e-3, 0.0], [0.0, 2e-3], [0.0, 0.0]]))

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from microbot_ros.control.contract import FieldCommand, Limits
-from microbot_ros.control.controller_manager import ControllerManager
-from microbot_ros.control.manual import Manual, ManualParameters
+from microbot_ros.control.manager import ControllerManager
+from microbot_ros.control.plugins.manual import Manual, ManualParameters
 from microbot_ros.control.testkit import controller_input
 from microbot_ros.loop.allocation import AllocationStage, GateParameters
 

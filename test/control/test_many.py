@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from microbot_ros.control.contract import GoalError, Goals, ModelError, ParticleLostError
-from microbot_ros.control.controller_manager import ControllerManager
-from microbot_ros.control.ensemble import Ensemble
-from microbot_ros.control.formation import SHAPES, Formation, FormationParameters
-from microbot_ros.control.shared import as_complex, floor
+from microbot_ros.control.manager import ControllerManager
+from microbot_ros.control.planning.shared import as_complex, floor
+from microbot_ros.control.plugins.ensemble import Ensemble
+from microbot_ros.control.plugins.formation import SHAPES, Formation, FormationParameters
 from microbot_ros.control.testkit import VIEW, controller_input
 from microbot_ros.model.model import Model
 

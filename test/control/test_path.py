@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from microbot_ros.control.contract import GoalError
-from microbot_ros.control.controller_manager import ControllerManager
-from microbot_ros.control.drift_observer import DriftObserver
-from microbot_ros.control.path_following import PathFollowing, PathFollowingParameters
-from microbot_ros.control.route import Route
+from microbot_ros.control.manager import ControllerManager
+from microbot_ros.control.planning.route import Route
+from microbot_ros.control.plugins.path_following import PathFollowing, PathFollowingParameters
+from microbot_ros.control.steering.drift_observer import DriftObserver
 from microbot_ros.control.testkit import controller_input
 
 ANGLE = np.linspace(0, 2 * np.pi, 361)

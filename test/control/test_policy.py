@@ -11,14 +11,14 @@ import pytest
 import yaml
 from onnx import TensorProto, helper, numpy_helper
 
-from microbot_ros import settings
+from microbot_ros.common import settings
+from microbot_ros.common.errors import InputError
 from microbot_ros.control.contract import Goals, ModelError, Result
-from microbot_ros.control.controller_manager import ControllerManager
 from microbot_ros.control.deadline_worker import DeadlineWorker
-from microbot_ros.control.hold import Hold
-from microbot_ros.control.policy import Policy, PolicyParameters
+from microbot_ros.control.manager import ControllerManager
+from microbot_ros.control.plugins.hold import Hold
+from microbot_ros.control.plugins.policy import Policy, PolicyParameters
 from microbot_ros.control.testkit import controller_input, exercise
-from microbot_ros.errors import InputError
 from microbot_ros.virtual_rig import simulation
 from microbot_ros.virtual_rig.scenario import read_scenario
 

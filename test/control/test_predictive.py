@@ -5,21 +5,21 @@ import itertools
 import numpy as np
 import pytest
 
+from microbot_ros.common.records import Commands
 from microbot_ros.control.contract import Goals, ModelError, Workspace
-from microbot_ros.control.controller_manager import ControllerManager
-from microbot_ros.control.manoeuvre import Task, search
-from microbot_ros.control.plan import Plan, Swarm, roll_out, with_lags
-from microbot_ros.control.predictive import Predictive, PredictiveParameters
+from microbot_ros.control.manager import ControllerManager
+from microbot_ros.control.planning.manoeuvre import Task, search
+from microbot_ros.control.planning.plan import Plan, Swarm, roll_out, with_lags
+from microbot_ros.control.planning.refine import cost, improve
+from microbot_ros.control.planning.shared import as_complex, floor
+from microbot_ros.control.plugins.predictive import Predictive, PredictiveParameters
 from microbot_ros.control.reach import opened, planned_floor, reach
-from microbot_ros.control.refine import cost, improve
-from microbot_ros.control.shared import as_complex, floor
 from microbot_ros.control.testkit import VIEW, controller_input
-from microbot_ros.model.effects.alignment_lag import AlignmentLag
-from microbot_ros.model.effects.linear_flow import LinearFlow
-from microbot_ros.model.effects.uniform_drift import UniformDrift
+from microbot_ros.model.effects.heading.alignment_lag import AlignmentLag
+from microbot_ros.model.effects.velocity.linear_flow import LinearFlow
+from microbot_ros.model.effects.velocity.uniform_drift import UniformDrift
 from microbot_ros.model.first_order import simulate
 from microbot_ros.model.model import Model, ParticleParameters
-from microbot_ros.records import Commands
 
 LIMIT = 5e-3
 EVERYWHERE = Workspace(np.full(2, -1.0), np.full(2, 1.0))

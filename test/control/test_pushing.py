@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from microbot_ros.control.contract import ModelError, ParticleLostError
-from microbot_ros.control.pushing import Pushing, PushingParameters
+from microbot_ros.control.plugins.pushing import Pushing, PushingParameters
 from microbot_ros.control.testkit import controller_input, exercise
 from microbot_ros.model.model import Model
 from microbot_ros.virtual_rig.rolling_loop import Rollers, RollingLoop

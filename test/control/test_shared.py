@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from microbot_ros.control.contract import Workspace
-from microbot_ros.control.shared import (
+from microbot_ros.control.planning.shared import (
     allowed_corners,
     as_complex,
     best_displacement,

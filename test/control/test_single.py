@@ -6,6 +6,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from microbot_ros.common.errors import InputError
 from microbot_ros.control.contract import (
     Goals,
     Limits,
@@ -15,13 +16,12 @@ from microbot_ros.control.contract import (
     ParticleLostError,
     Result,
 )
-from microbot_ros.control.controller_manager import ControllerManager
-from microbot_ros.control.open_loop import OpenLoop, OpenLoopParameters
-from microbot_ros.control.roller import Roller, RollerParameters
-from microbot_ros.control.teleop import Teleop, TeleopParameters
+from microbot_ros.control.manager import ControllerManager
+from microbot_ros.control.plugins.open_loop import OpenLoop, OpenLoopParameters
+from microbot_ros.control.plugins.roller import Roller, RollerParameters
+from microbot_ros.control.plugins.teleop import Teleop, TeleopParameters
+from microbot_ros.control.plugins.waypoint import Waypoint, WaypointParameters
 from microbot_ros.control.testkit import controller_input
-from microbot_ros.control.waypoint import Waypoint, WaypointParameters
-from microbot_ros.errors import InputError
 from microbot_ros.model.model import Model
 
 DT = 1 / 60

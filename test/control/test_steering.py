@@ -6,13 +6,13 @@ import math
 import numpy as np
 import pytest
 
-from microbot_ros.control.assignment import Assignment
 from microbot_ros.control.contract import GoalError, Goals, Limits, ParticleLostError
-from microbot_ros.control.goal_sequence import GoalSequence
-from microbot_ros.control.steering import Excitation, approach, field_along
+from microbot_ros.control.planning.assignment import Assignment
+from microbot_ros.control.steering.courses import Excitation, approach, field_along
+from microbot_ros.control.steering.goal_sequence import GoalSequence
 from microbot_ros.control.testkit import controller_input
-from microbot_ros.model.effects.background_field import BackgroundField
-from microbot_ros.model.effects.coil_gain_mismatch import CoilGainMismatch
+from microbot_ros.model.effects.field.background_field import BackgroundField
+from microbot_ros.model.effects.field.coil_gain_mismatch import CoilGainMismatch
 from microbot_ros.model.model import Model
 
 

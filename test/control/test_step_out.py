@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from microbot_ros.control.contract import NoSolutionError
-from microbot_ros.control.step_out import STEP, THRESHOLD, SingleTurns
+from microbot_ros.control.planning.step_out import STEP, THRESHOLD, SingleTurns
 
 TICK = 1 / 60
 

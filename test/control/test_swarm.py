@@ -14,8 +14,8 @@ from microbot_ros.control.contract import (
     ParticleLostError,
     Workspace,
 )
-from microbot_ros.control.swarm import Swarm, SwarmParameters
-from microbot_ros.control.swarm_paths import Room, between, find_ways
+from microbot_ros.control.planning.swarm_paths import Room, between, find_ways
+from microbot_ros.control.plugins.swarm import Swarm, SwarmParameters
 from microbot_ros.control.testkit import VIEW, controller_input, exercise
 from microbot_ros.model.model import Model
 from microbot_ros.virtual_rig.rolling_loop import Rollers, RollingLoop

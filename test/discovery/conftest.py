@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from microbot_ros.model.particle import Fluid
-from microbot_ros.records import Conditions, Session
+from microbot_ros.common.records import Conditions, Session
+from microbot_ros.model.physics.particle import Fluid
 from microbot_ros.virtual_rig.commands import steps
 from microbot_ros.virtual_rig.injected_effects import inject_effect
 from microbot_ros.virtual_rig.record_session import Camera, draw_swarm, record_session

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from microbot_ros.discovery.check.input_checks import check_sessions
 from microbot_ros.discovery.discover import discover
 from microbot_ros.discovery.hypotheses import fit_first_order
-from microbot_ros.discovery.input_checks import check_sessions
 from microbot_ros.estimation.batch import fit
 from microbot_ros.virtual_rig.record_session import Camera
 

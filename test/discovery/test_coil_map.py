@@ -8,12 +8,12 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
-from microbot_ros.cli.calibrate import command
-from microbot_ros.discovery.coil_map import coil_map
-from microbot_ros.errors import InputError
+from microbot_ros.cli.calibrate.calibrate import command
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.records import Commands, Conditions
+from microbot_ros.discovery.check.coil_map import coil_map
 from microbot_ros.magnetics import CoilSet, CoilSettings
-from microbot_ros.model.particle import Fluid
-from microbot_ros.records import Commands, Conditions
+from microbot_ros.model.physics.particle import Fluid
 from microbot_ros.session import write_session
 from microbot_ros.virtual_rig.record_session import Camera, draw_swarm, record_session
 from microbot_ros.virtual_rig.world import World

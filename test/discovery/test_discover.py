@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from microbot_ros.cli.discover import command
+from microbot_ros.cli.discover.discover import command
+from microbot_ros.common.errors import InputError
 from microbot_ros.discovery.discover import discover
-from microbot_ros.errors import InputError
-from microbot_ros.model.model_file import read_model
+from microbot_ros.model.io.model_file import read_model
 from microbot_ros.session import write_session
 
 

@@ -16,6 +16,7 @@ from bench import _driven_rig
 from bench._asks_worlds import hidden_world
 from bench._hidden_suite import FLUID
 from bench.asks import _twin
+from microbot_ros.common.records import Commands, Conditions, Session, Tracks
 from microbot_ros.control.contract import Workspace
 from microbot_ros.discovery.driven.conclusion import as_json, discovered
 from microbot_ros.discovery.driven.design import (
@@ -47,14 +48,13 @@ from microbot_ros.discovery.hypotheses import (
     log_bayes_factor,
 )
 from microbot_ros.discovery.learned.learn import learn_term
-from microbot_ros.discovery.report import headline
+from microbot_ros.discovery.report.page import headline
 from microbot_ros.discovery.search import compare, fit_candidate, without
 from microbot_ros.discovery.verdict import Judgement, enough, judge, scrutinised
-from microbot_ros.estimation.model_fit import fit_sessions
-from microbot_ros.estimation.prepared_session import prepare
+from microbot_ros.estimation.likelihood.model_fit import fit_sessions
+from microbot_ros.estimation.likelihood.prepared_session import prepare
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model
-from microbot_ros.records import Commands, Conditions, Session, Tracks
 from microbot_ros.virtual_rig.injected_effects import inject_effect
 from microbot_ros.virtual_rig.record_session import Camera, draw_swarm
 from microbot_ros.virtual_rig.world import World

@@ -6,10 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from microbot_ros.discovery.check.input_checks import check_sessions
 from microbot_ros.discovery.evidence import FitEvidence
-from microbot_ros.discovery.input_checks import check_sessions
 from microbot_ros.discovery.search import fit_candidate
-from microbot_ros.estimation.model_fit import fit_sessions
+from microbot_ros.estimation.likelihood.model_fit import fit_sessions
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model
 

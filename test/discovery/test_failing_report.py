@@ -10,11 +10,11 @@ from command_line import microbot
 
 from microbot_ros.discovery.discover import discover
 from microbot_ros.discovery.driven.drive import Driven
-from microbot_ros.model.effects.uniform_drift import UniformDrift
-from microbot_ros.model.model_file import read_model
+from microbot_ros.model.effects.velocity.uniform_drift import UniformDrift
+from microbot_ros.model.io.model_file import read_model
 from microbot_ros.session import write_session
 
-REPORT = 'microbot_ros.discovery.report.page'
+REPORT = 'microbot_ros.discovery.report.page.page'
 
 
 @pytest.fixture(name='session', scope='module')
@@ -58,7 +58,7 @@ def test_discover_live_publishes_the_verdict_and_goes_on(found, session, tmp_pat
     with mock.patch(f'{nodes}.graph_client.GraphClient', return_value=nullcontext()), \
             mock.patch(f'{nodes}.live_session_buffer.LiveSessionBuffer'), \
             mock.patch(f'{nodes}.verdict_publisher.VerdictPublisher', return_value=publisher), \
-            mock.patch('microbot_ros.cli.discover._listen', return_value=session), \
+            mock.patch('microbot_ros.cli.discover.discover._listen', return_value=session), \
             mock.patch('microbot_ros.discovery.discover.discover', return_value=found), \
             mock.patch(REPORT, pages):
         status = microbot('discover', '--live', '--rounds', '2', '--seconds', '10',
@@ -75,10 +75,10 @@ def test_discover_drive_applies_the_model_all_the_same(found, session, tmp_path,
     drive = 'microbot_ros.discovery.driven'
     with mock.patch('microbot_ros.nodes.graph_client.GraphClient', return_value=nullcontext()), \
             mock.patch('microbot_ros.nodes.driven_rig.DrivenRig'), \
-            mock.patch('microbot_ros.ending.Ending'), \
+            mock.patch('microbot_ros.common.ending.Ending'), \
             mock.patch(f'{drive}.drive.drive', return_value=driven), \
             mock.patch(f'{drive}.conclusion.discovered', return_value=(named, session)), \
-            mock.patch('microbot_ros.cli.discover_drive._give', given), \
+            mock.patch('microbot_ros.cli.discover.drive._give', given), \
             mock.patch(REPORT, side_effect=IndexError('too few')):
         status = microbot('discover', '--drive', '--apply', '--out', tmp_path)
     given.assert_called_once()

@@ -7,16 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from microbot_ros.discovery.held_out import block_of, held_out_gap, learn, mean_by_stretch
+from microbot_ros.discovery.check.held_out import block_of, held_out_gap, learn, mean_by_stretch
+from microbot_ros.discovery.check.input_checks import check_sessions
 from microbot_ros.discovery.hypotheses import fit_first_order
-from microbot_ros.discovery.input_checks import check_sessions
 from microbot_ros.discovery.next_experiment import next_experiment
 from microbot_ros.discovery.result import Gap
 from microbot_ros.discovery.search import contribution
-from microbot_ros.estimation.model_fit import fit_sessions
+from microbot_ros.estimation.likelihood.model_fit import fit_sessions
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model
-from microbot_ros.model.vectors import as_vectors
+from microbot_ros.model.physics.vectors import as_vectors
 
 
 class Start:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from microbot_ros.discovery.check.input_checks import check_sessions
 from microbot_ros.discovery.hypotheses import (
     Candidate,
     Slot,
@@ -13,7 +14,6 @@ from microbot_ros.discovery.hypotheses import (
     joint_log_bayes_factor,
     log_bayes_factor,
 )
-from microbot_ros.discovery.input_checks import check_sessions
 from microbot_ros.discovery.search import contribution, fit_candidate
 from microbot_ros.discovery.verdict import judge
 

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from microbot_ros.discovery.input_checks import at_a_wall, check_sessions
-from microbot_ros.errors import InputError
-from microbot_ros.estimation.prepared_session import PreparedSession
-from microbot_ros.model.particle import Fluid
-from microbot_ros.records import Commands, Conditions, Session
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.records import Commands, Conditions, Session
+from microbot_ros.discovery.check.input_checks import at_a_wall, check_sessions
+from microbot_ros.estimation.likelihood.prepared_session import PreparedSession
+from microbot_ros.model.physics.particle import Fluid
 from microbot_ros.session.spreadsheets.assemble import import_session
 from microbot_ros.session.spreadsheets.sheets import Answers
 from microbot_ros.virtual_rig.record_session import Camera, draw_swarm, record_session

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from microbot_ros.discovery.input_checks import check_sessions
+from microbot_ros.discovery.check.input_checks import check_sessions
 from microbot_ros.discovery.intervals import ROOT, Intervals, _follow
 from microbot_ros.discovery.search import fit_candidate
-from microbot_ros.estimation.model_fit import fit_sessions, maximise
+from microbot_ros.estimation.likelihood.model_fit import fit_sessions, maximise
 from microbot_ros.model.model import Model
 
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from microbot_ros.common.records import Session
+from microbot_ros.discovery.check.input_checks import check_sessions
 from microbot_ros.discovery.discover import discover
-from microbot_ros.discovery.input_checks import check_sessions
 from microbot_ros.discovery.learned.candidates import accumulated, candidates, steps
 from microbot_ros.discovery.learned.curve import Curve, Kernel, kernels
 from microbot_ros.discovery.learned.grammar import fit as fit_formula
@@ -22,11 +23,10 @@ from microbot_ros.discovery.learned.learn import (
 )
 from microbot_ros.discovery.learned.moments import FOLDS, Moments, _folds, whiten_track
 from microbot_ros.discovery.result import Learned
-from microbot_ros.estimation.model_fit import fit_sessions
+from microbot_ros.estimation.likelihood.model_fit import fit_sessions
+from microbot_ros.model.io.model_file import read_model, write_model
 from microbot_ros.model.learned_term import LearnedTerm
 from microbot_ros.model.model import Model
-from microbot_ros.model.model_file import read_model, write_model
-from microbot_ros.records import Session
 from microbot_ros.virtual_rig.record_session import Camera
 
 CHANNEL = {'poiseuille_flow': {'speed_um_s': 3.0, 'half_width_um': 120.0}}

@@ -11,16 +11,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from microbot_ros.estimation.kernels import (
+from microbot_ros.estimation.likelihood.joint import Whitening, climb, inner, search_noise_ratio
+from microbot_ros.estimation.likelihood.kernels import (
     filter_positions,
     joint_products,
     whiten_columns,
     whiten_with_heading,
     whitened_products_with_heading,
 )
-from microbot_ros.estimation.likelihood import Whitening, climb, inner, search_noise_ratio
-from microbot_ros.estimation.model_fit import evaluate, fit_noise, fit_with_noise, maximise
-from microbot_ros.estimation.prepared_session import PreparedSession, prepare
+from microbot_ros.estimation.likelihood.model_fit import (
+    evaluate,
+    fit_noise,
+    fit_with_noise,
+    maximise,
+)
+from microbot_ros.estimation.likelihood.prepared_session import PreparedSession, prepare
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model
 

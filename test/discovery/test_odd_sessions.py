@@ -7,22 +7,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from microbot_ros.common.records import Tracks
+from microbot_ros.discovery.check.input_checks import check_sessions
 from microbot_ros.discovery.discover import discover
-from microbot_ros.discovery.input_checks import check_sessions
 from microbot_ros.discovery.intervals import Intervals
-from microbot_ros.discovery.report import page
-from microbot_ros.discovery.report_figures import embedded
-from microbot_ros.discovery.report_learned import draw_learned
-from microbot_ros.discovery.report_prediction import predict
-from microbot_ros.discovery.report_residual import residual
+from microbot_ros.discovery.report.figures import embedded
+from microbot_ros.discovery.report.learned import draw_learned
+from microbot_ros.discovery.report.page import page
+from microbot_ros.discovery.report.prediction import predict
+from microbot_ros.discovery.report.residual import residual
 from microbot_ros.discovery.result import Learned, NamedEffect
-from microbot_ros.estimation.likelihood import Whitening
-from microbot_ros.estimation.model_fit import evaluate, fit_noise
-from microbot_ros.estimation.prepared_session import predictable_part
+from microbot_ros.estimation.likelihood.joint import Whitening
+from microbot_ros.estimation.likelihood.model_fit import evaluate, fit_noise
+from microbot_ros.estimation.likelihood.prepared_session import predictable_part
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.learned_term import AXES, COVARIATES, VALUES, LearnedTerm
 from microbot_ros.model.model import Model, ParticleParameters
-from microbot_ros.records import Tracks
 from microbot_ros.virtual_rig.record_session import Camera
 
 THIRTY, TEN = (Camera(rate, 0.0, 0.1e-6) for rate in (30.0, 10.0))

@@ -11,16 +11,16 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
+from microbot_ros.common.records import Tracks
 from microbot_ros.discovery.discover import discover
-from microbot_ros.discovery.report import digests, headline, page, write_report
-from microbot_ros.discovery.report_drive import drive
-from microbot_ros.discovery.report_figures import draw_bands, embedded
-from microbot_ros.discovery.report_prediction import predict
-from microbot_ros.discovery.report_residual import by_place, residual
-from microbot_ros.discovery.report_words import chance, interval, limit, listed, number, odds
+from microbot_ros.discovery.report.drive import drive
+from microbot_ros.discovery.report.figures import draw_bands, embedded
+from microbot_ros.discovery.report.page import digests, headline, page, write_report
+from microbot_ros.discovery.report.prediction import predict
+from microbot_ros.discovery.report.residual import by_place, residual
+from microbot_ros.discovery.report.words import chance, interval, limit, listed, number, odds
 from microbot_ros.discovery.result import Estimate, Limit
 from microbot_ros.model.effects import EFFECTS
-from microbot_ros.records import Tracks
 
 DRIFT = {'uniform_drift': {'wx_um_s': 0.8, 'wy_um_s': -0.5}}
 

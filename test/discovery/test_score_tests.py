@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
+from microbot_ros.common.records import Commands
+from microbot_ros.discovery.check.input_checks import check_sessions
+from microbot_ros.discovery.check.score_tests import _holm, along_and_across, residual_maps
 from microbot_ros.discovery.hypotheses import fit_first_order
-from microbot_ros.discovery.input_checks import check_sessions
-from microbot_ros.discovery.score_tests import _holm, along_and_across, residual_maps
-from microbot_ros.estimation.likelihood import Whitening, eliminate_shared
-from microbot_ros.records import Commands
+from microbot_ros.estimation.likelihood.joint import Whitening, eliminate_shared
 from microbot_ros.virtual_rig.record_session import Camera
 
 

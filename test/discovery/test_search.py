@@ -6,22 +6,22 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from microbot_ros.discovery.evidence import FitEvidence
-from microbot_ros.discovery.hypotheses import fit_first_order
-from microbot_ros.discovery.input_checks import check_sessions
-from microbot_ros.discovery.intervals import Intervals
-from microbot_ros.discovery.search import compare, fit_candidate
-from microbot_ros.discovery.starting_points import rotating_components
-from microbot_ros.discovery.tail_probabilities import (
+from microbot_ros.common.records import Session
+from microbot_ros.discovery.check.input_checks import check_sessions
+from microbot_ros.discovery.check.tail_probabilities import (
     chi_square_tail,
     log_chi_square_tail,
     log_of_any,
 )
-from microbot_ros.estimation.model_fit import fit_sessions, maximise
+from microbot_ros.discovery.evidence import FitEvidence
+from microbot_ros.discovery.hypotheses import fit_first_order
+from microbot_ros.discovery.intervals import Intervals
+from microbot_ros.discovery.search import compare, fit_candidate
+from microbot_ros.discovery.starting_points import rotating_components
+from microbot_ros.estimation.likelihood.model_fit import fit_sessions, maximise
 from microbot_ros.model.effects import EFFECTS
+from microbot_ros.model.io.model_file import read_model, write_model
 from microbot_ros.model.model import Model, ParticleParameters
-from microbot_ros.model.model_file import read_model, write_model
-from microbot_ros.records import Session
 from microbot_ros.session.folder import NOMINAL_FIELD
 from microbot_ros.virtual_rig.commands import rotating
 

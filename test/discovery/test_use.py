@@ -8,15 +8,15 @@ import yaml
 from click.testing import CliRunner
 
 from microbot_ros.cli import microbot
+from microbot_ros.common.records import Commands
 from microbot_ros.control.contract import Goals
-from microbot_ros.control.predictive import Predictive, PredictiveParameters
+from microbot_ros.control.plugins.predictive import Predictive, PredictiveParameters
 from microbot_ros.control.testkit import controller_input
-from microbot_ros.estimation.online import Estimator
-from microbot_ros.model.effects.uniform_drift import UniformDrift
+from microbot_ros.estimation.online.estimator import Estimator
+from microbot_ros.model.effects.velocity.uniform_drift import UniformDrift
 from microbot_ros.model.first_order import simulate
+from microbot_ros.model.io.model_file import read_model
 from microbot_ros.model.model import Model, ParticleParameters
-from microbot_ros.model.model_file import read_model
-from microbot_ros.records import Commands
 from microbot_ros.session import read_session, write_session
 
 DRIFT = {'wx_um_s': 1.2, 'wy_um_s': -0.9}

@@ -11,10 +11,10 @@ import pytest
 
 from bench._served import FULL_SCALE_A, LIMITS, Served
 from microbot_ros.drive.amplifier import Amplifier, amplifier_class
+from microbot_ros.drive.amplifiers.scpi.driver import ScpiAmplifier
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.gate import Limits
 from microbot_ros.drive.polled import PolledAmplifier
-from microbot_ros.drive.scpi.driver import ScpiAmplifier
 
 DEADLINE_S = 20.0
 

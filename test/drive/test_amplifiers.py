@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from bench._served import MEASURED
+from microbot_ros.common.errors import InputError
 from microbot_ros.drive.amplifier import (
     READ_BACK_S,
     Amplifier,
@@ -23,7 +24,6 @@ from microbot_ros.drive.errors import (
     PortBusyError,
     WrongDeviceError,
 )
-from microbot_ros.errors import InputError
 
 FULL_SCALE_A = 2.0
 ZERO = (0.0,) * 4

@@ -6,6 +6,7 @@ import threading
 import numpy as np
 import pytest
 
+from microbot_ros.common.errors import InputError
 from microbot_ros.drive import coil_driver, polled
 from microbot_ros.drive.amplifier import Zero, amplifier_class
 from microbot_ros.drive.coil_driver import STOPPED, CoilDriver
@@ -14,7 +15,6 @@ from microbot_ros.drive.emulator.virtual import VirtualAmplifier, VirtualDriver
 from microbot_ros.drive.errors import NoAnswerError
 from microbot_ros.drive.gate import UNATTENDED_S, Limits, Reason
 from microbot_ros.drive.rotation import Turning
-from microbot_ros.errors import InputError
 
 FULL_SCALE_A = 2.0
 ZERO = (0.0,) * 4

@@ -14,10 +14,10 @@ import time
 import pytest
 
 from microbot_ros.drive.amplifier import Zero
+from microbot_ros.drive.amplifiers.serial_transfer.driver import SerialTransferAmplifier
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.errors import NoAnswerError
 from microbot_ros.drive.gate import Limits, Reason
-from microbot_ros.drive.serial_transfer.driver import SerialTransferAmplifier
 
 pytestmark = pytest.mark.rig
 

@@ -18,10 +18,10 @@ import numpy as np
 import pytest
 import serial
 
+from microbot_ros.drive.amplifiers.serial_transfer import codec
+from microbot_ros.drive.amplifiers.serial_transfer.driver import SerialTransferAmplifier
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.gate import Limits
-from microbot_ros.drive.serial_transfer import codec
-from microbot_ros.drive.serial_transfer.driver import SerialTransferAmplifier
 
 pytestmark = pytest.mark.rig
 

@@ -8,7 +8,7 @@ import termios
 import pytest
 import serial
 
-from microbot_ros.cli import doctor
+from microbot_ros.cli.rig import doctor
 from microbot_ros.drive import low_latency, transport
 from microbot_ros.drive.low_latency import latency_timer_ms
 from microbot_ros.drive.transport import Port

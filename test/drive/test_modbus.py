@@ -5,9 +5,9 @@ import math
 import pytest
 
 from microbot_ros.drive.amplifier import Zero
+from microbot_ros.drive.amplifiers.modbus import codec
+from microbot_ros.drive.amplifiers.modbus.driver import ModbusAmplifier
 from microbot_ros.drive.errors import NoAnswerError
-from microbot_ros.drive.modbus import codec
-from microbot_ros.drive.modbus.driver import ModbusAmplifier
 
 
 def crc16(data: bytes) -> bytes:

@@ -5,9 +5,9 @@ import math
 import pytest
 
 from microbot_ros.drive.amplifier import Zero
+from microbot_ros.drive.amplifiers.roboclaw import codec
+from microbot_ros.drive.amplifiers.roboclaw.driver import RoboclawAmplifier
 from microbot_ros.drive.errors import NoAnswerError, WrongDeviceError
-from microbot_ros.drive.roboclaw import codec
-from microbot_ros.drive.roboclaw.driver import RoboclawAmplifier
 
 VERSION = b'USB Roboclaw 2x15a v4.1.34\n\0'
 

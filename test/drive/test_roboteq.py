@@ -5,9 +5,9 @@ import math
 import pytest
 
 from microbot_ros.drive.amplifier import Zero
+from microbot_ros.drive.amplifiers.roboteq import codec
+from microbot_ros.drive.amplifiers.roboteq.driver import RoboteqAmplifier
 from microbot_ros.drive.errors import WrongDeviceError
-from microbot_ros.drive.roboteq import codec
-from microbot_ros.drive.roboteq.driver import RoboteqAmplifier
 
 
 def test_golden_text():

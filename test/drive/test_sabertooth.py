@@ -9,17 +9,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench._served import FULL_SCALE_A, LIMITS, Served
-from microbot_ros.cli import doctor
+from microbot_ros.cli.rig import doctor
+from microbot_ros.common.errors import InputError
 from microbot_ros.drive.amplifier import Watchdog, Zero
+from microbot_ros.drive.amplifiers.sabertooth import codec
+from microbot_ros.drive.amplifiers.sabertooth.driver import SabertoothAmplifier
+from microbot_ros.drive.amplifiers.sabertooth.emulated import Controllers
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.emulator.coils import Coils
 from microbot_ros.drive.emulator.virtual import VirtualAmplifier, VirtualDriver
 from microbot_ros.drive.errors import NoAnswerError, PortBusyError, PortLostError
 from microbot_ros.drive.gate import Limits, Reason
-from microbot_ros.drive.sabertooth import codec
-from microbot_ros.drive.sabertooth.driver import SabertoothAmplifier
-from microbot_ros.drive.sabertooth.emulated import Controllers
-from microbot_ros.errors import InputError
 
 ZERO = (0.0,) * 4
 DRIVING = (1.0, -1.0, 0.5, 0.2)

@@ -4,12 +4,12 @@ from types import SimpleNamespace
 
 import pytest
 
+from microbot_ros.common.errors import InputError
 from microbot_ros.drive.amplifier import Zero
+from microbot_ros.drive.amplifiers.scpi import codec
+from microbot_ros.drive.amplifiers.scpi.driver import ScpiAmplifier
 from microbot_ros.drive.emulator.virtual import VirtualAmplifier
 from microbot_ros.drive.errors import PortLostError, WrongDeviceError
-from microbot_ros.drive.scpi import codec
-from microbot_ros.drive.scpi.driver import ScpiAmplifier
-from microbot_ros.errors import InputError
 
 LINES = ('a', 'b', 'c', 'd')
 

@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from microbot_ros.common.errors import InputError
 from microbot_ros.drive.amplifier import COILS, amplifier_class
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.drive.gate import Limits
 from microbot_ros.drive.self_check import SelfCheck
-from microbot_ros.errors import InputError
 
 ZERO = (0.0,) * 4
 

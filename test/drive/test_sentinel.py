@@ -11,7 +11,7 @@ import pytest
 from bench._served import until
 from microbot_ros.drive import last_resort, sentinel
 from microbot_ros.drive.amplifier import amplifier_class
-from microbot_ros.drive.roboclaw import driver as roboclaw
+from microbot_ros.drive.amplifiers.roboclaw import driver as roboclaw
 
 pytestmark = pytest.mark.rig
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from microbot_ros.drive.serial_transfer import codec
+from microbot_ros.drive.amplifiers.serial_transfer import codec
 
 GOLDEN = {
     bytes(68): bytes.fromhex('7e00ff44') + bytes(68) + bytes.fromhex('0081'),

@@ -15,6 +15,8 @@ import serial
 from serial import rfc2217
 
 from microbot_ros.drive.amplifier import Zero
+from microbot_ros.drive.amplifiers.serial_transfer import codec
+from microbot_ros.drive.amplifiers.serial_transfer.driver import SerialTransferAmplifier
 from microbot_ros.drive.emulator.virtual import VirtualAmplifier
 from microbot_ros.drive.errors import (
     NoAnswerError,
@@ -22,8 +24,6 @@ from microbot_ros.drive.errors import (
     PortMissingError,
     WrongDeviceError,
 )
-from microbot_ros.drive.serial_transfer import codec
-from microbot_ros.drive.serial_transfer.driver import SerialTransferAmplifier
 
 FULL_SCALE = (2.0, 2.0, 2.0, 2.0)
 

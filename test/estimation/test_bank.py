@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from microbot_ros.estimation.bank import PhasorBank
-from microbot_ros.estimation.heading_bank import HeadingBank
+from microbot_ros.estimation.online.bank import PhasorBank
+from microbot_ros.estimation.online.heading_bank import HeadingBank
 
 
 class Textbook:

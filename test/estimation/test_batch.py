@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from oracles import sliding_near_a_wall
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.records import Commands, Conditions, Session, Tracks
 from microbot_ros.estimation import report
 from microbot_ros.estimation.batch import fit
-from microbot_ros.estimation.excitation import _information, command_excitation
-from microbot_ros.estimation.noise import Noise, whiten
+from microbot_ros.estimation.likelihood.excitation import _information, command_excitation
+from microbot_ros.estimation.likelihood.noise import Noise, whiten
 from microbot_ros.estimation.one_leg_regression import one_leg
-from microbot_ros.model.particle import Fluid, translational_diffusion
-from microbot_ros.records import Commands, Conditions, Session, Tracks
+from microbot_ros.model.physics.particle import Fluid, translational_diffusion
 from microbot_ros.session import read_session
 from microbot_ros.virtual_rig.commands import steps
 from microbot_ros.virtual_rig.injected_effects import inject_effect

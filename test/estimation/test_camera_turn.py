@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.records import Commands, Conditions
 from microbot_ros.estimation.camera_turn import _common, _mean, camera_turn
-from microbot_ros.model.particle import Fluid
-from microbot_ros.records import Commands, Conditions
+from microbot_ros.model.physics.particle import Fluid
 from microbot_ros.tracking import ImageToWorkspace
 from microbot_ros.virtual_rig.commands import steps
 from microbot_ros.virtual_rig.record_session import Camera, draw_swarm, record_session

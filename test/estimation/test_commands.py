@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from microbot_ros.estimation.commands import CommandLog
+from microbot_ros.estimation.online.commands import CommandLog
 
 FIELD = np.array([0.0, 5e-3])
 

@@ -10,8 +10,8 @@ import pytest
 from bench._asks_worlds import hidden_world
 from microbot_ros.discovery.driven.design import random_steps
 from microbot_ros.discovery.driven.joined import join
-from microbot_ros.estimation.model_fit import fit_sessions
-from microbot_ros.estimation.prepared_session import prepare
+from microbot_ros.estimation.likelihood.model_fit import fit_sessions
+from microbot_ros.estimation.likelihood.prepared_session import prepare
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model
 

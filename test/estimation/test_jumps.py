@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from microbot_ros.estimation.jumps import JumpNotes
+from microbot_ros.estimation.online.jumps import JumpNotes
 from microbot_ros.nodes.lifecycle import in_one_line
 
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from microbot_ros.estimation.monitor import BOUND, DETECTORS, TICK, Monitor
+from microbot_ros.estimation.online.monitor import BOUND, DETECTORS, TICK, Monitor
 
 RATE = 20.0
 IDS = np.arange(3)

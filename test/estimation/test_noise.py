@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from microbot_ros.estimation.expected_displacement import ExpectedDisplacement
-from microbot_ros.estimation.kernels import knot_products, whiten_columns
-from microbot_ros.estimation.likelihood import SessionFit, Whitening, search_noise_ratio
-from microbot_ros.estimation.noise import Noise, implausible_diffusion, whiten
-from microbot_ros.estimation.prepared_session import PreparedSession
+from microbot_ros.common.records import Commands, Conditions
+from microbot_ros.estimation.likelihood.expected_displacement import ExpectedDisplacement
+from microbot_ros.estimation.likelihood.joint import SessionFit, Whitening, search_noise_ratio
+from microbot_ros.estimation.likelihood.kernels import knot_products, whiten_columns
+from microbot_ros.estimation.likelihood.noise import Noise, implausible_diffusion, whiten
+from microbot_ros.estimation.likelihood.prepared_session import PreparedSession
 from microbot_ros.model.increments import as_vectors
-from microbot_ros.records import Commands, Conditions
 
 
 def dense_covariance(times, noise):

@@ -7,17 +7,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from microbot_ros.errors import InputError
-from microbot_ros.estimation.online import Estimator, Settings
-from microbot_ros.model.effects.alignment_lag import AlignmentLag
-from microbot_ros.model.effects.command_delay import CommandDelay
-from microbot_ros.model.effects.heading_slip import HeadingSlip
-from microbot_ros.model.effects.linear_flow import LinearFlow
-from microbot_ros.model.effects.speed_decay import SpeedDecay
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.records import Commands, Conditions
+from microbot_ros.estimation.online.estimator import Estimator, Settings
+from microbot_ros.model.effects.field.command_delay import CommandDelay
+from microbot_ros.model.effects.heading.alignment_lag import AlignmentLag
+from microbot_ros.model.effects.heading.heading_slip import HeadingSlip
+from microbot_ros.model.effects.velocity.linear_flow import LinearFlow
+from microbot_ros.model.effects.velocity.speed_decay import SpeedDecay
+from microbot_ros.model.io.model_file import write_model
 from microbot_ros.model.model import Model, ParticleParameters
-from microbot_ros.model.model_file import write_model
-from microbot_ros.model.particle import Fluid
-from microbot_ros.records import Commands, Conditions
+from microbot_ros.model.physics.particle import Fluid
 from microbot_ros.virtual_rig.commands import steps
 from microbot_ros.virtual_rig.injected_effects import inject_effect
 from microbot_ros.virtual_rig.record_session import Camera, draw_swarm, record_session

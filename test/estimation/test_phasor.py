@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import trapezoid
 
-from microbot_ros.estimation.phasor import polar
+from microbot_ros.estimation.likelihood.phasor import polar
 
 
 @pytest.mark.parametrize('size', [0.0, 0.3, 1.0, 3.0, 10.0])

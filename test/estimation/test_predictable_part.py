@@ -5,14 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from microbot_ros.estimation.prepared_session import (
+from microbot_ros.common.records import Commands, Conditions, Session, Tracks
+from microbot_ros.estimation.likelihood.prepared_session import (
     FORGOTTEN,
     predictable_part,
     prepare,
 )
-from microbot_ros.model.effects.alignment_lag import AlignmentLag
+from microbot_ros.model.effects.heading.alignment_lag import AlignmentLag
 from microbot_ros.model.model import Model
-from microbot_ros.records import Commands, Conditions, Session, Tracks
 
 FIELD, LAG, STEP = 5e-3, 0.2, 0.05
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from microbot_ros.estimation.noise import Noise, implausible_diffusion
+from microbot_ros.common.records import Conditions
+from microbot_ros.estimation.likelihood.noise import Noise, implausible_diffusion
 from microbot_ros.estimation.report import beside
-from microbot_ros.records import Conditions
 
 
 @pytest.mark.parametrize(('angle', 'other', 'drawn'), [

@@ -12,10 +12,10 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from microbot_ros.cameras.source import open_source
-from microbot_ros.estimation.online import Estimates, Estimator
-from microbot_ros.estimation.population import GATE
+from microbot_ros.common.records import Conditions
+from microbot_ros.estimation.online.estimator import Estimates, Estimator
+from microbot_ros.estimation.online.population import GATE
 from microbot_ros.loop.tracker import TrackerParameters, TrackerStage
-from microbot_ros.records import Conditions
 
 FIELD = 5e-3
 READ = 0.1e-6

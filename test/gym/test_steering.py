@@ -13,14 +13,14 @@ import yaml
 from gymnasium.utils.env_checker import check_env
 
 import microbot_ros.gym
+from microbot_ros.common.errors import InputError
 from microbot_ros.control.contract import Controller, FieldCommand, Goals, NoSolutionError
-from microbot_ros.control.controller_manager import ControllerManager
 from microbot_ros.control.deadline_worker import DeadlineWorker
-from microbot_ros.control.policy import Policy
+from microbot_ros.control.manager import ControllerManager
+from microbot_ros.control.plugins.policy import Policy
 from microbot_ros.control.policy_task import PolicyTask, wanted_field
 from microbot_ros.control.testkit import controller_input
 from microbot_ros.drive.gate import Gate, Reason
-from microbot_ros.errors import InputError
 from microbot_ros.loop.allocation import AllocationStage, GateParameters, limits
 from microbot_ros.virtual_rig.coil_gradients import coil_gradients
 from microbot_ros.virtual_rig.dynamics import advance_worlds

@@ -6,7 +6,7 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 
-from microbot_ros.control.policy import OnnxPolicy
+from microbot_ros.control.plugins.policy import OnnxPolicy
 
 EXAMPLE = Path(__file__).parents[2] / 'docs/examples/train_policy.py'
 

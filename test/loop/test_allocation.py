@@ -8,7 +8,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from microbot_ros.cli.demo_robots import three_pairs
+from microbot_ros.cli.demo.robots import three_pairs
 from microbot_ros.drive.rotation import Rotation
 from microbot_ros.loop.allocation import AllocationStage, GateParameters
 

@@ -16,7 +16,7 @@ from microbot_ros.loop.loop import Loop, LoopParameters, LoopStep
 from microbot_ros.loop.model import ModelParameters
 from microbot_ros.loop.points import particles_at
 from microbot_ros.loop.tracker import TrackerParameters
-from microbot_ros.model.particle import Fluid
+from microbot_ros.model.physics.particle import Fluid
 from microbot_ros.tracking import FrameError
 from microbot_ros.virtual_rig.closed_loop import LoopFeedback
 from microbot_ros.virtual_rig.record_session import Camera, draw_swarm, record_session

@@ -9,7 +9,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog, minimize
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings
 
 seeds = st.integers(0, 2**32 - 1)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings
 
 magpylib = pytest.importorskip('magpylib')

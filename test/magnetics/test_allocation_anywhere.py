@@ -9,9 +9,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog, minimize
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.units import MU_0
 from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings
-from microbot_ros.units import MU_0
 
 magpylib = pytest.importorskip('magpylib')
 

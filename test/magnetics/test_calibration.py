@@ -11,9 +11,9 @@ import yaml
 from click.testing import CliRunner
 from coil_rigs import CONFIG, SIX
 
-from microbot_ros.cli.calibrate import command
-from microbot_ros.errors import InputError
-from microbot_ros.files import read_yaml
+from microbot_ros.cli.calibrate.calibrate import command
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.files import read_yaml
 from microbot_ros.magnetics import CoilSet, CoilSettings, Loop
 from microbot_ros.magnetics.calibration import calibrate, read_readings
 

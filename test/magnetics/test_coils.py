@@ -8,8 +8,8 @@ import pytest
 import yaml
 from coil_rigs import CONFIG
 
-from microbot_ros.errors import InputError
-from microbot_ros.files import Settings, read_yaml
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.files import Settings, read_yaml
 from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings
 from microbot_ros.nodes.configuration import read_rig
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.units import MU_0
 from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings, Loop
 from microbot_ros.magnetics.force import (
     MagneticParticle,
@@ -14,7 +15,6 @@ from microbot_ros.magnetics.force import (
     negligible_radius,
     torque,
 )
-from microbot_ros.units import MU_0
 
 
 def test_force_on_a_moment_on_the_axis_of_a_loop():

@@ -14,13 +14,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.constants import mu_0
 
-from microbot_ros.errors import InputError
-from microbot_ros.files import read_yaml
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.files import read_yaml
+from microbot_ros.common.units import MU_0
 from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings, Loop, Polyline
 from microbot_ros.magnetics.adapters import MagpylibSource
 from microbot_ros.magnetics.field_map import COLUMNS, FieldMap, read_field_map
 from microbot_ros.magnetics.saturation import Saturation
-from microbot_ros.units import MU_0
 
 magpylib = pytest.importorskip('magpylib')
 

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from scipy.special import ellipe, ellipkm1
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.units import MU_0
 from microbot_ros.magnetics import Loop, Polyline
-from microbot_ros.units import MU_0
 
 magpylib = pytest.importorskip('magpylib')
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from coil_rigs import SIX
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 from microbot_ros.magnetics import CoilSet, CoilSettings
 from microbot_ros.magnetics.calibration import with_coil_map
 

@@ -5,14 +5,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from microbot_ros.common.records import Commands
 from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings
 from microbot_ros.model.effect_context import EffectContext, Places
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.increments import increments
 from microbot_ros.model.model import Model, ParticleParameters
+from microbot_ros.model.physics.vectors import unit
 from microbot_ros.model.timeline import Timeline
-from microbot_ros.model.vectors import unit
-from microbot_ros.records import Commands
 
 FIELD = 2e-3
 RIG = CoilSet()

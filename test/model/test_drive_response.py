@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from microbot_ros.model.effects.drive_response import DriveResponse, hill
+from microbot_ros.common.records import Commands
+from microbot_ros.model.effects.velocity.drive_response import DriveResponse, hill
 from microbot_ros.model.increments import respond
 from microbot_ros.model.model import Model
 from microbot_ros.model.timeline import Timeline
-from microbot_ros.records import Commands
 
 FREQUENCY = np.geomspace(0.3, 40.0, 60)
 STARTS = DriveResponse.starts(SimpleNamespace(recordings=[Timeline(

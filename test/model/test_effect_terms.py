@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from microbot_ros.model.effect_table import build_effects
+from microbot_ros.common.records import Commands
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.first_order import simulate
+from microbot_ros.model.io.effect_table import build_effects
 from microbot_ros.model.model import Model, ParticleParameters
-from microbot_ros.records import Commands
 
 B_REF = 2.0  # mT
 SPEED, PHI = np.array([3.0, 4.5, 5.0]), np.array([-1.1, 2.6, 0.4])  # µm/s (rolling: per Hz), rad

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from microbot_ros import units
+from microbot_ros.common import units
+from microbot_ros.common.records import Commands
 from microbot_ros.model.effects import EFFECTS
-from microbot_ros.model.effects.incomplete_alignment import langevin_function
+from microbot_ros.model.effects.velocity.incomplete_alignment import langevin_function
 from microbot_ros.model.increments import respond
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.timeline import Timeline
-from microbot_ros.records import Commands
 
 # The public names, as the interface states them.
 PUBLIC = {

@@ -8,17 +8,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import fixed_quad, solve_ivp
 
-from microbot_ros.model.alignment_kernel import integrate_alignment
-from microbot_ros.model.effects.alignment_lag import AlignmentLag
-from microbot_ros.model.effects.dipole_interaction import DipoleInteraction
-from microbot_ros.model.effects.heading_slip import HeadingSlip
-from microbot_ros.model.effects.hydrodynamic_slowdown import HydrodynamicSlowdown
-from microbot_ros.model.effects.linear_flow import LinearFlow
-from microbot_ros.model.effects.speed_decay import SpeedDecay
-from microbot_ros.model.effects.uniform_drift import UniformDrift
+from microbot_ros.common.records import Commands
+from microbot_ros.model.effects.heading.alignment_lag import AlignmentLag
+from microbot_ros.model.effects.heading.heading_slip import HeadingSlip
+from microbot_ros.model.effects.velocity.dipole_interaction import DipoleInteraction
+from microbot_ros.model.effects.velocity.hydrodynamic_slowdown import HydrodynamicSlowdown
+from microbot_ros.model.effects.velocity.linear_flow import LinearFlow
+from microbot_ros.model.effects.velocity.speed_decay import SpeedDecay
+from microbot_ros.model.effects.velocity.uniform_drift import UniformDrift
 from microbot_ros.model.first_order import simulate
 from microbot_ros.model.model import Model, ParticleParameters
-from microbot_ros.records import Commands
+from microbot_ros.model.physics.alignment_kernel import integrate_alignment
 
 B = 2e-3
 PAPER = ParticleParameters(

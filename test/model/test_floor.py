@@ -8,13 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from oracles import sliding_near_a_wall
 
-from microbot_ros.model.floor import (
+from microbot_ros.model.physics.floor import (
     height_of_drag,
     rolling_factor,
     sliding_factor,
     spinning_factor,
 )
-from microbot_ros.model.particle import (
+from microbot_ros.model.physics.particle import (
     Fluid,
     alignment_time,
     force_from_speed,

@@ -3,18 +3,18 @@
 import numpy as np
 import pytest
 
-from microbot_ros.model.effects.alignment_lag import AlignmentLag
-from microbot_ros.model.effects.background_field import BackgroundField
-from microbot_ros.model.effects.command_delay import CommandDelay
-from microbot_ros.model.effects.hot_spot import HotSpot
-from microbot_ros.model.effects.linear_flow import LinearFlow
-from microbot_ros.model.effects.pixel_anisotropy import PixelAnisotropy
-from microbot_ros.model.effects.speed_decay import SpeedDecay
+from microbot_ros.common.records import Commands
+from microbot_ros.model.effects.field.background_field import BackgroundField
+from microbot_ros.model.effects.field.command_delay import CommandDelay
+from microbot_ros.model.effects.heading.alignment_lag import AlignmentLag
+from microbot_ros.model.effects.observation.pixel_anisotropy import PixelAnisotropy
+from microbot_ros.model.effects.velocity.hot_spot import HotSpot
+from microbot_ros.model.effects.velocity.linear_flow import LinearFlow
+from microbot_ros.model.effects.velocity.speed_decay import SpeedDecay
 from microbot_ros.model.first_order import simulate
 from microbot_ros.model.increments import heading_response, increments, respond
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.timeline import Timeline
-from microbot_ros.records import Commands
 
 B = 2e-3
 RNG = np.random.default_rng(3)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from microbot_ros.model.langevin import align_heading, simulate_langevin, step_grid
-from microbot_ros.model.particle import (
+from microbot_ros.common.records import Commands
+from microbot_ros.model.physics.langevin import align_heading, simulate_langevin, step_grid
+from microbot_ros.model.physics.particle import (
     Fluid,
     Particle,
     rotational_diffusion,
@@ -15,7 +16,6 @@ from microbot_ros.model.particle import (
     speed_from_force,
     translational_diffusion,
 )
-from microbot_ros.records import Commands
 
 FLUID = Fluid(viscosity=1e-3, temperature=300.0)
 SMALL = Particle(radius=0.5e-6, mass=5e-16, force=0.0)

@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 from scipy.integrate import trapezoid
 from scipy.interpolate import RegularGridInterpolator
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.records import Commands
 from microbot_ros.model.effect_context import EffectContext, Places
 from microbot_ros.model.increments import increments
+from microbot_ros.model.io.model_file import read_model, write_model
 from microbot_ros.model.learned_term import LearnedTerm
 from microbot_ros.model.model import Model, ParticleParameters
-from microbot_ros.model.model_file import read_model, write_model
 from microbot_ros.model.timeline import Timeline, last_change
-from microbot_ros.records import Commands
 
 RNG = np.random.default_rng(5)
 LINE = np.concatenate([[-1.0], np.linspace(0.0, 10.0, 11), [11.0]])

@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 from microbot_ros.model.effects import BUILT_IN, EFFECTS
 from microbot_ros.model.library import Library
 from microbot_ros.model.model import Model

@@ -6,18 +6,18 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from microbot_ros.common.records import Commands, Conditions
 from microbot_ros.model.effect import Effect
 from microbot_ros.model.effects import EFFECTS
-from microbot_ros.model.effects.alignment_lag import AlignmentLag
-from microbot_ros.model.effects.background_field import BackgroundField
-from microbot_ros.model.effects.coil_gain_mismatch import CoilGainMismatch
-from microbot_ros.model.effects.command_delay import CommandDelay
-from microbot_ros.model.effects.periodic_drift import PeriodicDrift
-from microbot_ros.model.effects.speed_decay import SpeedDecay
-from microbot_ros.model.effects.uniform_drift import UniformDrift
+from microbot_ros.model.effects.field.background_field import BackgroundField
+from microbot_ros.model.effects.field.coil_gain_mismatch import CoilGainMismatch
+from microbot_ros.model.effects.field.command_delay import CommandDelay
+from microbot_ros.model.effects.heading.alignment_lag import AlignmentLag
+from microbot_ros.model.effects.velocity.periodic_drift import PeriodicDrift
+from microbot_ros.model.effects.velocity.speed_decay import SpeedDecay
+from microbot_ros.model.effects.velocity.uniform_drift import UniformDrift
 from microbot_ros.model.model import Model, ParticleParameters
 from microbot_ros.model.parameter import parameter
-from microbot_ros.records import Commands, Conditions
 
 
 def test_the_order_of_discovery_does_not_matter():

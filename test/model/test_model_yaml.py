@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 from microbot_ros.model.effects import EFFECTS
-from microbot_ros.model.effects.background_field import BackgroundField
-from microbot_ros.model.effects.speed_decay import SpeedDecay
-from microbot_ros.model.effects.uniform_drift import UniformDrift
+from microbot_ros.model.effects.field.background_field import BackgroundField
+from microbot_ros.model.effects.velocity.speed_decay import SpeedDecay
+from microbot_ros.model.effects.velocity.uniform_drift import UniformDrift
+from microbot_ros.model.io.model_file import read_model, write_model
 from microbot_ros.model.model import Model, ParticleParameters
-from microbot_ros.model.model_file import read_model, write_model
 
 GOLDEN = """\
 propulsion: catalytic

@@ -6,11 +6,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from microbot_ros.common.records import Commands
 from microbot_ros.model.first_order import simulate
-from microbot_ros.model.langevin import align_heading
 from microbot_ros.model.model import Model, ParticleParameters
-from microbot_ros.model.newton_stokes import newton_stokes, stokes_translation
-from microbot_ros.model.particle import (
+from microbot_ros.model.physics.langevin import align_heading
+from microbot_ros.model.physics.newton_stokes import newton_stokes, stokes_translation
+from microbot_ros.model.physics.particle import (
     Fluid,
     Particle,
     alignment_time,
@@ -18,8 +19,7 @@ from microbot_ros.model.particle import (
     speed_from_force,
     translational_time,
 )
-from microbot_ros.model.vectors import unit
-from microbot_ros.records import Commands
+from microbot_ros.model.physics.vectors import unit
 
 FLUID = Fluid(1.245e-3)
 MASS, RADIUS = 4.01e-13, 4.6e-6

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from microbot_ros.model.particle import (
+from microbot_ros.model.physics.particle import (
     Fluid,
     Particle,
     alignment_time,

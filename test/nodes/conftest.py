@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 from in_process import FULL_SCALE_A, Amplifier, Ros, graphs
 
-from microbot_ros.drive.real_time import set_realtime_priority
+from microbot_ros.common.real_time import set_realtime_priority
 
 
 class EmulatorProcess:

@@ -7,7 +7,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import MagneticField, PointCloud2
 
 from microbot_ros.loop.points import PARTICLE
-from microbot_ros.model.particle import Fluid
+from microbot_ros.model.physics.particle import Fluid
 from microbot_ros.nodes import messages
 from microbot_ros.virtual_rig.injected_effects import inject_effect
 from microbot_ros.virtual_rig.record_session import draw_swarm

@@ -23,7 +23,7 @@ from microbot_ros.cameras.camera import (
     Clock,
     camera_class,
 )
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 from microbot_ros.nodes import camera as camera_node
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import ERROR, IMAGES_IN, OK, WARN

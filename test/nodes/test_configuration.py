@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 from microbot_ros.nodes.configuration import node_class, read_rig, refused
 from microbot_ros.nodes.process import NODES
 

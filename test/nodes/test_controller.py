@@ -24,12 +24,12 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
+from microbot_ros.common.records import Commands
 from microbot_ros.control.contract import no_field
-from microbot_ros.control.open_loop import OpenLoop
+from microbot_ros.control.plugins.open_loop import OpenLoop
 from microbot_ros.loop.points import ESTIMATE, GOAL
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.lifecycle import LATCHED
-from microbot_ros.records import Commands
 
 
 class Loop:

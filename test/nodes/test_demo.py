@@ -19,8 +19,8 @@ from command_line import microbot
 from mcap.reader import make_reader
 from stolen import Processors
 
-from microbot_ros.cli.demo import GOALS_UM, places_within, tell_shortcomings
-from microbot_ros.cli.demo_results import goals_reached
+from microbot_ros.cli.demo.demo import GOALS_UM, places_within, tell_shortcomings
+from microbot_ros.cli.demo.results import goals_reached
 
 pytestmark = pytest.mark.timeout(600)
 

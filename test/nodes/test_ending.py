@@ -21,8 +21,8 @@ from geometry_msgs.msg import Vector3Stamped
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.parameter import Parameter
 
-from microbot_ros.ending import PARENT
-from microbot_ros.errors import InputError, RigError
+from microbot_ros.common.ending import PARENT
+from microbot_ros.common.errors import InputError, RigError
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.graph_client import GraphClient
 

@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 from oracles import sliding_near_a_wall
 
-from microbot_ros.errors import InputError
-from microbot_ros.estimation.noise import stokes_einstein
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.units import BOLTZMANN
+from microbot_ros.estimation.likelihood.noise import stokes_einstein
 from microbot_ros.loop.model import ModelParameters, ModelStage
-from microbot_ros.model.floor import rolling_factor, spinning_factor
-from microbot_ros.units import BOLTZMANN
+from microbot_ros.model.physics.floor import rolling_factor, spinning_factor
 
 RADIUS, HEIGHT = 2.3e-6, 2.6e-6
 

@@ -14,9 +14,9 @@ from numpy.lib.recfunctions import repack_fields
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Image, PointCloud2, PointField
 
+from microbot_ros.common.records import Commands
 from microbot_ros.loop.points import ESTIMATE, PARTICLE
 from microbot_ros.nodes import messages
-from microbot_ros.records import Commands
 
 STAMP = Time(sec=1_700_000_000, nanosec=123_456_789)
 

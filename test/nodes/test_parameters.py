@@ -13,11 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.parameter import Parameter
 
-from microbot_ros import settings
-from microbot_ros.errors import InputError
+from microbot_ros.common import settings
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.settings import setting
 from microbot_ros.nodes.parameters import ParameterSet, refuse_unknown
 from microbot_ros.nodes.transport import BY_PROFILE, NODE, transport
-from microbot_ros.settings import setting
 
 
 @dataclass(frozen=True)

@@ -26,10 +26,12 @@ from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import MagneticField, PointCloud2
 
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.records import Commands, Conditions, Session, Tracks
 from microbot_ros.control.contract import Controller, ControllerInput, FieldCommand
-from microbot_ros.control.controller_manager import ControllerManager
 from microbot_ros.control.deadline_worker import DeadlineWorker
-from microbot_ros.control.policy import OnnxPolicy
+from microbot_ros.control.manager import ControllerManager
+from microbot_ros.control.plugins.policy import OnnxPolicy
 from microbot_ros.control.recorded_worker import (
     BUSY,
     HUNG,
@@ -39,9 +41,8 @@ from microbot_ros.control.recorded_worker import (
     RepeatingWorker,
 )
 from microbot_ros.control.testkit import controller_input
-from microbot_ros.errors import InputError
 from microbot_ros.estimation.batch import fit
-from microbot_ros.estimation.online import Estimates, Estimator
+from microbot_ros.estimation.online.estimator import Estimates, Estimator
 from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes import messages, process
 from microbot_ros.nodes.replay import (
@@ -51,7 +52,6 @@ from microbot_ros.nodes.replay import (
     plan_replay,
     recorded_parameters,
 )
-from microbot_ros.records import Commands, Conditions, Session, Tracks
 from microbot_ros.session import RecordingWriter, open_recording, read_session
 from microbot_ros.session.cloud import cloud_table
 from microbot_ros.session.compare import compare

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from rclpy.task import Future
 
+from microbot_ros.common.errors import InputError, RigError
 from microbot_ros.control.controller_thread import AGAIN
-from microbot_ros.errors import InputError, RigError
 from microbot_ros.nodes.rig_client import RefusedError, RigClient
 
 

@@ -15,7 +15,7 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool
 
-from microbot_ros.cli.demo_robots import three_pairs
+from microbot_ros.cli.demo.robots import three_pairs
 from microbot_ros.loop.points import ESTIMATE
 from microbot_ros.magnetics import CoilSet
 from microbot_ros.nodes import messages

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
-from microbot_ros.cli.demo_robots import rolling
+from microbot_ros.cli.demo.robots import rolling
 from microbot_ros.discovery.discover import discover
 from microbot_ros.nodes.graph import Graph
 from microbot_ros.nodes.graph_client import GraphClient

@@ -17,8 +17,8 @@ import psutil
 import pytest
 import yaml
 
-from microbot_ros.drive.real_time import LOOP, SAFETY
-from microbot_ros.errors import RigError
+from microbot_ros.common.errors import RigError
+from microbot_ros.common.real_time import LOOP, SAFETY
 from microbot_ros.nodes.graph_client import GraphClient
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 

@@ -83,7 +83,7 @@ def test_who_would_be_open_to_others_is_refused_unless_that_is_asked_for(asks: s
                'rclpy.init()\n'
                'first = rclpy.create_node("first")\n'
                f'os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "{asks}"\n'
-               'from microbot_ros.errors import InputError\n'
+               'from microbot_ros.common.errors import InputError\n'
                'from microbot_ros.nodes.graph_client import GraphClient\n'
                'from microbot_ros.nodes.participant import leave\n'
                'try:\n'

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from microbot_ros.model.effects.drive_response import hill
+from microbot_ros.model.effects.velocity.drive_response import hill
 from microbot_ros.response.curve import fit_curve
 
 F = np.arange(1.0, 21.0)

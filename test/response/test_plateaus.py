@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from laboratories import rolling_recording
 
-from microbot_ros.records import Commands, Session, SpeedWindow, Tracks
+from microbot_ros.common.records import Commands, Session, SpeedWindow, Tracks
 from microbot_ros.response.plateaus import respond
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from microbot_ros.records import Commands, Conditions, Session, Tracks
+from microbot_ros.common.records import Commands, Conditions, Session, Tracks
 from microbot_ros.session import RecordingWriter
 from microbot_ros.session.as_messages import SessionMessages
 from microbot_ros.session.bag import typestore

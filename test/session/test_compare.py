@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from recordings import VECTOR, encode, record, small_session, vector
 
-from microbot_ros.records import Session
+from microbot_ros.common.records import Session
 from microbot_ros.session import RecordingWriter, open_recording
 from microbot_ros.session.compare import compare
 

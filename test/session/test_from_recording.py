@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from recordings import VECTOR, encode, header, vector
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 from microbot_ros.session import RecordingWriter, read_session
 from microbot_ros.session.bag import typestore
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from recordings import Listed, vector
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 from microbot_ros.session.log import Entry, Inputs, order_of_receipt, read_log
 from microbot_ros.session.recording import Message, header_stamp_ns
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from recordings import record, small_session
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 from microbot_ros.session import write_session
 from microbot_ros.session.as_messages import SessionMessages
 from microbot_ros.session.playback import Playback, open_source

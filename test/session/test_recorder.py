@@ -10,7 +10,7 @@ from mcap.reader import make_reader
 from recordings import IMAGE, VECTOR, image, vector
 from rosbags.highlevel import AnyReader
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 from microbot_ros.session import RecordingWriter, open_recording, recorder, store
 from microbot_ros.session.mcap_writer import McapWriter
 from microbot_ros.session.store import MIB

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from recordings import encode, header, record, small_session
 
-from microbot_ros.records import Commands, Session
+from microbot_ros.common.records import Commands, Session
 from microbot_ros.session import RecordingWriter, open_recording, write_session
 from microbot_ros.session.as_messages import SessionMessages
 from microbot_ros.session.bag import typestore

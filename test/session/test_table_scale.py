@@ -7,8 +7,8 @@ import numpy as np
 import openpyxl
 import pytest
 
-from microbot_ros.errors import InputError
-from microbot_ros.records import SpeedWindow
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.records import SpeedWindow
 from microbot_ros.session import read_session, write_session
 from microbot_ros.session.spreadsheets.assemble import import_session
 from microbot_ros.session.spreadsheets.scale import speed_ratio

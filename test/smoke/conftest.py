@@ -16,7 +16,7 @@ import pytest
 import yaml
 from domains import own_domain
 
-from microbot_ros.errors import RigError
+from microbot_ros.common.errors import RigError
 from microbot_ros.nodes.graph import Graph
 from microbot_ros.nodes.graph_client import GraphClient
 

@@ -12,8 +12,8 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
 from smoke.conftest import NODES, PHIS_RAD, SPEEDS_UM_S, SmokeRig
 
-from microbot_ros.cli import demo
-from microbot_ros.cli.demo_robots import KINDS
+from microbot_ros.cli.demo import demo
+from microbot_ros.cli.demo.robots import KINDS
 from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes import messages
 from microbot_ros.session import open_recording, read_session

@@ -13,8 +13,8 @@ from command_line import microbot
 from hypothesis import given
 from hypothesis import strategies as st
 
-from microbot_ros.errors import InputError
-from microbot_ros.tracking.colour import Spot, telling_weights, weighted
+from microbot_ros.common.errors import InputError
+from microbot_ros.tracking.locate.colour import Spot, telling_weights, weighted
 
 _BRIGHTNESS = (0.299, 0.587, 0.114)
 _LIGHT = np.array([140.0, 150.0, 145.0])

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from microbot_ros.tracking.disc_fit import refine
+from microbot_ros.tracking.refine.disc_fit import refine
 
 
 def disc(x, y, height=-60.0, light=120.0, radius=7.0, soft=0.9, size=40):

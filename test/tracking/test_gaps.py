@@ -8,11 +8,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from microbot_ros.tracking import Appearance, Tracker, TrackerSettings, teach
-from microbot_ros.tracking.detect import Detections
-from microbot_ros.tracking.doubt import together
-from microbot_ros.tracking.link import Linker
+from microbot_ros.tracking import Appearance, Tracker, TrackerSettings
+from microbot_ros.tracking.link.doubt import together
+from microbot_ros.tracking.link.linker import Linker
+from microbot_ros.tracking.locate.detect import Detections
 from microbot_ros.tracking.rows import Remarks
+from microbot_ros.tracking.teach import teacher
 
 _SIDE = 600
 
@@ -141,7 +142,7 @@ def test_of_two_that_pass_in_one_outline_the_tracker_says_that_they_may_be_two()
             light -= 70 / (1 + np.exp(1.6 * (np.hypot(u - x, v - 60) - 8)))
         return np.clip(np.rint(light), 0, 255).astype(np.uint8)
 
-    settings, _ = teach.like(TrackerSettings(), picture(0), 60.0, 60.0)
+    settings, _ = teacher.like(TrackerSettings(), picture(0), 60.0, 60.0)
     tracker = Tracker(settings)
     poses = [tracker.update(picture(t), t / 10) for t in range(25)]
     assert tracker.remarks == {}
@@ -190,7 +191,7 @@ def test_one_that_rests_keeps_its_name_when_a_larger_one_touches_it(
             light -= contrast / (1 + np.exp(np.hypot(u - x, v - y) - radius))
         return np.clip(np.rint(light), 0, 255).astype(np.uint8)
 
-    settings, _ = teach.like(TrackerSettings(), picture(0), 120.0, 70.0)
+    settings, _ = teacher.like(TrackerSettings(), picture(0), 120.0, 70.0)
     tracker = Tracker(settings)
     poses = [tracker.update(picture(t), t / 10) for t in range(80)]
     before, after = (dict(zip(now.id.tolist(), now.xy.tolist(), strict=True))

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from microbot_ros.cli.track_learn import Point, pointed
-from microbot_ros.errors import InputError
+from microbot_ros.cli.track.learn import Point, pointed
+from microbot_ros.common.errors import InputError
 from microbot_ros.tracking import TrackerSettings
-from microbot_ros.tracking.bodies import Bodies
-from microbot_ros.tracking.kinds_detector import KindsDetector
-from microbot_ros.tracking.standing import creeping
+from microbot_ros.tracking.locate.bodies import Bodies
+from microbot_ros.tracking.locate.kinds_detector import KindsDetector
+from microbot_ros.tracking.locate.standing import creeping
 
 _PICTURES = 12
 _V, _U = np.mgrid[:200, :320]

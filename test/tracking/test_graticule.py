@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bench._tracker_scenes import expose, light, scene
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 from microbot_ros.tracking.graticule import measure_graticule
 
 _FINE = 3

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from microbot_ros.tracking import Tracker, TrackerSettings, teach
+from microbot_ros.tracking import Tracker, TrackerSettings
+from microbot_ros.tracking.teach import teacher
 
 
 def _rod(place: np.ndarray, angle: float, seed: int) -> np.ndarray:
@@ -28,7 +29,7 @@ def _headings(turn: float, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     path = np.array([120.0, 120.0]) + np.cumsum(step, axis=0) - step.sum(axis=0) / 2
     frames = [_rod(place, angle, t) for t, (place, angle) in
               enumerate(zip(path, heading, strict=True))]
-    settings, _ = teach.like(TrackerSettings(), frames[0], *path[0])
+    settings, _ = teacher.like(TrackerSettings(), frames[0], *path[0])
     tracker, found = Tracker(settings), []
     for t, frame in enumerate(frames):
         poses = tracker.update(frame, t / 30)

@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from microbot_ros.tracking import Appearance, Drive, TrackerSettings
-from microbot_ros.tracking.detect import Detections
-from microbot_ros.tracking.global_motion import common_displacement, common_shake
-from microbot_ros.tracking.link import Linker
-from microbot_ros.tracking.states import planar
+from microbot_ros.tracking.link.global_motion import common_displacement, common_shake
+from microbot_ros.tracking.link.linker import Linker
+from microbot_ros.tracking.link.states import planar
+from microbot_ros.tracking.locate.detect import Detections
 
 _SIDE = 300
 _DIAMETER = 10.0
@@ -239,7 +239,7 @@ def _shaken(amplitude: float, seed: int) -> int:
 def test_a_picture_that_trembles_in_every_frame_costs_no_identities(
         monkeypatch: pytest.MonkeyPatch) -> None:
     assert sum(_shaken(2.0, seed) for seed in range(4)) == 0
-    monkeypatch.setattr('microbot_ros.tracking.link.common_shake', lambda *_: None)
+    monkeypatch.setattr('microbot_ros.tracking.link.linker.common_shake', lambda *_: None)
     assert sum(_shaken(2.0, seed) for seed in range(4)) > 0
 
 

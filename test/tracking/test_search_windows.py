@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from bench._tracker_scenes import KINDS, draw, expose, light
 from microbot_ros.tracking import Appearance, Poses, Tracker, TrackerSettings, learn
+from microbot_ros.tracking.link.states import PLACE, TrackStates, initiate_tracks
 from microbot_ros.tracking.search_windows import SearchWindows, _apart
-from microbot_ros.tracking.states import PLACE, TrackStates, initiate_tracks
 from microbot_ros.tracking.tracker import make_detector
 
 _HEIGHT, _WIDTH = 300, 420

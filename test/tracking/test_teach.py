@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 import yaml
 
-from microbot_ros.errors import InputError
-from microbot_ros.files import read_yaml
-from microbot_ros.tracking import Tracker, TrackerSettings, teach
-from microbot_ros.tracking.bodies import Bodies
-from microbot_ros.tracking.kinds import Kind, with_examples
-from microbot_ros.tracking.kinds_detector import KindsDetector
-from microbot_ros.tracking.standing import standing
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.files import read_yaml
+from microbot_ros.tracking import Tracker, TrackerSettings
+from microbot_ros.tracking.locate.bodies import Bodies
+from microbot_ros.tracking.locate.kinds import Kind, with_examples
+from microbot_ros.tracking.locate.kinds_detector import KindsDetector
+from microbot_ros.tracking.locate.standing import standing
+from microbot_ros.tracking.teach import teacher
 
 _SMALL, _LARGE, _PALE = (60.0, 50.0), (200.0, 70.0), (120.0, 140.0)
 _NOWHERE = np.empty((0, 2))
@@ -41,22 +42,22 @@ def _found(settings: TrackerSettings, image: np.ndarray) -> np.ndarray:
 
 def test_one_example_finds_those_like_it_of_other_sizes_and_no_pale_one() -> None:
     image = _picture(*_SCENE)
-    settings, said = teach.like(TrackerSettings(), image, 61.0, 49.0)
+    settings, said = teacher.like(TrackerSettings(), image, 61.0, 49.0)
     np.testing.assert_allclose(_found(settings, image), [_SMALL, _LARGE], atol=0.3)
     assert said.startswith('robot: learned from 1 example')
 
 
 def test_a_counter_example_takes_out_what_is_like_it_and_only_that() -> None:
     image = _picture(*_SCENE)
-    settings, _ = teach.like(TrackerSettings(), image, *_SMALL)
-    settings, _ = teach.unlike(settings, image, *_LARGE)
+    settings, _ = teacher.like(TrackerSettings(), image, *_SMALL)
+    settings, _ = teacher.unlike(settings, image, *_LARGE)
     np.testing.assert_allclose(_found(settings, image), [_SMALL], atol=0.3)
 
 
 def test_each_of_two_kinds_has_its_own() -> None:
     image = _picture(*_SCENE)
-    settings, _ = teach.like(TrackerSettings(), image, *_SMALL, 'small')
-    settings, _ = teach.like(settings, image, *_LARGE, 'large')
+    settings, _ = teacher.like(TrackerSettings(), image, *_SMALL, 'small')
+    settings, _ = teacher.like(settings, image, *_LARGE, 'large')
     found = KindsDetector(settings.kinds).detect(image, _NOWHERE)
     names = [settings.kinds[k].name for k in found.kind[np.argsort(found.xy[:, 0])]]
     assert names == ['small', 'large']
@@ -64,7 +65,7 @@ def test_each_of_two_kinds_has_its_own() -> None:
 
 def test_a_bright_one_is_learned_as_bright() -> None:
     image = _picture((_SMALL, 5.0, 60.0), (_LARGE, 9.0, -80.0))
-    settings, _ = teach.like(TrackerSettings(), image, *_SMALL)
+    settings, _ = teacher.like(TrackerSettings(), image, *_SMALL)
     assert settings.kinds[0].contrast == 'bright'
     np.testing.assert_allclose(_found(settings, image), [_SMALL], atol=0.3)
 
@@ -77,33 +78,33 @@ def test_points_that_mean_nothing_are_refused(x: float, y: float, problem: str) 
     pair = ((70.0, 50.0), 5.0, -70.0), ((90.0, 50.0), 5.0, -70.0)
     image = _picture(*(pair if x == 80 else _SCENE))
     with pytest.raises(InputError, match=problem):
-        teach.like(TrackerSettings(), image, x, y)
+        teacher.like(TrackerSettings(), image, x, y)
 
 
 @pytest.mark.parametrize('name', ['\x1b[2J', '2nd', 'a b', 'x' * 33, '-'])
 def test_a_name_that_is_none_is_refused(name: str) -> None:
     with pytest.raises(InputError, match='expected a name'):
-        teach.like(TrackerSettings(), _picture(*_SCENE), *_SMALL, name)
+        teacher.like(TrackerSettings(), _picture(*_SCENE), *_SMALL, name)
 
 
 def test_examples_that_contradict_each_other_are_refused() -> None:
     image = _picture(*_SCENE)
-    settings, _ = teach.like(TrackerSettings(), image, *_SMALL)
+    settings, _ = teacher.like(TrackerSettings(), image, *_SMALL)
     with pytest.raises(InputError, match='this is one of them'):
-        teach.unlike(settings, image, *_SMALL)
+        teacher.unlike(settings, image, *_SMALL)
     with pytest.raises(InputError, match='an example first'):
-        teach.unlike(TrackerSettings(), image, *_SMALL)
+        teacher.unlike(TrackerSettings(), image, *_SMALL)
 
 
 def test_what_was_learned_survives_a_file(tmp_path: Path) -> None:
-    settings, _ = teach.like(TrackerSettings(), _picture(*_SCENE), *_SMALL, 'robot')
+    settings, _ = teacher.like(TrackerSettings(), _picture(*_SCENE), *_SMALL, 'robot')
     file = tmp_path / 'learned.yaml'
     file.write_text(yaml.safe_dump(settings.model_dump(mode='json', exclude_defaults=True)))
     assert read_yaml(file, TrackerSettings) == settings
 
 
 def test_a_taught_tracker_follows_at_once_and_says_the_kind() -> None:
-    settings, _ = teach.like(TrackerSettings(), _picture(*_SCENE), *_SMALL)
+    settings, _ = teacher.like(TrackerSettings(), _picture(*_SCENE), *_SMALL)
     tracker = Tracker(settings)
     for t in range(6):
         moved = [((x + t, y), radius, contrast) for (x, y), radius, contrast in _SCENE]
@@ -114,11 +115,11 @@ def test_a_taught_tracker_follows_at_once_and_says_the_kind() -> None:
 
 
 def test_teaching_goes_on_with_the_identities() -> None:
-    settings, _ = teach.like(TrackerSettings(), _picture(*_SCENE), *_SMALL)
+    settings, _ = teacher.like(TrackerSettings(), _picture(*_SCENE), *_SMALL)
     tracker = Tracker(settings)
     for t in range(6):
         before = tracker.update(_picture(*_SCENE, seed=t), t / 10)
-    more, _ = teach.like(settings, _picture(*_SCENE), *_LARGE)
+    more, _ = teacher.like(settings, _picture(*_SCENE), *_LARGE)
     tracker.teach(more)
     after = tracker.update(_picture(*_SCENE, seed=9), 0.7)
     assert after.id.tolist() == before.id.tolist()
@@ -152,17 +153,17 @@ def test_without_pointing_what_only_drifts_with_the_sample_does_not_move() -> No
 
 
 def test_a_kind_that_is_forgotten_takes_its_particles_along_and_no_identity_comes_twice() -> None:
-    settings, _ = teach.like(TrackerSettings(), _picture(*_SCENE), *_SMALL, 'small')
-    settings, _ = teach.like(settings, _picture(*_SCENE), *_LARGE, 'large')
+    settings, _ = teacher.like(TrackerSettings(), _picture(*_SCENE), *_SMALL, 'small')
+    settings, _ = teacher.like(settings, _picture(*_SCENE), *_LARGE, 'large')
     tracker = Tracker(settings)
     for t in range(6):
         before = tracker.update(_picture(*_SCENE, seed=t), t / 10)
     names = dict(zip(before.kind.tolist(), before.id.tolist(), strict=True))
-    fewer, _ = teach.forget(settings, 'small')
+    fewer, _ = teacher.forget(settings, 'small')
     tracker.teach(fewer)
     after = tracker.update(_picture(*_SCENE, seed=9), 0.7)
     assert (after.id.tolist(), after.kind.tolist()) == ([names[1]], [0])
-    tracker.teach(teach.forget(fewer)[0])
+    tracker.teach(teacher.forget(fewer)[0])
     assert len(tracker.update(_picture(*_SCENE, seed=10), 0.8)) == 0
     tracker.teach(settings)
     for t in range(6):
@@ -178,7 +179,7 @@ def test_the_place_of_a_taught_disc_is_as_exact_as_its_noise_allows(radius: floa
     v, u = np.mgrid[:200, :300]
     drawn = [-70 / (1 + np.exp(1.6 * (np.hypot(u - x, v - 50) - radius))) for x in (59.99, 60.01)]
     bound = math.hypot(noise, 12**-0.5) / math.sqrt(np.sum(((drawn[1] - drawn[0]) / 0.02) ** 2))
-    settings, _ = teach.like(TrackerSettings(), _picture((_SMALL, radius, -70.0)), *_SMALL)
+    settings, _ = teacher.like(TrackerSettings(), _picture((_SMALL, radius, -70.0)), *_SMALL)
     for seed in range(60):
         place = rng.uniform(50, 70, 2)
         found = KindsDetector(settings.kinds).detect(
@@ -191,7 +192,7 @@ def test_the_place_of_a_taught_disc_is_as_exact_as_its_noise_allows(radius: floa
 
 
 def test_what_the_edge_cuts_is_followed_only_where_it_is_known() -> None:
-    settings, _ = teach.like(TrackerSettings(), _picture(*_SCENE), *_LARGE)
+    settings, _ = teacher.like(TrackerSettings(), _picture(*_SCENE), *_LARGE)
     detector, edge = KindsDetector(settings.kinds), (2.0, 100.0)
     image = _picture((edge, 9.0, -80.0))
     assert len(detector.detect(image, _NOWHERE)) == 0
@@ -200,7 +201,7 @@ def test_what_the_edge_cuts_is_followed_only_where_it_is_known() -> None:
 
 @pytest.mark.parametrize('radius', [5.0, 9.0])
 def test_the_edge_pulls_at_no_disc_that_it_cuts(radius: float) -> None:
-    settings, _ = teach.like(TrackerSettings(), _picture((_SMALL, radius, -70.0)), *_SMALL)
+    settings, _ = teacher.like(TrackerSettings(), _picture((_SMALL, radius, -70.0)), *_SMALL)
     detector, rng, off, told = KindsDetector(settings.kinds), np.random.default_rng(6), [], []
     for seed, x in enumerate(np.linspace(-1, radius + 2, 60).tolist()):
         place = (x, 100 + rng.uniform(-0.5, 0.5))
@@ -228,7 +229,7 @@ def test_the_place_of_a_rod_is_as_exact_as_it_says(
     half: float, radius: float, noise: float, angle: float,
 ) -> None:
     rng, off, told = np.random.default_rng(3), [], []
-    settings, _ = teach.like(
+    settings, _ = teacher.like(
         TrackerSettings(), _rod((80, 60), half, radius, angle, noise, rng), 80.0, 60.0)
     detector = KindsDetector(settings.kinds)
     for _ in range(60):
@@ -245,7 +246,7 @@ def test_the_place_of_a_rod_that_the_edge_cuts_is_in_doubt() -> None:
     def rod(x: float) -> np.ndarray:
         return _rod((x, 60.0), 9, 4, 0.0, 1.5, np.random.default_rng(4))
 
-    settings, _ = teach.like(TrackerSettings(), rod(80.0), 80.0, 60.0)
+    settings, _ = teacher.like(TrackerSettings(), rod(80.0), 80.0, 60.0)
     detector = KindsDetector(settings.kinds)
     for x in (3.0, 6.0, 9.0):
         found = detector.detect(rod(x), np.array([[x, 60.0]]))
@@ -264,14 +265,14 @@ def test_what_hardly_diffuses_is_no_dirt() -> None:
 
 def test_what_is_smaller_and_paler_at_once_is_another_thing() -> None:
     image = _picture(*_SCENE)
-    settings, _ = teach.like(TrackerSettings(), image, *_LARGE)
+    settings, _ = teacher.like(TrackerSettings(), image, *_LARGE)
     assert len(_found(settings, _picture((_SMALL, 4.6, -80.0)))) == 1
     assert len(_found(settings, _picture((_SMALL, 9.0, -45.0)))) == 1
     assert len(_found(settings, _picture((_SMALL, 4.0, -42.0)))) == 0
 
 
 def test_one_that_passes_by_bright_things_is_followed_on() -> None:
-    settings, _ = teach.like(TrackerSettings(), _picture(*_SCENE), *_SMALL)
+    settings, _ = teacher.like(TrackerSettings(), _picture(*_SCENE), *_SMALL)
     tracker = Tracker(settings)
     for t in range(40):
         place = (40.0 + 3 * t, 60.0)
@@ -290,7 +291,7 @@ def test_a_doublet_is_one_body_where_its_halves_touch_and_its_parts_where_light_
 ) -> None:
     image = _picture(*(((x, y), 5.0, -70.0) for x, y in (
         (80.0, 60.0), (80.0 + apart, 60.0), (200.0, 120.0), (200.0, 120.0 + apart))))
-    settings, _ = teach.like(TrackerSettings(), image, 80.0, 60.0)
+    settings, _ = teacher.like(TrackerSettings(), image, 80.0, 60.0)
     places = sorted(map(tuple, _found(settings, image).round()))
     np.testing.assert_array_equal(places, found)
 
@@ -298,13 +299,13 @@ def test_a_doublet_is_one_body_where_its_halves_touch_and_its_parts_where_light_
 def test_a_point_in_the_light_between_two_parts_means_both_as_one_body() -> None:
     parts = [(80.0, 60.0), (94.0, 60.0), (200.0, 120.0), (200.0, 134.0), (60.0, 150.0)]
     image = _picture(*((place, 5.0, -70.0) for place in parts))
-    settings, said = teach.like(TrackerSettings(), image, 87.0, 60.0, 'pair')
+    settings, said = teacher.like(TrackerSettings(), image, 87.0, 60.0, 'pair')
     assert 'taken as one' in said
     np.testing.assert_allclose(_found(settings, image),
                                [parts[-1], (87.0, 60.0), (200.0, 127.0)], atol=0.3)
-    settings, _ = teach.unlike(settings, image, *parts[-1])
+    settings, _ = teacher.unlike(settings, image, *parts[-1])
     np.testing.assert_allclose(_found(settings, image), [(87.0, 60.0), (200.0, 127.0)], atol=0.3)
-    settings, said = teach.like(TrackerSettings(), image, *parts[0])
+    settings, said = teacher.like(TrackerSettings(), image, *parts[0])
     assert 'taken as one' not in said
     assert len(_found(settings, image)) == 5
 
@@ -312,7 +313,7 @@ def test_a_point_in_the_light_between_two_parts_means_both_as_one_body() -> None
 def test_a_point_between_the_links_of_a_chain_means_the_chain() -> None:
     links = [(100.0 + 10 * k, 60.0 + 10 * k) for k in range(4)]
     image = _picture(*((place, 5.0, -70.0) for place in links))
-    settings, _ = teach.like(TrackerSettings(), image, 115.0, 75.0, 'chain')
+    settings, _ = teacher.like(TrackerSettings(), image, 115.0, 75.0, 'chain')
     np.testing.assert_allclose(_found(settings, image), [(115.0, 75.0)], atol=0.3)
 
 

@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from microbot_ros.tracking import Poses, Tracker, TrackerSettings, teach
-from microbot_ros.tracking.bodies import find_bodies
+from microbot_ros.tracking import Poses, Tracker, TrackerSettings
+from microbot_ros.tracking.locate.bodies import find_bodies
+from microbot_ros.tracking.teach import teacher
 
 _V, _U = np.mgrid[:200, :200]
 _APART, _TOUCHING = 25, slice(25, 75)
@@ -67,7 +68,7 @@ def test_two_that_touch_and_turn_keep_their_names_places_and_headings(
     shape: _Shape, gap: float, degrees: float
 ) -> None:
     pictures, places, axes = _turning(shape, gap, degrees, 3)
-    learned, _ = teach.like(TrackerSettings(), pictures[0], *places[0, 0])
+    learned, _ = teacher.like(TrackerSettings(), pictures[0], *places[0, 0])
     tracker = Tracker(learned)
     poses = [tracker.update(picture, k / 10) for k, picture in enumerate(pictures)]
     names = _nearest(poses[_APART - 5], places[_APART - 5])

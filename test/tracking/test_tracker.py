@@ -10,9 +10,9 @@ import pytest
 
 from bench._tracker_scenes import crowd, expose, identity_switches, light, scene
 from microbot_ros.tracking import FrameError, Tracker, TrackerSettings, learn
-from microbot_ros.tracking.appearance import Appearance
-from microbot_ros.tracking.assign import assign
-from microbot_ros.tracking.motion import Motion
+from microbot_ros.tracking.link.assign import assign
+from microbot_ros.tracking.link.motion import Motion
+from microbot_ros.tracking.refine.appearance import Appearance
 
 ROUND = TrackerSettings(shape='round')
 

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from microbot_ros.magnetics import Allocator, CoilSet, CoilSettings
-from microbot_ros.model.particle import Fluid
-from microbot_ros.model.vectors import unit
+from microbot_ros.model.physics.particle import Fluid
+from microbot_ros.model.physics.vectors import unit
 from microbot_ros.virtual_rig import dynamics
 from microbot_ros.virtual_rig.body import bodies
 from microbot_ros.virtual_rig.coil_gradients import coil_gradients, pull_of_coil, pull_of_pair

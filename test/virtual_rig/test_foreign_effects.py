@@ -9,7 +9,7 @@ from microbot_ros.conformance import plain
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.first_order import simulate
 from microbot_ros.model.model import Model, ParticleParameters
-from microbot_ros.model.particle import Fluid, rotational_drag
+from microbot_ros.model.physics.particle import Fluid, rotational_drag
 from microbot_ros.virtual_rig.body import bodies
 from microbot_ros.virtual_rig.commands import steps
 from microbot_ros.virtual_rig.foreign_effects import ForeignWorld, foreign_effects, make_world

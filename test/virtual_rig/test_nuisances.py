@@ -11,7 +11,7 @@ from bench import _nuisances as nuisances
 from bench._hidden_suite import FLUID, blind
 from bench._judge_cases import with_nuisance
 from bench._nuisances import NUISANCES
-from microbot_ros.records import Session
+from microbot_ros.common.records import Session
 
 COLUMNS = ('t', 'particle', 'position')
 CHANGES = {

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from microbot_ros.model.particle import Fluid
-from microbot_ros.records import Commands, Conditions
+from microbot_ros.common.records import Commands, Conditions
+from microbot_ros.model.physics.particle import Fluid
 from microbot_ros.virtual_rig.commands import Herding, rotating, steps
 from microbot_ros.virtual_rig.injected_effects import inject_effect
 from microbot_ros.virtual_rig.record_session import Camera, draw_swarm, record_session, scatter

@@ -10,13 +10,13 @@ import pytest
 from oracles import dipole_force, dipole_mobility, rolled_frequency, swimmer_flow
 from scipy import stats
 
+from microbot_ros.common.records import Commands
+from microbot_ros.common.units import to_si
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.first_order import simulate
 from microbot_ros.model.model import Model, ParticleParameters
-from microbot_ros.model.particle import Fluid, rotational_drag, stokes_drag
-from microbot_ros.model.vectors import unit
-from microbot_ros.records import Commands
-from microbot_ros.units import to_si
+from microbot_ros.model.physics.particle import Fluid, rotational_drag, stokes_drag
+from microbot_ros.model.physics.vectors import unit
 from microbot_ros.virtual_rig import dynamics
 from microbot_ros.virtual_rig.body import bodies
 from microbot_ros.virtual_rig.commands import steps

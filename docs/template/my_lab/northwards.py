@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from microbot_ros import units
+from microbot_ros.common import units
+from microbot_ros.common.settings import setting
 from microbot_ros.control.contract import (
     Controller,
     ControllerInput,
@@ -13,8 +14,7 @@ from microbot_ros.control.contract import (
     NotLearnedError,
     Progress,
 )
-from microbot_ros.control.steering import field_along
-from microbot_ros.settings import setting
+from microbot_ros.control.steering.courses import field_along
 
 
 @dataclass(frozen=True)

@@ -6,14 +6,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+from microbot_ros.common.records import Session
+from microbot_ros.discovery.check.input_checks import check_sessions
 from microbot_ros.discovery.discover import conclude
 from microbot_ros.discovery.driven.drive import Driven
 from microbot_ros.discovery.driven.joined import join
 from microbot_ros.discovery.driven.questions import LOOKALIKE
-from microbot_ros.discovery.input_checks import check_sessions
-from microbot_ros.discovery.report_words import words
+from microbot_ros.discovery.report.words import words
 from microbot_ros.discovery.result import Discovery
-from microbot_ros.records import Session
 
 
 def discovered(driven: Driven, report: Callable[[str], None] = lambda _: None,

@@ -20,16 +20,16 @@ import numpy as np
 
 from microbot_ros.control.contract import Workspace
 from microbot_ros.discovery.driven.plan import Plan
-from microbot_ros.estimation.expected_displacement import ExpectedDisplacement
-from microbot_ros.estimation.likelihood import (
+from microbot_ros.estimation.likelihood.expected_displacement import ExpectedDisplacement
+from microbot_ros.estimation.likelihood.joint import (
     SessionFit,
     Whitening,
     eliminate,
     eliminate_shared,
     inner,
 )
-from microbot_ros.estimation.model_fit import ModelFit, difference_steps
-from microbot_ros.estimation.prepared_session import PreparedSession, distances
+from microbot_ros.estimation.likelihood.model_fit import ModelFit, difference_steps
+from microbot_ros.estimation.likelihood.prepared_session import PreparedSession, distances
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.first_order import simulate
 from microbot_ros.model.increments import as_vectors

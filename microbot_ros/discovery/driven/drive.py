@@ -8,6 +8,9 @@ from typing import Literal, Protocol
 
 import numpy as np
 
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.records import Session
+from microbot_ros.discovery.check.input_checks import check_sessions
 from microbot_ros.discovery.driven.design import Design, Range, choose_plan, random_steps
 from microbot_ros.discovery.driven.joined import join
 from microbot_ros.discovery.driven.plan import Plan
@@ -20,11 +23,8 @@ from microbot_ros.discovery.driven.questions import (
     twins,
 )
 from microbot_ros.discovery.hypotheses import Hypotheses, consider
-from microbot_ros.discovery.input_checks import check_sessions
-from microbot_ros.discovery.report_words import words
+from microbot_ros.discovery.report.words import words
 from microbot_ros.discovery.verdict import Judgement, judge, scrutinised
-from microbot_ros.errors import InputError
-from microbot_ros.records import Session
 
 Decided = Literal['settled', 'undecidable', 'out_of_time', 'stopped']
 

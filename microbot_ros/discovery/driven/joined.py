@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from microbot_ros.records import Commands, Session, Tracks
+from microbot_ros.common.records import Commands, Session, Tracks
 
 PAUSE = 1.0
 """Seconds without a frame from which an experiment does not go on with the one before."""

@@ -8,8 +8,8 @@ import jinja2
 from matplotlib.figure import Figure
 
 from microbot_ros.discovery.driven.drive import Driven, Look
-from microbot_ros.discovery.report_figures import FLOOR, embedded
-from microbot_ros.discovery.report_words import words
+from microbot_ros.discovery.report.figures import FLOOR, embedded
+from microbot_ros.discovery.report.words import words
 
 _TEMPLATE = Path(__file__).with_name('page.html')
 

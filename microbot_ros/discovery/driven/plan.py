@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from microbot_ros.records import Commands
+from microbot_ros.common.records import Commands
 
 MARKING, STEP = 60.0, 1.5
 """Seconds for which particles are kept where they are at most, and of a side of the square."""

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from microbot_ros.estimation.likelihood import SessionFit
-from microbot_ros.estimation.model_fit import ModelFit
+from microbot_ros.estimation.likelihood.joint import SessionFit
+from microbot_ros.estimation.likelihood.model_fit import ModelFit
 from microbot_ros.model.effect_context import EffectContext
 from microbot_ros.model.heading import Course, integrate_heading
 from microbot_ros.model.learned_term import (
@@ -21,8 +21,8 @@ from microbot_ros.model.learned_term import (
     coordinate,
 )
 from microbot_ros.model.model import Model
+from microbot_ros.model.physics.vectors import as_complex, as_vectors
 from microbot_ros.model.timeline import Segments
-from microbot_ros.model.vectors import as_complex, as_vectors
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

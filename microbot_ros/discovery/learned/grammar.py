@@ -13,8 +13,8 @@ from itertools import product
 
 import numpy as np
 
+from microbot_ros.common.units import from_si, suffix
 from microbot_ros.model.learned_term import AXES, PERIODIC, LearnedTerm
-from microbot_ros.units import from_si, suffix
 
 TRIED = 3
 """Starts of a shape that are worth a search."""

@@ -12,7 +12,7 @@ from microbot_ros.discovery.learned.curve import Curve, Kernel, curve_of, kernel
 from microbot_ros.discovery.learned.grammar import FittedFormula, grammar
 from microbot_ros.discovery.learned.grammar import fit as refit
 from microbot_ros.discovery.learned.moments import FOLDS, Moments
-from microbot_ros.estimation.model_fit import ModelFit, evaluate, fit_noise
+from microbot_ros.estimation.likelihood.model_fit import ModelFit, evaluate, fit_noise
 from microbot_ros.model.learned_term import LearnedTerm
 
 CONVINCING = float(np.log(1000))

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from microbot_ros.discovery.learned.candidates import accumulated, steps
-from microbot_ros.estimation.likelihood import SessionFit, eliminate, eliminate_shared, inner
-from microbot_ros.estimation.model_fit import ModelFit
+from microbot_ros.estimation.likelihood.joint import SessionFit, eliminate, eliminate_shared, inner
+from microbot_ros.estimation.likelihood.model_fit import ModelFit
 from microbot_ros.model.learned_term import LearnedTerm
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def _products(p: SessionFit, n: int, known: np.ndarray, moved: csr_array,
     this takes the time of the few knots that are felt at a time.
     """
     if p.whitening.is_plain:
-        from microbot_ros.estimation.kernels import knot_products
+        from microbot_ros.estimation.likelihood.kernels import knot_products
 
         track = np.ascontiguousarray(p.session.pieces[:, n])
         return np.asarray(knot_products(

@@ -7,7 +7,7 @@ import random
 import re
 from dataclasses import dataclass
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 
 KINDS: dict[str, tuple[float, str]] = {
     'drop': (0.01, 'lose each byte with probability VALUE'),

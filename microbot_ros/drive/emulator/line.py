@@ -9,7 +9,7 @@ import select
 import tty
 from pathlib import Path
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 
 
 class Line:

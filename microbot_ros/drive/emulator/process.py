@@ -13,22 +13,22 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import TextIO, cast
 
+from microbot_ros.common.ending import Ending, find_launcher
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.real_time import SAFETY, set_realtime_priority_of_all
 from microbot_ros.drive.emulator.coils import Coils
 from microbot_ros.drive.emulator.device import Device
 from microbot_ros.drive.emulator.faults import Faults, parse
 from microbot_ros.drive.emulator.line import Line
 from microbot_ros.drive.emulator.server import Server
-from microbot_ros.drive.real_time import SAFETY, set_realtime_priority_of_all
-from microbot_ros.ending import Ending, find_launcher
-from microbot_ros.errors import InputError
 
 DEVICES = {
-    'serial_transfer': 'microbot_ros.drive.serial_transfer.emulated:Board',
-    'scpi': 'microbot_ros.drive.scpi.emulated:Supplies',
-    'roboclaw': 'microbot_ros.drive.roboclaw.emulated:Controllers',
-    'modbus': 'microbot_ros.drive.modbus.emulated:Bridges',
-    'sabertooth': 'microbot_ros.drive.sabertooth.emulated:Controllers',
-    'roboteq': 'microbot_ros.drive.roboteq.emulated:Controllers',
+    'serial_transfer': 'microbot_ros.drive.amplifiers.serial_transfer.emulated:Board',
+    'scpi': 'microbot_ros.drive.amplifiers.scpi.emulated:Supplies',
+    'roboclaw': 'microbot_ros.drive.amplifiers.roboclaw.emulated:Controllers',
+    'modbus': 'microbot_ros.drive.amplifiers.modbus.emulated:Bridges',
+    'sabertooth': 'microbot_ros.drive.amplifiers.sabertooth.emulated:Controllers',
+    'roboteq': 'microbot_ros.drive.amplifiers.roboteq.emulated:Controllers',
 }
 """Protocol → emulated device, imported only where it is emulated."""
 

@@ -9,10 +9,10 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
+from microbot_ros.common.errors import InputError
 from microbot_ros.drive.emulator.device import Device
 from microbot_ros.drive.emulator.faults import Faults, parse
 from microbot_ros.drive.emulator.line import Line
-from microbot_ros.errors import InputError
 
 _ABSENT_S = 0.01
 """While no host has a line open, how often to look whether one has (Linux gives no event)."""

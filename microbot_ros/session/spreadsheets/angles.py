@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from microbot_ros.errors import InputError
-from microbot_ros.records import Commands, Tracks
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.records import Commands, Tracks
 from microbot_ros.session.spreadsheets.columns import Column
 from microbot_ros.session.spreadsheets.sheets import Answers, Assumptions, Sheet
 

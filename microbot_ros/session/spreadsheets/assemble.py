@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from microbot_ros.errors import InputError
-from microbot_ros.records import Conditions, Session, Tracks
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.records import Conditions, Session, Tracks
 from microbot_ros.session.plausibility import check_session
 from microbot_ros.session.spreadsheets.angles import angles
 from microbot_ros.session.spreadsheets.columns import Column, find_columns

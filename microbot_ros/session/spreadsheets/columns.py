@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 from microbot_ros.session.spreadsheets.sheets import Sheet
 
 # Role → names it goes by, in lower case with single blanks.

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from microbot_ros.errors import InputError
-from microbot_ros.records import Commands, Tracks
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.records import Commands, Tracks
+from microbot_ros.common.units import to_si
 from microbot_ros.session.folder import NOMINAL_FIELD
 from microbot_ros.session.from_recording import changes
 from microbot_ros.session.spreadsheets.angles import agreement, angles, settle_angles
@@ -20,7 +21,6 @@ from microbot_ros.session.spreadsheets.row_times import (
 )
 from microbot_ros.session.spreadsheets.scale import Part
 from microbot_ros.session.spreadsheets.sheets import Answers, Assumptions, Sheet
-from microbot_ros.units import to_si
 
 _GAUSS = 1e-4
 _LEAST_SHARE = 0.05

@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from microbot_ros.records import Tracks
+from microbot_ros.common.records import Tracks
 from microbot_ros.session.spreadsheets.sheets import Assumptions
 
 _LEAP_STEPS = 6.0

@@ -8,10 +8,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.units import to_si
 from microbot_ros.session.spreadsheets.columns import Column
 from microbot_ros.session.spreadsheets.sheets import Answers, Assumptions, Sheet
-from microbot_ros.units import to_si
 
 _STEADY = 20.0
 """Intervals of a camera stay below this many of their medians; moments do not."""

@@ -14,12 +14,12 @@ from pathlib import Path
 
 import numpy as np
 
-from microbot_ros.errors import InputError
-from microbot_ros.records import SpeedWindow, TimeBase
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.records import SpeedWindow, TimeBase
+from microbot_ros.common.units import to_si
 from microbot_ros.session.spreadsheets.columns import Column
 from microbot_ros.session.spreadsheets.row_times import RowTimes
 from microbot_ros.session.spreadsheets.sheets import Answers, Assumptions, Sheet
-from microbot_ros.units import to_si
 
 Part = tuple[Sheet, list[Column]]
 

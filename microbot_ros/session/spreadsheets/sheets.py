@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 
 _SPREADSHEETS = ('.xlsx', '.xlsm')
 _TEXTS = ('.csv', '.tsv', '.txt', '.dat')

@@ -7,10 +7,10 @@ from typing import Literal
 
 import pydantic
 
-from microbot_ros.files import Settings
+from microbot_ros.common.files import Settings
+from microbot_ros.common.units import to_si
 from microbot_ros.session.spreadsheets.columns import ROLES
 from microbot_ros.session.spreadsheets.sheets import Answers
-from microbot_ros.units import to_si
 
 PositionUnit = Literal['um', 'mm', 'm', 'px']
 FieldUnit = Literal['mT', 'T', 'G', 'fraction']

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 from microbot_ros.session.spreadsheets.columns import Column
 from microbot_ros.session.spreadsheets.sheets import Sheet
 

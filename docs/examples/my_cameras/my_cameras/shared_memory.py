@@ -11,7 +11,7 @@ import time
 import numpy as np
 
 from microbot_ros.cameras.camera import CameraDriver, CameraFormat, CameraFrame, Clock
-from microbot_ros.errors import InputError
+from microbot_ros.common.errors import InputError
 
 HEAD = struct.Struct('<3qd')
 

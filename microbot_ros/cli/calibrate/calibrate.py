@@ -1,0 +1,152 @@
+"""`microbot calibrate`: rig constants from measurements."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+import pydantic
+
+from microbot_ros.cli.calibrate.camera import camera
+from microbot_ros.magnetics.settings import CoilSettings
+
+
+class _AnyFile(pydantic.RootModel[dict[str, Any]]):
+    pass
+
+
+class _Section(pydantic.BaseModel):
+    """Coils in a file with much else, which is not looked at."""
+
+    coils: CoilSettings
+
+
+@dataclass(frozen=True)
+class _Found:
+    """The corrected coils, what was found as JSON and as lines for people, and its picture."""
+
+    settings: CoilSettings
+    summary: dict[str, Any]
+    lines: list[str]
+    draw: Callable[[Path], None]
+
+
+@click.group()
+def command() -> None:
+    """Find constants of the rig from measurements."""
+
+
+command.add_command(camera)
+
+
+@command.command()
+@click.argument('source', metavar='READINGS.csv|SESSION', type=click.Path(path_type=Path))
+@click.option('--out', type=click.Path(path_type=Path), required=True, metavar='DIR',
+              help='Folder for coils.yaml, calibration.json and calibration.png.')
+@click.option('--config', type=click.Path(path_type=Path),
+              help="The coils as known so far: a coils.yaml, or the rig's file that names one in "
+              'coil_driver.coils_file. Else the default rig.')
+@click.option('--json', 'json_path', type=click.Path(path_type=Path),
+              help='Also write the result here.')
+def coils(source: Path, out: Path, config: Path | None, json_path: Path | None) -> None:
+    """Fit the coils to gaussmeter readings, or to the tracks of a session.
+
+    READINGS.csv has a row per reading with the columns bx_mT and by_mT, the current of each coil
+    (coil_plus_x_A and so on, after the names in the rig's file), and optionally bz_mT and the
+    place of the probe x_mm, y_mm, z_mm (else the workspace centre). Drive each coil by itself,
+    both ways. It gives gain and sign of each coil and the background field.
+
+    SESSION, a folder or a recording, has catalytic particles under known commands in directions
+    all round, given through the coils in --config. Which way they swim gives the gain of the y
+    pair over the x pair, its lean and the background field; it cannot give the strength of all
+    coils together, a turn common to all, or one coil of a pair by itself.
+
+    coils.yaml holds the coils with what was found; the rig's file names it as coils_file of the
+    node coil_driver. What it started from is said.
+
+    \b
+    Examples:
+      microbot calibrate coils readings.csv --config config/rig.yaml --out out/coils
+      microbot calibrate coils recordings/monday --out out/coils
+    """
+    import yaml
+
+    from microbot_ros.common.files import output_folder, write_text
+    settings, origin = _known_coils(config)
+    tracks = source.is_dir() or source.suffix == '.mcap'
+    found = (_from_tracks if tracks else _from_readings)(source, settings)
+    section = found.settings.model_dump(mode='json', exclude_none=True)
+    result = json.dumps(found.summary, indent=1, ensure_ascii=False) + '\n'
+    with output_folder(out) as folder:
+        write_text(folder / 'coils.yaml', yaml.safe_dump({'coils': section}, sort_keys=False))
+        write_text(folder / 'calibration.json', result)
+        found.draw(folder / 'calibration.png')
+    if json_path:
+        write_text(json_path, result)
+    file = (out / 'coils.yaml').resolve()
+    for line in [f'started from {origin}', *found.lines, f'written to {out}; to drive by it, in '
+                 f"the rig's file: coil_driver: coils_file: {file}"]:
+        click.echo(line)
+
+
+def _known_coils(config: Path | None) -> tuple[CoilSettings, str]:
+    """The coils that are to be corrected, and in words whose they are."""
+    from microbot_ros.common.errors import InputError, clipped
+    from microbot_ros.common.files import read_yaml
+    from microbot_ros.nodes.configuration import read_rig
+
+    if config is None:
+        return CoilSettings(), 'the coils of the default rig'
+    keys = set(read_yaml(config, _AnyFile).root)
+    if 'coils' in keys:
+        return read_yaml(config, _Section).coils, f'the coils of {config}'
+    if keys & set(CoilSettings.model_fields):
+        return read_yaml(config, CoilSettings), f'the coils of {config}'
+    if 'coil_driver' not in keys:
+        raise InputError(config, 'expected coils, with a key coils or windings, or the file of a '
+                         f'rig, with a section coil_driver; found '
+                         f'{clipped(", ".join(keys)) or "nothing"}')
+    named = read_rig(config)['coil_driver'].get('coils_file', '')
+    if not named:
+        return CoilSettings(), f'the coils of the default rig: {config} names no coils_file'
+    return read_yaml(named, CoilSettings), f'the coils of {named}, named in {config}'
+
+
+def _from_readings(source: Path, settings: CoilSettings) -> _Found:
+    from microbot_ros.magnetics.calibration import calibrate, read_readings
+    from microbot_ros.magnetics.plots import draw_calibration
+    readings = read_readings(source, settings)
+    calibration = calibrate(readings, settings, source)
+    summary = calibration.summary()
+    lines = [f'{name}: gain {found["gain"]:.4f} ± {found["gain_std"]:.4f}, '
+             f'sign {found["sign"]:+d}' for name, found in summary['coils'].items()]
+    lines.append(f'residual {summary["residual_rms_mT"]:.3g} mT rms')
+    return _Found(calibration.applied_to(settings), summary, lines,
+                  lambda path: draw_calibration(calibration, readings, path))
+
+
+def _from_tracks(source: Path, settings: CoilSettings) -> _Found:
+    from microbot_ros.cli.calibrate.figures import draw_coils
+    from microbot_ros.discovery.check.coil_map import coil_map
+    from microbot_ros.magnetics.calibration import with_coil_map
+    from microbot_ros.session import read_session
+    found = coil_map(read_session(source))
+    corrected = with_coil_map(settings, found.gain_ratio.value, found.skew.value, found.matrix,
+                           found.offset)
+    coils = {winding.name: {'gain': winding.gain, 'sign': winding.sign}
+             for winding in corrected.windings}
+    summary = {'coils': coils, **found.summary()}
+    (bx, by), (bx_std, by_std) = 1e3 * found.offset, 1e3 * found.offset_std
+    lines = [
+        f'y coils over x coils: gain {found.gain_ratio.value:.4f} ± {found.gain_ratio.std:.4f}',
+        f'y coils lean {found.skew.value:.4f} ± {found.skew.std:.4f} rad towards +x',
+        f'background {bx:.3g} ± {bx_std:.2g}, {by:.3g} ± {by_std:.2g} mT beyond the file’s',
+        'not told by tracks: strength of all coils, a common turn, each coil of a pair']
+    if found.unexplained:
+        lines.append(f'! something else is left, against {", ".join(found.unexplained)}: see '
+                     'microbot discover')
+    return _Found(corrected, summary, lines, lambda path: draw_coils(found, path))

@@ -1,0 +1,1 @@
+"""`microbot discover`."""

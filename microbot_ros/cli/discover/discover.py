@@ -1,0 +1,194 @@
+"""`microbot discover`: find, name, add and prove the effect that the model is missing."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from microbot_ros.cli.options import FiniteFloatRange, namespace_option
+from microbot_ros.common.first_compilation import tell_of_compiling
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from microbot_ros.common.records import Session
+    from microbot_ros.discovery.result import Discovery
+    from microbot_ros.nodes.graph_client import GraphClient
+    from microbot_ros.nodes.live_session_buffer import LiveSessionBuffer
+
+
+@click.command()
+@click.argument('sessions', metavar='SESSION...', nargs=-1,
+                type=click.Path(path_type=Path))
+@click.option('--out', type=click.Path(path_type=Path), required=True, metavar='DIR',
+              help='Folder for result.json, model.yaml and report.html; with --live, of the '
+              'folders look-1, look-2, ... that hold them.')
+@click.option('--jobs', type=click.IntRange(1), default=1, show_default=True, metavar='N',
+              help='Processes that share the work.')
+@click.option('--live', is_flag=True,
+              help='Instead of sessions: watch the running graph, or a replay, and propose.')
+@click.option('--seconds', type=FiniteFloatRange(10, 3600), default=60.0, show_default=True,
+              help='With --live: how much of the recent past to look at, each time.')
+@click.option('--rounds', type=click.IntRange(0), default=0, metavar='N',
+              help='With --live: end after N looks; 0 goes on until Ctrl-C.')
+@click.option('--drive', is_flag=True,
+              help='Instead of sessions: have the running, armed rig play what tells most, until '
+              'the question is settled.')
+@click.option('--minutes', type=FiniteFloatRange(0.5, 600), default=10.0, show_default=True,
+              help='With --drive: how long at most.')
+@click.option('--apply', 'apply_', is_flag=True,
+              help='With --drive: give the model found to the model node and the controllers.')
+@click.option('--json', 'json_path', type=click.Path(path_type=Path),
+              help='Also write the content of result.json here.')
+@namespace_option
+def command(sessions: tuple[Path, ...], out: Path, jobs: int, live: bool, seconds: float,
+            rounds: int, drive: bool, minutes: float, apply_: bool,
+            json_path: Path | None, namespace: str) -> None:
+    """Find where SESSION and the first-order model part, and name the effect that is missing.
+
+    Several sessions of one rig are explained together. Writes result.json (verdict, effects with
+    intervals and evidence, what is left), model.yaml (the model with the effects, for simulate,
+    the model node and the controllers) and report.html.
+
+    \b
+    Example:
+      microbot simulate config/scenario_lag.yaml --out out/lagging
+      microbot discover out/lagging --out out/discovered
+      microbot discover --live --seconds 60 --out out/live
+      microbot discover --drive --minutes 6 --out out/driven
+    """
+    # Of matrices as small as these several threads make nothing but heat: five times the
+    # processor, and no time left for other jobs. Read by OpenBLAS when it is loaded, so from here.
+    os.environ.setdefault('OMP_NUM_THREADS', '1')
+    from rich.console import Console
+
+    from microbot_ros.session import read_session
+
+    if bool(sessions) + live + drive != 1:
+        raise click.UsageError('expected either SESSION... or --live or --drive')
+    if apply_ and not drive:
+        raise click.UsageError('--apply is for --drive')
+    progress = Console(stderr=True, highlight=False)
+    if live:
+        _watch(out, seconds, rounds, jobs, json_path, progress, namespace)
+        return
+    if drive:
+        from microbot_ros.cli.discover.drive import drive_rig
+
+        tell_of_compiling(partial(progress.print, soft_wrap=True))
+        drive_rig(out, minutes, apply_, json_path, progress, namespace)
+        return
+    with progress.status('reading'):
+        recordings = [read_session(path) for path in sessions]
+    found = _discover(recordings, out, jobs, json_path, progress)
+    _report(out, found, recordings, sessions, progress)
+
+
+def _discover(recordings: Sequence[Session], out: Path, jobs: int, json_path: Path | None,
+              progress: Console) -> Discovery:
+    """Search `recordings`; write result and model into `out`, print and return them."""
+    import json
+
+    from rich.console import Console
+
+    from microbot_ros.common.files import output_folder, write_text
+    from microbot_ros.discovery.discover import discover
+    from microbot_ros.model.io.model_file import write_model
+
+    progress.print('looking')
+    tell_of_compiling(partial(progress.print, soft_wrap=True))
+    with progress.status('looking') as status:
+        found = discover(recordings, status.update, jobs=jobs)
+    text = json.dumps(found.as_json(), indent=1, ensure_ascii=False, allow_nan=False) + '\n'
+    with output_folder(out) as folder:
+        write_text(folder / 'result.json', text)
+        write_model(folder / 'model.yaml', found.model, found.particles)
+    if json_path:
+        write_text(json_path, text)
+    console = Console(highlight=False)
+    for line in found.sentences():
+        console.print(line)
+    return found
+
+
+def _report(out: Path, found: Discovery, recordings: Sequence[Session], sources: Sequence[Path],
+            progress: Console) -> None:
+    """Write the report into `out`, beside the results; ReportError where that fails."""
+    from microbot_ros.common.files import writing_report
+
+    with progress.status('writing the report'), writing_report(out / 'report.html'):
+        from microbot_ros.discovery.report.page import write_report
+
+        write_report(out, found, recordings, sources)
+
+
+def _watch(out: Path, seconds: float, rounds: int, jobs: int, json_path: Path | None,
+           progress: Console, namespace: str) -> None:
+    """Look at the recent past of the graph again and again, each time into a folder of its own.
+
+    A node that uses the model of one look goes on with it while the next is written. Looks follow
+    one another, each on what came after the one before, however long that took.
+    """
+    import time
+    from itertools import count
+
+    from microbot_ros.common.errors import InputError, ReportError
+    from microbot_ros.common.files import output_folder
+    from microbot_ros.nodes.graph_client import GraphClient
+    from microbot_ros.nodes.live_session_buffer import LiveSessionBuffer
+    from microbot_ros.nodes.verdict_publisher import VerdictPublisher
+    from microbot_ros.session import write_session
+
+    with GraphClient('discover', namespace) as client:
+        recent, verdict = LiveSessionBuffer(client, seconds), VerdictPublisher(client)
+        for look in count(1):
+            session = _listen(client, recent, seconds, progress)
+            began = time.monotonic()
+            place = out.resolve() / f'look-{look}'
+            with output_folder(place) as folder:
+                write_session(folder / 'session', session)
+            try:
+                found = _discover([session], place, jobs, json_path, progress)
+                verdict.publish(found.as_json())
+                if found.model.effects:
+                    _propose(
+                        place / 'model.yaml', found.model.time_invariant, namespace, progress)
+                _report(place, found, [session], [place / 'session'], progress)
+            except (InputError, ReportError) as error:
+                if look == rounds:
+                    raise
+                progress.print(f'nothing to say yet: {error}'
+                               if isinstance(error, InputError) else f'! {error}')
+            if look == rounds:
+                return
+            if (took := time.monotonic() - began) > seconds:
+                progress.print(f'! look {look} took {took:.0f} s, longer than its {seconds:g} s '
+                               'of data: what came meanwhile is left out')
+            recent.forget()
+
+
+def _propose(file: Path, time_invariant: bool, namespace: str, progress: Console) -> None:
+    """How a running graph takes the model."""
+    where = '' if namespace == '/' else f' --namespace {namespace}'
+    for node in ('model', 'controller'):
+        progress.print(f'to use it: microbot set {node} model_file {file}{where}',
+                       soft_wrap=True)
+    if not time_invariant:
+        progress.print('! It has an effect that counts time: here from the first frame heard, '
+                       'in a node from its start.')
+
+
+def _listen(client: GraphClient, recent: LiveSessionBuffer, seconds: float,
+            progress: Console) -> Session:
+    """What the graph of a `client`, or a replay, says for so long."""
+    with progress.status('no particles yet: is a graph running, or a replay?') as status:
+        while recent.span < seconds - 0.5:
+            client.spin(0.5)
+            if recent.span:
+                status.update(f'listening: {recent.span:.0f} of {seconds:g} s')
+        return recent.session()

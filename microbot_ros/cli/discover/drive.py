@@ -1,0 +1,144 @@
+"""`microbot discover --drive`: beside a running, armed rig, until the question is settled."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from microbot_ros.common.records import Session
+    from microbot_ros.discovery.driven.drive import Driven
+    from microbot_ros.discovery.result import Discovery
+    from microbot_ros.nodes.graph_client import GraphClient
+
+CONTROLLER, APPROACH, JUDGED = 'waypoint', 6.0, 10.0
+"""What holds a particle to see what a model is worth; seconds to get there, and that count."""
+
+
+def drive_rig(out: Path, minutes: float, use: bool, json_path: Path | None,
+              progress: Console, namespace: str) -> None:
+    """Drive the rig of a `namespace` for at most so many `minutes`; write into `out` what came.
+
+    The experiments lie in it as sessions, each as soon as it is over. With `use` the model found
+    is given to the rig. RigError where the rig can't be driven, and where nothing was learned.
+    """
+    from microbot_ros.common.ending import Ending, find_launcher
+    from microbot_ros.common.errors import ReportError
+    from microbot_ros.discovery.driven.drive import drive
+    from microbot_ros.nodes.driven_rig import DrivenRig
+    from microbot_ros.nodes.graph_client import GraphClient
+
+    out = out.resolve()
+    kept = _Kept(out)
+    with GraphClient('discover', namespace) as client:
+        with DrivenRig(client, kept) as rig, Ending(rig.tell_to_end, find_launcher()):
+            driven = drive(rig, minutes, lambda line: progress.print(line, soft_wrap=True))
+        found = _write(driven, out, json_path, progress)
+        use = use and bool(found.model.effects) and driven.decided == 'settled'
+        try:
+            _report(out, driven, found, kept.folders)
+        except ReportError:
+            if not use:
+                raise
+        if use:
+            told = _give(client, out / 'model.yaml', progress)
+            _report(out, driven, found, kept.folders, told)
+
+
+class _Kept:
+    """Writes every experiment into the folder `out`, numbered."""
+
+    def __init__(self, out: Path) -> None:
+        self._out = out
+        self.folders: list[Path] = []
+
+    def __call__(self, session: Session) -> None:
+        from microbot_ros.session import write_session
+
+        folder = self._out / f'experiment-{len(self.folders) + 1}'
+        write_session(folder, session)
+        self.folders.append(folder)
+
+
+def _write(driven: Driven, out: Path, json_path: Path | None, progress: Console) -> Discovery:
+    """Write result and model into `out`, print the result and return it."""
+    from rich.console import Console
+
+    from microbot_ros.common.errors import RigError
+    from microbot_ros.common.files import output_folder, write_text
+    from microbot_ros.discovery.driven.conclusion import as_json, discovered
+    from microbot_ros.model.io.model_file import write_model
+
+    with progress.status('looking at all of it') as status:
+        result = discovered(driven, status.update)
+    found = {} if result is None else result[0].as_json()
+    text = json.dumps(found | as_json(driven), indent=1, ensure_ascii=False,
+                      allow_nan=False) + '\n'
+    with output_folder(out) as folder:
+        write_text(folder / 'result.json', text)
+        if result is not None:
+            write_model(folder / 'model.yaml', result[0].model, result[0].particles)
+    if json_path:
+        write_text(json_path, text)
+    if result is None:
+        raise RigError(driven.reason or 'too little was seen to learn anything')
+    console = Console(highlight=False)
+    for line in result[0].sentences():
+        console.print(line, soft_wrap=True)
+    console.print(f'{driven.decided.replace("_", " ")} after {driven.seconds / 60:.1f} min'
+                  + (f': {driven.reason}' if driven.reason else ''), soft_wrap=True)
+    return result[0]
+
+
+def _report(out: Path, driven: Driven, found: Discovery, folders: list[Path],
+            used: str = '') -> None:
+    """Write the report into `out`, beside the results; ReportError where that fails."""
+    from microbot_ros.common.files import writing_report
+
+    with writing_report(out / 'report.html'):
+        from microbot_ros.discovery.driven.joined import join
+        from microbot_ros.discovery.driven.page import section
+        from microbot_ros.discovery.report.page import write_report
+
+        write_report(out, found, [join(driven.experiments)], folders, section(driven), used)
+
+
+def _give(client: GraphClient, file: Path, progress: Console) -> str:
+    """Give the model in a `file` to the nodes that use one; what that gained, as HTML."""
+    errors = []
+    for model in ('', str(file)):
+        for node in ('model', 'controller'):
+            client.set(node, model_file=model)
+        with progress.status('holding a particle at a place'):
+            errors.append(_tracking_error(client))
+    said = (f'{CONTROLLER} held a particle {errors[0] * 1e6:.1f} µm from its place with the '
+            f'first-order model, {errors[1] * 1e6:.1f} µm with the model found')
+    progress.print(f'model and controllers use {file}; {said}', soft_wrap=True)
+    return f'<h2>What it is worth at the wheel</h2><p>{said[0].upper() + said[1:]}.</p>'
+
+
+def _tracking_error(client: GraphClient) -> float:
+    """Mean distance [m] of a particle from where it is to stay, NaN where it was not seen."""
+    import numpy as np
+
+    heard: list[np.ndarray] = []
+    client.watch_estimates(heard.append)
+    if not client.until(lambda: heard and np.isfinite(heard[-1]['speed_std']).any(), APPROACH):
+        return float('nan')
+    # The one nearest to the middle has most room.
+    first = heard[-1][np.argmin(np.hypot(heard[-1]['x'], heard[-1]['y']))].copy()
+    goal = np.array([first['x'], first['y']], float)
+    client.set('controller', controller=CONTROLLER)
+    try:
+        client.send_goals([(float(goal[0]), float(goal[1]))], [int(first['id'])])
+        client.spin(APPROACH)
+        heard.clear()
+        client.spin(JUDGED)
+    finally:
+        client.set('controller', controller='hold')
+    places = np.array([(p['x'], p['y']) for frame in heard for p in frame
+                       if p['id'] == first['id']], float)
+    return float(np.hypot(*(places - goal).T).mean()) if len(places) else float('nan')

@@ -1,0 +1,94 @@
+"""`microbot replay`: a recording through topics, or through today's nodes to see what changed."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+import click
+
+from microbot_ros.cli.options import FiniteFloatRange
+from microbot_ros.common.errors import InputError
+
+
+@click.command()
+@click.argument('session', type=click.Path(path_type=Path))
+@click.option('--rate', default=1.0, show_default=True,
+              help='Times real time; 0 is as fast as it goes.')
+@click.option('--start', default=0.0, show_default=True, help='Where to begin [s].')
+@click.option('--end', default=0.0, help='Where to end [s]; 0 plays to the end.')
+@click.option('--loop', is_flag=True, help='Begin again at the end.')
+@click.option('--topic', 'topics', multiple=True,
+              help='Play only this topic; may be given several times.')
+@click.option('--into-live-rig', is_flag=True,
+              help='Play even where nodes of a rig are live: goals and commands of the past drive '
+                   'it.')
+@click.option('--check', is_flag=True,
+              help="Put it through today's nodes, and compare with what was "
+                   'recorded.')
+@click.option('--node', 'nodes', multiple=True,
+              type=click.Choice(['tracker', 'model', 'controller', 'coil_driver']),
+              help='With --check: only this node; may be given several times.')
+@click.option('--tolerance', type=FiniteFloatRange(0, 1), default=0.0, show_default=True,
+              help='With --check: what numbers may differ by, as a share of the largest in their '
+                   'field. Another processor may round otherwise.')
+@click.option('--config', type=click.Path(path_type=Path),
+              help='With --check: parameters in place of those in the recording.')
+@click.option('--policy', type=click.Path(path_type=Path),
+              help='With --check: the ONNX network that the controller policy plays; one that a '
+                   'recording names is not executed.')
+@click.option('--out', type=click.Path(path_type=Path),
+              help='With --check: keep what the nodes answered, as a recording.')
+@click.option('--json', 'json_path', type=click.Path(path_type=Path),
+              help='With --check: also write the differences as JSON.')
+def command(
+    session: Path, rate: float, start: float, end: float, loop: bool, topics: tuple[str, ...],
+    into_live_rig: bool, check: bool, nodes: tuple[str, ...], tolerance: float,
+    config: Path | None, policy: Path | None, out: Path | None, json_path: Path | None,
+) -> None:
+    """Play SESSION, a folder or an MCAP recording, through its topics, with /clock.
+
+    It begins when whoever listens has been found, after 3.5 s in any case. Nodes that are to
+    follow its time run with use_sim_time; beside one that does not, a live rig, it is refused, and
+    stopped where that comes later, unless --into-live-rig allows it. Ctrl-C ends it. While it
+    plays, `microbot set player rate 5` and `seek_s 12.5` change where and how fast, and the
+    services player/pause and player/step hold it and go on by a message.
+
+    With --check nothing is published. Each node whose input was recorded is run with the
+    parameters it had on what it took in then, in the order of the topic loop/log, and its answers
+    are compared field by field; exit status 1 where they differ. Frames that a node did not answer
+    when it was recorded are left out; those that cannot be judged are counted, with the reason.
+
+    \b
+    Examples, recorded tracks through today's model at ten times the speed; what did my change do?
+      microbot replay out/demo/recording --rate 10 --topic particles --topic field/applied
+      microbot replay out/demo/recording --check --node model
+    """
+    if check:
+        from microbot_ros.cli.replay.check import run_check
+
+        if config and policy:
+            raise InputError('--policy', 'expected only without --config, which names it')
+        if rate != 1.0 or start or loop or topics or into_live_rig:
+            raise InputError('--rate, --start, --loop, --topic, --into-live-rig',
+                             'expected only without --check')
+        sys.exit(run_check(session, nodes, end, tolerance, config, policy, out, json_path))
+    if nodes or tolerance or config or policy or out or json_path:
+        raise InputError('--node, --tolerance, --config, --policy, --out, --json',
+                         'expected only with --check')
+    from microbot_ros.nodes.process import run
+    from microbot_ros.session.playback import Playback, open_source
+
+    # What cannot be played is refused before a node starts, which would also log it.
+    with open_source(session) as source:
+        Playback(source, 0.0, rate=rate or math.inf, start=start, end=end or None, loop=loop,
+                 topics=topics or None)
+    parameters = {'session': session, 'rate': rate, 'start_s': start, 'end_s': end,
+                  'loop': str(loop).lower(), 'into_live_rig': str(into_live_rig).lower()}
+    arguments = ['--ros-args']
+    for name, value in parameters.items():
+        arguments += ['-p', f'{name}:={value}']
+    if topics:
+        arguments += ['-p', f'topics:=[{",".join(topics)}]']
+    sys.exit(run(['player'], arguments))

@@ -1,0 +1,44 @@
+"""`microbot set`: change a parameter of a running node."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from microbot_ros.cli.options import namespace_option
+from microbot_ros.common import strict_yaml
+
+
+@click.command()
+@click.argument('node')
+@click.argument('parameter')
+@click.argument('value')
+@namespace_option
+def command(node: str, parameter: str, value: str, namespace: str) -> None:
+    """Change PARAMETER of the running NODE to VALUE; it may refuse, and says why.
+
+    A path is from here, wherever the node runs on this machine.
+
+    Ends with 2 where the value is refused, with 1 where the node is not there or does not answer.
+
+    \b
+    Example, switching the controller while running:
+      microbot set controller controller waypoint
+    """
+    from microbot_ros.nodes.graph_client import GraphClient
+
+    with GraphClient(namespace=namespace) as client:
+        if parameter.endswith('_file') and value:
+            value = str(Path(value).resolve())
+        client.set(node, **{parameter: _typed(value)})
+    click.echo(f'{node}: {parameter} is now {value}')
+
+
+def _typed(text: str) -> bool | int | float | str | list[object]:
+    """The value that a text means in YAML, or the text where that is nothing a node takes."""
+    try:
+        value = strict_yaml.load(text)[1]
+    except strict_yaml.YamlError:
+        return text
+    return value if isinstance(value, bool | int | float | str | list) else text

@@ -1,0 +1,181 @@
+"""What `microbot track` follows: what was pointed at, or what it chooses from all of the film."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import numpy as np
+
+from microbot_ros.cli.track.view import View, telling_colour
+from microbot_ros.common.errors import InputError
+
+if TYPE_CHECKING:
+    from microbot_ros.cameras.source import Source
+    from microbot_ros.tracking import TrackerSettings
+
+
+@dataclass(frozen=True)
+class Point:
+    """Where somebody pointed: `frame`, `x`, `y` [px], and the `kind`, None if not said."""
+
+    frame: int
+    x: float
+    y: float
+    kind: str | None = None
+
+
+class PointType(click.ParamType):
+    """FRAME,X,Y or, where `named`, FRAME,X,Y,KIND."""
+
+    def __init__(self, named: bool) -> None:
+        self.name = 'FRAME,X,Y[,KIND]' if named else 'FRAME,X,Y'
+        self._most = 4 if named else 3
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Point:
+        """The point that a `value` says; `param` and `ctx` are as click gives them."""
+        parts = str(value).split(',')
+        try:
+            frame, x, y = int(parts[0]), float(parts[1]), float(parts[2])
+            good = 3 <= len(parts) <= self._most and frame >= 0 and math.isfinite(x + y)
+        except (ValueError, IndexError):
+            good = False
+        if not good or (len(parts) == 4 and not parts[3]):
+            self.fail(f'expected {self.name}, numbers from 0, got {value!r}')
+        return Point(frame, x, y, parts[3] if len(parts) == 4 else None)
+
+
+def pictures(recording: Source, points: Sequence[Point]) -> tuple[dict[int, np.ndarray],
+                                                                  list[np.ndarray]]:
+    """The frames that were pointed into, by number, and some from all over the `recording`, grey.
+
+    Raises InputError for a frame that it doesn't have.
+    """
+    from microbot_ros.cameras.source import grey
+    from microbot_ros.tracking.teach.unprompted import evenly
+
+    wanted = {point.frame for point in points}
+    named: dict[int, np.ndarray] = {}
+    last = -1
+
+    def seen() -> Iterator[np.ndarray]:
+        nonlocal last
+        for frame in recording.frames():
+            last = frame.index
+            if frame.index in wanted:
+                named[frame.index] = frame.image
+            yield np.asarray(grey(frame.image))
+
+    samples = evenly(seen(), recording.length)
+    if missing := sorted(wanted - set(named)):
+        raise InputError(f'frame {missing[0]}', f'expected one of the frames 0 to {last} of '
+                                                f'{recording.name}')
+    return named, samples
+
+
+def pointed(
+    settings: TrackerSettings, like: Sequence[Point], unlike: Sequence[Point],
+    named: dict[int, np.ndarray], samples: list[np.ndarray],
+) -> tuple[TrackerSettings, list[str]]:
+    """The `settings` after all examples, and a sentence about each.
+
+    `named` holds the frames that were pointed into, `samples` frames from all over the film.
+    """
+    from microbot_ros.tracking.teach import teacher
+    from microbot_ros.tracking.teach.unprompted import without_creeping, without_standing
+
+    meant = np.array([(point.x, point.y) for point in like]).reshape(-1, 2)
+    said = []
+    for point in like:
+        settings, sentence = teacher.like(
+            settings, named[point.frame], point.x, point.y, point.kind)
+        said.append(sentence)
+    for point in unlike:
+        if any(place.holds(point.x, point.y) for place in settings.standing):
+            said.append(f'unlike: {point.x:g},{point.y:g} is left out already')
+            continue
+        if len(samples) >= 3:
+            settings, count = without_creeping(settings, samples, meant, point.x, point.y)
+            if count:
+                said.append(f'unlike: what is at {point.x:g},{point.y:g} goes with its '
+                            f'surroundings, as {count - 1} others do; all are left out')
+                continue
+        try:
+            settings, sentence = teacher.unlike(settings, named[point.frame], point.x, point.y)
+        except (teacher.NothingError, teacher.TwoError):
+            if settings.colour is None:
+                raise
+            sentence = f'unlike: at {point.x:g},{point.y:g} nothing like it is left, by colour'
+        said.append(sentence)
+    if len(samples) >= 3:
+        settings = without_standing(settings, samples, meant)
+    return settings, said
+
+
+@dataclass(frozen=True)
+class Look:
+    """A film as it is tracked: the `recording` as it is seen, the `settings`, and what was `said`
+    of the examples.
+    """
+
+    recording: Source
+    settings: TrackerSettings
+    said: list[str]
+
+
+def look(
+    source: str | Path, report: Callable[[str], None], frame_rate_hz: float | None,
+    settings: TrackerSettings, like: Sequence[Point] = (), unlike: Sequence[Point] = (),
+) -> Look:
+    """Look at the film `source` and learn what to follow: by points, or what it chooses.
+
+    `report` and `frame_rate_hz` as for `open_source`; `settings` are what is known before. Raises
+    InputError for points that mean nothing.
+    """
+    from microbot_ros.cameras.interlaced import interlaced, one_field
+    from microbot_ros.cameras.source import decoded, open_source
+    from microbot_ros.tracking.teach.unprompted import without_prompt
+
+    film = open_source(source, report, frame_rate_hz, decoded)
+    named, samples = pictures(film, (*like, *unlike))
+    colour = settings.colour
+    said: list[str] = []
+    if like and colour is None and not settings.kinds:
+        colour, said = telling_colour(like, unlike, named)
+        settings = settings.model_copy(update={'colour': colour})
+    view = View(colour, interlaced(samples))
+    if view.interlaced:
+        report(f'{source}: its pictures are interlaced, every other row shows another moment; '
+               'only the even rows are used')
+        samples = [one_field(sample) for sample in samples]
+    recording = open_source(source, report, frame_rate_hz, view)
+    if colour is not None:
+        samples = pictures(recording, ())[1]
+    if like or unlike:
+        seen = {frame: np.asarray(view(picture)) for frame, picture in named.items()}
+        settings, more = pointed(settings, like, unlike, seen, samples)
+        return Look(recording, settings, said + more)
+    settings, doubts = without_prompt(settings, samples, recording.length or 0)
+    for doubt in doubts:
+        report(f'{source}: {doubt}')
+    return Look(recording, settings, said)
+
+
+def write_learned(folder: Path, settings: TrackerSettings, image: np.ndarray) -> None:
+    """`learned.yaml`, which `--settings` takes, and `learned.png`: what is looked for in `image`,
+    and what is left out.
+    """
+    import yaml
+
+    from microbot_ros.common.files import write_text
+    from microbot_ros.tracking.teach.kinds_figure import write_kinds_figure
+
+    content = settings.model_dump(mode='json', exclude_defaults=True)
+    write_text(folder / 'learned.yaml',
+               yaml.safe_dump(content, sort_keys=False, allow_unicode=True,
+                              default_flow_style=None))
+    write_kinds_figure(folder / 'learned.png', image, settings)

@@ -1,0 +1,126 @@
+"""`numba`, with a cache on disk that bears many processes that compile at once.
+
+The nodes of a rig start together, and before the first time nothing is compiled. Numba 0.68 keeps
+for each function an index of signatures and a numbered file of machine code for each of them, and
+between reading the index and writing both another process may do the same for another signature:
+then the index leads to code for other types. Called with it a complex array is read as a real one
+and a time as a whole number, silently; and as the signature asked for is never found, every call
+loads the file again, until memory is out (numba/numba#10128 is of the same kind). So here one
+process at a time looks into a cache, and what older sources left there goes first.
+
+Where `NUMBA_CACHE_DIR` is set, the code of this package is kept there by the content of its
+sources: a file, and all files of the package that it imports. Numba itself goes by the path and
+the time of one file: it compiles anew in every clone, and misses a change in a file whose
+functions or constants were compiled in.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numba
+from numba.core import caching, config, event
+
+from microbot_ros.common.first_compilation import about_to_compile
+
+__all__ = ['numba']
+
+
+class _OneAtATime(caching.IndexDataCacheFile):
+    """The files of one function, locked as long as they are read or written."""
+
+    def save(self, key: Any, data: Any) -> None:
+        with self._locked(fcntl.LOCK_EX):
+            if not self._load_index():
+                for old in Path(self._cache_path).glob(
+                        self._data_name_pattern.replace('{number:d}', '*')):
+                    old.unlink()
+            super().save(key, data)
+
+    def load(self, key: Any) -> Any:
+        try:
+            with self._locked(fcntl.LOCK_SH):
+                return super().load(key)
+        except OSError:  # no such folder, or one that only others may write to
+            return super().load(key)
+
+    @contextmanager
+    def _locked(self, how: int) -> Iterator[None]:
+        with Path(self._cache_path, 'numba.lock').open('a') as lock:
+            fcntl.flock(lock, how)
+            yield
+
+
+_PACKAGE = Path(__file__).parents[1]
+_IMPORTED = re.compile(
+    rb'^\s*(?:from|import) microbot_ros(\.[\w.]+)?(?: import (\([^)]*|.*))?', re.MULTILINE)
+
+
+@cache
+def _imported(file: Path) -> frozenset[Path]:
+    """Files of this package that a `file` imports by itself."""
+    found = set()
+    for module, names in _IMPORTED.findall(file.read_bytes()):
+        place = _PACKAGE.joinpath(*module.decode().split('.')[1:])
+        inside = (place / f'{name}.py' for name in re.findall(r'\w+', names.decode()))
+        found |= {path for path in (place.with_suffix('.py'), place / '__init__.py', *inside)
+                  if path.is_file()}
+    return frozenset(found)
+
+
+@cache
+def digest(file: Path) -> str:
+    """Digest of a `file` of this package and of all that it imports of the package."""
+    found, new = {file}, {file}
+    while new:
+        new = {path for one in new for path in _imported(one)} - found
+        found |= new
+    made = hashlib.sha256()
+    for path in sorted(found):
+        made.update(b'%s\0%s\0' % (str(path.relative_to(_PACKAGE)).encode(), path.read_bytes()))
+    return made.hexdigest()[:16]
+
+
+# Older releases of numba mark its name as private.
+_Provided: Any = next(kind for name, kind in vars(caching).items()
+                      if name.lstrip('_') == 'UserProvidedCacheLocator')
+
+
+class _ByContent(_Provided):
+    """Place in `NUMBA_CACHE_DIR` for the code of a file of this package, by its `digest`."""
+
+    def __init__(self, py_func: Any, py_file: str) -> None:
+        super().__init__(py_func, py_file)
+        self._digest = digest(Path(py_file))
+        folder = Path(config.CACHE_DIR)  # type: ignore[attr-defined]
+        self._cache_path = str(folder / f'{Path(py_file).stem}-{self._digest}')
+
+    def get_source_stamp(self) -> str:
+        return self._digest
+
+    @classmethod
+    def from_function(cls, py_func: Any, py_file: str) -> Any:
+        ours = _PACKAGE in Path(py_file).parents
+        return super().from_function(py_func, py_file) if ours else None
+
+
+class _Announced(event.Listener):
+    """Tells before code is compiled; code that was kept is none."""
+
+    def on_start(self, event: Any) -> None:
+        about_to_compile()
+
+    def on_end(self, event: Any) -> None:
+        pass
+
+
+event.register('numba:compile', _Announced())
+caching.IndexDataCacheFile = _OneAtATime  # type: ignore[misc]
+caching.CacheImpl._locator_classes.insert(0, _ByContent)

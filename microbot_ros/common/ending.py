@@ -1,0 +1,131 @@
+"""How our processes end: by a signal, or because the process that launched them is gone."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from types import FrameType
+
+from microbot_ros.common.real_time import set_realtime_priority
+
+PARENT = 'MICROBOT_PARENT'
+"""Environment variable with the process id that a node must not outlive; 0 for none."""
+
+
+_HEAD_START_S = 0.1
+"""How long who is interrupted waits for what is to be done at once: its clean-up may hold the
+interpreter for as long as the middleware takes to leave."""
+
+
+class Stopped(BaseException):
+    """The signal of that `number` asked for the end; no Exception, so that nothing swallows it."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(signal.Signals(number).name)
+        self.status = 128 + number
+        """The exit status that shells give to a process ended by that signal."""
+
+
+def find_launcher() -> int | None:
+    """The process that this one must not outlive, if there is one.
+
+    It is named in the environment, by `microbot` and by our launch files. Of `ros2`, which names
+    nobody, the children are known by their parent. Whoever starts a node from a shell, in the
+    background or with `nohup` or `setsid`, may leave, and the node stays.
+    """
+    named = os.environ.get(PARENT)
+    if named:
+        return int(named) or None
+    parent = os.getppid()
+    with suppress(OSError):
+        words = Path(f'/proc/{parent}/cmdline').read_bytes().split(b'\0')
+        if any(Path(os.fsdecode(word)).name == 'ros2' for word in words[:2]):
+            return parent
+    return None
+
+
+class Ending:
+    """Notices at once that this process is to end. Use as a context, in the main thread.
+
+    SIGINT, SIGTERM, SIGHUP unless it was ignored from the start (`nohup`), and the end of the
+    process `launcher` set `due` and call `at_once`, in a thread of its own: a signal handler
+    in Python would wait until the main thread comes back from the library that it is in, and
+    could not take a lock that the main thread holds.
+    """
+
+    def __init__(self, at_once: Callable[[], None] = lambda: None,
+                 launcher: int | None = None) -> None:
+        self.due = False
+        self._at_once = at_once
+        self._launcher = launcher
+        self._received: int | None = None
+        self._interruptible = False
+        self._over = False
+        self._done_at_once = threading.Event()
+
+    def __enter__(self) -> Ending:
+        self._reader, self._writer = os.pipe()
+        os.set_blocking(self._writer, False)
+        self._wakeup_before = signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False)
+        self._handlers_before = {
+            number: signal.signal(number, self._handle)
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN}
+        self._thread = threading.Thread(target=self._watch, name='ending', daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._handlers_before.items():
+            signal.signal(number, handler)
+        signal.set_wakeup_fd(self._wakeup_before)
+        self._over = True
+        os.write(self._writer, b'\0')
+        self._thread.join()
+        os.close(self._reader)
+        os.close(self._writer)
+
+    @contextmanager
+    def interrupts(self) -> Iterator[None]:
+        """Let a signal raise Stopped in here; elsewhere, as in clean-up, none interrupts.
+
+        A library in C may swallow the exception. `due` and `at_once` do not depend on it.
+        """
+        try:
+            self._interruptible = True
+            if self._received is not None:
+                raise Stopped(self._received)
+            yield
+        finally:
+            self._interruptible = False
+
+    def _handle(self, number: int, _: FrameType | None) -> None:
+        if self._received is None:
+            self._received = number
+        if self._interruptible:
+            self._done_at_once.wait(_HEAD_START_S)
+            raise Stopped(self._received)
+
+    def _watch(self) -> None:
+        """In a thread: wait for the byte that the interpreter writes for a signal, or the end of
+        the launcher.
+        """
+        set_realtime_priority()
+        awaited = [self._reader]
+        try:
+            if self._launcher is not None:
+                awaited.append(os.pidfd_open(self._launcher))
+            select.select(awaited, [], [])
+        except ProcessLookupError:
+            pass  # it was gone before we could look
+        if not self._over:
+            self.due = True
+            self._at_once()
+            self._done_at_once.set()
+        for process in awaited[1:]:
+            os.close(process)

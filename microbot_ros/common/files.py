@@ -1,0 +1,182 @@
+"""Reading what people write, writing what people keep: checked YAML, all-or-nothing output."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+import traceback
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import pydantic
+import yaml
+
+from microbot_ros.common import strict_yaml
+from microbot_ros.common.errors import InputError, PackageError, ReportError, clipped, shown
+from microbot_ros.common.plausible import check_plausible
+
+
+class Settings(pydantic.BaseModel):
+    """Base of everything read from YAML: unknown keys, NaN, infinity and numbers that no rig has
+    are errors.
+    """
+
+    model_config = pydantic.ConfigDict(extra='forbid', frozen=True, allow_inf_nan=False)
+
+    @pydantic.field_validator('*')
+    @classmethod
+    def _plausible(cls, value: Any, field: pydantic.ValidationInfo) -> Any:
+        check_plausible(field.field_name or '', value)
+        return value
+
+
+SettingsT = TypeVar('SettingsT', bound=pydantic.BaseModel)
+
+
+def read_yaml(path: str | Path, settings: type[SettingsT]) -> SettingsT:
+    """A YAML file as validated settings.
+
+    Raises InputError naming file, line, key and what was expected, for a file that is missing,
+    is not YAML, or does not fit.
+    """
+    path = Path(path)
+    tree, content = load_yaml(path)
+    content = content or {}
+    if not isinstance(content, dict):
+        raise InputError(path, 'expected keys and values at the top level', 1)
+    try:
+        return settings.model_validate(content, context={'folder': path.parent})
+    except pydantic.ValidationError as error:
+        first = error.errors()[0]
+        cause = first.get('ctx', {}).get('error')
+        if isinstance(cause, PackageError):
+            raise cause from None
+        raise InputError(path, _explain(first, settings), _line_of(tree, first['loc'])) from None
+
+
+def load_yaml(path: str | Path, loader: type[strict_yaml.StrictLoader] = strict_yaml.StrictLoader,
+              ) -> tuple[yaml.Node | None, Any]:
+    """The tree of a YAML file and its content, as a `loader` makes it, not validated.
+
+    InputError with file and line for a file that is missing or no plain YAML.
+    """
+    path = Path(path)
+    try:
+        if path.stat().st_size > strict_yaml.LARGEST_BYTES:
+            raise strict_yaml.YamlError(f'at most {strict_yaml.LARGEST_BYTES // 2**20} MB')
+        return strict_yaml.load(path.read_text(encoding='utf-8'), loader)
+    except UnicodeDecodeError:
+        raise InputError(path, 'expected YAML, found bytes that are no text') from None
+    except OSError as error:
+        raise InputError(path, f'expected a readable YAML file ({error.strerror})') from None
+    except strict_yaml.YamlError as error:
+        raise InputError(path, f'expected YAML; {error.problem}', error.line) from None
+
+
+def line_of(path: str | Path, *keys: int | str) -> int | None:
+    """The line of a YAML file on which a key path stands, as far as the file has it."""
+    return _line_of(load_yaml(path)[0], keys)
+
+
+def _explain(error: Any, settings: type[pydantic.BaseModel]) -> str:
+    key = clipped('.'.join(str(part) for part in error['loc'])) or 'the file'
+    if error['type'] == 'extra_forbidden':
+        known = sorted(settings.model_fields) if len(error['loc']) == 1 else []
+        hint = f'; expected one of: {", ".join(known)}' if known else ''
+        return f"unknown key '{key}'{hint}"
+    if error['type'] == 'missing':
+        return f"expected a key '{key}'"
+    message = error['msg'].removeprefix('Value error, ')
+    return f"'{key}': {message[0].lower()}{message[1:]}, got {shown(error['input'])}"
+
+
+def _line_of(tree: yaml.Node | None, location: tuple[int | str, ...]) -> int | None:
+    """The line of the deepest part of a key path that the file really has."""
+    line = None if tree is None else tree.start_mark.line + 1
+    for part in location:
+        if isinstance(tree, yaml.MappingNode):
+            match = next(((k, v) for k, v in tree.value if k.value == str(part)), None)
+            if match is None:
+                return line
+            line, tree = match[0].start_mark.line + 1, match[1]
+        elif isinstance(tree, yaml.SequenceNode) and isinstance(part, int):
+            if part >= len(tree.value):
+                return line
+            tree = tree.value[part]
+            line = tree.start_mark.line + 1
+    return line
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a `text` file in one step: readers see the old content or the new, never a half."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f'.{path.name}.')
+    try:
+        with os.fdopen(handle, 'w', encoding='utf-8') as stream:
+            stream.write(text)
+        umask = os.umask(0)
+        os.umask(umask)
+        os.chmod(temporary, 0o666 & ~umask)
+        os.replace(temporary, path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+@contextmanager
+def writing_report(path: Path) -> Iterator[None]:
+    """Context in which the report `path` is written, after the results that it is about.
+
+    Any exception becomes a ReportError that names its place in the code, and an earlier report of
+    that name is removed: it would stand beside results of which it is not.
+    """
+    try:
+        yield
+    except Exception as error:
+        path.unlink(missing_ok=True)
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        raise ReportError(
+            f'{path}: not written, {clipped(f"{type(error).__name__}: {error}")} '
+            f'({Path(last.filename).name}:{last.lineno}). The results beside it are complete; '
+            'please report this fault') from error
+
+
+def refuse_to_overwrite(folder: Path, names: Iterable[str], force: bool) -> None:
+    """InputError where one of the files of these `names` is in a `folder`, unless by `force`."""
+    there = [name for name in names if (folder / name).exists()]
+    if there and not force:
+        raise InputError(folder, f'expected a folder without {", ".join(there)}; --force replaces '
+                                 'what is there')
+
+
+@contextmanager
+def output_folder(path: str | Path) -> Iterator[Path]:
+    """A folder to fill that takes its name only when everything in it is written.
+
+    What is written goes to a hidden sibling; on success its files move into `path` one by one,
+    replacing earlier ones of the same name and leaving others alone; on any exception nothing
+    of it is left.
+    """
+    path = Path(path)
+    if path.exists() and not path.is_dir():
+        raise InputError(path, 'expected a folder to write to, found a file')
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        scratch = Path(tempfile.mkdtemp(dir=path.parent, prefix=f'.{path.name}.'))
+    except OSError as error:
+        problem = f'expected a folder that can be written ({error.strerror})'
+        raise InputError(path, problem) from None
+    try:
+        yield scratch
+        path.mkdir(exist_ok=True)
+        for item in sorted(scratch.iterdir()):
+            target = path / item.name
+            if target.is_dir():
+                shutil.rmtree(target)
+            os.replace(item, target)
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)

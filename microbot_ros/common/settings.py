@@ -1,0 +1,109 @@
+"""Parameters that describe themselves: one frozen dataclass says name, unit, range and meaning.
+
+ROS parameters, controllers' parameters and the tables in the docs all come from these.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from microbot_ros.common import units
+from microbot_ros.common.errors import clipped, shown
+
+
+@dataclass(frozen=True)
+class About:
+    """What is known of a setting beside its name and default.
+
+    `description` for people; `lower` and `upper` bound it, None where nothing does; `choices`,
+    where only these are allowed; `read_only`: fixed at start-up.
+    """
+
+    description: str
+    lower: float | None = None
+    upper: float | None = None
+    choices: tuple[str, ...] = ()
+    read_only: bool = False
+
+
+def setting(
+    default: Any,
+    description: str,
+    *,
+    lower: float | None = None,
+    upper: float | None = None,
+    choices: tuple[str, ...] = (),
+    read_only: bool = False,
+) -> Any:
+    """A dataclass field with a default and what is allowed; the name ends in its unit.
+
+    `description`, `lower`, `upper` and `choices` as in `About`. `read_only` settings are fixed at
+    start-up: safety limits, device names.
+    """
+    about = About(description, lower, upper, choices, read_only)
+    if isinstance(default, list):
+        return dataclasses.field(default_factory=lambda: list(default), metadata={'about': about})
+    return dataclasses.field(default=default, metadata={'about': about})
+
+
+def about(settings: type, name: str) -> About:
+    """What the dataclass `settings` says of its field `name`."""
+    found: About = settings.__dataclass_fields__[name].metadata['about']  # type: ignore[attr-defined]
+    return found
+
+
+def defaults(settings: type) -> dict[str, Any]:
+    """Field → default of a `settings` class, in the order of the class."""
+    return {
+        field.name: field.default_factory() if callable(field.default_factory) else field.default
+        for field in dataclasses.fields(settings)
+    }
+
+
+def convert(settings: type, name: str, value: Any) -> Any:
+    """The value in the type of the field `name` of a `settings` class, checked.
+
+    An integer is taken where a float is meant. Raises ValueError with what was expected: for
+    another type, NaN or infinity, a value outside the range or not among the choices.
+    """
+    default = defaults(settings)[name]
+    if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    if isinstance(default, list):
+        value = _convert_list(settings, name, value)
+    elif type(value) is not type(default):
+        kind = {'str': 'a text', 'float': 'a number', 'int': 'a whole number', 'bool': 'a boolean'}
+        raise ValueError(f'{name} must be {kind[type(default).__name__]}; received {shown(value)}')
+    _check_limits(about(settings, name), name, value)
+    return value
+
+
+def _convert_list(settings: type, name: str, value: Any) -> list[Any]:
+    of_texts = settings.__dataclass_fields__[name].type == 'list[str]'  # type: ignore[attr-defined]
+    several = hasattr(value, '__iter__') and not isinstance(value, str | dict)
+    items = list(value) if several else None
+    if items is not None and not of_texts:
+        items = [float(v) if isinstance(v, int) and not isinstance(v, bool) else v for v in items]
+    if items is None or not all(isinstance(v, str if of_texts else float) for v in items):
+        kind = 'texts' if of_texts else 'numbers'
+        raise ValueError(f'{name} must be a list of {kind}; received {shown(value)}')
+    return items
+
+
+def _check_limits(allowed: About, name: str, value: Any) -> None:
+    for item in value if isinstance(value, list) else [value]:
+        if isinstance(item, float) and not math.isfinite(item):
+            raise ValueError(f'{name} must be finite; received {item}')
+        if allowed.choices and item not in allowed.choices:
+            known = ', '.join(allowed.choices)
+            raise ValueError(f'{name} must be one of {known}; received {clipped(str(item))}')
+        if isinstance(item, int | float) and not isinstance(item, bool):
+            low = -math.inf if allowed.lower is None else allowed.lower
+            high = math.inf if allowed.upper is None else allowed.upper
+            if not low <= item <= high:
+                unit = units.symbol(name)
+                raise ValueError(f'{name} must be {low:g} to {high:g} {unit}'.rstrip()
+                                 + f'; received {item:g}')

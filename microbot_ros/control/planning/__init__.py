@@ -1,0 +1,1 @@
+"""Plans for many particles under one field."""

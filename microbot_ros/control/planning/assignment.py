@@ -1,0 +1,48 @@
+"""Whose goal is whose, also while particles come and go."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from microbot_ros.control.contract import NO_IDS, ControllerInput, Goals, ParticleLostError
+from microbot_ros.control.steering.courses import goals_in_reach
+
+
+class Assignment:
+    """Keeps each goal with its particle from the tick on which the goals were new.
+
+    Goals without ids go to the particles seen then, in ascending order of their ids.
+    """
+
+    def __init__(self) -> None:
+        self._goals = Goals()
+        self._ids = NO_IDS
+
+    def update(self, inputs: ControllerInput) -> bool:
+        """Look at the goals of `inputs`; whether they are new. GoalError for one outside the
+        workspace.
+        """
+        goals, kept = inputs.goals, self._goals
+        same = np.array_equal(goals.position, kept.position)
+        if same and np.array_equal(_ids(goals), _ids(kept)):
+            return False
+        goals_in_reach(inputs)
+        if len(goals) and not len(inputs.ids):
+            raise ParticleLostError('no particle is seen')
+        self._goals = goals
+        self._ids = np.sort(inputs.ids)[:len(goals)] if goals.ids is None else goals.ids
+        return True
+
+    def pairs(self, inputs: ControllerInput) -> tuple[np.ndarray, np.ndarray]:
+        """Rows (K,) in `inputs` of the particles that have a goal, and their goals (K, 2) [m].
+
+        Both empty without goals; ParticleLostError where goals are left but no particle.
+        """
+        _, rows, goals = np.intersect1d(inputs.ids, self._ids, return_indices=True)
+        if len(self._ids) and not len(rows):
+            raise ParticleLostError('none of the particles that have goals is seen')
+        return rows, self._goals.position[goals]
+
+
+def _ids(goals: Goals) -> np.ndarray:
+    return NO_IDS if goals.ids is None else goals.ids

@@ -1,0 +1,133 @@
+"""A course of the field over the next seconds, and what it makes of every particle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from microbot_ros.model.effect_context import EffectContext, Places
+from microbot_ros.model.effects.heading.alignment_lag import AlignmentLag
+from microbot_ros.model.heading import heading_course
+from microbot_ros.model.model import Model
+
+QUICKEST = 0.02
+"""Alignment time [s] that stands in where the model has none, so that plans are smooth in B."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """`field` (K, 2) [T], each held for its part of `duration` (K,) [s]."""
+
+    duration: np.ndarray
+    field: np.ndarray
+
+    @property
+    def length(self) -> float:
+        """The time [s] it takes."""
+        return float(self.duration.sum())
+
+    def after(self, dt: float) -> Plan:
+        """What is left of it `dt` [s] later."""
+        ends = np.cumsum(self.duration) - dt
+        left = ends > 1e-6
+        return Plan(np.minimum(self.duration, ends)[left], self.field[left])
+
+
+@dataclass(frozen=True)
+class Swarm:
+    """The particles a plan is for, when it begins.
+
+    `ids` (N,); `position` (N,) complex [m]; `velocity` c = v e^{iφ} (N,) [m/s]; `heading` (N,):
+    e^{i(θ − φ)}; `models` (N,): the model as each particle obeys it, differing in the alignment
+    lag; `t` [s].
+    """
+
+    ids: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    heading: np.ndarray
+    models: tuple[Model, ...]
+    t: float
+
+    @property
+    def slowest(self) -> float:
+        """The longest alignment time [s] at the reference field."""
+        return max(model.alignment_time for model in self.models)
+
+    def paths(self, duration: np.ndarray, field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Through K spans of `duration` (K,) [s] under V variants of `field` (K, V, 2) [T]:
+
+        ∫e^{i(θ − φ)} dt of each (K, N, V) [s] and the heading at the edges (K + 1, N, V).
+        """
+        paths, headings = [], []
+        # The models differ in their lag, which is no part of the context.
+        context = self._context(self.models[0], duration, self.models[0].field(field))
+        for model, start in zip(self.models, self.heading, strict=True):
+            course = heading_course(model, context, np.full(field.shape[1], start))
+            paths.append(course.path)
+            headings.append(course.heading)
+        return np.stack(paths, 1), np.stack(headings, 1)
+
+    def surroundings(self, duration: np.ndarray, field: np.ndarray,
+                     position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Factors on the speed and drift, complex [m/s], both (K, ..., N).
+
+        `field` (K, ..., 2) [T] in spans of `duration` (K,) [s]; `position` (K, ..., N) [m].
+        """
+        model = self.models[0]
+        places = Places(np.stack([position.real, position.imag], -1), self.ids,
+                        np.angle(self.velocity))
+        context = self._context(model, duration, model.field(field)[..., None, :], places)
+        factor = np.broadcast_to(model.speed_factor(context), position.shape)
+        drift = model.drift(context)
+        if drift is None:
+            return factor, np.zeros(position.shape, complex)
+        return factor, np.broadcast_to(drift[..., 0] + 1j * drift[..., 1], position.shape)
+
+    def _context(self, model: Model, duration: np.ndarray, field: np.ndarray,
+               places: Places | None = None) -> EffectContext:
+        shape = (len(duration), *(1,) * (field.ndim - 2))
+        span = duration.reshape(shape)
+        middle = self.t + np.cumsum(duration).reshape(shape) - span / 2
+        # The command changes where a span begins.
+        return EffectContext(
+            middle, span, field, np.ones(shape), model.reference_field, places, span / 2)
+
+
+def with_lags(model: Model, lags: list[float | None]) -> tuple[Model, ...]:
+    """The model as particles of alignment times `lags` [s] obey it; None: what the model says."""
+    common = max(model.alignment_time, QUICKEST)
+    return tuple(model.with_effect(AlignmentLag(tau=lag or common)) for lag in lags)
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """What a plan comes to: `position` (K, N) complex [m] at the end of each span, and how it
+    answers to the field: `response` (K, N, 2K) complex, ∂position/∂field [m] per unit of the
+    field's limit, x and y of the first span first."""
+
+    position: np.ndarray
+    response: np.ndarray
+
+
+def roll_out(swarm: Swarm, plan: Plan, limit: float) -> Rollout:
+    """Follow a plan with a `swarm`, and every plan that differs from it in one component of one
+    span.
+
+    The derivative is a difference over a thousandth of `limit` [T]; the turning being solved
+    exactly, it has no noise. Speed factors and drift are taken at the places of the plan itself.
+    """
+    count = len(plan.duration)
+    step = 1e-3
+    field = np.repeat(plan.field[:, None, :], 2 * count + 1, axis=1)
+    for k in range(count):
+        for axis in (0, 1):
+            field[k, 1 + 2 * k + axis, axis] += step * limit
+    paths, _ = swarm.paths(plan.duration, field)
+    nominal = swarm.position + np.cumsum(swarm.velocity * paths[..., 0], axis=0)
+    factor, drift = swarm.surroundings(plan.duration, plan.field, nominal)
+    moved = (swarm.velocity * factor)[..., None] * paths
+    carried = (drift * plan.duration[:, None])[..., None]
+    position = swarm.position[:, None] + np.cumsum(moved + carried, axis=0)
+    return Rollout(position[..., 0], (position[..., 1:] - position[..., :1]) / step)

@@ -1,0 +1,107 @@
+"""Improves a plan: one Gauss–Newton step, a quadratic programme with obstacles and borders."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from microbot_ros.control.planning.manoeuvre import Task
+from microbot_ros.control.planning.plan import Plan, Rollout, Swarm, roll_out
+
+MICROMETRE = 1e-6
+"""Lengths in the programme are in micrometres, fields in units of their limit: numbers near 1."""
+
+_FARTHEST = 0.4
+"""How far one step may change a component of the field, of its limit."""
+_EFFORT = 0.02
+"""Weight of the change itself [µm²]: keeps the programme well posed."""
+_PENALTY = 50.0
+"""What a micrometre of trespass costs [µm²]."""
+_USABLE = (1, 2)
+"""OSQP's numbers for solved, and solved inaccurately."""
+
+
+def cost(swarm: Swarm, plan: Plan, task: Task, rollout: Rollout) -> float:
+    """What a plan of a `swarm`, with its `rollout`, costs for a `task` [µm²]: mean square error at
+    its end, time, wandering, trespass.
+    """
+    error = np.mean(np.abs(rollout.position[-1] - task.goal) ** 2)
+    waiting = (task.impatience * plan.length) ** 2
+    coasting = plan.duration[np.hypot(*plan.field.T) < 0.05 * task.limit].sum()
+    blur = np.mean(np.abs(swarm.velocity) ** 2) * 2 * task.wander * coasting**3 / 3
+    _, room = _rows(rollout, task)
+    trespass = max(0.0, -float(room.min())) if len(room) else 0.0
+    return float((error + waiting + blur) / MICROMETRE**2 + _PENALTY * trespass)
+
+
+def improve(swarm: Swarm, plan: Plan, task: Task, rollout: Rollout,
+            seconds: float) -> tuple[Plan, Rollout]:
+    """The plan of a `swarm` for a `task` one step on from its `rollout`, or as it is if better.
+
+    The solver is given at most `seconds`; unfinished work of it is not used.
+    """
+    step = _solve(rollout, task, seconds)
+    if step is None:
+        return plan, rollout
+    before = cost(swarm, plan, task, rollout)
+    for fraction in (1.0, 0.3, 0.1, 0.03):
+        field = plan.field + fraction * task.limit * step.reshape(-1, 2)
+        strength = np.hypot(*field.T)
+        field *= np.minimum(1, task.limit / np.maximum(strength, 1e-12))[:, None]
+        other = Plan(plan.duration, field)
+        result = roll_out(swarm, other, task.limit)
+        if cost(swarm, other, task, result) < before:
+            return other, result
+    return plan, rollout
+
+
+def _solve(rollout: Rollout, task: Task, seconds: float) -> np.ndarray | None:
+    """min |e + Jδ|² + effort |δ|² + penalty s, with every place kept but for the slack s ≥ 0."""
+    import osqp
+    from scipy import sparse
+
+    response = rollout.response[-1] / MICROMETRE
+    J = np.concatenate([response.real, response.imag])
+    left = (rollout.position[-1] - task.goal) / MICROMETRE
+    e = np.concatenate([left.real, left.imag])
+    count = J.shape[1]
+    P = np.zeros((count + 1, count + 1))
+    P[:count, :count] = 2 * (J.T @ J / len(response) + _EFFORT * np.eye(count))
+    P[count, count] = 1e-3
+    q = np.append(2 * J.T @ e / len(response), _PENALTY)
+    rows, room = _rows(rollout, task)
+    A = np.zeros((count + 1 + len(rows), count + 1))
+    A[:count + 1] = np.eye(count + 1)
+    A[count + 1:, :count], A[count + 1:, count] = rows, 1
+    low = np.concatenate([np.full(count, -_FARTHEST), [0], -room])
+    high = np.concatenate([np.full(count, _FARTHEST), [np.inf], np.full(len(room), np.inf)])
+    solver = osqp.OSQP(algebra='builtin')
+    solver.setup(sparse.csc_matrix(np.triu(P)), q, sparse.csc_matrix(A), low, high, verbose=False,
+                 eps_abs=1e-3, eps_rel=1e-3, max_iter=400, time_limit=max(seconds, 1e-4),
+                 polishing=False)
+    result = solver.solve(raise_error=False)
+    step = result.x[:count] if result.x is not None else np.full(count, np.nan)
+    usable = result.info.status_val in _USABLE and np.isfinite(step).all()
+    return np.asarray(step) if usable else None
+
+
+def _rows(rollout: Rollout, task: Task) -> tuple[np.ndarray, np.ndarray]:
+    """What keeps particles where they may be: rows (R, 2K) and room (R,) [µm], row·δ ≥ −room.
+
+    Only for places near a border or obstacle: the rest can't matter within one step.
+    """
+    rows, room = [], []
+    z, response = rollout.position, rollout.response
+
+    def keep(normal: np.ndarray, distance: np.ndarray) -> None:
+        near = distance < 10 * MICROMETRE
+        rows.append((normal[..., None].conj() * response).real[near])
+        room.append(distance[near])
+
+    view = task.workspace
+    for normal, distance in ((-1, view.high[0] - z.real), (1, z.real - view.low[0]),
+                             (-1j, view.high[1] - z.imag), (1j, z.imag - view.low[1])):
+        keep(np.full(z.shape, normal, complex), distance)
+    for centre, clearance in zip(task.obstacles, task.clearance, strict=True):
+        away = z - centre
+        keep(away / np.maximum(np.abs(away), 1e-9), np.abs(away) - clearance)
+    return np.concatenate(rows) / MICROMETRE, np.concatenate(room) / MICROMETRE

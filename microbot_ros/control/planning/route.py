@@ -1,0 +1,78 @@
+"""A path as a curve: where along it a particle is, how far off, and which way it leads."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from microbot_ros.control.planning.shared import as_complex
+
+
+class Route:
+    """A polyline through `points` (P, 2) [m]; closed if the last point repeats the first.
+
+    Its direction turns evenly along each segment, from vertex to vertex, so that a densely
+    sampled curve leads as smoothly as the curve. ValueError for fewer than two different points
+    or one that is not finite.
+    """
+
+    def __init__(self, points: np.ndarray) -> None:
+        z = as_complex(np.asarray(points, dtype=float).reshape(-1, 2))
+        if not np.isfinite(z).all():
+            raise ValueError('a path must be finite')
+        z = z[np.abs(np.diff(z, prepend=np.nan)) != 0]
+        if len(z) < 2:
+            raise ValueError('a path must have two different points')
+        self.closed = bool(z[0] == z[-1])
+        self._start, self._step = z[:-1], np.diff(z)
+        self._length = np.abs(self._step)
+        self._along = np.concatenate([[0.0], np.cumsum(self._length)])
+        self._turn = self._directions()
+
+    def _directions(self) -> np.ndarray:
+        """The direction at each vertex: the mean of the segments that meet there."""
+        ways = self._step / self._length
+        before, after = np.concatenate([ways[:1], ways]), np.concatenate([ways, ways[-1:]])
+        if self.closed:
+            before[0], after[-1] = ways[-1], ways[0]
+        mean = before + after
+        mean = np.where(np.abs(mean) < 1e-3, after, mean)
+        return np.asarray(mean / np.abs(mean))
+
+    @property
+    def length(self) -> float:
+        """From the first point to the last [m]."""
+        return float(self._along[-1])
+
+    @property
+    def end(self) -> complex:
+        """The last point [m]."""
+        return complex(self._start[-1] + self._step[-1])
+
+    def nearest(self, place: complex, after: float | None, reach: float) -> float:
+        """How far along [m] the point nearest to a place lies.
+
+        With `after` only from a little before there to `reach` [m] beyond, so that where the
+        route crosses itself a particle stays on its branch.
+        """
+        part = np.clip(
+            ((place - self._start) * self._step.conj()).real / self._length**2, 0, 1)
+        away = np.abs(self._start + part * self._step - place)
+        along = self._along[:-1] + part * self._length
+        if after is not None:
+            ahead = along - after
+            if self.closed:
+                ahead = (ahead + self.length / 2) % self.length - self.length / 2
+            away = np.where((-reach / 4 <= ahead) & (ahead <= reach), away, np.inf)
+            if not np.isfinite(away).any():
+                return after
+        return float(along[np.argmin(away)])
+
+    def at(self, along: float) -> tuple[complex, complex]:
+        """The point and the unit direction at a length [m] along the route."""
+        if self.closed:
+            along %= self.length
+        k = int(np.clip(np.searchsorted(self._along, along, side='right') - 1,
+                        0, len(self._step) - 1))
+        part = min(max((along - self._along[k]) / self._length[k], 0.0), 1.0)
+        way = (1 - part) * self._turn[k] + part * self._turn[k + 1]
+        return complex(self._start[k] + part * self._step[k]), complex(way / abs(way))

@@ -1,0 +1,63 @@
+"""The field that a person sets, in three axes: it stands, or goes round an axis."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from microbot_ros.common import units
+from microbot_ros.common.settings import setting
+from microbot_ros.control.contract import (
+    Controller,
+    ControllerInput,
+    FieldCommand,
+    Input,
+    Progress,
+)
+
+
+@dataclass(frozen=True)
+class ManualParameters:
+    """The field in the terms of laboratories: α, γ, ψ and f."""
+
+    field_mT: float = setting(0.0, 'Strength of the field.', lower=0.0, upper=100.0)
+    alpha_deg: float = setting(
+        0.0, 'Azimuth α of the axis, from x.', lower=-360.0, upper=360.0)
+    gamma_deg: float = setting(
+        90.0, 'Angle γ between the axis and z: 90 lies in the plane.', lower=0.0, upper=180.0)
+    psi_deg: float = setting(
+        90.0, 'Half the angle ψ of the cone on which a field goes round the axis: 90 is a disc.',
+        lower=0.0, upper=90.0)
+    frequency_hz: float = setting(
+        0.0, 'How often it goes round, right-handed; at 0 it stands along the axis.',
+        lower=0.0, upper=1000.0)
+
+
+class Manual(Controller):
+    """B = |B| (sin γ cos α, sin γ sin α, cos γ) at rest; on a cone of ψ about that axis, else.
+
+    Nobody's goal is followed and no particle kept in view. What rolls by it heads for α − 90°.
+    """
+
+    interface_version = 1
+    summary = 'A field set by hand, standing or turning, in three axes.'
+    takes = frozenset[Input]()
+    Parameters = ManualParameters
+
+    def compute(self, inputs: ControllerInput) -> FieldCommand:
+        """What the parameters say, as far as the limits of `inputs` let it be."""
+        p = self.parameters
+        strength = min(units.to_si('field_mT', p.field_mT), inputs.limits.field)
+        frequency = min(p.frequency_hz, inputs.limits.frequency)
+        alpha, gamma = math.radians(p.alpha_deg), math.radians(p.gamma_deg)
+        axis = np.array([math.sin(gamma) * math.cos(alpha), math.sin(gamma) * math.sin(alpha),
+                         math.cos(gamma)])
+        if not frequency:
+            return FieldCommand(strength * axis, progress=Progress('the field stands'))
+        psi = math.radians(p.psi_deg)
+        across = np.array([-math.sin(alpha), math.cos(alpha), 0.0])
+        field = strength * (math.cos(psi) * axis + math.sin(psi) * across)
+        return FieldCommand(field, frequency, Progress(f'the field turns at {frequency:g} Hz'),
+                            axis=axis)

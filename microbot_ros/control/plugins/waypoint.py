@@ -1,0 +1,38 @@
+"""Sends one particle to a goal or through a list of them, and keeps it at the last."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from microbot_ros.common import units
+from microbot_ros.common.settings import setting
+from microbot_ros.control.contract import ANY_GOALS, ControllerInput, FieldCommand
+from microbot_ros.control.steering.courses import approach
+from microbot_ros.control.steering.goal_controller_base import (
+    GoalControllerBase,
+    GoalControllerParameters,
+)
+
+
+@dataclass(frozen=True)
+class WaypointParameters(GoalControllerParameters):
+    """Whom to drive, and how closely."""
+
+    hold_radius_um: float = setting(
+        1.0, 'Radius of the circle around the last goal.', lower=0.1, upper=100.0)
+
+
+class Waypoint(GoalControllerBase):
+    """Straight to each goal, crabbed against the drift; round the last it circles, because it
+    can't stop.
+    """
+
+    interface_version = 1
+    summary = 'One particle to a goal or through a list.'
+    takes = ANY_GOALS
+    Parameters = WaypointParameters
+
+    def drive(self, inputs: ControllerInput, offset: complex, strength: float) -> FieldCommand:
+        """For `inputs` along a tangent to the goal, `offset` [m] away, with `strength` [T]."""
+        course = approach(offset, units.to_si('hold_radius_um', self.parameters.hold_radius_um))
+        return FieldCommand(self._compensator.steer(inputs, course, strength))

@@ -1,0 +1,1 @@
+"""What the controllers share: courses, goals, the drift they learn."""

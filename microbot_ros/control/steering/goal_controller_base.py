@@ -1,0 +1,92 @@
+"""What the controllers of one particle with goals have in common."""
+
+from __future__ import annotations
+
+import dataclasses
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from microbot_ros.common import units
+from microbot_ros.common.settings import setting
+from microbot_ros.control.contract import (
+    Controller,
+    ControllerInput,
+    FieldCommand,
+    Progress,
+    no_field,
+)
+from microbot_ros.control.steering.courses import Excitation
+from microbot_ros.control.steering.drift_compensator import DriftCompensator
+from microbot_ros.control.steering.goal_sequence import GoalSequence
+
+
+@dataclass(frozen=True)
+class GoalControllerParameters:
+    """Whom to drive, and how closely."""
+
+    particle: int = setting(
+        -1, 'Identity of the particle to drive; -1 takes the one nearest to the first goal.',
+        lower=-1, upper=2**31 - 1)
+    field_mT: float = setting(5.0, 'Strength of the field.', lower=0.01, upper=100.0)
+    arrival_um: float = setting(
+        2.0, 'A goal counts as reached from this close.', lower=0.05, upper=1000.0)
+    learn_leg_s: float = setting(
+        1.0, 'Until it is known how the particle answers: time on each side of a triangle.',
+        lower=0.1, upper=60.0)
+
+
+class GoalControllerBase(Controller):
+    """One particle through the goals in order; a new list starts from its first, an empty one
+    cancels. Until the particle's answer to the field is known, the field goes round a triangle.
+    """
+
+    Parameters = GoalControllerParameters
+    rolling: ClassVar[bool] = False
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the goals, how far they were done, whom it drove and what was learned of it."""
+        self._sequence = GoalSequence()
+        self._excitation = Excitation()
+        self._compensator = DriftCompensator(self.rolling)
+
+    def activate(self, inputs: ControllerInput) -> None:
+        """ParticleLostError where the particle asked for is not in `inputs`."""
+        self._excitation.stop()
+        if self.parameters.particle >= 0:
+            inputs.index(self.parameters.particle)
+
+    def compute(self, inputs: ControllerInput) -> FieldCommand:
+        """For `inputs` towards the next goal, or what is done at the last, or the triangle."""
+        p: Any = self.parameters
+        sequence, compensator = self._sequence, self._compensator
+        sequence.update(inputs, p.particle)
+        if not len(sequence):
+            return no_field('waits for a goal')
+        row = sequence.row(inputs)
+        place = compensator.look(inputs, row)
+        particles = inputs.ids[row:row + 1]
+        strength = units.to_si('field_mT', p.field_mT)
+        if not compensator.ready:
+            return self._excitation.command(
+                inputs, p.learn_leg_s, strength, particles=particles,
+                frequency=self.fastest(inputs))
+        self._excitation.stop()
+        offset = sequence.offset(place, units.to_si('arrival_um', p.arrival_um))
+        message = f'{sequence}, {abs(offset) * 1e6:.1f} µm'
+        return dataclasses.replace(
+            self.drive(inputs, offset, strength),
+            progress=Progress(message, sequence.done, abs(offset)),
+            particles=particles)
+
+    def fastest(self, inputs: ControllerInput) -> float:
+        """The highest frequency [Hz] it uses for `inputs`."""
+        return 0.0
+
+    @abstractmethod
+    def drive(self, inputs: ControllerInput, offset: complex, strength: float) -> FieldCommand:
+        """For `inputs`, with a field of `strength` [T] to the present goal, `offset` [m] away."""

@@ -1,0 +1,87 @@
+"""One particle's list of goals, and how far it has come."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from microbot_ros.control.contract import (
+    NO_PLACES,
+    ControllerInput,
+    Goals,
+    ParticleLostError,
+    Workspace,
+)
+from microbot_ros.control.steering.courses import goals_in_reach
+
+
+class GoalSequence:
+    """Goals in order for one particle, named or chosen.
+
+    The particle is the one asked for, else the one that the goals name first, else the one seen
+    nearest to the first goal; a chosen one that is lost is replaced by the one nearest to where it
+    was, which may well be the same under another name. Goals that name particles are taken for
+    that one only. A new list starts from its first.
+    """
+
+    def __init__(self) -> None:
+        self.particle = -1
+        self.done = False
+        self._next = 0
+        self._named = False
+        self._position = NO_PLACES
+        self._goals: Goals | None = None
+        self._workspace: Workspace | None = None
+        self._seen: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        return len(self._position)
+
+    def __str__(self) -> str:
+        return f'particle {self.particle}: goal {self._next + 1} of {len(self)}'
+
+    def update(self, inputs: ControllerInput, asked: int) -> None:
+        """Look at the goals of `inputs`; `asked` is the particle to drive, −1 for any.
+
+        GoalError for a goal outside the workspace.
+        """
+        if inputs.goals is not self._goals or inputs.workspace is not self._workspace:
+            goals_in_reach(inputs)
+            self._goals, self._workspace = inputs.goals, inputs.workspace
+        named = _first_named(inputs.goals) if asked < 0 else asked
+        position = inputs.goals.position
+        if inputs.goals.ids is not None:
+            position = position[inputs.goals.ids == named]
+        if not np.array_equal(position, self._position) or (named >= 0 and named != self.particle):
+            self._position, self._next, self.done = position, 0, False
+            self._seen = None
+            self.particle = named
+        self._named = named >= 0
+
+    def row(self, inputs: ControllerInput) -> int:
+        """The particle's row of `inputs`; ParticleLostError where it, or any, is not seen."""
+        if not self._named and self.particle not in inputs.ids:
+            if not len(inputs.ids):
+                raise ParticleLostError('no particle is seen')
+            near = self._position[self._next] if self._seen is None else self._seen
+            away = np.hypot(*(inputs.position - near).T)
+            self.particle = int(inputs.ids[np.argmin(away)])
+        row = inputs.index(self.particle)
+        self._seen = inputs.position[row]
+        return row
+
+    def offset(self, place: complex, arrival: float) -> complex:
+        """The way [m] from a place to the present goal; those within `arrival` [m] are done.
+
+        After the last one, the way to that.
+        """
+        while True:
+            offset = complex(*self._position[self._next].tolist()) - place
+            last = self._next == len(self) - 1
+            if abs(offset) > arrival or last:
+                self.done |= last and abs(offset) <= arrival
+                return offset
+            self._next += 1
+
+
+def _first_named(goals: Goals) -> int:
+    return -1 if goals.ids is None or not len(goals) else int(goals.ids[0])

@@ -1,0 +1,204 @@
+"""Proof on data that a fit did not see: the gap in prediction.
+
+Recordings are cut: neither a displacement across hidden frames nor a place in them is used, and
+every fit begins anew from the frames that it may see.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import stdtrit
+
+from microbot_ros.discovery.processes import Run, serially
+from microbot_ros.discovery.result import UNKNOWN, Estimate, Gap
+from microbot_ros.discovery.search import fit_candidate
+from microbot_ros.estimation.likelihood.expected_displacement import ExpectedDisplacement
+from microbot_ros.estimation.likelihood.joint import SessionFit
+from microbot_ros.estimation.likelihood.model_fit import (
+    ModelFit,
+    evaluate,
+    fit_noise,
+    fit_sessions,
+    whitening_on,
+)
+from microbot_ros.estimation.likelihood.prepared_session import FEWEST, PreparedSession
+from microbot_ros.model.model import Model
+
+HORIZON = 1.0
+"""Seconds ahead of which a prediction is judged, where the recording is long enough."""
+
+BLOCKS = 5
+"""Blocks of time that are predicted in turn, each from all others."""
+
+TURN = 2.4
+"""Horizons, or times of the fewest frames that are of use, in a block where blocks take turns."""
+
+STRETCHES = 20
+"""Stretches of time, at most, by which the errors of two models are compared: a choice. With half
+as many the interval is wider by 8 % (Student's t); with twice as many, stretches of what changes
+slowly are less independent of each other.
+"""
+
+
+def block_of(session: PreparedSession, blocks: int) -> np.ndarray:
+    """The block (T,) of every frame."""
+    times = session.times
+    return np.minimum((times - times[0]) / np.ptp(times) * blocks, blocks - 1).astype(int)
+
+
+def learn(model: Model, sessions: Sequence[PreparedSession], names: Iterable[str]) -> ModelFit:
+    """The effects `names` fitted to `sessions` in their order, beside a `model` without them."""
+    return _learn_beside(fit_sessions(model, sessions), sessions, names)
+
+
+def _learn_beside(fit: ModelFit, sessions: Sequence[PreparedSession],
+                  names: Iterable[str]) -> ModelFit:
+    """The effects `names` fitted to `sessions` in their order, beside a `fit` to these.
+
+    From starting points of their own, so that no other fit leaves a trace. An effect with a shape
+    that these sessions don't show is left out: it would be made up.
+    """
+    for name in names:
+        found = fit_candidate(fit, name)
+        if found and (not found.has_shape or (found.shape_seen and found.delta_bic > 0)):
+            fit = found.fit
+    return fit_sessions(fit.model, sessions) if fit.model.effects else fit
+
+
+# The gap in prediction --------------------------------------------------------------------------
+
+def held_out_gap(fit: ModelFit, sessions: Sequence[PreparedSession], truth: Model | None = None,
+                 run: Run = serially,
+                 relearn: Callable[[ModelFit], ModelFit] | None = None) -> Gap:
+    """Open-loop prediction over a horizon, each block predicted from a fit to all others.
+
+    Of the first-order model and of that of a `fit`, as learned from the other blocks of prepared
+    `sessions`. As the excess of one axis over what diffusion and localisation alone give; both
+    are those of `fit`, and so is the part of the sessions that is judged: no model foretells a
+    heading that chance has scattered. The effects of `truth`, where it is known, are not fitted.
+    What depends on position is taken where the particles were. `relearn` adds a term to a fit,
+    learned from what that leaves: blocks are short then, since no table tells of a time in which
+    nothing was seen. `run` shares the blocks. All models are judged on the same rows, those whose
+    particles every one of them knows.
+    """
+    shortest = min(float(np.ptp(session.times)) for session in sessions)
+    horizon = min(HORIZON, shortest / (2 * BLOCKS))
+    judged = [_explicable(session, p.session)
+              for session, p in zip(sessions, fit.session_fits, strict=True)]
+    bare, names = replace(fit.model, effects=(), learned=()), [e.id for e in fit.model.effects]
+
+    def errors_in(block: int) -> tuple[list[str], np.ndarray]:
+        inside = [(_turns(s, horizon) if relearn else block_of(s, BLOCKS)) == block
+                  for s in sessions]
+        rest = [s.only(~hidden) for s, hidden in zip(sessions, inside, strict=True)]
+        before = fit_sessions(bare, rest)
+        learned = {'before': before, 'after': _learn_beside(before, rest, names)}
+        if relearn:
+            learned['learned'] = relearn(learned['after'])
+        if truth:
+            known = [p.whitening for p in before.session_fits]
+            learned['truth'] = fit_noise(evaluate(truth, rest, known))
+        return list(learned), np.concatenate([
+            _errors(list(learned.values()), k, session, hidden, horizon)
+            for k, (session, hidden) in enumerate(zip(judged, inside, strict=True))])
+
+    blocks = list(run(errors_in, range(BLOCKS)))
+    stretch, *squares = np.concatenate([rows for _, rows in blocks]).T
+    known = dict(zip(blocks[0][0], squares, strict=True))
+    floor = _floor(fit, horizon)
+    excess = {name: _excess(square, floor) for name, square in known.items()}
+    closed = {name: mean_by_stretch(known['before'] - square, stretch)
+              for name, square in known.items()}
+    return Gap(horizon, excess['before'], excess['after'], floor, excess.get('truth', np.nan),
+               excess.get('learned', np.nan), closed['after'], closed.get('learned', UNKNOWN))
+
+
+def _carried_over(model: Model, known: SessionFit, session: PreparedSession) -> SessionFit:
+    """A `model` on another `session` of the particles and the noise of a `known` one."""
+    session = replace(session, phi=np.angle(known.velocity_phasor))
+    expected = ExpectedDisplacement.of(model, session.timeline)
+    located = session.with_filtered_positions(
+        expected.at(known.velocity_phasor), known.whitening.noise_ratio)
+    return SessionFit.of(located, whitening_on(model, known, located),
+                         ExpectedDisplacement.of(model, located.timeline))
+
+
+def _turns(session: PreparedSession, horizon: float) -> np.ndarray:
+    """Which of BLOCKS every frame (T,) belongs to, where short blocks take turns."""
+    length = max(TURN * horizon, TURN * FEWEST * session.interval)
+    return ((session.times - session.times[0]) / length).astype(int) % BLOCKS
+
+
+def _explicable(session: PreparedSession, part: PreparedSession) -> PreparedSession:
+    """A `session` with the rows of the `part` of it that the model found can explain."""
+    pieces = np.zeros_like(session.pieces)
+    pieces[np.isin(session.times, part.times)] = part.pieces
+    return replace(session, pieces=pieces)
+
+
+def _excess(squares: np.ndarray, floor: float) -> float:
+    return float(np.sqrt(max(squares.mean() - floor**2, 0.0))) if squares.size else float('nan')
+
+
+def mean_by_stretch(values: np.ndarray, stretch: np.ndarray) -> Estimate:
+    """Return the mean of `values` (R,), with its interval by how stretches of time differ.
+
+    Displacements that overlap share their noise, and particles of one moment share what acts on
+    all: a `stretch` (R,) of time counts as one observation. What the fits do not know of their
+    parameters is not in the interval.
+    """
+    _, which = np.unique(stretch, return_inverse=True)
+    count = np.bincount(which)
+    if len(count) < 2:
+        return UNKNOWN
+    mean = float(values.mean())
+    apart = np.bincount(which, values) - mean * count
+    std = float(np.sqrt(len(count) / (len(count) - 1) * (apart**2).sum()) / count.sum())
+    half = float(stdtrit(len(count) - 1, 0.975)) * std
+    return Estimate(mean, std, mean - half, mean + half)
+
+
+def _errors(fits: Sequence[ModelFit], k: int, whole: PreparedSession, frames: np.ndarray,
+            horizon: float) -> np.ndarray:
+    """Return the squared errors (R, 1 + M) of M `fits` within some `frames` (T,) of session `k`.
+
+    R displacements over the horizon, of one axis [m²], the mean of both. The first column is the
+    number of the stretch of time in which a displacement begins.
+    """
+    ahead = max(round(horizon / whole.interval), 1)
+    use = whole.joined(ahead) & (frames[ahead:] & frames[:-ahead])[:, None]
+    squares = []
+    for fit in fits:
+        learned = fit.session_fits[k]
+        here = _carried_over(fit.model, learned, whole)
+        left = whole.z - here.expected.at(learned.velocity_phasor)
+        squares.append(np.abs(left[ahead:] - left[:-ahead]) ** 2 / 2)
+        use &= _known(learned, here, horizon)
+    elapsed = whole.times[:-ahead] - whole.times[0]
+    length = max(TURN * horizon, float(np.ptp(whole.times)) / STRETCHES)
+    stretch = k * (STRETCHES + 1) + (elapsed / length).astype(int)
+    return np.stack([np.broadcast_to(stretch[:, None], use.shape)[use],
+                     *(square[use] for square in squares)], axis=1)
+
+
+def _known(learned: SessionFit, here: SessionFit, horizon: float) -> np.ndarray:
+    """Particles (N,) that were seen enough elsewhere for their v and φ to be of use."""
+    std = np.minimum(learned.phasor_std, 1.0)
+    step = np.diff(here.session.times)[:, None]
+    own = np.abs(np.diff(here.expected.along, axis=0)) / step
+    travelled = horizon * np.sqrt((own**2).mean(axis=0))
+    known: np.ndarray = std * travelled < 0.5 * np.sqrt(2 * learned.diffusion * horizon)
+    return known
+
+
+def _floor(fit: ModelFit, horizon: float) -> float:
+    """√(2D·horizon + 2σ²), averaged over sessions."""
+    values = [
+        2 * p.diffusion * (max(round(horizon / p.session.interval), 1) * p.session.interval)
+        + 2 * max(p.whitening.noise_ratio, 0.0) * p.diffusion
+        for p in fit.session_fits
+    ]
+    return float(np.sqrt(np.average(values, weights=[p.count for p in fit.session_fits])))

@@ -1,0 +1,314 @@
+"""What is wrong with sessions before anything is fitted, and what would be enough."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.records import Session
+from microbot_ros.estimation.likelihood.prepared_session import (
+    JUMP,
+    PreparedSession,
+    first_field,
+    prepare,
+)
+from microbot_ros.model.increments import respond
+from microbot_ros.model.model import Model
+
+FEWEST_FRAMES = 50
+FASTEST = 1e-3
+"""Speed [m/s] beyond which positions can't be in micrometres: 200 radii of these spheres."""
+
+FINEST = 5e-10
+"""Steps [m] that no microscope resolves."""
+
+SLOWEST_FRAMES, FASTEST_FRAMES = 10.0, 1e-4
+"""Intervals between frames [s] beyond which times can't be in seconds."""
+
+ALIKE = 20
+"""Steps in a row that two recordings can't share by chance."""
+
+STUCK = 1.5
+"""Steps over a quarter of the time are this much longer than single ones if anything moves."""
+
+FAINT = 2e-5
+"""Fields [T] below the Earth's."""
+
+SURE = 4.0
+"""Standard deviations from which a particle is said to follow the commands."""
+
+NORMALS = np.exp(2j * np.pi * np.arange(180) / 180)
+"""Directions in which a wall is looked for."""
+
+BORDER, INNER = 1.5, 0.92
+"""Half the breadth of a border, in standard deviations of a step, and the quantile of places
+along its normal in its middle: beyond lies only the error of reading."""
+
+LONG = 0.15
+"""Part of its steps that a particle is at a border if it is pressed against a wall there."""
+
+HELD, LEGS = 0.25, 4
+"""Part of the way into a wall that it goes at most, under so many different commands: a flow
+balances one of them at most, and each at another place."""
+
+
+def check_sessions(sessions: Sequence[Session],
+                   ) -> tuple[list[PreparedSession], tuple[str, ...]]:
+    """The `sessions` prepared as every fit takes them, with remarks on what they can't tell.
+
+    Raises InputError, with what would be enough, where nothing can be learnt.
+    """
+    if not sessions:
+        raise InputError('', 'expected at least one session')
+    _one_kind(sessions)
+    whole = [_usable(session) for session in sessions]
+    _all_different(whole)
+    walled = [at_a_wall(e) for e in whole]
+    prepared = [prepare(_without(session, set(e.ids[held].tolist())))
+                for session, e, held in zip(sessions, whole, walled, strict=True)]
+    remarks = [remark for session in sessions for remark in session.remarks]
+    remarks += [remark for e, held, split in zip(whole, walled, prepared, strict=True)
+                for remark in (*_left_out(e, held), *_remarks_on(e, int(split.jumps.sum())))]
+    remarks += _references(sessions)
+    return prepared, tuple(dict.fromkeys(remarks))
+
+
+def _one_kind(sessions: Sequence[Session]) -> None:
+    """Each commanded as its particles need, and all particles driven alike."""
+    for session in sessions:
+        kind = session.conditions.propulsion
+        if kind == 'rolling' and session.commands.frequency is None and session.commands.t.size:
+            raise InputError(session.name, 'propulsion is rolling: expected commands of '
+                             'direction_rad,frequency_hz, found bx_mT,by_mT')
+        if kind == 'catalytic' and session.commands.frequency is not None:
+            raise InputError(session.name, 'propulsion is catalytic: expected commands of '
+                             'bx_mT,by_mT, found direction_rad,frequency_hz of rolling particles')
+        if kind != sessions[0].conditions.propulsion:
+            raise InputError(session.name, 'expected sessions of one kind of propulsion, found '
+                             f'{kind} beside {sessions[0].conditions.propulsion} in '
+                             f'{sessions[0].name}: look at each kind by itself')
+
+
+def _usable(session: Session) -> PreparedSession:
+    name = session.name or 'session'
+    if not np.isfinite(first_field(session.commands)):
+        raise InputError(name, 'expected commands with a field that is not zero; found none, and '
+                         'without them only drift and diffusion could be learnt')
+    commands = session.commands
+    if session.conditions.propulsion == 'rolling' and not np.any(commands.frequency):
+        raise InputError(name, 'expected commands with a field that rotates; found a frequency of '
+                         '0 Hz throughout, and without rolling only drift and diffusion could be '
+                         'learnt')
+    whole = PreparedSession.of(session)
+    frames = int((whole.seen.sum(axis=1) > 0).sum())
+    if frames < FEWEST_FRAMES:
+        raise InputError(name, f'expected at least {FEWEST_FRAMES} frames while a field is '
+                         f'commanded, found {frames}; a minute at 30 frames/s is enough')
+    _plausible(name, whole)
+    return whole
+
+
+def _plausible(name: str, e: PreparedSession) -> None:
+    """Units and motion."""
+    if not FASTEST_FRAMES <= e.interval <= SLOWEST_FRAMES:
+        raise InputError(name, f'expected times in s, found frames every {e.interval:.3g} s: '
+                         'milliseconds, frame numbers or hours?')
+    steps = np.abs(np.diff(e.z, axis=0))[e.joined()]
+    if not steps.size:
+        raise InputError(name, 'expected particles seen in consecutive frames, found none')
+    speed = float(np.median(steps)) / e.interval
+    if speed > FASTEST:
+        raise InputError(name, f'expected positions in µm, found steps of {speed * 1e3:.3g} mm/s: '
+                         'pixels or nanometres?')
+    if not steps.any():
+        raise InputError(name, 'expected particles that move, found the same positions in all '
+                         'frames')
+    usual = float(np.quantile(steps, 0.9))
+    if usual < FINEST:
+        raise InputError(name, f'expected positions in µm, found steps of {usual * 1e9:.2g} nm, '
+                         'which no microscope resolves: metres or millimetres?')
+    if _stays(e).all():
+        raise InputError(name, 'expected particles that move, found all within '
+                         f'{usual * 1e6:.2g} µm of where they were: nothing but the error of '
+                         'reading. Are they stuck? One that moves is enough')
+
+
+def _all_different(sessions: list[PreparedSession]) -> None:
+    known = [_runs(e) for e in sessions] if len(sessions) > 1 else []
+    for k, runs in enumerate(known):
+        for other in range(k):
+            if len(runs & known[other]) > 0.2 * min(len(runs), len(known[other])) > 0:
+                raise InputError(
+                    sessions[k].name or 'session', 'expected different sessions, found the '
+                    f'tracks of {sessions[other].name or "another"} again: the evidence would be '
+                    'counted twice')
+
+
+def _runs(e: PreparedSession) -> set[int]:
+    """Hashes of stretches of steps, wherever they lie and whenever they were made."""
+    steps = np.rint(np.diff(e.z, axis=0) * 1e13)
+    steps[~e.joined()] = np.nan
+    return {
+        hash(run.tobytes()) for track in np.ascontiguousarray(steps.T)
+        for run in np.lib.stride_tricks.sliding_window_view(track, min(ALIKE, len(track)))
+        if np.isfinite(run).all()}
+
+
+def _references(sessions: Sequence[Session]) -> list[str]:
+    """Alignment times are stated at one field."""
+    stated = [s.conditions.reference_field for s in sessions if s.conditions.reference_field]
+    if len(set(stated)) < 2:
+        return []
+    return ['The sessions state different reference fields ('
+            + ', '.join(f'{b * 1e3:g} mT' for b in dict.fromkeys(stated))
+            + f'); alignment times are those at {stated[0] * 1e3:g} mT.']
+
+
+def _remarks_on(e: PreparedSession, jumps: int) -> Iterator[str]:
+    """Remarks on a session `e` of whole tracks, `jumps` of whose steps were cut."""
+    commands = e.commands
+    field = commands.field[commands.index_at(e.times)]
+    if np.abs(np.exp(1j * np.arctan2(field[:, 1], field[:, 0])).mean()) > 1 - 1e-6:
+        clock = ('' if (commands.t > e.times[0]).any() else
+                 ' (No command changes between the first and the last frame: are both on one '
+                 'clock?)')
+        yield (f'{e.name}: the command never turned. v and φ absorb drift, background field, '
+               f'coils and camera; record steps in all directions.{clock}')
+    strongest = float(np.hypot(*field.T).max())
+    if commands.frequency is None and strongest < FAINT:
+        yield (f'{e.name}: no field exceeds {strongest * 1e3:.2g} mT, less than the Earth’s: are '
+               'the commands in mT?')
+    if jumps:
+        yield (f'{e.name}: {jumps} step{" is" if jumps == 1 else "s are"} longer than the '
+               'motion around; tracks were cut there. Did the tracker slip, the stage move?')
+    yield from _swaps(e)
+    if len(np.unique(e.ids)) == 1:
+        yield (f'{e.name}: one particle. What acts between particles can’t be seen, and what acts '
+               'on all can’t be told from what acts on one; record three or more.')
+    yield from _idle(e)
+
+
+def _swaps(e: PreparedSession) -> Iterator[str]:
+    """Pairs of which each jumps to where the other was."""
+    z = np.where(e.seen, e.z, np.nan)
+    steps = np.abs(np.diff(z, axis=0))
+    usual = float(np.nanquantile(steps, 0.99))
+    for k, i in zip(*np.nonzero(np.nan_to_num(steps) > JUMP * usual), strict=True):
+        crossed = (np.abs(z[k + 1, i] - z[k]) <= usual) & (np.abs(z[k + 1] - z[k, i]) <= usual)
+        for j in crossed.nonzero()[0]:
+            if i < j:
+                yield (f'{e.name}: particles {e.ids[i]} and {e.ids[j]} exchange places at '
+                       f'{e.times[k + 1]:.2f} s: their tracks are swapped. Exchange their names '
+                       'from there on, or leave out what follows.')
+
+
+def _idle(e: PreparedSession) -> Iterator[str]:
+    """Particles that stay where they are, or that no command moves."""
+    stuck = e.ids[_stays(e)]
+    if stuck.size:
+        names = ', '.join(map(str, stuck))
+        yield (f'{e.name}: stuck, since it goes nowhere: particle {names}. It denies what carries '
+               'the others; better left out.')
+    if not _follows(e).any():
+        yield (f'{e.name}: no particle follows the commands. What acts on their swimming can’t be '
+               'seen. Were the coils on, is there fuel, are commands and tracks on one clock?')
+
+
+def at_a_wall(e: PreparedSession) -> np.ndarray:
+    """Tracks (N,) bool of `e` that a wall, or the edge of the dish, holds for much of the time.
+
+    They are often at one straight border of all that they visit, and there go along it as the
+    commands say, but hardly towards it.
+    """
+    swum = respond(Model.baseline(e.conditions, e.commands), e.timeline).propulsion
+    swum = np.broadcast_to(swum, (len(e.times) - 1, len(e.ids)))
+    use = e.joined()
+    legs = e.commands.index_at(e.times[:-1])
+    return np.array([
+        _is_held(e.z[:-1, n][used], np.diff(e.z[:, n])[used], swum[used, n], legs[used])
+        for n, used in enumerate(use.T)], bool)
+
+
+def _is_held(z: np.ndarray, steps: np.ndarray, swum: np.ndarray, legs: np.ndarray) -> bool:
+    """Whether a wall holds a particle: `steps` (T,) from `z` (T,), `swum` (T,) for c = 1.
+
+    `legs` (T,): which command each was under.
+    """
+    if len(steps) < FEWEST_FRAMES or not swum.any():
+        return False
+    c = np.vdot(swum, steps) / np.vdot(swum, swum)
+    breadth = BORDER * float(np.sqrt(np.mean(np.abs(steps - c * swum) ** 2) / 2))
+    out = (z[:, None] * NORMALS.conj()).real
+    inwards = np.quantile(out, INNER, axis=0) - out
+    share = (np.abs(inwards) < breadth).mean(axis=0)
+    k = int(share.argmax())
+    normal, there, free = NORMALS[k], np.abs(inwards[:, k]) < breadth, inwards[:, k] > 2 * breadth
+    if share.max() < LONG:
+        return False
+    # A wall leaves the motion along it free, and all motion elsewhere: c by these, as two real
+    # numbers. By the motion along it alone c is hardly known where that keeps to one line.
+    along, way = (steps / (1j * normal)).real, swum / (1j * normal)
+    moved, ways = np.append(along, (steps / normal).real[free]), np.append(way, 1j * way[free])
+    columns = np.stack([ways.real, -ways.imag], axis=1)
+    found = np.linalg.lstsq(columns, moved, rcond=1e-6)[0]
+    towards = (complex(*found) * swum / normal).real
+    if towards[there].sum() < 0:
+        normal, towards = -normal, -towards
+    pressed = there & (towards > 0)
+    spread = float(np.std(along - columns[:len(along)] @ found)) * np.sqrt(pressed.sum())
+    expected, gone = towards[pressed].sum(), (steps[pressed] / normal).real.sum()
+    pushes = np.bincount(legs[pressed] - legs[0], towards[pressed])
+    return bool(np.count_nonzero(pushes > 2 * breadth) >= LEGS and gone < HELD * expected
+                and expected - gone > 2 * SURE * spread)
+
+
+def _without(session: Session, names: set[int]) -> Session:
+    if not names:
+        return session
+    tracks = session.tracks
+    kept = tracks.of(np.setdiff1d(tracks.particle, list(names)))
+    if not len(kept.t):
+        raise InputError(session.name or 'session', 'expected particles in free fluid, found all '
+                         'pressed against a wall, or the edge of the dish. One that swims freely '
+                         'is enough')
+    return replace(session, tracks=kept)
+
+
+def _left_out(e: PreparedSession, held: np.ndarray) -> list[str]:
+    names = ', '.join(map(str, e.ids[held]))
+    return [f'{e.name}: pressed against a wall, or the edge of the dish: particle {names}. Left '
+            'out: what holds it there acts on no other.'] if names else []
+
+
+def _stays(e: PreparedSession) -> np.ndarray:
+    """Tracks (N,) bool of `e` that go no further in a quarter of the time than between frames.
+
+    A particle that feedback holds in place does the same, but follows the commands.
+    """
+    z = np.where(e.seen, e.z, np.nan)
+    quarter = len(z) // 4
+    with np.errstate(invalid='ignore'):
+        far, near = (
+            np.array([np.median(x[np.isfinite(x)]) if np.isfinite(x).any() else np.nan
+                      for x in np.abs(z[lag:] - z[:-lag]).T])
+            for lag in (quarter, 1))
+        still = far <= STUCK * near
+    result: np.ndarray = still & ~_follows(e)
+    return result
+
+
+def _follows(e: PreparedSession) -> np.ndarray:
+    """Tracks (N,) bool with a speed, by regression on the first-order model, beyond doubt."""
+    model = Model.baseline(e.conditions, e.commands)
+    swum = respond(model, e.timeline).propulsion
+    use = e.joined()
+    moved, swum = np.where(use, np.diff(e.z, axis=0), 0), np.where(use, swum, 0)
+    power = np.maximum((np.abs(swum) ** 2).sum(axis=0), 1e-300)
+    speed = (np.conj(swum) * moved).sum(axis=0) / power
+    left = np.abs(np.where(use, moved - speed * swum, 0)) ** 2
+    variance = left.sum(axis=0) / np.maximum(2 * use.sum(axis=0) - 2, 1) / power
+    result: np.ndarray = np.abs(speed) ** 2 > SURE**2 * variance
+    return result

@@ -1,0 +1,208 @@
+"""Where data and model still part: χ² maps of the white residual against one covariate each.
+
+With U orthonormal functions of a covariate, after everything fitted is projected off them,
+T = ‖Uᵀr‖² is χ² where nothing is left (a score test: Rao 1948); p-values are Holm's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from microbot_ros.discovery.check.covariates import Covariates, Group
+from microbot_ros.discovery.check.tail_probabilities import chi_square_tail, peak_tail_probability
+from microbot_ros.discovery.processes import Run, serially
+from microbot_ros.discovery.result import ResidualMap
+from microbot_ros.discovery.starting_points import PADDING, rotating_components
+from microbot_ros.estimation.likelihood.joint import SessionFit, eliminate, eliminate_shared, inner
+from microbot_ros.estimation.likelihood.model_fit import ModelFit
+
+RANK = 1e-6
+"""Eigenvalue, relative to 1 for a column of its own, below which a direction is fitted already."""
+
+BROAD = 12
+"""Independent frequencies on either side of a peak that tell the noise there."""
+
+BINS = 12
+
+DIRECTED = 0.02
+"""Part of its largest speed below which a particle has no direction to draw along."""
+
+
+def residual_maps(fit: ModelFit, run: Run = serially) -> tuple[ResidualMap, ...]:
+    """All maps of a `fit`, Holm-adjusted together; `run` makes them."""
+    covariates = [Covariates(p) for p in fit.session_fits]
+    by_name: dict[str, list[tuple[int, Group]]] = {}
+    for k, context in enumerate(covariates):
+        for group in context.groups():
+            by_name.setdefault(group.against, []).append((k, group))
+    raw = list(run(partial(_tested, fit, fit.jacobian), list(by_name.values())))
+    raw += [_rhythm(fit), _rhythm(fit, covariates), _single_steps(fit)]
+    adjusted = _holm([m.p_value for m in raw])
+    return tuple(
+        replace(m, p_value=p) for m, p in zip(raw, adjusted, strict=True)
+    )
+
+
+def _holm(p_values: list[float]) -> list[float]:
+    """Holm's adjusted p-values: the smallest times their number, and so on, never falling."""
+    order = np.argsort(p_values)
+    adjusted = np.array(p_values)[order] * np.arange(len(order), 0, -1)
+    result = np.empty(len(order))
+    result[order] = np.minimum(np.maximum.accumulate(adjusted), 1.0)
+    return [float(p) for p in result]
+
+
+def _tested(fit: ModelFit, jacobian: Sequence[np.ndarray],
+            groups: list[tuple[int, Group]]) -> ResidualMap:
+    """The test of one covariate over the sessions that have it, each with its own coefficients."""
+    statistic, dof = 0.0, 0
+    for k, group in groups:
+        value, rank = _score(fit.session_fits[k], jacobian[k], group.fields)
+        statistic, dof = statistic + value, dof + rank
+    group = groups[0][1]
+    middles, curves = _curves(fit.session_fits[groups[0][0]], group)
+    p_value = chi_square_tail(statistic, dof) if dof else 1.0
+    return ResidualMap(group.against, group.label, statistic, dof, p_value, middles, curves)
+
+
+def _score(p: SessionFit, jacobian: np.ndarray, fields: np.ndarray) -> tuple[float, int]:
+    """T and its degrees of freedom for velocity fields (T−1, N, M), along them and across."""
+    columns = np.zeros((len(p.session.times), *fields.shape[1:]), complex)
+    moved = np.nan_to_num(fields) * np.diff(p.session.times)[:, None, None]
+    np.cumsum(moved, axis=0, out=columns[1:])
+    known = np.concatenate([p.white / np.sqrt(p.diffusion), jacobian], axis=-1)
+    gram = along_and_across(known, p.whiten(columns)) if p.whitening.is_plain else inner(
+        np.concatenate([known, p.whiten(np.concatenate([columns, 1j * columns], -1))], axis=-1))
+    raw = np.diagonal(gram, axis1=1, axis2=2)[:, 3:].sum(axis=0)
+    count = jacobian.shape[-1]
+    total = eliminate_shared(eliminate(gram).sum(axis=0), count)
+    size = np.sqrt(np.maximum(raw[count:], 1e-300))
+    information = total[1:, 1:] / np.outer(size, size)
+    values, vectors = np.linalg.eigh(information)
+    kept = values > RANK
+    found = vectors[:, kept].T @ (total[1:, 0] / size)
+    return float((found**2 / values[kept]).sum()), int(kept.sum())
+
+
+def along_and_across(known: np.ndarray, white: np.ndarray) -> np.ndarray:
+    """Real inner products (N, L + 2M, L + 2M) of `known` (T, N, L), `white` (T, N, M), i·`white`.
+
+    All are parts of the complex ones, of which there are half as many.
+    """
+    every = np.ascontiguousarray(np.concatenate([known, white], axis=-1).transpose(1, 2, 0))
+    product = every.conj() @ every.transpose(0, 2, 1)
+    first = known.shape[-1]
+    same, turned = product.real, -product.imag[:, :, first:]
+    return np.block([[same, turned], [np.swapaxes(turned, 1, 2), same[:, first:, first:]]])
+
+
+def _rhythm(fit: ModelFit, covariates: list[Covariates] | None = None) -> ResidualMap:
+    """The largest peak of a periodogram: of all particles in the laboratory, or in their frame.
+
+    Of the longest session. In the laboratory both axes count together (χ² of 4); along the
+    heading and across it count apart, since speed and angle may swing (χ² of 2 each). A peak
+    stands out of the noise around it: a speed that wanders is broad, and no rhythm.
+    """
+    k = int(np.argmax([np.ptp(p.session.times) for p in fit.session_fits]))
+    p = fit.session_fits[k]
+    fastest = 0.4 / p.session.interval
+    if covariates is None:
+        frequency, *turned = rotating_components(p.session.times, p.residual.sum(axis=1), fastest)
+        power = (np.abs(np.array(turned)) ** 2).sum(axis=0) / p.count
+        name, dof, signals = 'rhythm', 4, 1
+    else:
+        direction = np.zeros_like(p.residual)
+        direction[1:] = covariates[k].body * np.abs(p.velocity_phasor)
+        weight = max(float((np.abs(direction) ** 2 * p.session.seen).sum()), 1e-300)
+        own = (p.residual * direction.conj()).sum(axis=1)
+        axes = [rotating_components(p.session.times, axis, fastest)
+                for axis in (own.real, own.imag)]
+        frequency = axes[0][0]
+        power = np.max([2 * np.abs(ahead) ** 2 / weight for _, ahead, _ in axes], axis=0)
+        name, dof, signals = 'rhythm, along the heading', 2, 2
+    power = power / _background(power, dof, signals)
+    best = float(power.max())
+    p_value = peak_tail_probability(best, dof, signals * fastest * float(np.ptp(p.session.times)))
+    return ResidualMap(name, 'frequency [Hz]', best, dof, p_value, frequency, {
+        'power': (power, np.zeros(len(frequency)))})
+
+
+def _background(power: np.ndarray, dof: int, signals: int) -> np.ndarray:
+    """The noise (F,) around each frequency of a `power` (F,), in units of white noise; at least 1.
+
+    `power` is the largest of so many `signals`, χ² of `dof` each where the noise is white. By the
+    median over BROAD independent frequencies on either side, of which a peak is one or two.
+    """
+    from scipy.ndimage import median_filter
+    from scipy.special import chdtri
+
+    usual = float(chdtri(dof, 1 - 0.5 ** (1 / signals)))
+    around = median_filter(power, 2 * BROAD * PADDING + 1, mode='nearest')
+    background: np.ndarray = np.maximum(around / usual, 1.0)
+    return background
+
+
+def _single_steps(fit: ModelFit) -> ResidualMap:
+    """The largest step of one particle, and of all of them at once; jumps that were cut out.
+
+    It decides nothing: trackers slip and stages are touched, whatever the physics.
+    """
+    worst, trials = 0.0, 0
+    for p in fit.session_fits:
+        number = np.maximum((p.residual != 0).sum(axis=1, keepdims=True), 1)
+        for white in (p.residual, p.residual.sum(axis=1, keepdims=True) / np.sqrt(number)):
+            for residual in (white, _lasting(p, white)):
+                worst = max(worst, float((np.abs(residual) ** 2).max()))
+            trials += 2 * int((white != 0).sum())
+    jumps = sum(int(p.session.jumps.sum()) for p in fit.session_fits)
+    p_value = float(min(1.0, trials * np.exp(-worst / 2)))
+    return ResidualMap('single steps', 'time [s]', worst, 2, 0.0 if jumps else p_value,
+                       np.empty(0), {}, cut_out=True)
+
+
+def _lasting(p: SessionFit, white: np.ndarray) -> np.ndarray:
+    """White residuals (T, N) matched to a step that lasts, where places are known badly.
+
+    The local-level filter comes after a step by a part K, its steady gain, at every frame: what
+    it has not yet followed is left in the residuals, (1 − K)^k of the step k frames later.
+    """
+    from scipy.signal import lfilter
+
+    if p.whitening.noise_ratio <= 0:
+        return white
+    ratio = 2 * p.session.interval / p.whitening.noise_ratio
+    kept = 1 - (np.sqrt(ratio**2 + 4 * ratio) - ratio) / 2
+    matched: np.ndarray = lfilter([np.sqrt(1 - kept**2)], [1, -kept], white[::-1], axis=0)
+    return matched[::-1]
+
+
+def _curves(
+    p: SessionFit, group: Group,
+) -> tuple[np.ndarray, dict[str, tuple[np.ndarray, np.ndarray]]]:
+    """Mean residual velocity along and across the frame, in bins of the covariate."""
+    e = p.session
+    left = np.diff(e.z - p.expected.at(p.velocity_phasor), axis=0)
+    length = np.abs(group.frame)
+    use = e.joined() & np.isfinite(group.value) & (length > DIRECTED)
+    turned = left * np.conj(group.frame) / np.maximum(length, DIRECTED) / np.diff(e.times)[:, None]
+    # Levels that differ by rounding are one.
+    value, velocity = np.round(group.value[use], 6), turned[use]
+    if not value.size:
+        return np.empty(0), {}
+    edges = np.unique(np.quantile(value, np.linspace(0, 1, BINS + 1)))
+    which = np.clip(np.searchsorted(edges, value, side='right') - 1, 0, max(len(edges) - 2, 0))
+    count = np.bincount(which)
+    filled = count > 2
+    middles = (np.bincount(which, value) / np.maximum(count, 1))[filled]
+    fixed = bool((group.frame == 1).all())
+    curves = {}
+    for name, part in zip(('x', 'y') if fixed else ('along', 'across'),
+                          (velocity.real, velocity.imag), strict=True):
+        mean = np.bincount(which, part) / np.maximum(count, 1)
+        spread = np.sqrt(np.bincount(which, (part - mean[which]) ** 2)) / np.maximum(count, 1)
+        curves[name] = mean[filled], spread[filled]
+    return middles, curves

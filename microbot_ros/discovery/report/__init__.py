@@ -1,0 +1,1 @@
+"""The report for people: `report.html` and its pictures."""

@@ -1,0 +1,1 @@
+"""The amplifiers, one folder for each protocol."""

@@ -1,0 +1,72 @@
+"""Driver for RoboClaw controllers on one line: coils 1 and 2 at 0x80, 3 and 4 at 0x81, …"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from microbot_ros.drive.amplifier import Watchdog
+from microbot_ros.drive.amplifiers.roboclaw import codec
+from microbot_ros.drive.errors import WrongDeviceError
+from microbot_ros.drive.polled import Exchange, PolledAmplifier, Talk
+
+ADDRESSES = range(0x80, 0x88)
+"""Of the controllers; each has two channels."""
+_WATCHDOG_S = 0.1
+_MODEL = 'roboclaw'
+_HOTTEST_C = 85.0
+"""Above this the controller gives less current than it is told (user manual, temperature
+limits)."""
+
+
+class RoboclawAmplifier(PolledAmplifier):
+    """Duty −1 … 1 is ± `full_scale_A` of each coil; the controllers' own timeout is armed."""
+
+    watchdog = Watchdog.ARMED
+    channels_per_device = 2
+    share_a_line = True
+    resolution_A = 0.01
+
+    def _identify(self, device: int) -> Talk[None]:
+        name = yield self._query(codec.ask_version(ADDRESSES[device]), codec.version, 'a version')
+        if _MODEL not in name.lower():
+            raise WrongDeviceError(self.url, 'a RoboClaw', name)
+
+    def _configure(self, device: int) -> Talk[None]:
+        address = ADDRESSES[device]
+        yield self._obeyed(codec.drive(address, 0.0, 0.0))
+        yield self._obeyed(codec.set_timeout(address, _WATCHDOG_S))
+        armed = yield self._query(codec.ask_timeout(address), codec.timeout, 'its timeout')
+        if not abs(armed - _WATCHDOG_S) < 1e-6:
+            raise WrongDeviceError(self.url, f'a timeout of {_WATCHDOG_S:g} s', f'{armed:g} s')
+
+    def _drive(self, device: int, currents_A: np.ndarray) -> Talk[None]:
+        yield self._obeyed(codec.drive(ADDRESSES[device], *self._duties(device, currents_A)))
+
+    def _measure(self, device: int) -> Talk[Sequence[float]]:
+        measured: Sequence[float] = yield self._query(
+            codec.ask_currents(ADDRESSES[device]), codec.currents, 'currents')
+        return measured
+
+    def _inspect(self, device: int) -> Talk[str]:
+        address = ADDRESSES[device]
+        found = yield self._query(codec.ask_temperature(address), codec.temperature,
+                                  'a temperature')
+        if not found <= _HOTTEST_C:
+            return (f'controller {address:#x} is too hot: {found:.1f} °C, '
+                    f'at most {_HOTTEST_C:g}')
+        return ''
+
+    def _zeros(self) -> list[bytes]:
+        return [b''.join(codec.drive(ADDRESSES[device], 0.0, 0.0) for device in self.devices)]
+
+    def _obeyed(self, packet: bytes) -> Exchange:
+        return Exchange(packet, lambda received: received == codec.ACKNOWLEDGED or None, 'FF')
+
+    def _query(self, question: bytes, parse: Callable[[bytes, bytes], Any | None],
+               expected: str) -> Exchange:
+        return Exchange(question, partial(parse, question),
+                        f'{expected} from the controller at {question[0]:#x}')

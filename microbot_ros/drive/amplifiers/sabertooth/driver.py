@@ -1,0 +1,99 @@
+"""Driver for Sabertooth controllers on one line: coils 1 and 2 at 0x80, 3 and 4 at 0x81, …
+
+Nothing comes back from them, neither currents nor a yes: what they do is what they are trusted to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import cycle
+
+import numpy as np
+
+from microbot_ros.drive.amplifier import COILS, Amplifier, Command, Watchdog, Zero
+from microbot_ros.drive.amplifiers.sabertooth import codec
+
+ADDRESSES = range(0x80, 0x88)
+"""Of the controllers; each has two channels."""
+_BAUD = 9_600  # from the factory
+_BYTE_S = 10 / _BAUD
+_LATEST_S = 0.07
+"""How late the next packet may come after one has gone out, with room for a busy machine."""
+
+
+class SabertoothAmplifier(Amplifier):
+    """Duty −1 … 1 is ± `full_scale_A` of each of so many `channels` on the line `url`.
+
+    That is the supply's voltage over the coil's resistance, cold or hot, which nobody measures.
+
+    A controller forgets its timeout when it loses power and cannot be asked for it, so one of
+    them is told it again with every command. At 9600 baud the commands of four coils take 21 ms:
+    the newest goes out when the line has taken the one before.
+    """
+
+    watchdog = Watchdog.UNCONFIRMED
+    reads_back = False
+
+    def __init__(self, url: str, full_scale_A: float | Sequence[float],
+                 channels: int = len(COILS)) -> None:
+        super().__init__(url, full_scale_A, channels)
+        self._addresses = ADDRESSES[:-(-channels // 2)]
+        self._turns = cycle(self._addresses)
+        self.sample_s = _BYTE_S * (len(self._zeros()[0]) + codec.PACKET_BYTES)
+        steps = -(-(self.sample_s + _LATEST_S) // codec.TIMEOUT_STEP_S)
+        self.timeout_s = float(steps * codec.TIMEOUT_STEP_S)
+        """After which the controllers are told to stop without a packet."""
+        self._order: Command | None  # the newest, until it goes out
+        self._flowing: bool
+        self._free_s: float  # when the line has taken all
+
+    def _open(self) -> None:
+        self._order, self._flowing = None, False
+        self._lines.append(self._open_port(self.url, _BAUD))
+        self._say(codec.BAUDING + self._zeros()[0] + b''.join(
+            codec.set_timeout(address, self.timeout_s) for address in self._addresses))
+
+    def _end(self) -> Zero:
+        self._flowing = True  # the last zero goes out at once, not when the line is free
+        return super()._end()
+
+    def _send(self, command: Command) -> None:
+        self._require_lines()
+        flows = bool(np.any(command.currents_A))
+        if self._flowing and not flows:
+            self._lines[0].discard_output()  # a packet that this cuts is none to the controllers
+            self._order = None
+            self._say(*self._zeros())
+        else:
+            self._order = command
+            self._go_on()
+        self._flowing = flows
+        self.counters.frames_sent += 1
+
+    def _receive(self, timeout_s: float) -> list[tuple[float, float, np.ndarray]]:
+        """Nothing ever; meanwhile what waits goes out as soon as the line is free."""
+        self._require_lines()
+        until_s = self.clock.now() + timeout_s
+        while not self._woken.is_set() and (now := self.clock.now()) < until_s:
+            next_s = until_s if self._order is None else min(self._free_s, until_s)
+            self.clock.wait(self._woken, next_s - now)
+            self._go_on()
+        self._woken.clear()
+        return []
+
+    def _go_on(self) -> None:
+        if self._order is not None and self.clock.now() >= self._free_s:
+            currents, self._order = self._order.currents_A, None
+            self._say(codec.set_timeout(next(self._turns), self.timeout_s)
+                      + self._drive((currents / self.full_scale_A).tolist()))
+
+    def _say(self, data: bytes) -> None:
+        self._lines[0].send(data)
+        self._free_s = self.clock.now() + _BYTE_S * len(data)
+
+    def _zeros(self) -> list[bytes]:
+        return [self._drive([0.0] * self.channels)]
+
+    def _drive(self, duties: list[float]) -> bytes:
+        return b''.join(codec.drive(self._addresses[channel // 2], channel % 2, duty)
+                        for channel, duty in enumerate(duties))

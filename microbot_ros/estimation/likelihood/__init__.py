@@ -1,0 +1,1 @@
+"""The likelihood of a model on whole sessions, and what rests on it."""

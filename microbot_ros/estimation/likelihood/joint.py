@@ -1,0 +1,398 @@
+"""The likelihood of a model on sessions, and its maximum: the one that all fits rest on.
+
+Positions are a random walk (D) read with an error (σ): the n coordinates of all increments are
+Gaussian with covariance D·V, where V depends on σ²/D alone (see `noise`). A model is linear in
+v e^{iφ} of every particle, columns X, so these and D follow in closed form and only σ²/D and the
+parameters of effects are searched (variable projection: Golub and Pereyra 1973; the Jacobian is
+Kaufman's, 1975).
+
+Effects are compared by the profile likelihood with D corrected for degrees of freedom: with p
+numbers v cos φ, v sin φ and f = n − p,
+
+    ℓ = −(f/2) (log 2πD + 1) − ½ log|V|,    D = RSS/f.
+
+σ²/D, for which X stays, is where the restricted likelihood is largest (REML: Patterson and
+Thompson 1971; Harville 1974),
+
+    ℓ_R = ℓ − ½ log|XᵀV⁻¹X|.
+
+On many short tracks ℓ alone makes D 1.1 to 2.2 times as large as it is. Effects can't be compared
+by ℓ_R, since that term depends on the scale of X: an effect that shrinks X would gain by it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from microbot_ros.estimation.likelihood.expected_displacement import ExpectedDisplacement
+from microbot_ros.estimation.likelihood.noise import Noise
+from microbot_ros.estimation.likelihood.phasor import Polar, polar
+from microbot_ros.estimation.likelihood.prepared_session import PreparedSession
+
+SMALLEST, LARGEST = 0.05, 1e5
+"""Bounds of (σ²/D + h/3)/h in the search; beyond them one of the two can't be seen at all."""
+
+VANISHING = 1e-200
+"""Squares of what a parameter does, in units of the noise, whose inverse would overflow."""
+
+REMEMBERED = 12
+"""White columns of a session that are kept."""
+
+_GOLDEN, _BRACKET = (math.sqrt(5) - 1) / 2, 0.1
+"""Of the search: the golden section, and the width from which a parabola does the rest."""
+
+
+@dataclass(frozen=True)
+class Whitening:
+    """The covariance V of a session's positions up to a factor D, as the filter that undoes it.
+
+    `noise_ratio` [s] is σ²/D less a third of the exposure, so that it may be negative. Where
+    headings keep what noise did to them from frame to frame, `diffusion_ratio` is D_r/D
+    [rad²/m²], with `sensitivity` and `retention` (T−1, N) of `kernels.whiten_with_heading`.
+    `stretch`: how much larger than they are lengths look along x and along y.
+    """
+
+    noise_ratio: float
+    diffusion_ratio: float = 0.0
+    sensitivity: np.ndarray | None = None
+    retention: np.ndarray | None = None
+    stretch: tuple[float, float] = (1.0, 1.0)
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether both axes are alike, and headings not noisy."""
+        return self.sensitivity is None and self.stretch == (1.0, 1.0)
+
+    def apply(self, session: PreparedSession,
+              columns: np.ndarray) -> tuple[np.ndarray, float, int]:
+        """White `columns` (T, N, M) of a `session`, ½ log|V| over both axes, rows used."""
+        from microbot_ros.estimation.likelihood.kernels import whiten_columns, whiten_with_heading
+
+        rows = session.times, session.pieces
+        if self.is_plain:
+            return whiten_columns(*rows, columns, self.noise_ratio)
+        ratios = self.noise_ratio / np.square(self.stretch)
+        columns = self._unstretched(columns)
+        if self.sensitivity is None:
+            (x, log_x, count), (y, log_y, _) = (
+                whiten_columns(*rows, np.ascontiguousarray(part), ratio)
+                for part, ratio in zip((columns.real, columns.imag), ratios, strict=True))
+            white, log_det = x + 1j * y, (log_x + log_y) / 2
+        else:
+            white, log_det, count = whiten_with_heading(
+                *rows, columns, ratios[0], ratios[1], self.diffusion_ratio,
+                self._unstretched(self.sensitivity), self.retention)
+        return white, log_det + count * math.log(math.prod(self.stretch)), count
+
+    def products(self, session: PreparedSession,
+                 expected: ExpectedDisplacement) -> tuple[np.ndarray, float, int]:
+        """Inner products (N, 3, 3) of data, along and across, white; ½ log|V| and rows as `apply`.
+
+        Where what is `expected` is isotropic and nothing stretched; what is white need not be
+        kept then.
+        """
+        from microbot_ros.estimation.likelihood.kernels import (
+            whitened_products,
+            whitened_products_with_heading,
+        )
+
+        columns = session.times, session.pieces, session.z, expected.offset, expected.along
+        if self.sensitivity is None:
+            return whitened_products(*columns, self.noise_ratio)
+        return whitened_products_with_heading(
+            *columns, self.noise_ratio, self.diffusion_ratio, self.sensitivity, self.retention)
+
+    def _unstretched(self, vectors: np.ndarray) -> np.ndarray:
+        """Complex `vectors` as they are, not as they look."""
+        return vectors if self.stretch == (1.0, 1.0) else (
+            vectors.real / self.stretch[0] + 1j * vectors.imag / self.stretch[1])
+
+
+@dataclass(frozen=True)
+class SessionFit:
+    """One session under a model of given effects and noise ratio: all that follows in closed form.
+
+    `session` and `whitening` as given, `expected` by the model. `gram` (N, 3, 3): real inner
+    products of `white` by track; `log_det` = ½ log|V|; `count` of the increments used, of two
+    numbers.
+    """
+
+    session: PreparedSession
+    whitening: Whitening
+    expected: ExpectedDisplacement
+    gram: np.ndarray
+    log_det: float
+    count: int
+
+    @classmethod
+    def of(cls, session: PreparedSession, whitening: Whitening,
+           expected: ExpectedDisplacement) -> SessionFit:
+        """A `session` whose displacements are `expected`, under the noise of `whitening`."""
+        if expected.isotropic and whitening.stretch == (1.0, 1.0):
+            return cls(session, whitening, expected, *whitening.products(session, expected))
+        white, log_det, count = whitening.apply(session, _columns(session, expected))
+        fit = cls(session, whitening, expected, inner(white), log_det, count)
+        vars(fit)['white'] = white
+        return fit
+
+    @cached_property
+    def white(self) -> np.ndarray:
+        """White data and columns along and across (T, N, 3), of unit variance but for D.
+
+        The data less the offset.
+        """
+        return self.whitening.apply(self.session, _columns(self.session, self.expected))[0]
+
+    @cached_property
+    def velocity_phasor(self) -> np.ndarray:
+        """v e^{iφ} (N,) of every track [m/s, for rollers m/s/Hz]; 0 where nothing drove it."""
+        solved = solve(self.gram[:, 1:, 1:], self.gram[:, 1:, :1])[..., 0]
+        own: np.ndarray = solved[:, 0] + 1j * solved[:, 1]
+        return own
+
+    @cached_property
+    def power(self) -> np.ndarray:
+        """Information (N,) about each axis of v e^{iφ}, times D; 0 where nothing drove it."""
+        power: np.ndarray = np.trace(self.gram[:, 1:, 1:], axis1=1, axis2=2) / 2
+        return power
+
+    @property
+    def phasor_std(self) -> np.ndarray:
+        """Standard deviation (N,) of v e^{iφ} per axis; infinite where nothing drove it."""
+        driven = self.power > 0
+        return np.sqrt(np.where(
+            driven, self.diffusion / np.where(driven, self.power, 1), np.inf))
+
+    def polar(self) -> Polar:
+        """Speed and φ of every track (N,), with their spreads; NaN where nothing drove it."""
+        std = self.phasor_std
+        return polar(self.velocity_phasor, np.where(np.isfinite(std), std, np.nan))
+
+    @cached_property
+    def residual_sum_of_squares(self) -> float:
+        """RSS [m²/s]: D times χ²."""
+        return float(eliminate(self.gram).sum())
+
+    @cached_property
+    def degrees_of_freedom(self) -> int:
+        """f = n − p, at least 1."""
+        return max(2 * (self.count - int((self.power > 0).sum())), 1)
+
+    @property
+    def diffusion(self) -> float:
+        """D [m²/s] at its maximum."""
+        return max(self.residual_sum_of_squares / self.degrees_of_freedom, 1e-30)
+
+    @cached_property
+    def log_likelihood(self) -> float:
+        """ℓ, with v, φ and D at their maximum: what effects are compared by."""
+        return (-0.5 * self.degrees_of_freedom * (np.log(2 * np.pi * self.diffusion) + 1)
+                - self.log_det)
+
+    @cached_property
+    def restricted_log_likelihood(self) -> float:
+        """ℓ_R: what noise levels under the same columns are compared by."""
+        information = self.gram[self.power > 0][:, 1:, 1:]
+        return self.log_likelihood - 0.5 * float(np.linalg.slogdet(information)[1].sum())
+
+    @cached_property
+    def residual(self) -> np.ndarray:
+        """White residual (T, N) complex, of unit variance per axis; 0 in rows not used."""
+        c = self.velocity_phasor
+        fitted = self.white[..., 1] * c.real + self.white[..., 2] * c.imag
+        residual: np.ndarray = (self.white[..., 0] - fitted) / np.sqrt(self.diffusion)
+        return residual
+
+    def whiten(self, columns: np.ndarray) -> np.ndarray:
+        """Other displacement `columns` (T, N, M) [m], whitened, in units of the noise."""
+        white = self.whitening.apply(self.session, np.ascontiguousarray(columns, complex))[0]
+        white /= np.sqrt(self.diffusion)
+        return white
+
+    def white_columns(
+            self, columns: Sequence[tuple[Hashable, Callable[[], np.ndarray]]]) -> np.ndarray:
+        """Other `columns`, displacements (T, N) [m] with a key each, whitened (T, N, P) but for D.
+
+        Whose key is not None is remembered by it for this session and noise, the latest few of
+        them. The rest are whitened together, since most of the work is the same for all.
+        """
+        # With its session, as an id is given again once that is gone.
+        known: dict[Hashable, tuple[PreparedSession, np.ndarray]]
+        known = vars(self.whitening).setdefault('_columns', {})
+        shape = self.session.z.shape
+        white = np.empty((*shape, len(columns)), complex)
+        new = []
+        for k, (key, _) in enumerate(columns):
+            if (id(self.session), key) in known:
+                white[..., k] = known[id(self.session), key][1]
+            else:
+                new.append(k)
+        if not new:
+            return white
+        moved = np.empty((*shape, len(new)), complex)
+        for place, k in enumerate(new):
+            moved[..., place] = columns[k][1]()
+        found = self.whitening.apply(self.session, moved)[0]
+        if len(new) == len(columns):
+            white = found
+        else:
+            white[..., new] = found
+        for k in new:
+            key = columns[k][0]
+            if key is not None:
+                if len(known) >= REMEMBERED:
+                    del known[next(iter(known))]
+                known[id(self.session), key] = self.session, white[..., k].copy()
+        return white
+
+    def with_noise_ratio(self, ratio: float) -> SessionFit:
+        """The same under another noise `ratio` [s]."""
+        return SessionFit.of(
+            self.session, replace(self.whitening, noise_ratio=ratio), self.expected)
+
+    def noise(self, exposure: float = 0.0) -> Noise:
+        """D and σ of a fit with its noise ratio at the maximum, for an `exposure` [s] per frame.
+
+        Standard deviations by the curvature of ℓ_R in log(σ²/D + h/3), by differences.
+        """
+        step, total = 0.05, self.whitening.noise_ratio + self.session.interval / 3
+        lower, upper = (
+            self.with_noise_ratio(total * math.exp(k * step) - self.session.interval / 3)
+            for k in (-1, 1))
+        curvature = 2 * self.restricted_log_likelihood - (
+            lower.restricted_log_likelihood + upper.restricted_log_likelihood)
+        variance = step**2 / max(curvature, 1e-9 * step**2)
+        slope = math.log(upper.diffusion / lower.diffusion) / (2 * step)
+        known, left = 2 / self.degrees_of_freedom, self.whitening.noise_ratio + exposure / 3
+        reading = max(left, 0.0) * self.diffusion
+        # d σ²/d log D = σ², and d σ²/d log(σ²/D + h/3) = D (σ²/D + h/3) besides.
+        reading_std = math.sqrt(
+            reading**2 * known + variance * (reading * slope + total * self.diffusion) ** 2)
+        localisation = math.sqrt(reading)
+        return Noise(
+            self.diffusion, localisation, exposure,
+            self.diffusion * math.sqrt(known + slope**2 * variance),
+            # σ/2 times the relative spread of σ² where that is small, its root where σ² drowns.
+            math.sqrt(reading + reading_std) - localisation)
+
+
+def search_noise_ratio(fit: SessionFit, near: bool = False) -> Iterator[SessionFit | None]:
+    """The maximum of ℓ_R over the noise ratio, from a `fit` with any, an evaluation at a time.
+
+    In log(σ²/D + h/3), as `climb` finds it: uphill from the ratio of the `fit` where the maximum
+    is `near`. Yields None after each evaluation, so that a caller with frames to serve can spread
+    the work; last the SessionFit.
+    """
+    h = fit.session.interval
+
+    def at(log_total: float) -> SessionFit:
+        return fit.with_noise_ratio(math.exp(log_total) - h / 3)
+
+    # No blur lasts longer than the shortest interval.
+    shortest = (1 / 3 - SMALLEST) * float(np.diff(fit.session.times).min())
+    return climb(at, math.log(h / 3 - shortest), math.log(LARGEST * h),
+                 math.log(fit.whitening.noise_ratio + h / 3) if near else None)
+
+
+def climb(at: Callable[[float], SessionFit], low: float, high: float,
+          near: float | None = None) -> Iterator[SessionFit | None]:
+    """The maximum of ℓ_R between `low` and `high`, `at` which there are fits.
+
+    By golden section, then a parabola. Where the maximum should be `near` a coordinate, it is
+    enclosed first, in steps that triple. Yields None after each evaluation; last the fit.
+    """
+    known: dict[float, float] = {}
+
+    def look(u: float) -> None:
+        known[u] = at(u).restricted_log_likelihood
+
+    if near is not None:
+        step = _BRACKET / 2
+        middle = min(max(near, low + step), high - step)
+        look(middle)
+        yield None
+        edges = [middle - step, middle + step]
+        for edge in edges:
+            look(edge)
+            yield None
+        for side, bound in ((0, low), (1, high)):
+            while edges[side] != bound and known[edges[side]] == max(known.values()):
+                step *= 3
+                edges[1 - side] = middle
+                middle = edges[side]
+                edges[side] = min(max(middle + (2 * side - 1) * step, low), high)
+                look(edges[side])
+                yield None
+        low, high = edges
+    left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
+    while high - low > 1.001 * _BRACKET:
+        for u in (left, right):
+            if u not in known:
+                look(u)
+                yield None
+        if known[left] > known[right]:
+            high, right = right, left
+            left = high - _GOLDEN * (high - low)
+        else:
+            low, left = left, right
+            right = low + _GOLDEN * (high - low)
+    best = max(known, key=known.__getitem__)
+    around = np.array(sorted(known, key=known.__getitem__)[-3:])
+    bend, slope, _ = np.polyfit(around - best, [known[u] - known[best] for u in around], 2)
+    vertex = best - slope / (2 * bend) if bend < 0 else best
+    yield at(float(np.clip(vertex, low, high)))
+
+
+def _columns(session: PreparedSession, expected: ExpectedDisplacement) -> np.ndarray:
+    """The data of a `session` less the offset, and the columns along and across (T, N, 3)."""
+    return np.stack([session.z - expected.offset, *(
+        np.broadcast_to(column, session.z.shape) for column in (expected.along, expected.across))],
+        axis=-1)
+
+
+def inner(columns: np.ndarray) -> np.ndarray:
+    """Real inner products (N, M, M) of complex `columns` (T, N, M), by track."""
+    real = np.ascontiguousarray(columns.transpose(1, 2, 0)).view(float)
+    product: np.ndarray = real @ real.transpose(0, 2, 1)
+    return product
+
+
+def eliminate(gram: np.ndarray) -> np.ndarray:
+    """What of a `gram` (P, M, M) is left of columns 0, 3, 4, … once 1 and 2 are projected off.
+
+    Inner products (P, M−2, M−2).
+    """
+    rest = [0, *range(3, gram.shape[-1])]
+    mixed = gram[:, 1:3, rest]
+    left: np.ndarray = gram[:, rest][:, :, rest] - np.swapaxes(mixed, 1, 2) @ solve(
+        gram[:, 1:3, 1:3], mixed)
+    return left
+
+
+def eliminate_shared(gram: np.ndarray, count: int) -> np.ndarray:
+    """What of a `gram` (M, M) is left of column 0 and those after `count` shared parameters.
+
+    These, columns 1 to `count`, are projected off: inner products (M − count, M − count). What
+    does nothing, as a spot that no particle came near, takes nothing with it.
+    """
+    own = 1 + np.flatnonzero(np.diagonal(gram)[1:1 + count] > VANISHING)
+    rest = [0, *range(1 + count, len(gram))]
+    left: np.ndarray = gram[np.ix_(rest, rest)]
+    if own.size:
+        mixed = gram[np.ix_(own, rest)]
+        left -= mixed.T @ np.linalg.pinv(
+            gram[np.ix_(own, own)], rcond=1e-10, hermitian=True) @ mixed
+    return left
+
+
+def solve(square: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """x of `square` (N, 2, 2) · x = `right` (N, 2, M); zero where nothing is to be solved."""
+    power = np.trace(square, axis1=1, axis2=2)[:, None, None]
+    safe = square + np.where(power > 0, 1e-12 * power, 1.0) * np.eye(2)
+    solved: np.ndarray = np.linalg.solve(safe, right)
+    return solved

@@ -1,0 +1,453 @@
+"""The inner loops over frames, compiled: whitening and filtering. Imported when they are needed.
+
+All take D = 1: `noise_ratio` [s] is σ²/D less a third of the exposure (see `noise`). Loops where
+slices would do, which take seconds longer to compile.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import types
+
+from microbot_ros.common.compiled import numba
+from microbot_ros.model.physics.alignment_kernel import given
+
+_ROWS = (given(types.float64, 1, 'C'), given(types.int64, 2, 'C'))
+
+
+@numba.njit([(*_ROWS, given(kind, 3, 'C'), types.float64)
+             for kind in (types.complex128, types.float64)], cache=True)
+def whiten_columns(times, pieces, columns, noise_ratio):  # type: ignore[no-untyped-def]
+    """White increments of `columns` (T, N, M), of unit variance per axis, by the local-level gain.
+
+    `times` (T,) [s], `noise_ratio` [s]; `pieces` (T, N): the piece of a track that each row
+    belongs to, 0 where it is not used. Such rows, and the first of every piece, come out as
+    zeros. Also Σ log variance of one axis, which for complex columns is ½ log det over both, and
+    the number of rows used.
+    """
+    frames, tracks, count = columns.shape
+    out = np.zeros_like(columns)
+    filtered = np.zeros(count, columns.dtype)
+    log_det, used = 0.0, 0
+    for n in range(tracks):
+        last, piece = -1, 0
+        variance = noise_ratio
+        for k in range(frames):
+            if not pieces[k, n]:
+                continue
+            if pieces[k, n] != piece:
+                piece, variance = pieces[k, n], noise_ratio
+                for m in range(count):
+                    filtered[m] = columns[k, n, m]
+            else:
+                ahead = variance + 2.0 * (times[k] - times[last])
+                total = ahead + noise_ratio
+                gain = ahead / total
+                scale = 1.0 / np.sqrt(total)
+                for m in range(count):
+                    innovation = columns[k, n, m] - filtered[m]
+                    filtered[m] += gain * innovation
+                    out[k, n, m] = innovation * scale
+                variance = noise_ratio * gain
+                log_det += np.log(total)
+                used += 1
+            last = k
+    return out, log_det, used
+
+
+@numba.njit(cache=True)
+def whitened_products(times, pieces, z, offset, along, noise_ratio):  # type: ignore[no-untyped-def]
+    """Real inner products (N, 3, 3) of `z` − `offset`, `along` and i·`along` (T, 1 or N), white.
+
+    `times`, `pieces` and `noise_ratio`, ½ log det and the rows used as in `whiten_columns`, whose
+    columns need not be kept for these.
+    """
+    frames, tracks = z.shape
+    products, log_det, used = np.zeros((tracks, 3, 3)), 0.0, 0
+    for n in range(tracks):
+        o, a = min(n, offset.shape[1] - 1), min(n, along.shape[1] - 1)
+        data = column = mixed = 0j
+        own = power = 0.0
+        last, piece, variance, total_product = -1, 0, noise_ratio, 1.0
+        for k in range(frames):
+            if not pieces[k, n]:
+                continue
+            new, way = z[k, n] - offset[k, o], along[k, a]
+            if pieces[k, n] != piece:
+                piece, variance = pieces[k, n], noise_ratio
+                data, column = new, way
+            else:
+                ahead = variance + 2.0 * (times[k] - times[last])
+                weight = 1.0 / (ahead + noise_ratio)
+                gain = ahead * weight
+                new, way = new - data, way - column
+                data += gain * new
+                column += gain * way
+                own += (new.real * new.real + new.imag * new.imag) * weight
+                power += (way.real * way.real + way.imag * way.imag) * weight
+                mixed += new * way.conjugate() * weight
+                variance = noise_ratio * gain
+                # One logarithm for many, for it costs as much as all the rest.
+                total_product *= ahead + noise_ratio
+                if not 1e-250 < total_product < 1e250:
+                    log_det += math.log(total_product)
+                    total_product = 1.0
+                used += 1
+            last = k
+        log_det += math.log(total_product)
+        gram = products[n]
+        gram[0, 0], gram[1, 1], gram[2, 2] = own, power, power
+        gram[0, 1] = gram[1, 0] = mixed.real
+        gram[0, 2] = gram[2, 0] = mixed.imag
+    return products, log_det, used
+
+
+@numba.njit([(given(types.complex128, 3, 'C'), given(types.complex128, 3, 'C'), types.float64)],
+      cache=True)
+def joint_products(white, others, scale):  # type: ignore[no-untyped-def]
+    """Real inner products (N, L + M, L + M) of `white` (T, N, L) times a `scale` and `others`.
+
+    Those (T, N, M) are taken as they are.
+    """
+    frames, tracks, count = white.shape
+    total = count + others.shape[2]
+    out, row = np.zeros((tracks, total, total)), np.zeros(total, np.complex128)
+    for k in range(frames):
+        for n in range(tracks):
+            for m in range(count):
+                row[m] = white[k, n, m] * scale
+            for m in range(count, total):
+                row[m] = others[k, n, m - count]
+            for m in range(total):
+                x, y = row[m].real, row[m].imag
+                for other in range(m + 1):
+                    out[n, m, other] += x * row[other].real + y * row[other].imag
+    for n in range(tracks):
+        for m in range(total):
+            for other in range(m):
+                out[n, other, m] = out[n, m, other]
+    return out
+
+
+FOLLOWED = 1e-12
+"""Part of the largest step below which what a filter has not yet followed of one is nothing."""
+
+
+@numba.njit(cache=True)
+def _steps_of_row(left, active, number, knots, moved):  # type: ignore[no-untyped-def]
+    """Add to what is `left` of each knot what the next interval has `moved`; how many are active.
+    """
+    for j in range(len(knots)):
+        m = knots[j]
+        if moved[j] != 0:
+            known = False
+            for a in range(number):
+                known = known or active[a] == m
+            if not known:
+                active[number] = m
+                number += 1
+            left[m] += moved[j]
+    return number
+
+
+@numba.njit(cache=True)
+def _add_products(gram, known, left, active, scale):  # type: ignore[no-untyped-def]
+    """Add the products of one row, below the diagonal: what is `known`, then `active` knots."""
+    first = len(known)
+    for a in range(first):
+        for b in range(a + 1):
+            gram[a, b] += known[a].real * known[b].real + known[a].imag * known[b].imag
+    for a in range(len(active)):
+        m = active[a]
+        x, y = left[m].real * scale, left[m].imag * scale
+        for b in range(first):
+            gram[first + m, b] += x * known[b].real + y * known[b].imag
+        for b in range(a + 1):
+            other = active[b]
+            product = (x * left[other].real + y * left[other].imag) * scale
+            gram[first + max(m, other), first + min(m, other)] += product
+
+
+@numba.njit(cache=True)
+def knot_products(  # type: ignore[no-untyped-def]
+        times, pieces, known, starts, knots, moved, count, folds, parts, noise_ratio):
+    """Real inner products (`parts`, L + `count`, L + `count`) of `known` and knots, white.
+
+    Of one track: `times` and `pieces` (T,) and `noise_ratio` as in `whiten_columns`; `known`
+    (T, L) is white already. The interval after row k has `moved` `knots` as told from
+    `starts`[k] to `starts`[k + 1]. Rows go to one of the `parts` by `folds` (T,).
+    """
+    first = known.shape[1]
+    out = np.zeros((parts, first + count, first + count))
+    left, active, number = np.zeros(count, np.complex128), np.zeros(count, np.int64), 0
+    least = FOLLOWED * np.abs(moved).max() if len(moved) else 0.0
+    last, piece, variance = -1, 0, noise_ratio
+    for k in range(len(times)):
+        if k:
+            told = slice(starts[k - 1], starts[k])
+            number = _steps_of_row(left, active, number, knots[told], moved[told])
+        if not pieces[k]:
+            continue
+        kept = 0.0
+        if pieces[k] != piece:
+            piece, variance = pieces[k], noise_ratio
+        else:
+            ahead = variance + 2.0 * (times[k] - times[last])
+            total = ahead + noise_ratio
+            kept = noise_ratio / total
+            _add_products(out[folds[k]], known[k], left, active[:number], 1.0 / math.sqrt(total))
+            variance = noise_ratio * ahead / total
+        last, held = k, 0
+        for a in range(number):
+            m = active[a]
+            left[m] *= kept
+            if abs(left[m]) > least:
+                active[held] = m
+                held += 1
+            else:
+                left[m] = 0j
+        number = held
+    for gram in out:
+        for a in range(len(gram)):
+            for b in range(a):
+                gram[b, a] = gram[a, b]
+    return out
+
+
+@numba.njit(cache=True)
+def filter_positions(times, pieces, positions, noise_ratio):  # type: ignore[no-untyped-def]
+    """Means (T, N) of the local-level filter of `positions` (T, N) complex after every frame.
+
+    `times` (T,) [s], `pieces` (T, N), with each of which it begins anew, `noise_ratio` [s]. Rows
+    before the first piece are NaN; unused ones keep the last mean.
+    """
+    out = np.full(positions.shape, np.nan + 0j)
+    for n in range(positions.shape[1]):
+        variance, last, piece = noise_ratio, -1, 0
+        mean = 0j
+        for k in range(len(times)):
+            if pieces[k, n]:
+                if pieces[k, n] != piece:
+                    piece, variance = pieces[k, n], noise_ratio
+                    mean = positions[k, n]
+                else:
+                    ahead = variance + 2.0 * (times[k] - times[last])
+                    gain = ahead / (ahead + noise_ratio)
+                    mean += gain * (positions[k, n] - mean)
+                    variance = noise_ratio * gain
+                last = k
+            if last >= 0:
+                out[k, n] = mean
+    return out
+
+
+@numba.njit(cache=True)
+def _stationary_variance(diffusion_ratio, times, retention, k, n):  # type: ignore[no-untyped-def]
+    """Variance of a heading that the field has long held."""
+    k = min(k, len(retention) - 1)
+    q = min(retention[k, n], 0.999)
+    if q <= 0:
+        return 0.0
+    return -diffusion_ratio * (times[k + 1] - times[k]) / math.log(q)
+
+
+@numba.njit(cache=True)
+def _heading_noise(h, diffusion_ratio, retention):  # type: ignore[no-untyped-def]
+    """What noise in the heading adds over an interval h: an Ornstein–Uhlenbeck process.
+
+    The velocity per sensitivity, and the variance of its integral, their covariance, the variance
+    of the heading.
+    """
+    if retention < 1e-9:
+        return 0.0, 0.0, 0.0, 0.0
+    decay = -math.log(retention)
+    if abs(decay) < 1e-3:
+        variance = diffusion_ratio * 2 * h
+        return 1 / h, variance * h**2 / 3, variance * h / 2, variance
+    rate = decay / h
+    spread = 2 / rate**2 * (h - 2 * (1 - retention) / rate + (1 - retention**2) / (2 * rate))
+    return (rate / (1 - retention), diffusion_ratio * spread,
+            diffusion_ratio * ((1 - retention) / rate) ** 2,
+            diffusion_ratio * (1 - retention**2) / rate)
+
+
+@numba.njit(cache=True)
+def _heading_noises(times, diffusion_ratio, retention):  # type: ignore[no-untyped-def]
+    """`_heading_noise` (T−1, 4) of every frame interval, for the first particle."""
+    out = np.empty((len(times) - 1, 4))
+    for k in range(len(out)):
+        out[k] = _heading_noise(times[k + 1] - times[k], diffusion_ratio, retention[k, 0])
+    return out
+
+
+NEGLIGIBLE = 1e-12
+"""Covariance of x and y, relative to their variances, that is none."""
+
+
+@numba.njit(cache=True)
+def _ahead(covariance, h, side, spread, mixed, turned, b, q):  # type: ignore[no-untyped-def]
+    """The covariance of place and heading (xx, xy, yy, xa, ya, aa) an interval h later.
+
+    `b` and `q`: sensitivity and retention; the rest as `_heading_noise` has it.
+    """
+    xx, xy, yy, xa, ya, aa = covariance
+    if aa == 0 and turned == 0:  # the field holds the heading, as it mostly does
+        return xx + 2 * h, xy, yy + 2 * h, 0.0, 0.0, 0.0
+    u, v = b.real, b.imag
+    i, j = u * side, v * side
+    xx += 2 * u * xa + u * u * aa + spread * i * i + 2 * h
+    yy += 2 * v * ya + v * v * aa + spread * j * j + 2 * h
+    xy += u * ya + v * xa + u * v * aa + spread * i * j
+    xa = q * (xa + u * aa) + mixed * i
+    ya = q * (ya + v * aa) + mixed * j
+    return xx, xy, yy, xa, ya, q * q * aa + turned
+
+
+@numba.njit(cache=True)
+def _seen(covariance, ratio_x, ratio_y):  # type: ignore[no-untyped-def]
+    """The covariance after a reading, the gains (xx, xy, yx, yy, ax, ay), how to make the
+    innovation white (scale of x, lean, scale of y), and the determinant of its covariance.
+    """
+    xx, xy, yy, xa, ya, aa = covariance
+    sx, sy = xx + ratio_x, yy + ratio_y
+    if aa == 0 and abs(xy) < NEGLIGIBLE * sx:  # before it is a number too small to be fast
+        gx, gy = xx / sx, yy / sy
+        return ((ratio_x * gx, 0.0, ratio_y * gy, 0.0, 0.0, 0.0), (gx, 0.0, 0.0, gy, 0.0, 0.0),
+                (1 / math.sqrt(sx), 0.0, 1 / math.sqrt(sy)), sx * sy)
+    det = sx * sy - xy * xy
+    over = 1 / det
+    gxx, gxy = (xx * sy - xy * xy) * over, (xy * sx - xx * xy) * over
+    gyx, gyy = (xy * sy - yy * xy) * over, (yy * sx - xy * xy) * over
+    gax, gay = (xa * sy - ya * xy) * over, (ya * sx - xa * xy) * over
+    after = (ratio_x * gxx, ratio_y * gxy, ratio_y * gyy,
+             xa - gxx * xa - gxy * ya, ya - gyx * xa - gyy * ya, aa - gax * xa - gay * ya)
+    white = 1 / math.sqrt(sx), xy / sx, math.sqrt(sx * over)
+    return after, (gxx, gxy, gyx, gyy, gax, gay), white, det
+
+
+@numba.njit(cache=True)
+def _carry(  # type: ignore[no-untyped-def]
+        covariance, place, turn, k, n, times, noises, diffusion_ratio, sensitivity, retention):
+    """The covariance at row k of track n, an interval later; `place` and `turn` (M,) in place."""
+    b, q = sensitivity[k - 1, n], retention[k - 1, n]
+    h = times[k] - times[k - 1]
+    noise = (noises[k - 1, 0], noises[k - 1, 1], noises[k - 1, 2], noises[k - 1, 3])
+    if q != retention[k - 1, 0]:
+        noise = _heading_noise(h, diffusion_ratio, q)
+    for m in range(len(place)):
+        place[m] += b * turn[m]
+        turn[m] *= q
+    return _ahead(covariance, h, *noise, b, q)
+
+
+@numba.njit(cache=True)
+def _logged(log_det, product):  # type: ignore[no-untyped-def]
+    """½ log det so far, and the `product` of determinants that is not in it yet.
+
+    One logarithm for many, for it costs as much as all the rest.
+    """
+    if 1e-150 < product < 1e150:
+        return log_det, product
+    return log_det + 0.5 * math.log(product), 1.0
+
+
+@numba.njit([(*_ROWS, given(types.complex128, 3, 'C'), types.float64, types.float64,
+             types.float64, given(types.complex128, 2, 'C'), given(types.float64, 2, 'C'))],
+            cache=True)
+def whiten_with_heading(  # type: ignore[no-untyped-def]
+        times, pieces, columns, ratio_x, ratio_y, diffusion_ratio, sensitivity, retention):
+    """White increments of complex `columns` (T, N, M) where headings are noisy as well.
+
+    `times` and `pieces` as in `whiten_columns`; `ratio_x`, `ratio_y`: the `noise_ratio` [s] of
+    either axis; `diffusion_ratio` = D_r/D [rad²/m²]; `sensitivity` (T−1, N) complex: displacement
+    over a frame interval per radian at its start; `retention` (T−1, N): the part of a deviation
+    left at its end. A Kalman filter over place (x, y) and heading (a), whose covariance is kept
+    as six scalars; real and imaginary parts of the result are independent. Also ½ log det of the
+    innovations over both axes, and rows used.
+    """
+    T, N, M = columns.shape
+    out = np.zeros((T, N, M), np.complex128)
+    log_det, used, product = 0.0, 0, 1.0
+    noises = _heading_noises(times, diffusion_ratio, retention)
+    place, turn = np.zeros(M, np.complex128), np.zeros(M)
+    for n in range(N):
+        piece = 0
+        covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        for k in range(T):
+            if piece:
+                covariance = _carry(covariance, place, turn, k, n, times, noises,
+                                    diffusion_ratio, sensitivity, retention)
+            if not pieces[k, n]:
+                continue
+            if pieces[k, n] != piece:
+                piece = pieces[k, n]
+                covariance = (ratio_x, 0.0, ratio_y, 0.0, 0.0, _stationary_variance(
+                    diffusion_ratio, times, retention, k, n))
+                for m in range(M):
+                    place[m], turn[m] = columns[k, n, m], 0.0
+                continue
+            covariance, gains, white, det = _seen(covariance, ratio_x, ratio_y)
+            gxx, gxy, gyx, gyy, gax, gay = gains
+            scale_x, lean, scale_y = white
+            log_det, product = _logged(log_det, product * det)
+            used += 1
+            for m in range(M):
+                step = columns[k, n, m] - place[m]
+                i, j = step.real, step.imag
+                out[k, n, m] = complex(i * scale_x, (j - lean * i) * scale_y)
+                place[m] += complex(gxx * i + gxy * j, gyx * i + gyy * j)
+                turn[m] += gax * i + gay * j
+    return out, log_det + 0.5 * math.log(product), used
+
+
+@numba.njit(cache=True)
+def whitened_products_with_heading(  # type: ignore[no-untyped-def]
+        times, pieces, z, offset, along, noise_ratio, diffusion_ratio, sensitivity, retention):
+    """`whitened_products` where headings are noisy as well.
+
+    `times`, `pieces`, `z`, `offset`, `along` and `noise_ratio` as there; `diffusion_ratio`,
+    `sensitivity` and `retention` as in `whiten_with_heading`.
+    """
+    T, N = z.shape
+    products, log_det, used, product = np.zeros((N, 3, 3)), 0.0, 0, 1.0
+    noises = _heading_noises(times, diffusion_ratio, retention)
+    place, turn = np.zeros(3, np.complex128), np.zeros(3)
+    new, white_new = np.zeros(3, np.complex128), np.zeros(3, np.complex128)
+    for n in range(N):
+        o, a = min(n, offset.shape[1] - 1), min(n, along.shape[1] - 1)
+        gram, piece = products[n], 0
+        covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        for k in range(T):
+            if piece:
+                covariance = _carry(covariance, place, turn, k, n, times, noises,
+                                    diffusion_ratio, sensitivity, retention)
+            if not pieces[k, n]:
+                continue
+            new[0], new[1], new[2] = z[k, n] - offset[k, o], along[k, a], 1j * along[k, a]
+            if pieces[k, n] != piece:
+                piece = pieces[k, n]
+                covariance = (noise_ratio, 0.0, noise_ratio, 0.0, 0.0, _stationary_variance(
+                    diffusion_ratio, times, retention, k, n))
+                for m in range(3):
+                    place[m], turn[m] = new[m], 0.0
+                continue
+            covariance, gains, white, det = _seen(covariance, noise_ratio, noise_ratio)
+            gxx, gxy, gyx, gyy, gax, gay = gains
+            scale_x, lean, scale_y = white
+            log_det, product = _logged(log_det, product * det)
+            used += 1
+            for m in range(3):
+                step = new[m] - place[m]
+                i, j = step.real, step.imag
+                x, y = i * scale_x, (j - lean * i) * scale_y
+                white_new[m] = complex(x, y)
+                place[m] += complex(gxx * i + gxy * j, gyx * i + gyy * j)
+                turn[m] += gax * i + gay * j
+                for other in range(m + 1):
+                    gram[m, other] += x * white_new[other].real + y * white_new[other].imag
+        for m in range(3):
+            for other in range(m):
+                gram[other, m] = gram[m, other]
+    return products, log_det + 0.5 * math.log(product), used

@@ -1,0 +1,105 @@
+"""From the velocity phasor v e^{iφ} to speed, direction and force, with honest spreads."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import i0e, i1e
+
+from microbot_ros.common.compiled import numba
+from microbot_ros.common.records import Conditions
+from microbot_ros.estimation.likelihood.noise import sphere_in_fluid
+from microbot_ros.model.physics.particle import stokes_drag
+
+DRAG_RELATIVE_STD = float(np.hypot(0.05, 0.05))
+"""What is not known of 6πηr: 5 % of viscosity and 5 % of radius."""
+
+NO_ANGLE = math.pi / math.sqrt(3)
+"""Standard deviation [rad] of an angle of which nothing is known."""
+
+
+@dataclass(frozen=True)
+class Polar:
+    """`speed` ± `speed_std` [m/s, or m/s/Hz] and `phi` ± `phi_std` [rad]; arrays of one shape."""
+
+    speed: np.ndarray
+    speed_std: np.ndarray
+    phi: np.ndarray
+    phi_std: np.ndarray
+
+    def widened(self, log_phasor: np.ndarray | complex) -> Polar:
+        """With what else moves log v e^{iφ}.
+
+        `log_phasor` (N,) or one for all: by how much, as a standard deviation of either part. An
+        angle is never known worse than if all were alike.
+        """
+        speed, phi = np.abs(np.real(log_phasor)), np.abs(np.imag(log_phasor))
+        return Polar(self.speed, np.hypot(self.speed_std, self.speed * speed),
+                     self.phi, np.minimum(np.hypot(self.phi_std, phi), NO_ANGLE))
+
+    def of(self, rows: np.ndarray) -> Polar:
+        """Of some `rows` (P,) alone."""
+        return Polar(self.speed[rows], self.speed_std[rows], self.phi[rows], self.phi_std[rows])
+
+    def force(self, conditions: Conditions) -> tuple[np.ndarray, np.ndarray]:
+        """F = 6πηr v [N] under some `conditions`, and its standard deviation, that of 6πηr in it.
+
+        With the drag at their height above the floor, which is taken as it was stated. NaN where
+        radius or viscosity are not known, and for rollers.
+        """
+        known = sphere_in_fluid(conditions)
+        drag = stokes_drag(*known) if known and conditions.propulsion != 'rolling' else np.nan
+        force = drag * self.speed
+        return force, np.hypot(drag * self.speed_std, DRAG_RELATIVE_STD * force)
+
+
+def polar(velocity_phasor: np.ndarray, std: np.ndarray) -> Polar:
+    """Speed |c| and phase arg c of a `velocity_phasor` c known to `std` on each axis.
+
+    Arrays of one shape [m/s, for rollers m/s/Hz]; where one is NaN, so is the result.
+
+    Moments of the Rice likelihood under a flat prior on speed ≥ 0: |c| alone is biased upwards
+    by std²/2v. Where c drowns in its own spread the speed is that of a half-normal, and the
+    phase's standard deviation tends to that of a uniform angle, π/√3; nothing diverges.
+    With y = |c|²/2 std²: E v = std √(2/π) / (e^{−y/2} I₀(y/2)),
+    E v² = std² (1 + y + y I₁(y/2)/I₀(y/2)); the phase's mean resultant length is
+    √(πy)/2 · e^{−y/2} (I₀(y/2) + I₁(y/2)).
+    """
+    velocity_phasor = np.asarray(velocity_phasor, complex)
+    half = _half_square(velocity_phasor, std)
+    return Polar(*_moments(velocity_phasor, std, half, i0e(half), i1e(half)))
+
+
+@numba.njit('f8[::1](c16[:], f8[:])', cache=True)
+def _half_square(c, std):  # type: ignore[no-untyped-def]
+    """y/2 (N,) of `polar`."""
+    half = np.empty(len(c))
+    for n in range(len(c)):
+        size = abs(c[n]) / max(std[n], 1e-30)
+        half[n] = min(size * size / 4, 5e11) if size == size else np.nan
+    return half
+
+
+@numba.njit('UniTuple(f8[::1], 4)(c16[:], f8[:], f8[:], f8[:], f8[:])', cache=True,
+            error_model='numpy')
+def _moments(c, std, half, i0, i1):  # type: ignore[no-untyped-def]
+    """The fields of `Polar` from c, its `std`, y/2 and e^{−y/2} I(y/2) of orders 0 and 1."""
+    speed, spread, phase_std = np.empty(len(c)), np.empty(len(c)), np.empty(len(c))
+    phase = np.empty(len(c))
+    for n in range(len(c)):
+        y, width = 2 * half[n], max(std[n], 1e-30)
+        speed[n] = width * math.sqrt(2 / math.pi) / i0[n]
+        # For large y the difference of squares cancels: the spread is `std` to 1 part in 4y.
+        if y > 1e4:
+            spread[n], phase_std[n] = width, 1 / math.sqrt(2 * y)
+        else:
+            square = width**2 * (1 + y + y * i1[n] / i0[n])
+            spread[n] = math.sqrt(max(square - speed[n] ** 2, 0.0))
+            resultant = min(max(math.sqrt(math.pi * y) / 2 * (i0[n] + i1[n]), 1e-300), 1.0)
+            phase_std[n] = min(math.sqrt(-2 * math.log(resultant)), NO_ANGLE)
+        phase[n] = math.atan2(c[n].imag, c[n].real)
+        if math.isnan(half[n]):
+            speed[n] = spread[n] = phase_std[n] = np.nan
+    return speed, spread, phase, phase_std

@@ -1,0 +1,264 @@
+"""The exact filter for position and velocity phasor, under hypotheses of when that changed."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from microbot_ros.common.compiled import numba
+
+MIN_WEIGHT = 0.05
+"""Hypotheses less probable than this neither move nor widen an estimate."""
+
+
+class Mixture(NamedTuple):
+    """Mean and covariance over hypotheses, arrays (N,): see `PhasorBank`.
+
+    `p`, `velocity_phasor`, their variances per axis `p_var`, `phasor_var`, and `cross`, half the
+    mean of p̃ c̃*.
+    """
+
+    p: np.ndarray
+    velocity_phasor: np.ndarray
+    p_var: np.ndarray
+    phasor_var: np.ndarray
+    cross: np.ndarray
+
+
+class PhasorBank:
+    """Kalman filters for (p, c) in dp = c dU + dW + diffusion, z = p + noise; K hypotheses × N.
+
+    p is the position [m] and c the `velocity_phasor` v e^{iφ} [m/s, for rollers m/s/Hz]; all
+    arrays are (K, N). K is the number of `hypotheses`, N that of the particles.
+
+    Everything is complex (x + iy) and isotropic, so one particle needs one complex pair. The
+    covariance is kept factorised: `phasor_var` is Var c, `g` the regression of p on c and `p_var`
+    the variance of p given c (each per axis), P = [[p_var + |g|² Var c, g Var c], [·, Var c]].
+    Every factor is updated by products of positive numbers, so P is positive definite by
+    construction, and with constant c the recursion is least squares on increments whitened
+    exactly for diffusion and localisation noise.
+
+    Hypothesis 0 is "nothing changed"; slot j > 0 says "c changed when this slot was opened".
+    Slot j is reopened every 2ʲ ticks (the last as often as the one before it), so that the bank
+    always holds moments of change spread evenly over the logarithm of the age: an abrupt change
+    is met by a filter that starts afresh at the right moment, without process noise that would
+    blur the steady state. (The run-length posterior of Bayesian online change-point detection,
+    Adams & MacKay 2007, on a fixed grid.)
+    """
+
+    _ARRAYS: ClassVar[tuple[str, ...]] = (
+        'p', 'velocity_phasor', 'g', 'p_var', 'phasor_var', 'log_weight')
+
+    def __init__(self, hypotheses: int) -> None:
+        shape = (hypotheses, 0)
+        self.p = np.zeros(shape, complex)
+        self.velocity_phasor = np.zeros(shape, complex)
+        self.g = np.zeros(shape, complex)
+        self.p_var = np.zeros(shape)
+        self.phasor_var = np.zeros(shape)
+        self.log_weight = np.zeros(shape)
+        self._ticks = 0
+
+    def add(self, position: np.ndarray, p_var: np.ndarray, phasor_var: float) -> None:
+        """Append particles at complex `position` (n,) [m] ± √`p_var`, with c = 0 ± √`phasor_var`.
+
+        Variances per axis, `p_var` (n,) [m²], `phasor_var` [m²/s²].
+        """
+        for name, born in self._births(position, p_var, phasor_var).items():
+            setattr(self, name, np.concatenate([getattr(self, name), born], axis=1))
+
+    def _births(
+        self, position: np.ndarray, p_var: np.ndarray, phasor_var: float,
+    ) -> dict[str, np.ndarray]:
+        """The columns (K, n) of particles of which no more is known than where they are."""
+        shape = self.p.shape[0], len(position)
+        log_weight = np.full(shape, -np.inf)
+        log_weight[0] = 0.0
+        return {
+            'p': np.broadcast_to(position, shape), 'velocity_phasor': np.zeros(shape, complex),
+            'g': np.zeros(shape, complex), 'p_var': np.broadcast_to(p_var, shape),
+            'phasor_var': np.full(shape, phasor_var), 'log_weight': log_weight,
+        }
+
+    def scale_velocity_phasor(self, factor: complex) -> None:
+        """Multiply every c by a complex `factor` of a size near 1."""
+        self.velocity_phasor *= factor
+
+    def keep(self, particles: np.ndarray) -> None:
+        """Keep only these columns: `particles` is a mask (N,) or indices (n,)."""
+        for name in self._ARRAYS:
+            # Another order in memory would be compiled for anew.
+            setattr(self, name, getattr(self, name)[:, particles].copy('C'))
+
+    def predict(
+        self, path: np.ndarray, drift: np.ndarray, diffused: float, wander: np.ndarray,
+    ) -> None:
+        """Move on to the next frame: by c · `path`, ∫u dt [s], and `drift` [m], (1 or N,) complex.
+
+        `diffused` = 2Dh [m²] is the variance that diffusion adds, `wander` (N,) that of c.
+        """
+        _predict(self.p, self.velocity_phasor, self.g, self.p_var, self.phasor_var, path, drift,
+                 diffused, wander)
+
+    def update(self, z: np.ndarray, noise: np.ndarray, seen: np.ndarray) -> None:
+        """Take positions `z` (N,) read with variance `noise` (N,) [m²] where `seen` (N,)."""
+        _update(self.p, self.velocity_phasor, self.g, self.p_var, self.phasor_var,
+                self.log_weight, z, noise, seen)
+
+    def restart(
+        self, rows: np.ndarray, z: np.ndarray, noise: np.ndarray, phasor_var: float,
+    ) -> None:
+        """Begin particles `rows` (n,) anew at `z` (n,) [m] ± √`noise`, their predictions failed.
+
+        They may have been moved, or their c is not what it was: two hypotheses of equal
+        probability, c as known and c = 0 ± √`phasor_var`, between which what follows decides.
+        """
+        known = self.combined()
+        for name, born in self._births(z, noise, phasor_var).items():
+            getattr(self, name)[:, rows] = born
+        self.velocity_phasor[0, rows] = known.velocity_phasor[rows]
+        self.phasor_var[0, rows] = known.phasor_var[rows]
+        self.log_weight[-1, rows] = 0.0
+
+    def tick(
+        self, prior_probability: float, change_var: np.ndarray, phasor_var_max: float,
+    ) -> np.ndarray:
+        """Reopen the slot that is due, with "c changed just now" of `prior_probability`.
+
+        `change_var` (N,) is the variance that such a change adds to c on each axis, up to
+        `phasor_var_max` in all. Returns the
+        ticks since c changed (N,), where the slot's lapse made it certain; else 0.
+        """
+        self._ticks += 1
+        zeros = (self._ticks & -self._ticks).bit_length() - 1
+        slot = min(zeros + 1, self.p.shape[0] - 1)
+        age = 2 ** min(slot, self.p.shape[0] - 2)
+        changed = self._fold(slot) > 0.5
+        self._open(slot, prior_probability * 2 ** (slot - 1), change_var, phasor_var_max)
+        return np.where(changed, age, 0)
+
+    def weights(self) -> np.ndarray:
+        """Posterior probability (K, N) of each hypothesis, those below MIN_WEIGHT set to zero."""
+        weight: np.ndarray = posterior(self.log_weight)
+        return weight
+
+    def combined(self) -> Mixture:
+        """Mean and covariance over all hypotheses."""
+        return Mixture(*_combine(self.weights(), self.p, self.velocity_phasor, self.g, self.p_var,
+                                 self.phasor_var))
+
+    def _fold(self, slot: int) -> np.ndarray:
+        """Merge a slot into hypothesis 0 where it carries weight, else let it lapse; its share."""
+        pair = [0, slot]
+        share = posterior(self.log_weight[pair])
+        merged = Mixture(*_combine(share, *(
+            getattr(self, name)[pair] for name in self._ARRAYS[:5])))
+        self.log_weight[0] = np.logaddexp(
+            self.log_weight[0], np.where(share[1] > 0, self.log_weight[slot], -np.inf)
+        )
+        for name in ('p', 'velocity_phasor', 'phasor_var'):
+            getattr(self, name)[0] = getattr(merged, name)
+        self.g[0] = merged.cross / merged.phasor_var
+        left = merged.p_var - np.abs(merged.cross) ** 2 / merged.phasor_var
+        # Exactly, a mixture is never narrower than its narrowest part; rounding could be.
+        self.p_var[0] = np.maximum(left, self.p_var[pair].min(axis=0))
+        second: np.ndarray = share[1]
+        return second
+
+    def _open(
+        self, slot: int, probability: float, change_var: np.ndarray, phasor_var_max: float,
+    ) -> None:
+        """Start "c changed just now" from hypothesis 0."""
+        known = self.phasor_var[0]
+        grown = np.minimum(known + change_var, np.maximum(phasor_var_max, known))
+        self.p[slot], self.velocity_phasor[slot] = self.p[0], self.velocity_phasor[0]
+        # The old c placed the particle; the new c is independent of that beyond what is shared.
+        shared = known / grown
+        self.p_var[slot] = self.p_var[0] + np.abs(self.g[0]) ** 2 * known * (1 - shared)
+        self.g[slot] = self.g[0] * shared
+        self.phasor_var[slot] = grown
+        self.log_weight[slot] = self.log_weight[0] + np.log(probability)
+
+
+@numba.njit(cache=True, error_model='numpy')
+def _predict(p, c, g, p_var, phasor_var, path, drift, diffused, wander):  # type: ignore[no-untyped-def]
+    """`PhasorBank.predict` on its arrays; `path` and `drift` are (1 or N,)."""
+    hypotheses, count = p.shape
+    for n in range(count):
+        way, carried = path[min(n, len(path) - 1)], drift[min(n, len(drift) - 1)]
+        for k in range(hypotheses):
+            p[k, n] += c[k, n] * way + carried
+            bent = g[k, n] + way
+            shrink = phasor_var[k, n] / (phasor_var[k, n] + wander[n])
+            p_var[k, n] += diffused
+            p_var[k, n] += _square(bent) * phasor_var[k, n] * (1 - shrink)
+            g[k, n] = bent * shrink
+            phasor_var[k, n] += wander[n]
+
+
+@numba.njit(cache=True, error_model='numpy')
+def _update(p, c, g, p_var, phasor_var, log_weight, z, noise, seen):  # type: ignore[no-untyped-def]
+    """`PhasorBank.update` on its arrays."""
+    hypotheses, count = p.shape
+    for n in range(count):
+        best = -np.inf
+        for k in range(hypotheses):
+            if seen[n]:
+                residual, given_c = z[n] - p[k, n], p_var[k, n] + noise[n]
+                total = p_var[k, n] + _square(g[k, n]) * phasor_var[k, n] + noise[n]
+                c[k, n] += g[k, n].conjugate() * phasor_var[k, n] / total * residual
+                p[k, n] += (1 - noise[n] / total) * residual
+                phasor_var[k, n] *= given_c / total
+                g[k, n] *= noise[n] / given_c
+                p_var[k, n] *= noise[n] / given_c
+                log_weight[k, n] += -math.log(total) - _square(residual) / (2 * total)
+            best = max(best, log_weight[k, n])
+        for k in range(hypotheses):
+            log_weight[k, n] -= best
+
+
+@numba.njit(cache=True, error_model='numpy')
+def posterior(log_weight):  # type: ignore[no-untyped-def]
+    """Probabilities (K, N) of log weights, those below MIN_WEIGHT set to zero."""
+    weight = np.empty_like(log_weight)
+    hypotheses, count = weight.shape
+    for n in range(count):
+        best, total, kept = log_weight[:, n].max(), 0.0, 0.0
+        for k in range(hypotheses):
+            weight[k, n] = math.exp(log_weight[k, n] - best)
+            total += weight[k, n]
+        for k in range(hypotheses):
+            weight[k, n] /= total
+            if weight[k, n] < MIN_WEIGHT:
+                weight[k, n] = 0.0
+            kept += weight[k, n]
+        for k in range(hypotheses):
+            weight[k, n] /= kept
+    return weight
+
+
+@numba.njit(cache=True, error_model='numpy')
+def _combine(weight, p, c, g, p_var, phasor_var):  # type: ignore[no-untyped-def]
+    """The fields of `Mixture` for hypotheses of some weight (K, N)."""
+    hypotheses, count = weight.shape
+    place, phasor = np.zeros(count, np.complex128), np.zeros(count, np.complex128)
+    cross = np.zeros(count, np.complex128)
+    place_var, spread = np.zeros(count), np.zeros(count)
+    for n in range(count):
+        for k in range(hypotheses):
+            place[n] += weight[k, n] * p[k, n]
+            phasor[n] += weight[k, n] * c[k, n]
+        for k in range(hypotheses):
+            dp, dc = p[k, n] - place[n], c[k, n] - phasor[n]
+            spread[n] += weight[k, n] * (phasor_var[k, n] + _square(dc) / 2)
+            place_var[n] += weight[k, n] * (
+                p_var[k, n] + _square(g[k, n]) * phasor_var[k, n] + _square(dp) / 2)
+            cross[n] += weight[k, n] * (g[k, n] * phasor_var[k, n] + dp * dc.conjugate() / 2)
+    return place, phasor, place_var, spread, cross
+
+
+@numba.njit(cache=True, inline='always')
+def _square(z):  # type: ignore[no-untyped-def]
+    return z.real * z.real + z.imag * z.imag

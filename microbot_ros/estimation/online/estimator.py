@@ -1,0 +1,326 @@
+"""The online estimator: where every particle is, how fast and which way it swims."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from microbot_ros.common.compiled import numba
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.records import Conditions
+from microbot_ros.estimation.likelihood.noise import Noise, stokes_einstein
+from microbot_ros.estimation.online.commands import CommandLog
+from microbot_ros.estimation.online.estimates import FASTEST, Estimates, Settings, State, answer
+from microbot_ros.estimation.online.heading_bank import HeadingBank
+from microbot_ros.estimation.online.jumps import JumpNotes
+from microbot_ros.estimation.online.monitor import Monitor
+from microbot_ros.estimation.online.population import AGAIN, Population, Readings
+from microbot_ros.estimation.online.propagation import HEADING_MEMORY, Propagator, Swarm
+from microbot_ros.estimation.online.shared import SharedKnowledge
+from microbot_ros.estimation.online.track_faults import TrackFaults
+from microbot_ros.estimation.online.window import SECONDS
+from microbot_ros.model.io.model_file import read_model
+from microbot_ros.model.model import Model
+from microbot_ros.model.physics.vectors import as_complex
+
+__all__ = ['Estimates', 'Estimator', 'Settings']
+
+LONGEST_OPENING = 200
+"""Frames after which the first ones are no longer kept to be filtered again."""
+
+NOTED = 5.0
+"""Seconds for which a sentence stays in the diagnosis."""
+
+CHANGE_INTERVAL = 3600.0
+"""Mean seconds between abrupt changes of one particle's speed or direction."""
+
+WANDER = 1e-3
+"""Relative random walk of speed and direction in one second."""
+
+FARTHEST = 1.0
+"""A place beyond this [m], or read with such a σ, is in no microscope's field of view."""
+
+BEST = 0.01
+"""Variance of the best readings in a frame over that of its typical ones, at least."""
+
+SET_BACK = 1.0
+"""A clock that goes back by more than this [s] has been started anew."""
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """The usable readings of one frame: time, identities (n,), complex places, σ or NaN."""
+
+    t: float
+    ids: np.ndarray
+    z: np.ndarray
+    sigma: np.ndarray
+
+
+class Estimator:
+    """Exact filter for every particle, with what they share learned from the recent past.
+
+    Under the `conditions` of a rig, a user's `settings` and a `model`, by default the first-order
+    one.
+    Feed it commands and frames in the order of their time. One call of `update` costs about the
+    same for one particle as for a hundred: everything is an array over particles.
+    """
+
+    def __init__(
+        self, conditions: Conditions | None = None, settings: Settings | None = None,
+        model: Model | None = None,
+    ) -> None:
+        self.conditions = conditions or Conditions()
+        self.settings = settings or Settings()
+        self._log = CommandLog()
+        self._notes: dict[str, float] = {}
+        self._jumps = JumpNotes(NOTED)
+        self._start(model or Model.baseline(self.conditions, self._log.since(0.0)))
+
+    def _start(self, model: Model) -> None:
+        self._begin(model)
+        self._shared: SharedKnowledge | None = None
+        self._opening: list[_Frame] | None = []
+        self._monitor = Monitor()
+        self._track_faults = TrackFaults()
+        self._faults: tuple[str, ...] = ()
+        self._restless: set[int] = set()
+        self._next_question = -np.inf
+        self._t = -np.inf
+
+    def _begin(self, model: Model) -> None:
+        self._propagator = Propagator(model)
+        self._population = Population(FASTEST / 2)
+        self._follow_headings()
+
+    def _follow_headings(self) -> None:
+        """Make deviations of headings a state where headings lag; else they are noise."""
+        if self.model.lags and self._rotational_diffusion > 0:
+            self._population.track_heading_deviations()
+
+    @property
+    def _rotational_diffusion(self) -> float:
+        """Rotational diffusion [rad²/s]; 0 where radius or viscosity are not known."""
+        return (stokes_einstein(self.conditions) or (0.0, 0.0))[1]
+
+    @property
+    def model(self) -> Model:
+        """The model that the filter runs on."""
+        return self._propagator.model
+
+    def load(self, path: str | Path) -> None:
+        """Filter with the `model.yaml` at `path`; InputError for a bad one: the old one stays."""
+        model, _ = read_model(path)
+        if model.propulsion != self.model.propulsion:
+            raise InputError(path, f'expected propulsion: {self.model.propulsion}, as this '
+                                   f'estimator was started with; found {model.propulsion}')
+        self.use(model)
+
+    def use(self, model: Model) -> None:
+        """Filter with another `model` from the next frame on; what is known of v and φ stays."""
+        self._propagator = Propagator(model)
+        self._follow_headings()
+        self._monitor = Monitor()
+        if self._shared is not None:
+            self._shared.forget_model()
+
+    def command(self, t: float, field: np.ndarray, frequency: float | None = None) -> None:
+        """A command in force from `t` [s] on: `field` (2,) [T]; for rollers `frequency` [Hz].
+
+        What is not finite or out of order is ignored and noted; a clock set back starts anew.
+        """
+        if math.isfinite(t) and t < self._log.last - SET_BACK:
+            self._log = CommandLog()
+        self._note(self._log.append(t, field, frequency))
+
+    def update(
+        self, t: float, ids: np.ndarray, position: np.ndarray, sigma: np.ndarray | None = None,
+    ) -> Estimates:
+        """A frame exposed at `t` [s]: `ids` (N,), `position` (N, 2) and its `sigma` (N,) [m].
+
+        Readings that are not finite, or not of a microscope's size, are left out and their
+        particles coast. A frame that is not newer than the one before changes nothing; a clock
+        set back starts everything anew. The camera's readings are made true ones by the model's
+        observation stage. A reading far from its prediction is refused, but never for longer than
+        a few frames: then its particle is begun anew from there.
+        """
+        if math.isfinite(t) and t < self._t - SET_BACK:
+            self._start(self.model)
+            self._note('the clock of the frames was set back: everything is learned anew')
+        if not (math.isfinite(t) and t > self._t):
+            self._note(f'a frame is stamped {t:.6g} s, not later than the one before: ignored')
+            return self._answer(np.zeros(len(self._population.ids), bool), ())
+        frame = self._usable(t, ids, position, sigma)
+        shared = self._knowledge(frame.sigma)
+        readings, changed = self._filter(frame, shared)
+        begun = self._begun_anew(readings)
+        self._watch(readings)
+        shared.add(t, self._population.ids, readings, changed)
+        if shared.work(t, self.model, self._log, self._population):
+            self._track_faults.forget()
+        self._refilter_opening(frame, shared)
+        self._population.forget(t - self.settings.forget_after)
+        self._log.forget_before(t - SECONDS - HEADING_MEMORY)
+        return self._answer(self._population.last_seen == t, begun)
+
+    def _begun_anew(self, readings: Readings) -> tuple[str, ...]:
+        """What is to be said of particles whose predictions failed."""
+        ids = self._population.ids
+        rows = [row for row in readings.jumped if self._population.restarts[row] < AGAIN]
+        for row in rows:
+            self._jumps.add(self._t, int(ids[row]), abs(readings.jump[row]))
+        jumped = {f'particle {ids[row]} ' for row in rows}
+        jumps = tuple(text for text in self._jumps.sentences(self._t)
+                      if text.startswith(tuple(jumped)))
+        before, self._restless = self._restless, set(ids[readings.restless].tolist())
+        new = self._restless - before
+        return (*jumps, _of_restless(new)) if new else jumps
+
+    def _usable(
+        self, t: float, ids: np.ndarray, position: np.ndarray, sigma: np.ndarray | None,
+    ) -> _Frame:
+        """The readings that are finite and the first of their identity."""
+        ids, position = np.array(ids, int), np.array(position, float).reshape(-1, 2)
+        sigma = np.full(len(ids), np.nan) if sigma is None else np.array(sigma, float)
+        if not _in_order(ids, position):
+            ids, position, sigma = self._cleaned(ids, position, sigma)
+        return _Frame(t, ids, as_complex(self.model.true_position(position)), sigma)
+
+    def _cleaned(self, ids: np.ndarray, position: np.ndarray, sigma: np.ndarray,
+                 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        good = (np.abs(position) < FARTHEST).all(axis=1)
+        for name, place in zip(ids[~good], position[~good], strict=True):
+            what = 'is in no microscope' if np.isfinite(place).all() else 'is not a number'
+            self._note(f'particle {name} was reported at a place that {what}')
+        ids, position, sigma = ids[good], position[good], sigma[good]
+        names, first, count = np.unique(ids, return_index=True, return_counts=True)
+        for name in names[count > 1]:
+            self._note(f'particle {name} was reported twice in one frame: the first is used')
+        return names, position[first], sigma[first]
+
+    def _knowledge(self, sigma: np.ndarray) -> SharedKnowledge:
+        """What is shared; assumed from the conditions and the tracker at the first reading."""
+        if self._shared is not None:
+            return self._shared
+        diffusion, _ = stokes_einstein(self.conditions) or (1e-13, 0.0)
+        stated = sigma[(sigma > 0) & (sigma < FARTHEST)]
+        typical = float(np.median(stated)) if len(stated) else 1e-7
+        shared = SharedKnowledge(Noise(diffusion, typical, self.settings.exposure))
+        if len(sigma):
+            self._shared = shared
+        return shared
+
+    def _filter(self, frame: _Frame, shared: SharedKnowledge,
+                ) -> tuple[Readings, list[tuple[int, float]]]:
+        """Predict and take one frame; its readings, and which c changed how long ago."""
+        bank, noise = self._population.bank, shared.noise
+        start = self._t if math.isfinite(self._t) else frame.t - 1e-3
+        step = self._propagator.advance(
+            self._log, shared.delay.value, start, frame.t,
+            Swarm(self._population.ids, bank.p[0], bank.velocity_phasor[0]))
+        wander = (WANDER * np.abs(bank.velocity_phasor[0])) ** 2 * step.span
+        if isinstance(bank, HeadingBank):
+            bent = self._propagator.heading_deviation(
+                self._log, shared.delay.value, start, frame.t
+            )
+            bank.predict_deviation(*bent, 2 * self._rotational_diffusion * step.span)
+        bank.predict(step.path, step.drift, 2 * noise.diffusion * step.span, wander)
+        self._t = frame.t
+        readings = self._population.take(
+            frame.t, frame.ids, frame.z, _reading_variance(
+                noise.localisation**2, frame.sigma, noise.diffusion * noise.exposure / 3)
+        )
+        return readings, self._population.consider_changes(frame.t, CHANGE_INTERVAL)
+
+    def _watch(self, readings: Readings) -> None:
+        """Show the monitor what is left, once the noise is learned."""
+        if self._opening is None:
+            heading = self._propagator.heading
+            self._monitor.add(self._t, self._population.ids, readings.innovation,
+                              readings.predicted, heading, readings.direction * heading)
+
+    def _refilter_opening(self, frame: _Frame, shared: SharedKnowledge) -> None:
+        """Filter the first frames again as soon as the noise has been learned from them.
+
+        Until then noise levels are assumed; frames weighed by wrong ones are never forgotten.
+        """
+        if self._opening is None:
+            return
+        self._opening.append(frame)
+        if shared.reviewed or len(self._opening) >= LONGEST_OPENING:
+            self._begin(self.model)
+            self._t = -np.inf
+            for again in self._opening:
+                self._filter(again, shared)
+            self._opening = None
+
+    def _answer(self, seen: np.ndarray, begun_anew: tuple[str, ...]) -> Estimates:
+        state = State(self._t, self._population.ids, seen, *self._population.known(self._t))
+        swarm = Swarm(state.ids, state.p, state.velocity_phasor)
+        shared = self._shared or self._knowledge(np.empty(0))
+        if self._t >= self._next_question:
+            self._next_question = self._t + 1.0
+            moving = bool(self._propagator.heading.any())
+            self._faults = (
+                *self._track_faults.find(state, self._log.last, moving),
+                *self._propagator.beyond_learned(self._log, shared.delay.value, self._t, swarm))
+        # What was noted before the first frame counts from that frame on.
+        self._notes = {
+            text: max(at, self._t) if math.isinf(at) else at
+            for text, at in self._notes.items() if math.isinf(at) or self._t - at < NOTED
+        }
+        told = (
+            *self._notes, *self._jumps.sentences(self._t), *self._faults, *shared.sentences,
+            *self._monitor.sentences
+        )
+        if self._restless:
+            told = _of_restless(self._restless), *told
+        now = self._t if math.isfinite(self._t) else 0.0
+        ahead = self._propagator.look_ahead(
+            self._log, shared.delay.value, now, now + max(self.settings.horizon, 1e-6), swarm)
+        return answer(state, ahead, shared, self.conditions, told, begun_anew,
+                      self.model.gain_change_since_start(now))
+
+    def _note(self, text: str) -> None:
+        """Keep a sentence for the diagnosis of the next seconds."""
+        if text:
+            self._notes[text] = self._t
+
+
+def _of_restless(ids: set[int]) -> str:
+    names = ', '.join(map(str, sorted(ids)))
+    return (f'particle{"s" * (len(ids) > 1)} {names}: neither the field nor noise explains the '
+            'motion, so v and φ are not known; places are as the camera sees them')
+
+
+@numba.njit(cache=True)
+def _in_order(ids, position):  # type: ignore[no-untyped-def]
+    """Whether `ids` (N,) ascend and every `position` (N, 2) is one in a microscope."""
+    for n in range(len(ids)):
+        if n and not ids[n - 1] < ids[n]:
+            return False
+        if not (abs(position[n, 0]) < FARTHEST and abs(position[n, 1]) < FARTHEST):
+            return False
+    return True
+
+
+@numba.njit(cache=True)
+def _reading_variance(level, sigma, blur):  # type: ignore[no-untyped-def]
+    """Variance (N,) of each reading: the learned `level`, shared out as the tracker says.
+
+    `sigma` (N,) as it states them; exposures take a variance of `blur` off. A reading far better
+    than the others is not trusted as far, and one far worse is no worse than is stated.
+    """
+    stated = sigma[(sigma > 0) & (sigma < FARTHEST)]
+    typical = np.median(stated) if len(stated) else 1.0
+    variance = np.empty(len(sigma))
+    for n, value in enumerate(sigma):
+        shared = level
+        if 0 < value < FARTHEST:
+            relative = max((value / typical) ** 2, BEST)
+            shared = min(level * relative, max(level, value**2))
+        variance[n] = max(shared - blur, 1e-20)
+    return variance

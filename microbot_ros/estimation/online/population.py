@@ -1,0 +1,235 @@
+"""Which particles there are, and one frame's readings brought to the filter: gated, born, dropped.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from microbot_ros.common.compiled import numba
+from microbot_ros.estimation.online.bank import Mixture, PhasorBank
+from microbot_ros.estimation.online.heading_bank import HeadingBank
+
+HYPOTHESES = 7
+"""Nothing changed, or c changed about 0.25, 0.5, 1, 2, 4 or 8 s ago."""
+
+TICK = 0.25
+"""Seconds between moments at which a change of c is considered."""
+
+GATE = 30.0
+"""Squared distance beyond which a reading is an outlier: χ² of two axes, 3e-7 by chance."""
+
+JUMP_FRAMES, JUMP_SECONDS = 5, 0.5
+"""Consecutive outliers, or seconds of them, after which the particle really is there."""
+
+CALM, OFTEN = 10.0, 10.0
+"""A particle that is begun anew about so OFTEN in so many seconds, or more than once with a c that
+has been all ways, is *restless* for as long: what moves it is not what the model says. A swimmer
+that is late after turns is begun anew too, but its c stays about the same."""
+
+AGAIN = 1.5
+"""Restarts in CALM seconds, fading, from which the last was not the only one."""
+
+SAME = 1 / 3
+"""Least |mean of c|² over the mean of |c|² of a particle that follows the field."""
+
+KNOWN = 0.01
+"""c is known once its variance is less than this part of what it was before anything was seen."""
+
+MOST_CORRECTED = 2.0
+"""A better delay that would change speeds by more than this factor says nothing of them."""
+
+
+class Readings(NamedTuple):
+    """What became of a frame's readings: all (N,) over the population.
+
+    `z` are the places read [m], of those `seen`; `used` the readings that the filter took, and
+    `innovation` complex, whitened to unit variance per axis, NaN where none was taken; `jump`
+    complex [m], by how far a particle was moved, else 0, and `jumped`, the rows where one was.
+    `restless`: whom nothing should be learned from. Known before the frame: the `predicted` place
+    [m] and `direction`, the unit phasor of c, 0 where that is not known to within a third.
+    """
+
+    z: np.ndarray
+    seen: np.ndarray
+    used: np.ndarray
+    predicted: np.ndarray
+    direction: np.ndarray
+    innovation: np.ndarray
+    jump: np.ndarray
+    jumped: np.ndarray
+    restless: np.ndarray
+
+
+class Population:
+    """Particles by identity, `ids` (N,) ascending, each a column of the filter bank.
+
+    A new one has a velocity phasor of 0 ± `phasor_prior_std` [m/s, or m/s/Hz] per axis.
+    """
+
+    _BIRTH: ClassVar[dict[str, complex]] = {
+        'last_seen': -np.inf, '_outliers': 0, '_refused': -np.inf, '_begun': -np.inf,
+        'restarts': 0.0, '_restless_until': -np.inf, '_phasor_mean': 0j, '_phasor_power': 0.0}
+
+    def __init__(self, phasor_prior_std: float) -> None:
+        self.bank = PhasorBank(HYPOTHESES)
+        self.ids = np.empty(0, int)
+        self.last_seen = np.empty(0)
+        self._phasor_prior_var = phasor_prior_std**2
+        self._outliers = np.empty(0, int)
+        self._refused, self._begun, self._restless_until = np.empty((3, 0))
+        """When the first of the consecutive outliers came, when the particle was last begun anew,
+        and until when it is restless [s]."""
+        self.restarts = np.empty(0)
+        """How often in the last CALM seconds it was begun anew, fading."""
+        self._phasor_mean, self._phasor_power = np.empty(0, complex), np.empty(0)
+        """Mean of c and of |c|² over the last CALM seconds in which it was known, fading."""
+        self._next_tick = -np.inf
+
+    def track_heading_deviations(self) -> None:
+        """From now on, make the deviation of every heading from the model's a state too."""
+        if not isinstance(self.bank, HeadingBank):
+            self.bank = HeadingBank.of(self.bank)
+
+    def take(self, t: float, ids: np.ndarray, z: np.ndarray, reading: np.ndarray) -> Readings:
+        """Bring a frame's readings at `t` [s] to the filter: gate, admit, update.
+
+        Of distinct particles `ids` (n,): complex positions `z` [m], `reading` their variance [m²].
+        """
+        born = self._admit(t, ids, z, reading)
+        bank, weight = self.bank, self.bank.weights()
+        restless = self._restless_until > t
+        readings, noise, taken = _gate(
+            self.ids, ids, z, reading, born, weight, bank.p, bank.velocity_phasor, bank.g,
+            bank.p_var, bank.phasor_var, self._outliers, self.last_seen, self._refused,
+            restless, t)
+        found = Readings(*readings)
+        if len(found.jumped):
+            self._begin_anew(t, found, noise)
+        bank.update(found.z, noise, taken)
+        return found
+
+    def _begin_anew(self, t: float, readings: Readings, noise: np.ndarray) -> None:
+        rows = readings.jumped
+        self.restarts[rows] *= np.exp((self._begun[rows] - t) / CALM)
+        self.restarts[rows] += 1
+        self._begun[rows] = t
+        same = np.abs(self._phasor_mean[rows]) ** 2 >= SAME * self._phasor_power[rows]
+        again = self.restarts[rows]
+        restless = rows[(again > OFTEN) | (again > AGAIN) & ~same]
+        self._restless_until[restless] = t + CALM
+        readings.restless[restless] = True
+        self.bank.restart(rows, readings.z[rows], noise[rows], self._phasor_prior_var)
+
+    def known(self, t: float) -> Mixture:
+        """The estimates at `t` [s]; of a restless particle's c, what is known of any."""
+        known, restless = self.bank.combined(), self._restless_until > t
+        if restless.any():
+            known.velocity_phasor[restless] = known.cross[restless] = 0
+            known.phasor_var[restless] = self._phasor_prior_var
+        return known
+
+    def correct_velocity_phasors(self, factor: complex) -> None:
+        """Multiply every c by a complex `factor`, as after a better value of the delay.
+
+        One that more than doubles or halves speeds is an extrapolation too far: then every c may
+        be what it was, or anything.
+        """
+        if 1 / MOST_CORRECTED < abs(factor) < MOST_CORRECTED:
+            self.bank.scale_velocity_phasor(factor)
+        else:
+            known = self.bank.combined()
+            self.bank.restart(
+                np.arange(len(self.ids)), known.p, known.p_var, self._phasor_prior_var)
+
+    def consider_changes(self, t: float, interval: float) -> list[tuple[int, float]]:
+        """Reopen hypotheses at `t` [s] if it is time: rows whose c changed, and how long ago [s].
+
+        `interval` is the mean time [s] between changes of one particle.
+        """
+        if t < self._next_tick:
+            return []
+        self._next_tick = t + TICK
+        known = self.bank.combined()
+        learned = np.where(known.phasor_var < KNOWN * self._phasor_prior_var, TICK / CALM, 0)
+        c = known.velocity_phasor
+        self._phasor_mean += learned * (c - self._phasor_mean)
+        self._phasor_power += learned * (np.abs(c) ** 2 - self._phasor_power)
+        size = np.maximum(np.abs(self.bank.velocity_phasor[0]) ** 2 / 2, self.bank.phasor_var[0])
+        ago = TICK * self.bank.tick(TICK / interval, size, self._phasor_prior_var)
+        return [(int(row), float(ago[row])) for row in np.flatnonzero(ago)]
+
+    def forget(self, before: float) -> None:
+        """Drop particles not seen since `before` [s]."""
+        kept = self.last_seen >= before
+        if not kept.all():
+            self._select(kept)
+
+    def _admit(self, t: float, ids: np.ndarray, z: np.ndarray, reading: np.ndarray) -> np.ndarray:
+        if len(ids) == len(self.ids) and (ids == self.ids).all():
+            return np.zeros(len(ids), bool)
+        new = ~np.isin(ids, self.ids)
+        if new.any():
+            self.bank.add(z[new], reading[new], self._phasor_prior_var)
+            self.ids = np.concatenate([self.ids, ids[new]])
+            for name, value in self._BIRTH.items():
+                born = np.full(new.sum(), value)
+                setattr(self, name, np.concatenate([getattr(self, name), born]))
+            self._select(np.argsort(self.ids))
+        return np.isin(self.ids, ids[new])
+
+    def _select(self, rows: np.ndarray) -> None:
+        self.bank.keep(rows)
+        self.ids = self.ids[rows]
+        for name in self._BIRTH:
+            setattr(self, name, getattr(self, name)[rows])
+
+
+@numba.njit(cache=True, error_model='numpy')
+def _gate(ids, seen_ids, z, reading, born, weight, p, c, g, p_var, phasor_var, outliers,  # type: ignore[no-untyped-def]
+          last_seen, refused, restless, t):
+    """The fields of `Readings`; the readings' variance and whom to update, (N,)."""
+    hypotheses, count = p.shape
+    place, noise = np.zeros(count, np.complex128), np.ones(count)
+    seen = np.zeros(count, np.bool_)
+    used, taken = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
+    innovation = np.full(count, np.nan + 0j)
+    jumped, jump = np.zeros(count, np.bool_), np.zeros(count, np.complex128)
+    predicted, direction = p[0].copy(), np.zeros(count, np.complex128)
+    for n in range(count):
+        size = abs(c[0, n])
+        if size > 3 * math.sqrt(phasor_var[0, n]):
+            direction[n] = c[0, n] / size
+    for m, n in enumerate(np.searchsorted(ids, seen_ids)):
+        place[n], noise[n], last_seen[n], seen[n] = z[m], reading[m], t, True
+        nearest, mean, lead = np.inf, 0j, 0
+        for k in range(hypotheses):
+            mean += weight[k, n] * p[k, n]
+            if weight[k, n] > weight[lead, n]:
+                lead = k
+            if weight[k, n] > 0:
+                off, variance = _innovation(z[m], p[k, n], g[k, n], p_var[k, n], phasor_var[k, n])
+                variance += reading[m]
+                nearest = min(nearest, (off.real**2 + off.imag**2) / variance)
+        used[n] = nearest <= GATE
+        outliers[n] = 0 if used[n] else outliers[n] + 1
+        if outliers[n] == 1:
+            refused[n] = t
+        if outliers[n] and (outliers[n] >= JUMP_FRAMES or t - refused[n] >= JUMP_SECONDS):
+            jumped[n], jump[n], outliers[n] = True, z[m] - mean, 0
+        taken[n] = used[n] and not born[n]
+        if taken[n] and not restless[n]:
+            off, variance = _innovation(
+                z[m], p[lead, n], g[lead, n], p_var[lead, n], phasor_var[lead, n])
+            innovation[n] = off / math.sqrt(variance + reading[m])
+    readings = (place, seen, used, predicted, direction, innovation, jump, np.flatnonzero(jumped),
+                restless)
+    return readings, noise, taken
+
+
+@numba.njit(cache=True, inline='always')
+def _innovation(z, p, g, p_var, phasor_var):  # type: ignore[no-untyped-def]
+    """Place less prediction, and the variance of that per axis, but for the reading's own."""
+    return z - p, p_var + (g.real**2 + g.imag**2) * phasor_var

@@ -1,0 +1,1 @@
+"""Models, effects and learned terms as YAML."""

@@ -1,0 +1,1 @@
+"""Spheres in a fluid: drag, diffusion, inertia, the floor, alignment."""

@@ -1,0 +1,1 @@
+"""Which detection is which particle, from frame to frame."""

@@ -1,0 +1,76 @@
+"""Which particles may be others than their identities say, and how far off they would be then."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+
+import numpy as np
+
+from microbot_ros.tracking.link.assign import Pairs
+from microbot_ros.tracking.link.motion import Motion
+from microbot_ros.tracking.link.states import UNNAMED, TrackStates
+
+_OF_ONE = re.compile(r'particle (\d+) (.*)')
+_NAMED = 5
+"""Particles that are named where the same is said of many."""
+
+_SURE = 0.05
+"""Probability of being another up to which an identity counts as sure."""
+
+
+def note_doubt(states: TrackStates, pairs: Pairs) -> None:
+    """Note in the `states` which of the `pairs`, whose tracks are rows of theirs, may be wrong."""
+    new = (pairs.doubt > _SURE) & (states.id[pairs.track] != UNNAMED)
+    rows = pairs.track[new]
+    states.doubt[rows] = np.maximum(states.doubt[rows], pairs.doubt[new])
+    states.astray[rows] = np.maximum(states.astray[rows], pairs.astray[new])
+    states.unsure[rows] = 0.0
+
+
+def grow_doubt(states: TrackStates, frames: float, motion: Motion) -> None:
+    """Let those who are in doubt be farther off after so many usual `frames`, by their `motion`.
+
+    Who is another has gone its own way since: ⟨r²⟩ = S t + V t² per coordinate.
+    """
+    unsure = states.doubt > 0
+    before = states.unsure[unsure]
+    states.unsure[unsure] = after = before + frames
+    states.astray[unsure] += (motion.random_step * frames
+                              + motion.velocity_step * (after**2 - before**2))
+
+
+def settle_doubt(states: TrackStates, patience: int) -> None:
+    """Take those for what their identities say who are seen and in doubt for over `patience`
+    frames: by then whoever follows one has made its acquaintance anew.
+    """
+    settled = (states.unsure > patience) & (states.missed == 0)
+    for value in (states.doubt, states.unsure, states.astray):
+        value[settled] = 0.0
+
+
+def doubt_told(states: TrackStates) -> dict[str, str]:
+    """A sentence for each named particle that is in doubt: kind of remark → sentence."""
+    return {f'doubt {name}': f'particle {name} may be two: it was lost from sight, or met one '
+                             'like it'
+            for name in states.id[(states.doubt > 0) & (states.id != UNNAMED)].tolist()}
+
+
+def together(sentences: Iterable[str]) -> dict[str, list[int]]:
+    """The `sentences` in order, those that say the same of several particles as one.
+
+    And which of them, counted from 0, each is made of.
+    """
+    said: dict[str, list[tuple[int, str]]] = {}
+    for place, sentence in enumerate(sentences):
+        one = _OF_ONE.fullmatch(sentence)
+        said.setdefault(one[2] if one else sentence, []).append((place, one[1] if one else ''))
+    return {_of_all([name for _, name in of], what): [place for place, _ in of]
+            for what, of in said.items()}
+
+
+def _of_all(names: list[str], what: str) -> str:
+    if len(names) < 2:
+        return f'particle {names[0]} {what}' if names[0] else what
+    more = f' and {len(names) - _NAMED} more' if len(names) > _NAMED else ''
+    return f'each of the particles {", ".join(names[:_NAMED])}{more} {what}'

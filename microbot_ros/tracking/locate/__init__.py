@@ -1,0 +1,1 @@
+"""Where in a picture something is: bodies, their kinds, what stands still."""

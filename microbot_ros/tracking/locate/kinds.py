@@ -1,0 +1,176 @@
+"""Kinds of bodies that somebody pointed at: what is like the examples, and what is not.
+
+A kind is a range for each of six traits, so that it can be read, kept, shared and edited. A range
+holds the examples and, beyond them, what one example leaves open; each further one narrows that. A
+counter-example cuts the one range that it lies in least deeply.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.files import Settings
+from microbot_ros.tracking.locate.bodies import Bodies
+
+TRAITS = ('height_grey', 'width_px', 'edge_px', 'elongation', 'fill', 'halo')
+"""Names of the traits, in order; see `Bodies`."""
+
+_LOGARITHMIC = np.array([True, True, True, True, False, False])
+
+_BELOW = np.array([math.log(1 / 0.45), math.log(2.6), math.log(3.0), math.inf, 0.25, math.inf])
+_ABOVE = np.array([math.log(2.2), math.log(3.0), math.log(1.65), math.log(2.2), math.inf, 0.09])
+"""How far beyond one example a range goes: in logarithms where these are taken."""
+
+_LENIENT = np.array([math.log(1.7), math.log(1.3), math.log(1.5), math.log(1.5), 0.15, math.inf])
+"""How far beyond its range a body may be that is where one of its kind is expected."""
+
+_ODDEST = 1.15
+"""The most that a body may be odd in all traits together."""
+
+_APART = np.array([0.05, 0.08, 0.05, 0.08, 0.03, 0.02])
+"""How much two bodies must differ in a trait to be told apart by it."""
+
+Traits = tuple[float, float, float, float, float, float]
+Range = tuple[float, float]
+
+
+class Kind(Settings):
+    """One kind of body, by name: ranges of its traits, and the examples that they come from."""
+
+    name: str = Field('robot', pattern=r'^[A-Za-z][\w-]{0,31}$',
+                      description='what stands in the column `kind`')
+    contrast: Literal['dark', 'bright'] = Field(
+        'dark', description='whether it is darker or brighter than the light around it')
+    parts_px: float = Field(
+        0.0, ge=0, le=200, description='parts nearer to one another than this are one body [px]')
+    shrink: int = Field(1, ge=1, le=16, description='pixels that are looked at as one, each way')
+    height_grey: Range = Field((8.0, 1e6), description='its contrast [grey levels]')
+    width_px: Range = Field((3.0, 60.0), description='diameter of a disc of equal area [px]')
+    edge_px: Range = Field((0.0, 1e6), description='width of its edge, small in focus [px]')
+    elongation: Range = Field((1.0, 1e6), description='length over width')
+    fill: Range = Field((0.0, 2.0), description='area over that of the ellipse around it')
+    halo: Range = Field(
+        (-1.0, 1e6), description='what is of the other sign beside it, as a share of its contrast')
+    like: tuple[Traits, ...] = Field((), description='traits of the examples, in the order above')
+    unlike: tuple[Traits, ...] = Field((), description='traits of the counter-examples')
+
+    @property
+    def dark(self) -> bool:
+        """Whether it is darker than the light."""
+        return self.contrast == 'dark'
+
+    @property
+    def ranges(self) -> np.ndarray:
+        """Lower and upper ends (6, 2) of the traits, as `scaled`."""
+        ends = np.array([getattr(self, name) for name in TRAITS], float)
+        return scaled(ends.T).T
+
+    @property
+    def typical(self) -> np.ndarray:
+        """What it is most like (6,), as `scaled`: the middle of its examples, or of its ranges."""
+        if self.like:
+            return np.asarray(np.median(scaled(np.array(self.like)), axis=0))
+        ends = self.ranges
+        return np.asarray(np.where(np.abs(ends[:, 1]) < 10, ends.mean(axis=1), ends[:, 0]))
+
+    @property
+    def typical_width_px(self) -> float:
+        """Its usual width [px]."""
+        return float(np.exp(self.typical[1]))
+
+    def members(self, bodies: Bodies, lenient: np.ndarray) -> np.ndarray:
+        """Which (N,) of some bodies are of this kind; `lenient` (N,) where one is expected.
+
+        What the edge of the picture cuts doesn't show its shape: of a kind only where expected.
+        """
+        values, ends = scaled(traits(bodies)), self.ranges
+        slack = np.where(lenient[:, None], _LENIENT, 0.0)
+        inside = (values >= ends[:, 0] - slack) & (values <= ends[:, 1] + slack)
+        alike = ~bodies.cut & (self._oddity(values) <= _ODDEST)
+        return np.asarray(inside.all(axis=1) & (lenient | alike))
+
+    def _oddity(self, values: np.ndarray) -> np.ndarray:
+        """How odd (N,) bodies of `values` (N, 6), as `scaled`, are in all traits together.
+
+        The root of the sum of squares of how far each is beyond the examples, 1 at the end of a
+        range: what is both smaller and paler by all that is left open is another thing. No body is
+        odd where a range is open: rounder than the example is not strange.
+        """
+        if not self.like:
+            return np.zeros(len(values))
+        examples, ends = scaled(np.array(self.like)), self.ranges
+        low, high = examples.min(axis=0), examples.max(axis=0)
+        below = np.maximum(low - values, 0) / np.maximum(low - ends[:, 0], 1e-9)
+        above = np.maximum(values - high, 0) / np.maximum(ends[:, 1] - high, 1e-9)
+        beyond = np.where(np.isfinite(_BELOW), below, 0) + np.where(np.isfinite(_ABOVE), above, 0)
+        return np.asarray(np.sqrt(np.sum(beyond**2, axis=1)))
+
+    def strangeness(self, bodies: Bodies) -> np.ndarray:
+        """How far (N,) bodies are from what is typical, in the ranges that one example leaves."""
+        reach = np.where(np.isfinite(_ABOVE), _ABOVE, _BELOW)
+        off = (scaled(traits(bodies)) - self.typical) / reach
+        return np.asarray(np.sqrt(np.mean(off**2, axis=1)))
+
+
+def traits(bodies: Bodies) -> np.ndarray:
+    """The traits (N, 6) of some bodies, in order of `TRAITS`."""
+    return np.column_stack([
+        bodies.height, bodies.width, bodies.edge, bodies.length, bodies.fill, bodies.halo])
+
+
+def scaled(values: np.ndarray) -> np.ndarray:
+    """The `values` (N, 6) of traits with the logarithm taken where ratios count."""
+    with np.errstate(divide='ignore', invalid='ignore'):
+        return np.where(_LOGARITHMIC, np.log(np.maximum(values, 1e-9)), values)
+
+
+def with_examples(
+    kind: Kind, like: Sequence[Traits], unlike: Sequence[Traits], clutter: float
+) -> Kind:
+    """The `kind` with its ranges learned from examples `like` it and counter-examples `unlike` it.
+
+    `clutter` is how far the picture goes to the other side of the light by itself [grey]: so much
+    may lie beside any body. Raises InputError, and says why, where a counter-example can't be told
+    from the examples.
+    """
+    examples = scaled(np.array(like, float))
+    open_still = 0.5 + 0.5 / len(like)
+    above = _ABOVE.copy()
+    above[-1] += clutter / float(np.min(np.array(like)[:, 0]))
+    ends = np.column_stack([
+        examples.min(axis=0) - open_still * _BELOW, examples.max(axis=0) + open_still * above])
+    for other in scaled(np.array(unlike, float).reshape(-1, len(TRAITS))):
+        _cut(ends, examples, other, kind.name)
+    # Written with few figures: for people.
+    natural = np.where(_LOGARITHMIC[:, None], np.exp(np.minimum(ends, 13.8)), np.clip(ends, -1, 9))
+    natural[:, 0] = np.where(np.isfinite(ends[:, 0]), natural[:, 0], [0, 0, 0, 1, 0, -1])
+    fields = {name: tuple(float(f'{end:.4g}') for end in natural[k])
+              for k, name in enumerate(TRAITS)}
+    return Kind.model_validate(kind.model_dump() | fields | {
+        'like': _rounded(like), 'unlike': _rounded(unlike)})
+
+
+def _rounded(examples: Sequence[Traits]) -> list[tuple[float, ...]]:
+    return [tuple(float(f'{value:.4g}') for value in example) for example in examples]
+
+
+def _cut(ends: np.ndarray, examples: np.ndarray, other: np.ndarray, name: str) -> None:
+    """Narrow the range in which a counter-example is farthest from all examples, in place."""
+    if np.any((other < ends[:, 0]) | (other > ends[:, 1])):
+        return
+    below, above = examples.min(axis=0) - other, other - examples.max(axis=0)
+    far = np.maximum(below, above) / _APART
+    k = int(np.argmax(far))
+    if far[k] < 1:
+        raise InputError('unlike', f'expected something that differs from the examples of {name}: '
+                                   f'in size, contrast, sharpness and shape this is one of them')
+    if below[k] > above[k]:
+        ends[k, 0] = other[k] + below[k] / 2
+    else:
+        ends[k, 1] = other[k] - above[k] / 2

@@ -1,0 +1,1 @@
+"""Exact positions: fits to the pixels around each particle."""

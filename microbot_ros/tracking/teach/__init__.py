@@ -1,0 +1,1 @@
+"""Learning what to follow, from examples or without any."""

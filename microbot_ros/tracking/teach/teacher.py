@@ -1,0 +1,286 @@
+"""Learning kinds from points in pictures: this is one, that is none."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pydantic
+
+from microbot_ros.common.errors import InputError, shown
+from microbot_ros.tracking.locate.bodies import Bodies, contrast, find_bodies
+from microbot_ros.tracking.locate.kinds import Kind, traits, with_examples
+from microbot_ros.tracking.locate.search import pixel_noise
+from microbot_ros.tracking.settings import TrackerSettings
+
+_VIEW = 200
+"""Pixels around a point that are looked at to find what is meant."""
+
+_WIDEST = 120.0
+"""Pixels: the widest body that can be pointed at."""
+
+_PARTS = (0.0, 4.0, 8.0, 16.0, 32.0)
+"""Distances [px] tried, nearer than which parts belong to one body."""
+
+_CLEAR = 7.0
+"""Standard deviations of the noise: what stands out less can't be pointed at."""
+
+_SLOPPY = 8.0
+"""Pixels by which people miss."""
+
+_AS_GOOD = 0.6
+"""Share of the contrast that a body must keep where its parts are taken together."""
+
+_LONE = 0.6
+"""Share of a body's weight that lies around it, from which on it is taken to be a part."""
+
+_FEWER = 0.7
+"""Share of what lies around a body that parts taken together must leave: else they are others."""
+
+_ACROSS, _PLAIN = 7.5, 0.9
+"""Looked-at pixels across a usual body, enough for its shape: the short way where that is a plain
+one, by its share of the ellipse around it. What is ragged would fall into its parts."""
+
+
+@dataclass(frozen=True)
+class _Meant:
+    """What was pointed at: a kind that looks for such things, and the body (1,) itself."""
+
+    look: Kind
+    body: Bodies
+
+
+class NothingError(InputError):
+    """A point at (`x`, `y`) [px] where nothing stands out; `what` was to be learned."""
+
+    def __init__(self, what: str, x: float, y: float) -> None:
+        super().__init__(what, f'expected something at {x:g},{y:g}: nothing stands out there')
+
+
+class TwoError(InputError):
+    """A point at (`x`, `y`) [px] between `two` bodies (2,); `what` was to be learned."""
+
+    def __init__(self, what: str, x: float, y: float, two: Bodies) -> None:
+        super().__init__(what, f'expected one thing at {x:g},{y:g}: two are as near to it')
+        self.two = two
+
+
+def like(
+    settings: TrackerSettings, image: np.ndarray, x: float, y: float, name: str | None = None
+) -> tuple[TrackerSettings, str]:
+    """The `settings` with what is at (x, y) [px] of an `image` (H, W) as an example.
+
+    With a sentence about it. It is of the kind `name`; without one of the only kind, or of
+    `robot`. In the light between two that nearly touch both are meant, as one body. Raises
+    InputError where nothing is there, or two are, or it is one of the counter-examples, and for a
+    name that can't be one.
+    """
+    name = name or (settings.kinds[0].name if len(settings.kinds) == 1 else 'robot')
+    known = next((kind for kind in settings.kinds if kind.name == name), None)
+    meant = _meant('like', image, x, y, known)
+    if known is None:
+        known = _named(meant.look, name)
+    learned = _learn(known, image, [*known.like, *_traits(meant.body)], known.unlike)
+    where = (f'{meant.body.width[0]:.0f} px wide, '
+             f'{meant.body.height[0]:.0f} grey levels {_word(learned)}')
+    if learned.parts_px:
+        where += f', parts nearer than {learned.parts_px:g} px taken as one'
+    count = len(learned.like)
+    return _with(settings, learned), (
+        f'{name}: learned from {count} example{"s" if count > 1 else ""}; this one is {where}')
+
+
+def _named(look: Kind, name: str) -> Kind:
+    """A kind like `look` with this `name`; InputError where it is no name."""
+    try:
+        return Kind.model_validate({**look.model_dump(), 'name': name})
+    except pydantic.ValidationError:
+        raise InputError('like', 'expected a name of at most 32 letters, digits, - and _ that '
+                                 f'begins with a letter; received {shown(name)}') from None
+
+
+def unlike(
+    settings: TrackerSettings, image: np.ndarray, x: float, y: float, name: str | None = None
+) -> tuple[TrackerSettings, str]:
+    """The `settings` without what is at (x, y) [px] of an `image` (H, W), and a sentence.
+
+    It is none of the kind `name`; without one, of none that took it for theirs. Raises InputError
+    where nothing is known yet, nothing is there, or it can't be told from the examples.
+    """
+    if name is not None and name not in {kind.name for kind in settings.kinds}:
+        raise InputError('unlike', f'expected a kind that is known, got {name}')
+    if not settings.kinds:
+        raise InputError('unlike', 'expected an example first (like): nothing is known yet')
+    changed, said = settings, []
+    for kind in settings.kinds:
+        if name not in (None, kind.name):
+            continue
+        meant = _meant('unlike', image, x, y, kind)
+        if not kind.members(meant.body, np.zeros(1, bool)).any() and name is None:
+            continue
+        learned = _learn(kind, image, kind.like, [*kind.unlike, *_traits(meant.body)])
+        changed = _with(changed, learned)
+        said.append(f'{kind.name}: not what is {meant.body.width[0]:.0f} px wide and '
+                    f'{meant.body.height[0]:.0f} grey levels {_word(kind)}')
+    return changed, '; '.join(said) or 'it was taken for no kind before: nothing to change'
+
+
+def forget(settings: TrackerSettings, name: str | None = None) -> tuple[TrackerSettings, str]:
+    """The `settings` without the kind `name`, or without any, and a sentence."""
+    if name is not None and name not in {kind.name for kind in settings.kinds}:
+        raise InputError('forget', f'expected a kind that is known, got {name}')
+    left = tuple(kind for kind in settings.kinds if name is not None and kind.name != name)
+    places = settings.standing if left else ()
+    return (settings.model_copy(update={'kinds': left, 'standing': places}),
+            f'{name or "all"}: forgotten')
+
+
+def _with(settings: TrackerSettings, learned: Kind) -> TrackerSettings:
+    names = [kind.name for kind in settings.kinds]
+    kinds = list(settings.kinds)
+    if learned.name in names:
+        kinds[names.index(learned.name)] = learned
+    else:
+        kinds.append(learned)
+    return settings.model_copy(update={'kinds': tuple(kinds)})
+
+
+def _word(kind: Kind) -> str:
+    return 'darker' if kind.dark else 'brighter'
+
+
+def _traits(body: Bodies) -> list[tuple[float, ...]]:
+    return [tuple(row) for row in traits(body).tolist()]
+
+
+def _learn(kind: Kind, image: np.ndarray, examples: Sequence, counter: Sequence) -> Kind:
+    picture = contrast(image, kind.shrink, 3 * float(examples[0][1]), kind.dark)
+    clutter = -float(np.quantile(picture[::2, ::2], 0.01))
+    return with_examples(kind, examples, counter, max(clutter, 0.0))
+
+
+def _meant(what: str, image: np.ndarray, x: float, y: float, known: Kind | None) -> _Meant:
+    """What somebody means who points at (x, y): by the way a known kind is looked at, or any."""
+    height, width = image.shape
+    if not (-0.5 <= x < width - 0.5 and -0.5 <= y < height - 0.5):
+        raise InputError(what, f'expected a point in the picture of {width}×{height} pixels, '
+                               f'got {x:g},{y:g}')
+    if known is None:
+        known = _way_to_look(what, image, x, y)
+    bodies = _looked_at(image, known)
+    return _Meant(known, bodies[np.array([_pointed(what, bodies, x, y)])])
+
+
+def _looked_at(image: np.ndarray, kind: Kind) -> Bodies:
+    """All bodies of a picture, seen as a kind is, whatever their traits."""
+    widest = 3 * kind.typical_width_px
+    least = min(0.4 * kind.height_grey[0], _CLEAR * pixel_noise(image))
+    return find_bodies(image, kind.dark, least, kind.shrink, widest, kind.parts_px)
+
+
+def _pointed(what: str, bodies: Bodies, x: float, y: float) -> int:
+    """The body at a point; InputError where there is none, or where it may be either of two."""
+    if len(bodies) == 0:
+        raise NothingError(what, x, y)
+    within = np.all((bodies.lower - 1 <= [x, y]) & ([x, y] <= bodies.upper + 1), axis=1)
+    away = np.hypot(bodies.xy[:, 0] - x, bodies.xy[:, 1] - y)
+    near = np.flatnonzero(within | (away < bodies.width / 2 + _SLOPPY))
+    # Specks of noise beside a body are not meant.
+    near = near[bodies.height[near] > 0.3 * np.max(bodies.height[near], initial=0.0)]
+    if len(near) == 0:
+        raise NothingError(what, x, y)
+    order = near[np.argsort(away[near])]
+    first = order[0]
+    if len(order) > 1 and away[first] > bodies.width[first] / 2:
+        second = order[1]
+        if away[second] < 1.5 * away[first] + 1:
+            raise TwoError(what, x, y, bodies[order[:2]])
+    return int(first)
+
+
+def _way_to_look(what: str, image: np.ndarray, x: float, y: float) -> Kind:
+    """How to look for such a thing as is at (x, y): sign, resolution, which parts belong to it."""
+    left, top = max(int(x) - _VIEW, 0), max(int(y) - _VIEW, 0)
+    view = np.ascontiguousarray(image[top:int(y) + _VIEW, left:int(x) + _VIEW])
+    ways: list[tuple[float, bool, Bodies]] = []
+    problem: InputError | None = None
+    for dark in (True, False):
+        try:
+            ways.append(_by_parts(what, view, x - left, y - top, dark))
+        except InputError as error:
+            problem = problem or error
+    if not ways:
+        assert problem is not None
+        if isinstance(problem, TwoError):
+            raise TwoError(what, x, y, problem.two)
+        raise NothingError(what, x, y)
+    # What is meant is the stronger, unless the point is beside it.
+    off = [np.hypot(body.xy[0, 0] - x + left, body.xy[0, 1] - y + top) / body.width[0]
+           for _, _, body in ways]
+    best = int(np.argmax([body.height[0] / (1 + 4 * away**2)
+                          for (_, _, body), away in zip(ways, off, strict=True)]))
+    parts, dark, body = ways[best]
+    width = float(body.width[0])
+    plain = body.fill[0] > _PLAIN
+    across = width / float(np.sqrt(body.length[0])) if plain else width
+    return Kind(contrast='dark' if dark else 'bright', parts_px=parts,
+                shrink=int(np.clip(across / _ACROSS, 1, 8)),
+                height_grey=(float(body.height[0]), 1e6), width_px=(width, width))
+
+
+def _by_parts(
+    what: str, view: np.ndarray, x: float, y: float, dark: bool
+) -> tuple[float, bool, Bodies]:
+    """The body at a point, and how near its parts are: the least that leaves few around it.
+
+    Where the point is in the light between two: the least that makes them one, up to their width.
+    """
+    best: tuple[float, float, Bodies] | None = None
+    problem: InputError | None = None
+    two: Bodies | None = None
+    whole: tuple[float, bool, Bodies] | None = None
+    least = _CLEAR * pixel_noise(view)
+    first = 0.0
+    for parts in _PARTS:
+        shrink = max(1, int(parts / 4))
+        bodies = find_bodies(view, dark, least / shrink, shrink, _WIDEST, parts)
+        try:
+            k = _pointed(what, bodies, x, y)
+        except InputError as error:
+            problem = problem or error
+            if two is None and isinstance(error, TwoError):
+                two = error.two
+            if first == 0 and len(bodies):
+                first = float(bodies.height[np.argmin(np.hypot(*(bodies.xy - [x, y]).T))])
+            continue
+        if two is not None and parts <= two.width.min() and _holds(bodies, k, two):
+            whole = whole or (parts, dark, bodies[np.array([k])])
+        first = first or float(bodies.height[k])
+        around = _around(bodies, k)
+        if bodies.height[k] < _AS_GOOD * first:
+            break
+        if best is None or around < _FEWER * best[0]:
+            best = around, parts, bodies[np.array([k])]
+        if best[0] < _LONE:
+            break
+    if best is not None:
+        return best[1], dark, best[2]
+    if whole is None:
+        raise problem or NothingError(what, x, y)
+    return whole
+
+
+def _holds(bodies: Bodies, k: int, others: Bodies) -> bool:
+    """Whether the box around body `k` of some holds the centroids of all the `others`."""
+    return bool(np.all((bodies.lower[k] <= others.xy) & (others.xy <= bodies.upper[k])))
+
+
+def _around(bodies: Bodies, k: int) -> float:
+    """What lies within a width of a body, by height times area, as a share of the body's own."""
+    weight = bodies.height * bodies.width**2
+    reach = bodies.width[k]
+    near = np.all((bodies.xy > bodies.lower[k] - reach) & (bodies.xy < bodies.upper[k] + reach),
+                  axis=1)
+    near[k] = False
+    return float(weight[near].sum() / weight[k])

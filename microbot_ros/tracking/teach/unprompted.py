@@ -1,0 +1,260 @@
+"""Choosing what to follow without being told: what moves, is compact and in focus."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Protocol
+
+import numpy as np
+
+from microbot_ros.common.errors import InputError
+from microbot_ros.tracking.locate.bodies import Bodies, find_bodies
+from microbot_ros.tracking.locate.detect import Detections
+from microbot_ros.tracking.locate.kinds import Kind
+from microbot_ros.tracking.locate.kinds_detector import KindsDetector
+from microbot_ros.tracking.locate.search import pixel_noise
+from microbot_ros.tracking.locate.standing import Place, creeping, standing
+from microbot_ros.tracking.settings import TrackerSettings
+from microbot_ros.tracking.teach.learn import learn
+from microbot_ros.tracking.teach.teacher import like
+from microbot_ros.tracking.tracker import make_detector
+
+_SAMPLES = 12
+"""Frames from all over a film by which it is seen what moves and what stands still."""
+
+_LEAST_FRAMES = 24
+"""Frames of a film from which on its samples are searched for what moves."""
+
+_LEAST_SPECKS = 20
+"""Detections in a frame, fewer than which are never taken for noise: on a laboratory film a few
+bright marks beside one dark swimmer look like its negative."""
+
+_MIRRORED = 0.2
+"""Detections in the negative of a frame over those in the frame from which on they are noise. A
+choice: compression noise has 0.44 to 0.82, laboratory films of particles 0.00. At half of it a
+film with a bright particle to ten dark ones would be noise; at twice it some noise would pass."""
+
+_SHRINK, _WIDEST = 2, 120.0
+"""How the pictures are first looked at: pixels taken as one, and the widest body [px]."""
+
+_CLEAR = 8.0
+"""Standard deviations of the noise that a body must stand out by."""
+
+_LONGEST, _LEAST_FILL = 5.0, 0.55
+"""Length over width, and share of the ellipse around it, of what is compact."""
+
+_BLURRED = 0.55
+"""Width of the edge over that of the body from which on it is out of focus."""
+
+_EXAMPLES = (0.5, 0.25, 0.75)
+"""Where in the order of contrast the examples are taken from what moves."""
+
+_AS_DARK = 0.5
+"""Least contrast of an example over that of the first."""
+
+_AGREED = 0.7
+"""Share of what moves that the usual way must find, to be kept, where it is more exact."""
+
+Finder = Callable[[np.ndarray], np.ndarray]
+"""Places (N, 2) [px] of the particles in a picture (H, W)."""
+
+_NOWHERE = np.empty((0, 2))
+
+
+class Detector(Protocol):
+    """Finds particles in a picture; see `RoundDetector`."""
+
+    def detect(self, image: np.ndarray, expected: np.ndarray) -> Detections:
+        """All particles of `image` (H, W); known ones are `expected` at (M, 2) [px]."""
+        ...
+
+
+def evenly(images: Iterable[np.ndarray], length: int | None) -> list[np.ndarray]:
+    """Return 12 to 24 of the `images` of a film, evenly spread; all where there are fewer.
+
+    `length` is the number of images that the film states, None where it states none.
+    """
+    step = max(1, (length or 10 * _SAMPLES) // _SAMPLES)
+    samples: list[np.ndarray] = []
+    for index, image in enumerate(images):
+        if index % step == 0:
+            samples.append(image)
+        if len(samples) > 2 * _SAMPLES:  # longer than stated: every second is enough
+            samples, step = samples[::2], 2 * step
+    return samples
+
+
+def without_prompt(
+    settings: TrackerSettings, samples: list[np.ndarray], length: int
+) -> tuple[TrackerSettings, list[str]]:
+    """Return the `settings` for a film nobody pointed into, and sentences on what is doubtful.
+
+    They have a kind for what moves in the `samples` (H, W), from all over the film, where the
+    learned picture misses much of it, and no kind where what moves is noise. They are returned as
+    they are where they state what a particle looks like, or for a film of less than 24 frames
+    (`length`).
+    """
+    stated = (settings.contrast, settings.shape, settings.diameter_px) != (None, None, None)
+    if stated or settings.kinds or length < _LEAST_FRAMES or len(samples) < 3:
+        return settings, []
+    found = choose(samples, settings)
+    if found is not None and specks(KindsDetector(found.kinds, found.standing), samples):
+        found = None
+    appearance = learn(samples, settings)
+    if appearance is None:
+        return found or settings, []
+    detector = make_detector(appearance, settings)
+    if found is not None and needed(
+            samples, found, lambda image: detector.detect(image, _NOWHERE).xy, appearance.round):
+        return found, []
+    count = specks(detector, samples)
+    return settings, [
+        f'{count} specks a frame are found, and as many in the negative of the film: this is '
+        'noise; point at a particle with --like FRAME,X,Y'] if count else []
+
+
+def specks(detector: Detector, samples: list[np.ndarray]) -> int:
+    """Return how many specks of noise a `detector` finds in a frame; 0 where it finds particles.
+
+    Noise has as many bright maxima as dark ones, so a detector of noise finds as much in the
+    negative of the `samples` (H, W); a detector of particles finds next to nothing there.
+    """
+    count = mirrored = 0
+    for sample in samples:
+        count += len(detector.detect(sample, _NOWHERE))
+        if count < _LEAST_SPECKS:
+            return 0
+        negative = np.iinfo(sample.dtype).max - sample
+        mirrored += len(detector.detect(negative, _NOWHERE))
+    if count < _LEAST_SPECKS * len(samples) or mirrored < _MIRRORED * count:
+        return 0
+    return round(count / len(samples))
+
+
+def choose(frames: list[np.ndarray], settings: TrackerSettings) -> TrackerSettings | None:
+    """The `settings` with a kind for what moves in `frames` (H, W) from all over a film.
+
+    None where nothing moves that is compact and in focus.
+    """
+    # What is there in the middle of the film may be hidden at its beginning, and the reverse.
+    by_sign = {dark: [_compact(frame, dark) for frame in frames] for dark in (True, False)}
+    still = {dark: _standing(seen) for dark, seen in by_sign.items()}
+    moving = {dark: [bodies[~_at(bodies, still[dark])] for bodies in seen]
+              for dark, seen in by_sign.items()}
+    dark = max(moving, key=lambda sign: _energy(moving[sign]))
+    order = [(k, n) for k, bodies in enumerate(moving[dark]) for n in range(len(bodies))]
+    if not order:
+        return None
+    weight = np.array([moving[dark][k].height[n] * moving[dark][k].width[n] for k, n in order])
+    height = np.array([moving[dark][k].height[n] for k, n in order])
+    return _pointed(frames, moving[dark], order, weight, height, settings)
+
+
+def _pointed(
+    frames: list[np.ndarray], moving: list[Bodies], order: list[tuple[int, int]],
+    weight: np.ndarray, height: np.ndarray, settings: TrackerSettings,
+) -> TrackerSettings | None:
+    """Point at what is typical of what moves, as somebody would."""
+    ranked = np.argsort(height)
+    share = np.cumsum(weight[ranked]) / np.sum(weight)
+    chosen, first = settings, 0.0
+    for quantile in _EXAMPLES:
+        k, n = order[ranked[np.searchsorted(share, quantile)]]
+        first = first or float(moving[k].height[n])
+        if moving[k].height[n] < _AS_DARK * first:
+            continue
+        try:
+            x, y = moving[k].xy[n].tolist()
+            chosen, _ = like(chosen, frames[k], x, y, 'particle')
+        except InputError:
+            continue
+    if not chosen.kinds:
+        return None
+    return without_standing(chosen, frames, np.empty((0, 2)), carried=True)
+
+
+def without_standing(
+    settings: TrackerSettings, frames: list[np.ndarray], meant: np.ndarray, carried: bool = False
+) -> TrackerSettings:
+    """The `settings`, with the places where things stand still that look like their kinds.
+
+    `frames` are from all over a film. Not among the places is what is `meant` (M, 2) [px]: who
+    points at something that rests wants it followed. `carried`: what only drifts with the sample
+    stands, too.
+    """
+    places = [place for kind in settings.kinds
+              for place in _unmeant(standing(_members(kind, frames), carried), meant)]
+    return settings.model_copy(update={'standing': (*settings.standing, *places)})
+
+
+def without_creeping(
+    settings: TrackerSettings, frames: list[np.ndarray], meant: np.ndarray, x: float, y: float
+) -> tuple[TrackerSettings, int]:
+    """Return the `settings` without what stays where it is, as what is at (x, y) [px] does.
+
+    Nothing changes where what is at (x, y) moves by itself, or `meant` (M, 2) [px] points are
+    there; the number is that of the places left out. A place may creep by its own width. `frames`
+    (H, W) are from all over a film.
+    """
+    places = [place for kind in settings.kinds
+              for place in _unmeant(creeping(_members(kind, frames)), meant)]
+    if not any(place.holds(x, y) for place in places):
+        return settings, 0
+    return (settings.model_copy(update={'standing': (*settings.standing, *places)}), len(places))
+
+
+def _members(kind: Kind, frames: list[np.ndarray]) -> list[Bodies]:
+    """Return the bodies in each of the `frames` (H, W) that are leniently of a `kind`."""
+    seen = []
+    for frame in frames:
+        bodies = find_bodies(frame, kind.dark, 0.6 * kind.height_grey[0], kind.shrink,
+                             kind.width_px[1], kind.parts_px)
+        seen.append(bodies[kind.members(bodies, np.ones(len(bodies), bool))])
+    return seen
+
+
+def _unmeant(places: list[Place], meant: np.ndarray) -> list[Place]:
+    """Return the `places` that are far from all that is `meant` (M, 2) [px]."""
+    return [place for place in places if not np.any(
+        np.hypot(meant[:, 0] - place.x_px, meant[:, 1] - place.y_px) < 2 * place.radius_px)]
+
+
+def _compact(frame: np.ndarray, dark: bool) -> Bodies:
+    bodies = find_bodies(frame, dark, _CLEAR * pixel_noise(frame) / _SHRINK, _SHRINK, _WIDEST)
+    good = (bodies.length < _LONGEST) & (bodies.fill > _LEAST_FILL) & ~bodies.cut
+    return bodies[good & (bodies.edge < _BLURRED * bodies.width)]
+
+
+def _standing(seen: list[Bodies]) -> np.ndarray:
+    places = standing(seen, carried=True)
+    return np.array([(place.x_px, place.y_px, place.radius_px) for place in places]).reshape(-1, 3)
+
+
+def _at(bodies: Bodies, places: np.ndarray) -> np.ndarray:
+    away = np.hypot(bodies.xy[:, None, 0] - places[:, 0], bodies.xy[:, None, 1] - places[:, 1])
+    return np.asarray(np.any(away < places[:, 2], axis=1))
+
+
+def _energy(seen: list[Bodies]) -> float:
+    return float(sum(np.sum((bodies.height * bodies.width) ** 2) for bodies in seen))
+
+
+def needed(
+    frames: list[np.ndarray], chosen: TrackerSettings, find: Finder, fitted: bool
+) -> bool:
+    """Whether what was `chosen` follows more in `frames` than the usual way to `find` particles.
+
+    Where that has a picture that is `fitted`
+    to each particle it is more exact, and kept unless it misses much; outlines are no more exact
+    than those of a kind, which knows them better, and are kept only where they find more.
+    """
+    detector = KindsDetector(chosen.kinds, chosen.standing)
+    both = missed = more = 0
+    for frame in frames:
+        bodies = detector.detect(frame, np.empty((0, 2)))
+        places = find(frame)
+        near = np.linalg.norm(bodies.xy[:, None] - places, axis=2) < 2 * bodies.radius[:, None]
+        both += int(near.any(axis=1).sum())
+        missed += int((~near.any(axis=1)).sum())
+        more += int((~near.any(axis=0)).sum())
+    return both < _AGREED * (both + missed) if fitted else missed >= more
