@@ -58,7 +58,7 @@ class RepeatingWorker(DeadlineWorker):
         if letter == BUSY:
             raise BusyError('has not returned from the tick before')
         if letter == HUNG:
-            raise HungError('did not return')
+            raise HungError(f'did not return for {self._patience:g} s')
         if letter == LATE:
             with suppress(Exception):
                 super().call(function, _REPLAY_SECONDS)
