@@ -17,7 +17,8 @@ from typing import Any
 import hypothesis
 import pytest
 
-sys.path[:0] = [str(Path(__file__).parent / 'harness'), str(Path(__file__).parent)]
+sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parent / 'harness'))
 
 from domains import own_domain
 from retries import Retries
