@@ -38,6 +38,9 @@ _TICK_S = 0.005
 _REFRESH_S = 0.04
 """The present output goes out again this often: a device's watchdog is fed while commands hold,
 and a zero that the line damaged is not the last word."""
+_LAPSE_S = 0.06
+"""After a longer pause between two writes the watchdog of the device may have zeroed the coils.
+Choice: a thread on time writes every 0.045 s at least, and known watchdogs wait 0.1 s."""
 _RECONNECT_S = 0.1
 """Pause between attempts to reconnect: a line that is back is at zero within 0.2 s."""
 _TOLD_S = 0.01
@@ -130,7 +133,7 @@ class CoilDriver:
         self._turned_s = self._told_s = 0.0
         self._swinging = False
         self._sent: Currents = self.gate.zero
-        self._sent_s = 0.0
+        self._sent_s = self._polled_s = 0.0
         self._last_resort: LastResort | None = None
         self._ending = threading.Event()
         self._thread: threading.Thread | None = None
@@ -366,13 +369,16 @@ class CoilDriver:
         readings = self.amplifier.poll(self._patience_s())
         self._do_requests()
         order = self._take_order()
-        now = self._clock.now()
+        before_s, self._polled_s = self._polled_s, self._clock.now()
+        now = self._polled_s
+        self._look_for_lapse(now)
         if self.amplifier.fault:
             self.gate.trip(Reason.DEVICE, self.amplifier.fault)
         if self._swinging and self._rotation.turns:
             self._sample(now)  # the device is ahead of the last sample
         for reading in readings:
-            self._judge(reading, now)
+            # What waits in the port while this thread is late may be as old as the last look.
+            self._judge(reading, now, min(reading.since_s, before_s))
         was_armed = self.gate.armed
         if self._check is not None:
             self._go_on_checking(self._check, now)
@@ -458,14 +464,22 @@ class CoilDriver:
             return
         swing = self._judged_swing()
         self._swinging = swing is not None
+        self._look_for_lapse(self._clock.now())
         self._sent, self._sent_s = self.gate.output, self._clock.now()
         sent = self.amplifier.write(self._sent, tag, swing)
+        self.gate.sent(self._clock.now())
         if any(self._sent) or swing is not None:
             self._zero_since_s = None
         elif self._zero_since_s is None:
             self._zero_since_s = sent.t_monotonic_s
         if tag is not None:
             self._on_sent(sent)
+
+    def _look_for_lapse(self, now: float) -> None:
+        if now - self._sent_s > _LAPSE_S:
+            self.gate.lapse(now)
+            if self._check is not None:
+                self._check.repeat(now)
 
     def _judged_swing(self) -> Swing | None:
         """How the device is to turn the currents by itself, where the gate allows it."""
@@ -475,17 +489,17 @@ class CoilDriver:
         self.gate.swing(swing.largest.tolist(), swing.amplitude.tolist(), swing.rate)
         return swing if self.gate.armed else None
 
-    def _judge(self, reading: Reading, now: float) -> None:
+    def _judge(self, reading: Reading, now: float, since_s: float) -> None:
         currents: list[float] = reading.currents_A.tolist()
         self._look_for_zero(reading)
         if self._check is not None:
             # Before the gate, which would trip at the same current and could not name the coil.
-            self._check.measured(currents, now, reading.since_s)
+            self._check.measured(currents, now, since_s)
             if self._check.complaint:
                 self.gate.trip(Reason.SELF_CHECK, self._check.complaint)
             elif self._check.wanted != self.gate.output:
                 self.gate.command(self._check.wanted, now)
-        self.gate.measured(currents, now, reading.since_s)
+        self.gate.measured(currents, now, since_s)
 
     def _look_for_zero(self, reading: Reading) -> None:
         """Note whether a reading that was taken after the zero shows it; one that does not
@@ -564,6 +578,7 @@ class CoilDriver:
     def _connect(self) -> None:
         self.amplifier.connect()
         self._sent, self._sent_s = self.gate.zero, self._clock.now()
+        self._polled_s = self._sent_s
         self._zero_since_s = self._sent_s
         self._zero_seen_s = self._sent_s if self.amplifier.reads_back else -math.inf
         self._replace_last_resort()

@@ -110,7 +110,9 @@ class Gate:
         self._measured: Currents = self.zero
         self._allowance: Currents = (limits.step_A,) * channels  # what each current may yet change
         self._replaced: deque[tuple[float, Currents]] = deque()  # when, which output
+        self._unsent = 0  # how many of these since the last write
         self._behind_s = 0.0  # the age of what the last reading showed, where that is too old
+        self._lapsed_s = -math.inf
 
     def arm(self, now_s: float) -> str | None:
         """Clear the fault and affirm from now on; or, where that is not safe, say why not.
@@ -212,6 +214,20 @@ class Gate:
                              f'{abs(rate) / math.tau:.3g} turns a second')
         return self.output
 
+    def sent(self, now_s: float) -> None:
+        """Note that the present output was handed to the line by `now_s`: coils may have followed
+        what it replaced until then, however late the write was.
+        """
+        for index in range(max(len(self._replaced) - self._unsent, 0), len(self._replaced)):
+            self._replaced[index] = now_s, self._replaced[index][1]
+        self._unsent = 0
+
+    def lapse(self, now_s: float) -> None:
+        """Note that the device may have zeroed itself before `now_s`: no command was written for
+        longer than its watchdog may wait.
+        """
+        self._lapsed_s = now_s
+
     def measured(self, currents_A: Sequence[float], now_s: float,
                  since_s: float | None = None) -> Currents:
         """Take measured `currents_A` (N,) [A] into account: the currents that may flow now.
@@ -221,8 +237,10 @@ class Gate:
         takes. `since_s` is now, or earlier where a slow line was still busy with older outputs.
         Currents that agree with none of these, but all together with the outputs of one moment
         up to `feedback_timeout_s` before, are late: no fault of the coils, and no measurement of
-        the present. Any other trip. Once the coils have had time to settle at zero they replace
-        the fault that stands: current that nobody commands outranks the reason why nobody does.
+        the present. So are currents between these outputs and zero, until the coils have had time
+        to settle after a `lapse`. Any other trip. Once the coils have had time to settle at zero
+        they replace the fault that stands: current that nobody commands outranks the reason why
+        nobody does.
         """
         if not self._advance(now_s):
             return self.zero
@@ -240,6 +258,8 @@ class Gate:
             self._measured_s, self._behind_s = now_s, 0.0
         elif (seen_s := self._last_seen(measured, settled_s)) is not None:
             self._behind_s = now_s - seen_s
+        elif self._lapsed_s > settled_s and self._agrees(measured, [self.zero, *recent]):
+            self._behind_s = now_s - settled_s
         else:
             self._measured_s = now_s
             return self._deviates(measured, at_rest=not any(map(any, recent)))
@@ -328,6 +348,7 @@ class Gate:
         self._allowance = tuple(max(left, 0.0) for left in self._allowance_after(currents))
         if currents != self.output:
             self._replaced.append((self._now_s, self.output))
+            self._unsent += 1
         self.output = currents
         return currents
 

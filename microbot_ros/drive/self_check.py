@@ -63,7 +63,7 @@ class SelfCheck:
         since_s = now_s if since_s is None else since_s
         coil, margin = len(self.gains), self._limits.deviation_A
         if self.silent:
-            self._await_watchdog(currents_A, now_s)
+            self._await_watchdog(currents_A, now_s, since_s)
         elif all(abs(current - wanted) <= margin
                for current, wanted in zip(currents_A, self.wanted, strict=True)):
             self._agreed(coil, currents_A, now_s)
@@ -72,6 +72,12 @@ class SelfCheck:
                            for current, wanted in zip(currents_A, self.wanted, strict=True))
             if not settling or since_s - self._pulsed_s >= self._limits.settling_s:
                 self.complaint = self._diagnosis(coil, currents_A)
+
+    def repeat(self, now_s: float) -> None:
+        """Give the pulse its whole time again from `now_s`: it may have been interrupted by the
+        device's watchdog, as no command was written for too long."""
+        if any(self.wanted) and not self.silent:
+            self._pulsed_s = now_s
 
     def _agreed(self, coil: int, currents_A: Sequence[float], now_s: float) -> None:
         if any(self.wanted):
@@ -87,12 +93,12 @@ class SelfCheck:
             self.wanted = tuple(pulse)
             self._pulsed_s = now_s
 
-    def _await_watchdog(self, currents_A: Sequence[float], now_s: float) -> None:
+    def _await_watchdog(self, currents_A: Sequence[float], now_s: float, since_s: float) -> None:
         lasted_s = now_s - self._pulsed_s
         if all(abs(current) <= self._limits.deviation_A for current in currents_A):
             self.watchdog_s, self.wanted = lasted_s, self._zero
             self.silent, self.done = False, True
-        elif not lasted_s < LONGEST_WATCHDOG_S:
+        elif not since_s - self._pulsed_s < LONGEST_WATCHDOG_S:
             self.complaint = ('the amplifier has no watchdog: without a command for '
                               f'{lasted_s:.2g} s current still flowed; where that is accepted, '
                               'set accept_no_watchdog: true')

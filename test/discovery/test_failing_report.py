@@ -14,7 +14,7 @@ from microbot_ros.model.effects.velocity.uniform_drift import UniformDrift
 from microbot_ros.model.io.model_file import read_model
 from microbot_ros.session import write_session
 
-REPORT = 'microbot_ros.discovery.report.page'
+REPORT = 'microbot_ros.discovery.report.page.page'
 
 
 @pytest.fixture(name='session', scope='module')

@@ -11,9 +11,9 @@ from microbot_ros.common.records import Tracks
 from microbot_ros.discovery.check.input_checks import check_sessions
 from microbot_ros.discovery.discover import discover
 from microbot_ros.discovery.intervals import Intervals
-from microbot_ros.discovery.report import page
 from microbot_ros.discovery.report.figures import embedded
 from microbot_ros.discovery.report.learned import draw_learned
+from microbot_ros.discovery.report.page import page
 from microbot_ros.discovery.report.prediction import predict
 from microbot_ros.discovery.report.residual import residual
 from microbot_ros.discovery.result import Learned, NamedEffect
