@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
+
+from microbot_ros.common.errors import InputError
+
 EXTRAS = {
     'av': 'video',
     'lz4': 'mcap', 'mcap': 'mcap', 'rosbags': 'mcap', 'zstandard': 'mcap',
@@ -23,3 +27,16 @@ def advice(error: ImportError) -> str | None:
         return None
     return (f"the library '{library}' is not installed; "
             f"pip install 'microbot_ros[{EXTRAS[library]}]'")
+
+
+def require(*extras: str) -> None:
+    """Raise InputError, saying what to install, if a library of these `extras` is not installed.
+
+    For commands that would otherwise miss a library only after minutes of work.
+    """
+    missing = [library for library, extra in EXTRAS.items()
+               if extra in extras and find_spec(library) is None]
+    if missing:
+        needed = ','.join(dict.fromkeys(EXTRAS[library] for library in missing))
+        raise InputError('', f'not installed: {", ".join(missing)}; '
+                             f"pip install 'microbot_ros[{needed}]'")

@@ -19,10 +19,10 @@ from microbot_ros.nodes.offline import alone, end_offline, make_offline
 from microbot_ros.nodes.recorder import keep_parameters
 from microbot_ros.nodes.replayed_node import ReplayedNode, SilentError, Stage
 from microbot_ros.nodes.topics import CHANGES, TOPICS, type_name
-from microbot_ros.session import RecordingWriter
 from microbot_ros.session.accounts import Doubt
 from microbot_ros.session.lockstep import FRAMES, frame_topic
 from microbot_ros.session.playback import Source, open_source
+from microbot_ros.session.recorder import RecordingWriter
 from microbot_ros.session.recording import Recording, is_topic
 
 STAGES = (

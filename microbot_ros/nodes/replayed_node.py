@@ -13,7 +13,6 @@ from rclpy.serialization import serialize_message
 
 from microbot_ros.nodes.offline import Offline
 from microbot_ros.nodes.topics import CHANGES, type_name
-from microbot_ros.session import RecordingWriter
 from microbot_ros.session.accounts import (
     CHANGE,
     FRAME,
@@ -28,6 +27,7 @@ from microbot_ros.session.bag import whole
 from microbot_ros.session.inputs import Inputs, OfNode
 from microbot_ros.session.lockstep import header_stamp_ns
 from microbot_ros.session.playback import Source
+from microbot_ros.session.recorder import RecordingWriter
 from microbot_ros.session.recording import is_topic
 
 _ANSWER_SECONDS = 1.0

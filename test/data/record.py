@@ -23,7 +23,7 @@ import yaml
 
 from microbot_ros.nodes.graph import Graph
 from microbot_ros.nodes.replay_check import ReplayCheck, plan_replay, recorded_parameters
-from microbot_ros.session import open_recording
+from microbot_ros.session.recording import open_recording
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 
 HERE = Path(__file__).parent

@@ -42,12 +42,14 @@ from microbot_ros.nodes import messages, process
 from microbot_ros.nodes.account import NotingWorker
 from microbot_ros.nodes.offline import ScriptedWorker, alone, end_offline, make_offline
 from microbot_ros.nodes.replay_check import ReplayCheck, plan_replay, recorded_parameters
-from microbot_ros.session import RecordingWriter, open_recording, read_session
+from microbot_ros.session import read_session
 from microbot_ros.session.accounts import BUSY, CHANGE, HUNG, IN_TIME, LATE
 from microbot_ros.session.cloud import cloud_table
 from microbot_ros.session.compare import compare
 from microbot_ros.session.lockstep import header_stamp_ns
 from microbot_ros.session.playback import open_source
+from microbot_ros.session.recorder import RecordingWriter
+from microbot_ros.session.recording import open_recording
 
 DATA = Path(__file__).parents[1] / 'data'
 STEERING, TRACKING = DATA / 'steering.mcap', DATA / 'tracking.mcap'

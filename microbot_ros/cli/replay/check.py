@@ -14,10 +14,10 @@ from rich.console import Console
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.files import write_text
-from microbot_ros.session import is_recording, open_recording
 from microbot_ros.session.accounts import Doubt
 from microbot_ros.session.compare import TopicDifference, compare
 from microbot_ros.session.lockstep import header_stamp_ns
+from microbot_ros.session.recording import is_recording, open_recording
 
 if TYPE_CHECKING:
     from rich.table import Table
