@@ -12,10 +12,8 @@ import numpy as np
 import yaml
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
-from diagnostic_msgs.srv import AddDiagnostics
 from geometry_msgs.msg import Point, PoseArray, PoseStamped, Vector3Stamped
 from nav_msgs.msg import Path
-from rclpy.parameter import Parameter
 from sensor_msgs.msg import Joy, PointCloud2
 from std_msgs.msg import Bool, Header, String
 from std_srvs.srv import Trigger
@@ -112,7 +110,6 @@ class ControllerNode(RigNode):
         self.subscribe(Bool, 'coil_driver/armed',
                        lambda message: armed() if message.data else disarmed(), LATCHED)
         self.every(0.05, self._watch)
-        self.service(AddDiagnostics, '~/switch_controller', self._on_switch)
         self.service(Trigger, '~/list_controllers', self._on_list)
         self._progress = self.publisher(DiagnosticStatus, '~/progress')
         # Latched: who looks later is to know too where it goes.
@@ -253,15 +250,6 @@ class ControllerNode(RigNode):
             self.stage.move_joystick(np.array(message.axes[:2], float), t)
         except ValueError as error:
             raise messages.MessageError(f'joy: {error}') from None
-
-    def _on_switch(self, request: AddDiagnostics.Request,
-                   answer: AddDiagnostics.Response) -> AddDiagnostics.Response:
-        """Set the parameter `controller`, so that both ways are one."""
-        result = self.set_parameters_atomically([
-            Parameter('controller', value=request.load_namespace)])
-        answer.success = result.successful
-        answer.message = result.reason or f'{self.stage.manager.active} drives'
-        return answer
 
     def _on_list(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
         active = self.stage.manager.active
