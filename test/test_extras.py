@@ -11,7 +11,6 @@ import lowest
 import pytest
 
 from microbot_ros.common.extras import EXTRAS, advice
-from microbot_ros.nodes.process import NODES
 
 ROOT = Path(__file__).parents[1]
 WITHOUT = f"""
@@ -38,13 +37,6 @@ def test_every_library_of_an_extra_is_named() -> None:
     assert set(EXTRAS.values()) >= set(lowest.features())
 
 
-@pytest.mark.parametrize('node', sorted(set(NODES) - {'cockpit'}))
-def test_a_node_needs_only_the_core(node: str) -> None:
-    """Import only: what a node does with a library of an extra, it asks for when it does it."""
-    done = run(f'import microbot_ros.nodes.{node}')
-    assert done.returncode == 0, done.stderr
-
-
 def test_no_command_needs_an_extra_to_explain_itself() -> None:
     from microbot_ros.cli import _COMMANDS
 
@@ -55,7 +47,7 @@ def test_no_command_needs_an_extra_to_explain_itself() -> None:
 
 @pytest.mark.parametrize(('words', 'library', 'extra'), [
     ('info nothing.mcap', 'rich', 'analysis'),
-    ('demo --out out', 'rich', 'analysis'),
+    ('discover nothing --out out', 'rich', 'analysis'),
 ])
 def test_a_command_names_the_extra_that_it_lacks(
     words: str, library: str, extra: str, tmp_path: Path,
@@ -73,3 +65,13 @@ def test_another_missing_module_is_an_error_of_ours() -> None:
     assert advice(ModuleNotFoundError(name='microbot_ros.nothing')) is None
     assert advice(ModuleNotFoundError()) is None
     assert advice(ModuleNotFoundError(name='mcap.reader')) is not None
+
+
+def test_the_demo_names_all_that_it_lacks_before_it_begins(tmp_path: Path) -> None:
+    done = run(f'import os; os.chdir({str(tmp_path)!r})\n'
+               'from microbot_ros.cli import main; main()', 'demo', '--out', 'out')
+    assert done.returncode == 2
+    assert done.stderr == (
+        'microbot: not installed: av, lz4, mcap, rosbags, zstandard, jinja2, matplotlib, '
+        "openpyxl, rich; pip install 'microbot_ros[video,mcap,analysis]'\n")
+    assert not list(tmp_path.iterdir())
