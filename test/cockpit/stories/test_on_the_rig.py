@@ -14,7 +14,18 @@ import numpy as np
 import psutil
 import pytest
 from cockpit.virtual import VirtualRig
-from hands import HEIGHT, PIXEL_UM, WIDTH, arm, draw, mode, on_page, switch, take_control
+from hands import (
+    HEIGHT,
+    PIXEL_UM,
+    WIDTH,
+    arm,
+    draw,
+    mode,
+    on_page,
+    part,
+    switch,
+    take_control,
+)
 from lines import farthest
 
 pytestmark = [pytest.mark.rig, pytest.mark.timeout(240)]
@@ -109,6 +120,7 @@ def test_v_and_phi_are_the_truth(page, truth) -> None:
         page.wait_for_timeout(1200)
         for key in keys:
             page.keyboard.up(key)
+    part(page, 'estimates')
     places = truth()
     rings = page.evaluate(_RINGS)[1]
     for number, (v_true, phi_true) in enumerate(true):
@@ -423,6 +435,7 @@ def test_a_page_that_vanishes_steers_no_more(page, virtual, way) -> None:
 
 
 def test_notes_are_in_the_recording(page, virtual) -> None:
+    part(page, 'recording')
     page.fill('#title', 'batch 7')
     page.click('#record')
     page.wait_for_selector('#recording-now:has-text("“batch 7”")')
@@ -430,6 +443,7 @@ def test_notes_are_in_the_recording(page, virtual) -> None:
     page.press('#note', 'Enter')
     page.wait_for_function('() => document.querySelector("#note").value === ""')
     page.reload()
+    part(page, 'recording')
     page.wait_for_selector('#recording-now:has-text("“batch 7”")')
     take_control(page).click('#record')
     page.wait_for_selector('#recording-now:has-text("Not recording")')
