@@ -36,8 +36,7 @@ def main(address: str) -> None:
         _first_minutes(page)
         _keep(page, 'cockpit_light')
         page.emulate_media(color_scheme='dark')
-        page.locator('#field').evaluate(
-            'part => { part.parentNode.scrollTop = part.offsetTop - 12; }')
+        page.click('#tab-field')
         page.wait_for_timeout(1500)
         _keep(page, 'cockpit_dark')
         page.click('#stop')

@@ -12,10 +12,8 @@ import numpy as np
 import yaml
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
-from diagnostic_msgs.srv import AddDiagnostics
 from geometry_msgs.msg import Point, PoseArray, PoseStamped, Vector3Stamped
 from nav_msgs.msg import Path
-from rclpy.parameter import Parameter
 from sensor_msgs.msg import Joy, PointCloud2
 from std_msgs.msg import Bool, Header, String
 from std_srvs.srv import Trigger
@@ -269,7 +267,6 @@ class ControllerNode(RigNode, ControllerCore):
         self.publisher(String, '~/controllers', LATCHED).publish(
             String(data=yaml.safe_dump(summaries, sort_keys=False)))
         self.every(0.05, self._watch)
-        self.service(AddDiagnostics, '~/switch_controller', self._on_switch)
         self.service(Trigger, '~/list_controllers', self._on_list)
         self._progress = self.publisher(DiagnosticStatus, '~/progress')
         self._tell_goals(Time())
@@ -301,15 +298,6 @@ class ControllerNode(RigNode, ControllerCore):
         level = {Result.OK: OK, Result.FAULT: ERROR}.get(outcome.result, WARN)
         waits = 'not armed: starts when armed; ' * self.stage.waits
         return level, f'{name}: {waits}{outcome.message or "driving"}', values
-
-    def _on_switch(self, request: AddDiagnostics.Request,
-                   answer: AddDiagnostics.Response) -> AddDiagnostics.Response:
-        """Set the parameter `controller`, so that both ways are one."""
-        result = self.set_parameters_atomically([
-            Parameter('controller', value=request.load_namespace)])
-        answer.success = result.successful
-        answer.message = result.reason or f'{self.stage.manager.active} drives'
-        return answer
 
     def _on_list(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
         active = self.stage.manager.active

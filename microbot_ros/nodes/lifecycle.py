@@ -174,24 +174,36 @@ class RigNode(LifecycleNode, Core):
         request is taken; its result is the third argument of `callback`. The service goes with the
         next cleanup.
         """
-        pool = ThreadPoolExecutor(1, thread_name_prefix=name)
+        aside = self.aside(name)
         made = self.create_service(kind, name, lambda *asked: asked)
         answer = made.send_response
-
-        def work(asked: tuple[Any, ...], header: Any) -> None:
-            try:
-                answer(callback(*asked), header)
-            except Exception:  # nobody looks at what a thread raises
-                self.get_logger().error(f'{name}: {traceback.format_exc()}')
 
         def take(asked: tuple[Any, ...], header: Any) -> None:
             if at_once:
                 asked = (*asked, at_once(asked[0], header))
-            pool.submit(work, asked, header)
+            aside(lambda: answer(callback(*asked), header))
 
         # The executor answers with what the callback returns; this lets it go on instead.
         made.send_response = take  # type: ignore
-        self._created += [(pool.shutdown, True), (self.destroy_service, made)]
+        self._created.append((self.destroy_service, made))
+
+    def aside(self, name: str) -> Callable[[Callable[[], None]], None]:
+        """Return what runs work in a thread called `name`, one piece after the other.
+
+        What the work raises is logged. The thread ends with the next cleanup.
+        """
+        pool = ThreadPoolExecutor(1, thread_name_prefix=name)
+        self._created.append((pool.shutdown, True))
+
+        def logged(work: Callable[[], None]) -> None:
+            try:
+                work()
+            except Exception:  # nobody looks at what a thread raises
+                self.get_logger().error(f'{name}: {traceback.format_exc()}')
+
+        def run(work: Callable[[], None]) -> None:
+            pool.submit(logged, work)
+        return run
 
     def client(self, kind: type, name: str) -> Client:
         """A client of a service of a `kind` that goes with the next cleanup."""

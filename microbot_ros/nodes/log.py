@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -44,6 +45,7 @@ class Log:
 
     def keeping(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
         """Return the `callback` of a `topic` with its messages noted."""
+        @functools.wraps(callback)
         def take(message: Any) -> None:
             if hasattr(message, 'header'):
                 stamp = message.header.stamp

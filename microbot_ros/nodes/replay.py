@@ -30,7 +30,6 @@ from microbot_ros.nodes.messages import MessageError
 from microbot_ros.nodes.model import ModelCore
 from microbot_ros.nodes.topics import TOPICS, type_name
 from microbot_ros.nodes.tracker import TrackerCore
-from microbot_ros.session import RecordingWriter
 from microbot_ros.session.bag import whole
 from microbot_ros.session.compare import Doubt
 from microbot_ros.session.log import (
@@ -44,6 +43,7 @@ from microbot_ros.session.log import (
     read_log,
 )
 from microbot_ros.session.playback import Source, open_source
+from microbot_ros.session.recorder import RecordingWriter
 from microbot_ros.session.recording import Recording, header_stamp_ns, is_topic
 
 _REMEMBERED = 5000
@@ -376,6 +376,8 @@ class _Player:
                                     'recorded')
                 return
         elif entry.name not in (PARAMETERS, EXPIRE, LET_GO, *self._core.inlets):
+            if entry.name.startswith('~/'):
+                self._reason = f'the {self.stage.node} was taught by {entry.name[2:]}'
             return
         self._core.be_given(entry, data)
 

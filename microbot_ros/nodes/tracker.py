@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.srv import AddDiagnostics
-from geometry_msgs.msg import PoseArray, Vector3Stamped
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from geometry_msgs.msg import PointStamped, PoseArray, Vector3Stamped
 from sensor_msgs.msg import Image, MagneticField, PointCloud2
 from std_msgs.msg import String
+from std_srvs.srv import Trigger
 
 from microbot_ros.common import units
-from microbot_ros.common.errors import InputError
+from microbot_ros.common.errors import InputError, clipped
 from microbot_ros.common.settings import setting
 from microbot_ros.loop.tracker import TrackerParameters, TrackerStage
 from microbot_ros.nodes import messages
@@ -43,6 +45,9 @@ class TrackerNodeParameters(TrackerParameters):
         'from the coils, the one commanded, the rotation of rollers while a field is read '
         'back, or nothing known.',
         choices=('applied', 'command', 'rotation', 'none'), read_only=True)
+    example_kind: str = setting(
+        '', 'Kind that the next example on `tracker/like` or `tracker/unlike` shows, and that '
+        '`tracker/forget` forgets; empty: the kind that fits best, and all kinds.')
     overlay_rate_hz: float = setting(
         10.0, 'Rate of `overlay/image_raw` while somebody looks; 0 turns it off.',
         lower=0.0, upper=60.0)
@@ -104,7 +109,8 @@ class TrackerCore(Core):
 
 class TrackerNode(RigNode, TrackerCore):
     """`TrackerCore`, with `overlay/image_raw`, the names of the kinds that were taught on
-    `tracker/kinds`, and where the picture lies on `/tf_static`."""
+    `tracker/kinds`, and where the picture lies on `/tf_static`. Examples come on `tracker/like`
+    and `tracker/unlike`; `tracker/taught` says what was learned from each."""
 
     def setup(self) -> None:
         self._came = -float('inf')
@@ -113,7 +119,13 @@ class TrackerNode(RigNode, TrackerCore):
         self._names = self.publisher(String, '~/kinds', LATCHED)
         publish_camera_transform(
             self, units.to_si('rotation_deg', self.settings.rotation_deg), self.settings.mirrored)
-        self.service_aside(AddDiagnostics, '~/teach', self._on_teach)
+        self._taught = self.publisher(DiagnosticStatus, '~/taught', LATCHED)
+        aside = self.aside('teach')  # learning takes longer than a frame
+        self.subscribe(PointStamped, '~/like',
+                       lambda example: aside(lambda: self._learn('like', example)))
+        self.subscribe(PointStamped, '~/unlike',
+                       lambda example: aside(lambda: self._learn('unlike', example)))
+        self.service(Trigger, '~/forget', self._on_forget)
         self.connect()
         self._tell_kinds()
 
@@ -140,10 +152,35 @@ class TrackerNode(RigNode, TrackerCore):
                 'overlay', self.settings.overlay_rate_hz, messages.to_seconds(stamp)):
             self.afterwards(lambda: self._draw(image, stamp))
 
-    def _on_teach(self, request: AddDiagnostics.Request,
-                  answer: AddDiagnostics.Response) -> AddDiagnostics.Response:
+    def _learn(self, example: str, message: PointStamped) -> None:
+        """Learn from an example and publish the outcome on `tracker/taught`."""
+        header, point = message.header, message.point
         try:
-            answer.message = self.stage.teach(request.load_namespace)
+            if not math.isfinite(point.x + point.y):
+                raise InputError(f'tracker/{example}', 'expected finite coordinates; received '
+                                 f'{point.x}, {point.y}')
+            if header.frame_id == messages.WORKSPACE:
+                x, y = self.stage.pixel_at(point.x, point.y)
+            elif header.frame_id == messages.CAMERA:
+                x, y = point.x, point.y
+            else:
+                raise InputError(f'tracker/{example}', f"expected the frame {messages.CAMERA} or "
+                                 f"{messages.WORKSPACE}; received '{clipped(header.frame_id)}'")
+            level, said = OK, self.stage.teach(
+                example == 'like', x, y, self.settings.example_kind or None,
+                messages.to_seconds(header.stamp) or None)
+        except InputError as error:
+            level, said = WARN, str(error)
+        self._taught.publish(DiagnosticStatus(
+            level=level, name='tracker/taught', message=said, values=[
+                KeyValue(key=key, value=str(value)) for key, value in (
+                    ('example', example), ('stamp_ns', _nanoseconds(header.stamp)),
+                    ('x', point.x), ('y', point.y))]))
+
+    def _on_forget(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
+        """Forget the kind that `example_kind` names, or all kinds."""
+        try:
+            answer.message = self.stage.forget(self.settings.example_kind or None)
             answer.success = True
         except InputError as error:
             answer.message, answer.success = str(error), False
@@ -159,3 +196,7 @@ class TrackerNode(RigNode, TrackerCore):
 
         assert self.stage.poses is not None
         self._overlay.publish(messages.image(draw_overlay(image, self.stage.poses), stamp))
+
+
+def _nanoseconds(stamp: Time) -> int:
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)

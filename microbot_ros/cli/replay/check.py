@@ -13,9 +13,8 @@ from rich.console import Console
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.files import write_text
-from microbot_ros.session import is_recording, open_recording
 from microbot_ros.session.compare import Doubt, TopicDifference, compare
-from microbot_ros.session.recording import header_stamp_ns
+from microbot_ros.session.recording import header_stamp_ns, is_recording, open_recording
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -1,9 +1,8 @@
-// On wide screens all parts stand below one another; on narrow ones they are tabs.
+// The parts of the cockpit: one in view, the tabs of all above it.
 
 import { byId, make } from './dom.js';
 
 export function tabs() {
-  const narrow = matchMedia('(max-width: 1099px)');
   const panels = [...document.querySelectorAll('[data-tab]')];
   const buttons = panels.map((panel) => make('button', { type: 'button', role: 'tab',
     id: `tab-${panel.id}`, 'aria-controls': panel.id }, panel.dataset.tab));
@@ -12,12 +11,14 @@ export function tabs() {
   const show = (index, focus = false) => {
     current = (index + panels.length) % panels.length;
     panels.forEach((panel, at) => {
-      panel.hidden = narrow.matches && at !== current;
-      panel.setAttribute('role', narrow.matches ? 'tabpanel' : 'region');
+      panel.hidden = at !== current;
+      panel.setAttribute('role', 'tabpanel');
       panel.setAttribute('aria-labelledby', `tab-${panel.id}`);
       buttons[at].setAttribute('aria-selected', at === current);
       buttons[at].tabIndex = at === current ? 0 : -1;
     });
+    byId('panels').scrollTop = 0;
+    history.replaceState(null, '', `#${panels[current].id}`);
     if (focus) buttons[current].focus();
   };
 
@@ -27,6 +28,5 @@ export function tabs() {
     if (key === 'ArrowRight') show(current + 1, true);
     if (key === 'ArrowLeft') show(current - 1, true);
   };
-  narrow.addEventListener('change', () => show(current));
-  show(0);
+  show(Math.max(panels.findIndex(({ id }) => `#${id}` === location.hash), 0));
 }

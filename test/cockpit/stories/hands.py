@@ -59,3 +59,8 @@ def draw(page: Any, places: Sequence[tuple[float, float]]) -> None:
     for place in places[1:]:
         page.mouse.move(*place)
     page.mouse.up()
+
+
+def part(page: Any, name: str) -> None:
+    """Bring the part of the page with that id into view."""
+    page.click(f'#tab-{name}')

@@ -2,13 +2,42 @@
 
 from __future__ import annotations
 
+import io
 from typing import Any
 
 import pytest
+from PIL import Image
 
 pytestmark = pytest.mark.rig
 
-_SIZES = [(1440, 900), (1920, 1080), (1100, 700), (1024, 768), (820, 1180), (390, 844), (844, 390)]
+_SIZES = [(360, 640), (390, 844), (844, 390), (768, 1024), (1024, 768), (1440, 900), (2560, 1440)]
+
+# What is cut off: words wider than their box or, where nothing scrolls, higher; whatever lies
+# outside the window or over STOP.
+_CUT = """() => {
+  const stop = document.querySelector('#stop'), red = stop.getBoundingClientRect();
+  const end = document.querySelector('#panels').getBoundingClientRect().bottom;
+  const cut = [];
+  const left = ':not(svg *, option, datalist, .unseen, .modes input)';
+  for (const node of document.querySelectorAll(`body *${left}`)) {
+    if (!node.checkVisibility()) continue;
+    const box = node.getBoundingClientRect();
+    const name = node.id || node.className || node.textContent.slice(0, 30) || node.tagName;
+    const note = (what) => cut.push([name, what]);
+    const inside = node.closest('#panels') && node.id !== 'panels';
+    const bottom = inside ? Math.min(box.bottom, end) : box.bottom;
+    if (node.clientWidth && node.scrollWidth > node.clientWidth + 1) note('wider than its box');
+    if (!node.matches('#panels, .why, #messages, .messages') && node.clientHeight
+        && node.scrollHeight > node.clientHeight + 2
+        && getComputedStyle(node).overflowY !== 'visible') note('higher than its box');
+    if (box.left < -1 || box.right > innerWidth + 1) note('outside');
+    if (!inside && (box.top < -1 || box.bottom > innerHeight + 1)) note('above or below');
+    if (!node.children.length && node.textContent.trim() && !stop.contains(node)
+        && box.left < red.right && box.right > red.left
+        && box.top < red.bottom && bottom > red.top) note('over STOP');
+  }
+  return cut;
+}"""
 
 # Whatever can be clicked, with the area in which it can: of what is in a label, the label's.
 _TARGETS = """() => [...document.querySelectorAll('button, input, select, a, [tabindex], label')]
@@ -101,8 +130,8 @@ def test_targets_are_large_and_stop_stands_alone(open_page, rig, size) -> None:
 
 def test_everything_that_is_on_is_reached_by_tab_and_seen_to_be(page) -> None:
     wanted = page.evaluate("""() => [...document.querySelectorAll(
-      'button:enabled, select:enabled, input:enabled:not([type=radio]), #frame')]
-      .filter((node) => node.checkVisibility()).map((node) => {
+      `button:enabled:not([tabindex="-1"]), select:enabled, input:enabled:not([type=radio]),
+       #frame`)].filter((node) => node.checkVisibility()).map((node) => {
         node.dataset.wanted = 'yes'; return 1; }).length""")
     reached = set()
     for _ in range(wanted + 5):
@@ -135,16 +164,38 @@ def test_state_is_told_by_words_and_shapes_not_by_colour_alone(page, rig) -> Non
     assert levels == ['✕ error', '… silent', '! warning', '✓ well']
 
 
-def test_on_narrow_screens_parts_are_tabs_below_the_picture(open_page) -> None:
-    page = open_page(viewport={'width': 820, 'height': 1180})
-    frame, tabs = page.locator('#frame').bounding_box(), page.locator('#tabs').bounding_box()
-    assert frame['y'] + frame['height'] <= tabs['y']
+@pytest.mark.parametrize('size', _SIZES)
+def test_nothing_is_cut_at_any_size(open_page, rig, tmp_path, size) -> None:
+    rig.told.update(rig='fault', sentence='disarmed, measured current deviates (deviation_A, '
+                    'settling_ms): (0, 0, 0, 0) A measured where (0.799, 0.1, -0.3, 0.2) A was '
+                    'commanded; zero, confirmed by a reading')
+    page = open_page(viewport={'width': size[0], 'height': size[1]})
+    page.wait_for_selector('#rig-chip[data-state=fault]')
+    page.wait_for_selector('#arm:enabled', state='attached')
+    for tab in page.locator('[role=tab]').all():
+        tab.click()
+        assert page.evaluate(_CUT) == []
+    for mode in ['goal', 'path', 'like']:
+        page.click(f'#modes label:has(input[value={mode}])')
+        assert page.evaluate(_CUT) == []
+    picture, panels = page.locator('#frame').bounding_box(), page.locator('#panels').bounding_box()
+    assert picture['height'] >= 150
+    assert panels['height'] >= 44
+    shot = Image.open(io.BytesIO(page.screenshot(path=tmp_path / 'page.png'))).convert('RGB')
+    stop = page.locator('#stop').bounding_box()
+    left, middle = stop['x'] + 10, stop['y'] + stop['height'] / 2
+    red, green, blue = shot.getpixel((int(left), int(middle)))
+    assert red > 150 > 100 > max(green, blue)
+
+
+@pytest.mark.parametrize('size', [(820, 1180), (1440, 900)])
+def test_each_part_is_one_click_away_at_any_size(open_page, size) -> None:
+    page = open_page(viewport={'width': size[0], 'height': size[1]})
     assert page.is_visible('#drive')
-    assert not page.is_visible('#health')
     page.focus('#tab-drive')
     page.keyboard.press('ArrowLeft')
     assert page.is_visible('#health')
     assert not page.is_visible('#drive')
-    page.set_viewport_size({'width': 1440, 'height': 900})
-    page.wait_for_selector('#drive')
-    assert not page.is_visible('#tabs')
+    for part in ('field', 'estimates', 'recording', 'discovery'):
+        page.click(f'#tab-{part}')
+        assert page.is_visible(f'#{part}')

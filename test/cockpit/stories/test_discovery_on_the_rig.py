@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 from cockpit.virtual import VirtualRig
-from hands import arm, take_control
+from hands import arm, part, take_control
 
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(900)]
 
@@ -28,6 +28,7 @@ def test_a_hidden_lag_is_found(browser: Any, tmp_path: Path) -> None:
         page.goto(rig.address)
         page.wait_for_selector('#overlay .rings g', state='attached', timeout=60_000)
         arm(take_control(page))
+        part(page, 'discovery')
         page.fill('#minutes', '2')
         page.click('#discover')
         page.wait_for_selector('#discover:has-text("Stop")')

@@ -8,6 +8,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
+from hands import part
 
 from microbot_ros.cockpit.discovery import Discovery
 from microbot_ros.cockpit.server import Server
@@ -74,6 +75,7 @@ def test_a_node_that_stands_still_is_a_lost_one(page, server) -> None:
 
 
 def test_a_reload_keeps_what_the_rig_keeps(page, rig) -> None:
+    part(page, 'recording')
     page.fill('#title', 'two rollers')
     page.click('#record')
     assert rig.wait_for('record') == (True, 'two rollers')
@@ -92,6 +94,7 @@ def test_a_reload_keeps_what_the_rig_keeps(page, rig) -> None:
 
 def test_a_note_that_was_refused_is_not_lost(page, rig) -> None:
     rig.refusals['note'] = 'nothing is being recorded'
+    part(page, 'recording')
     page.fill('#note', 'a bubble')
     page.click('#note-add')
     page.wait_for_selector('#messages li:has-text("Note: nothing is being recorded")')

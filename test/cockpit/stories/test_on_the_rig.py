@@ -14,7 +14,18 @@ import numpy as np
 import psutil
 import pytest
 from cockpit.virtual import VirtualRig
-from hands import HEIGHT, PIXEL_UM, WIDTH, arm, draw, mode, on_page, switch, take_control
+from hands import (
+    HEIGHT,
+    PIXEL_UM,
+    WIDTH,
+    arm,
+    draw,
+    mode,
+    on_page,
+    part,
+    switch,
+    take_control,
+)
 from lines import farthest
 
 pytestmark = [pytest.mark.rig, pytest.mark.timeout(240)]
@@ -109,6 +120,7 @@ def test_v_and_phi_are_the_truth(page, truth) -> None:
         page.wait_for_timeout(1200)
         for key in keys:
             page.keyboard.up(key)
+    part(page, 'estimates')
     places = truth()
     rings = page.evaluate(_RINGS)[1]
     for number, (v_true, phi_true) in enumerate(true):
@@ -272,7 +284,7 @@ def _until(page: Any, true: Any, seconds: float = 20.0) -> None:
 
 
 def test_what_is_pointed_at_is_tracked_from_then_on(page, truth, listener) -> None:
-    from diagnostic_msgs.srv import AddDiagnostics
+    from std_srvs.srv import Trigger
 
     assert 'swimmer' not in page.inner_html('#overlay .rings')
     try:
@@ -287,9 +299,9 @@ def test_what_is_pointed_at_is_tracked_from_then_on(page, truth, listener) -> No
             assert _ringed(page, truth()[0], 6)
         assert page.locator('#kinds option').get_attribute('value') == 'swimmer'
     finally:
-        forget = listener.node.create_client(AddDiagnostics, 'tracker/teach')
+        forget = listener.node.create_client(Trigger, 'tracker/forget')
         forget.wait_for_service()
-        done = forget.call_async(AddDiagnostics.Request(load_namespace='forget'))
+        done = forget.call_async(Trigger.Request())
         assert listener.until(done.done, 10.0)
 
 
@@ -423,6 +435,7 @@ def test_a_page_that_vanishes_steers_no_more(page, virtual, way) -> None:
 
 
 def test_notes_are_in_the_recording(page, virtual) -> None:
+    part(page, 'recording')
     page.fill('#title', 'batch 7')
     page.click('#record')
     page.wait_for_selector('#recording-now:has-text("“batch 7”")')
@@ -430,6 +443,7 @@ def test_notes_are_in_the_recording(page, virtual) -> None:
     page.press('#note', 'Enter')
     page.wait_for_function('() => document.querySelector("#note").value === ""')
     page.reload()
+    part(page, 'recording')
     page.wait_for_selector('#recording-now:has-text("“batch 7”")')
     take_control(page).click('#record')
     page.wait_for_selector('#recording-now:has-text("Not recording")')

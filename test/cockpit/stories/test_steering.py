@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hands import part
 
 pytestmark = pytest.mark.rig
 
@@ -125,6 +126,7 @@ def _escape(page: Any) -> None:
 
 
 def _escape_from_a_field(page: Any) -> None:
+    part(page, 'recording')
     page.focus('#title')
     page.keyboard.press('Escape')
 
