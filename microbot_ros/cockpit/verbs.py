@@ -140,12 +140,6 @@ class Teach(Order):
     example: Literal['like', 'unlike']
     particle_kind: Annotated[str, Field(pattern=r'^[^\s,@]{1,40}$')] | None = None
 
-    @property
-    def order(self) -> str:
-        """As the service `tracker/teach` takes it."""
-        kind = f',{self.particle_kind}' if self.particle_kind else ''
-        return f'{self.example} {self.x_px:.3f},{self.y_px:.3f}{kind}@{self.stamp}'
-
 
 class Record(Order):
     """Begin a recording, or end it."""
@@ -187,7 +181,8 @@ _METHODS: dict[type[Verb], Callable[[Any, Rig, Discovery], Awaitable[Answer]]] =
     Path: lambda verb, rig, _: rig.path([(x, y) for x, y in verb.points_um]),
     SwitchController: lambda verb, rig, _: rig.switch_controller(verb.name),
     Set: lambda verb, rig, _: rig.set(verb.name, verb.value),
-    Teach: lambda verb, rig, _: rig.teach(verb.order),
+    Teach: lambda verb, rig, _: rig.teach(
+        verb.example == 'like', verb.x_px, verb.y_px, verb.particle_kind, int(verb.stamp)),
     Record: lambda verb, rig, _: rig.record(verb.on, one_line(verb.title)),
     Note: lambda verb, rig, _: rig.note(one_line(verb.text)),
     Discover: lambda verb, _, discovery: (

@@ -327,8 +327,9 @@ def test_no_damage_to_a_recording_is_more_than_a_line(tmp_path, capsys):
 @pytest.mark.parametrize('command', ['fit', 'discover'])
 def test_data_that_were_cut_off_are_said_to_be(tmp_path, capsys, command):
     from microbot_ros.common.records import Session
-    from microbot_ros.session import RecordingWriter, read_session
+    from microbot_ros.session import read_session
     from microbot_ros.session.as_messages import SessionMessages
+    from microbot_ros.session.recorder import RecordingWriter
 
     simulated(tmp_path / 'plain')
     capsys.readouterr()

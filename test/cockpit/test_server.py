@@ -30,7 +30,7 @@ def test_a_verb_is_performed_and_answered_with_the_nodes_own_words(served: Any) 
         'arm': ('arm', ()), 'goal': ('goal', (1.0, -2.0, 3)),
         'clear_goals': ('clear_goals', ()), 'path': ('path', ([(0.0, 0.0), (1.5, -2.0)],)),
         'switch_controller': ('switch_controller', ('waypoint',)),
-        'set': ('set', ('delay_ms', 20)), 'teach': ('teach', ('like 1.250,2.000@17',)),
+        'set': ('set', ('delay_ms', 20)), 'teach': ('teach', (True, 1.25, 2.0, None, 17)),
         'record': ('record', (True, 'batch 7')), 'note': ('note', ('5 % peroxide',))}
     with served.page() as page:
         for verb, (done, arguments) in expected.items():

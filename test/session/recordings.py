@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from microbot_ros.common.records import Commands, Conditions, Session, Tracks
-from microbot_ros.session import RecordingWriter
 from microbot_ros.session.as_messages import SessionMessages
 from microbot_ros.session.bag import typestore
+from microbot_ros.session.recorder import RecordingWriter
 from microbot_ros.session.recording import Message, Topic
 
 IMAGE = 'sensor_msgs/msg/Image'
