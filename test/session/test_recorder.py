@@ -143,7 +143,7 @@ FULL_DISK = """
 import resource, signal, sys
 sys.path.insert(0, sys.argv[2])
 from recordings import IMAGE, VECTOR, image, vector
-from microbot_ros.session import store
+from microbot_ros.session.mcap import store
 from microbot_ros.session.mcap.recorder import RecordingWriter
 
 store.FLUSH_SECONDS = 0.0
