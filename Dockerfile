@@ -11,7 +11,7 @@ COPY . src/microbot_ros
 
 # What Ubuntu packages is too old for some of it: see docs/how-to/with_ros.md.
 RUN python3 -m venv --system-site-packages .venv && touch .venv/COLCON_IGNORE \
-    && .venv/bin/pip install --no-cache-dir ./src/microbot_ros \
+    && .venv/bin/pip install --no-cache-dir "./src/microbot_ros[all]" \
     && . /opt/ros/jazzy/setup.sh && .venv/bin/python -m colcon build
 
 ENV PATH="/workspace/.venv/bin:$PATH"

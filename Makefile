@@ -25,7 +25,7 @@ $(VENV)/.runtime: setup.py constraints.txt
 		exit 2; fi
 	@echo "setting up $(VENV) with $(PYTHON): ROS 2 Jazzy and the libraries from PyPI, about a minute"
 	@[ -x $(BIN)/python ] || $(PYTHON) -m venv $(VENV)
-	@$(PIP) --editable '.[ros,cockpit]'
+	@$(PIP) --editable '.[ros,all]'
 	@touch $@
 
 $(VENV)/.development: $(VENV)/.runtime

@@ -7,17 +7,25 @@ package_name = 'microbot_ros'
 # What ROS installations bring by themselves; elsewhere `pip install microbot_ros[ros]` does.
 ros_from_pypi = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
 
-# For those who train controllers, and for keeping and playing what they trained.
-training, policies = ['gymnasium'], ['onnx', 'onnxruntime']
-
-# Cameras beyond V4L2 and files; the emulator of one comes with it, of the other by itself.
-cameras = ['pymmcore>=11.9', 'pypylon>=4.2']
-
-# An archive of recordings on many cores or machines; bokeh is for Dask's dashboard.
-archive = ['bokeh>=3.1', 'dask>=2024.8', 'distributed>=2024.8', 'pyarrow>=14']
-
-# The server of the operator's page.
-cockpit = ['starlette>=0.40', 'uvicorn>=0.35', 'websockets>=13']
+# What a feature needs beyond the core; `microbot_ros.common.extras` names them when missing.
+features = {
+    'analysis': ['jinja2>=3.1', 'matplotlib>=3.8', 'openpyxl>=3.1', 'rich>=13.0'],
+    'cockpit': ['starlette>=0.40', 'uvicorn>=0.35', 'websockets>=13'],
+    'mcap': ['lz4>=4.3', 'mcap>=1.1', 'rosbags>=0.10', 'zstandard>=0.22'],
+    'modbus': ['pymodbus>=3.10'],
+    'predictive': ['osqp>=1.0'],
+    'video': ['av>=12.0'],
+}
+# Features that few users need: many cores, cameras of other makers, training of controllers.
+special = {
+    # bokeh is for Dask's dashboard.
+    'dask': ['bokeh>=3.1', 'dask>=2024.8', 'distributed>=2024.8', 'pyarrow>=14'],
+    'cameras': ['pymmcore>=11.9', 'pypylon>=4.2'],
+    'gym': ['gymnasium'],
+    'onnx': ['onnx', 'onnxruntime'],
+}
+everything = [library for libraries in features.values() for library in libraries]
+beyond = [library for libraries in special.values() for library in libraries]
 
 # What every test needs; by the name of this extra `colcon test` knows that they are pytest's.
 tests = ['hypothesis', 'psutil', 'pytest', 'pytest-timeout']
@@ -26,11 +34,11 @@ tests = ['hypothesis', 'psutil', 'pytest', 'pytest-timeout']
 documents = ['furo', 'myst-parser', 'sphinx']
 
 development = [
-    *documents, *training, *policies, *cameras, *archive, *cockpit, *tests,
-    'axe-playwright-python', 'mm-test-adapters', 'catkin_pkg', 'colcon-common-extensions',
-    'coverage', 'duckdb', 'import-linter', 'magpylib', 'mypy', 'playwright>=1.48', 'polars',
-    'pyoperon>=0.6', 'pysindy', 'pytest-cov', 'pytest-xdist', 'ruff', 'StochasticForceInference',
-    'trackpy', 'types-PyYAML', 'types-pyserial', 'wheel',
+    *everything, *beyond, *documents, *tests, 'axe-playwright-python', 'catkin_pkg',
+    'colcon-common-extensions', 'coverage', 'duckdb', 'import-linter', 'magpylib',
+    'mm-test-adapters', 'mypy', 'playwright>=1.48', 'polars', 'pyoperon>=0.6', 'pysindy',
+    'pytest-cov', 'pytest-xdist', 'ruff', 'StochasticForceInference', 'trackpy',
+    'types-PyYAML', 'types-pyserial', 'wheel',
 ]
 
 nodes = [
@@ -49,7 +57,7 @@ setup(
     version='0.1.0',
     packages=find_packages(include=[package_name, f'{package_name}.*']),
     package_data={package_name: [
-        '**/*.html', '**/*.css', '**/*.js', '**/*.LICENSE', '**/*.xml', 'py.typed']},
+        '**/*.html', '**/*.css', '**/*.js', '**/*.LICENSE', '**/*.xml', '**/*.yaml', 'py.typed']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
         (f'share/{package_name}', ['package.xml']),
@@ -57,17 +65,15 @@ setup(
         (f'share/{package_name}/config', glob('config/*.*')),
     ],
     python_requires='>=3.11',
-    # The oldest that `make lowest` runs the tests of the core with.
+    # The core. Each has a rosdep key of an Ubuntu package. The bounds are the oldest versions that
+    # `make lowest` runs the tests of the core with.
     install_requires=[
-        'av>=12.0', 'click>=8.1', 'jinja2>=3.1', 'matplotlib>=3.8', 'mcap>=1.1', 'numba>=0.59',
-        'numpy>=1.26', 'opencv-python-headless>=4.8', 'openpyxl>=3.1', 'osqp>=1.0',
-        'pydantic>=2.5', 'pymodbus>=3.10', 'pyserial>=3.5', 'pyyaml>=6.0.1', 'rich>=13.0',
-        'rosbags>=0.10', 'scipy>=1.12', 'setuptools>=68', 'zstandard>=0.22',
+        'click>=8.1', 'numba>=0.59', 'numpy>=1.26', 'opencv-python-headless>=4.8',
+        'pydantic>=2.5', 'pyserial>=3.5', 'pyyaml>=6.0.1', 'scipy>=1.12',
     ],
     extras_require={
-        'ros': ros_from_pypi, 'gym': training, 'onnx': policies, 'cameras': cameras,
-        'cockpit': cockpit, 'dask': archive, 'test': tests, 'docs': documents,
-        'dev': development},
+        'ros': ros_from_pypi, **features, **special, 'all': everything,
+        'test': tests, 'docs': documents, 'dev': development},
     zip_safe=False,
     maintainer='microbot_ros maintainers',
     maintainer_email='maintainers@microbot-ros.example',

@@ -15,6 +15,7 @@ import subprocess
 import sys
 import venv
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).parents[1]
 ROOMS = ('model', 'magnetics', 'estimation', 'tracking', 'session', 'control', 'drive', 'loop',
@@ -24,15 +25,35 @@ TOOLS = ('ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces', 'pytest', '
          'hypothesis', 'psutil', 'magpylib', 'pyparsing<3.3')
 
 
+def _in_setup(name: str) -> Any:
+    """The literal that setup.py assigns to a `name` or passes to `setup` under it."""
+    for node in ast.walk(ast.parse((ROOT / 'setup.py').read_text(encoding='utf-8'))):
+        if isinstance(node, ast.keyword) and node.arg == name:
+            return ast.literal_eval(node.value)
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == name:
+            return ast.literal_eval(node.value)
+    raise LookupError(name)
+
+
+def core() -> list[str]:
+    """Return the requirements of the core, with their bounds."""
+    required: list[str] = _in_setup('install_requires')
+    return required
+
+
+def features() -> dict[str, list[str]]:
+    """Return the requirements of each extra that `all` includes."""
+    extras: dict[str, list[str]] = _in_setup('features')
+    return extras
+
+
 def lowest() -> list[str]:
-    """What setup.py requires, each at its bound: 'numpy==1.26.*' for 'numpy>=1.26'.
+    """Return all of these, each at its bound: 'numpy==1.26.*' for 'numpy>=1.26'.
 
     A bound stands for its newest correction: nobody is helped by testing errors mended since.
     """
-    tree = ast.parse((ROOT / 'setup.py').read_text(encoding='utf-8'))
-    required = next(keyword.value for node in ast.walk(tree) if isinstance(node, ast.Call)
-                    for keyword in node.keywords if keyword.arg == 'install_requires')
-    return [re.sub(r'>=([\d.]+)$', r'==\1.*', name) for name in ast.literal_eval(required)]
+    return [re.sub(r'>=([\d.]+)$', r'==\1.*', name)
+            for names in [core(), *features().values()] for name in names]
 
 
 def main(folder: Path) -> int:

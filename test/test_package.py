@@ -145,22 +145,20 @@ def test_versions_agree() -> None:
 
 
 # Where the key of rosdep is not python3- and the name on PyPI.
-KEYS = {'opencv-python-headless': 'python3-opencv', 'pymodbus': 'python3-pymodbus-pip',
-        'pyserial': 'python3-serial', 'pyyaml': 'python3-yaml', 'rosbags': 'python3-rosbags-pip'}
+KEYS = {'opencv-python-headless': 'python3-opencv', 'pyserial': 'python3-serial',
+        'pyyaml': 'python3-yaml'}
 
 
-def test_rosdep_is_asked_for_all_that_it_knows() -> None:
-    """What it does not know, or only by pip into the system, is in the how-to."""
+def test_rosdep_installs_the_core_from_ubuntu() -> None:
+    """At most eight libraries beyond ROS, each with a key; no key that calls pip."""
     keys = {item.text or '' for item in ElementTree.parse(ROOT / 'package.xml').iter()
             if item.tag.endswith('_depend')}
-    required = {re.split('[=<>]', name)[0] for name in lowest.lowest()}
-    unknown = {name for name in required if KEYS.get(name, f'python3-{name}') not in keys}
-    how_to = (ROOT / 'docs' / 'how-to' / 'with_ros.md').read_text()
-    *first, last = sorted(unknown)
-    assert f'four libraries: {", ".join(first)} and {last}.' in ' '.join(how_to.split())
-    skipped = re.search(r'--skip-keys "(.*)"', how_to)
-    assert skipped is not None
-    assert set(skipped[1].split()) == {key for key in keys if key.endswith('-pip')}
+    names = {re.split('[=<>]', name)[0] for name in lowest.core()}
+    assert {KEYS.get(name, f'python3-{name}') for name in names} == {
+        key for key in keys if key.startswith('python3-')} - {
+            'python3-hypothesis', 'python3-psutil', 'python3-pytest', 'python3-pytest-timeout'}
+    assert len(names) <= 8
+    assert not any(key.endswith('-pip') for key in keys)
 
 
 class Launched:

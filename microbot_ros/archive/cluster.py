@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from microbot_ros.archive.work import Job, VersionError, do
 from microbot_ros.common.errors import InputError, RigError
+from microbot_ros.common.extras import require
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -38,9 +39,7 @@ def cluster(workers: int | None = None, scheduler: str | None = None) -> Iterato
     another machine. InputError where the scheduler is not there, where it or a worker has other
     versions, or where Dask is not installed.
     """
-    if find_spec('distributed') is None:
-        raise InputError('dask', "expected Dask distributed; install it with "
-                                 "pip install 'microbot_ros[dask]'")
+    require('dask')
     with _local(workers) if scheduler is None else _remote(scheduler) as client:
         yield client
 

@@ -14,6 +14,7 @@ from types import FrameType
 import click
 
 from microbot_ros import __version__
+from microbot_ros.common import extras
 from microbot_ros.common.errors import InputError, ReportError, RigError, one_line
 
 # What the system says of a place that somebody named, and of a disk that nobody can help.
@@ -81,6 +82,10 @@ def main() -> None:
         status = _failed('microbot', str(error), 2)
     except (RigError, ReportError) as error:
         status = _failed('microbot', str(error), 1)
+    except ModuleNotFoundError as error:
+        if (missing := extras.advice(error)) is None:
+            raise
+        status = _failed('microbot', missing, 2)
     except click.UsageError as error:
         where = f'microbot {error.ctx.info_name}' if error.ctx and error.ctx.parent else 'microbot'
         status = _failed(where, f'{error.format_message()} (see --help)', 2)

@@ -52,11 +52,13 @@ def command(model_file: Path | None, particles: tuple[str, ...], places: tuple[s
     """
     import numpy as np
 
+    from microbot_ros.common.extras import require
     from microbot_ros.common.files import write_text
     from microbot_ros.control.contract import Workspace
     from microbot_ros.control.planning.shared import as_complex
     from microbot_ros.control.reach import opened, planned_floor, reach
 
+    require('predictive', *(['analysis'] if figure else []))
     swarm = _swarm(model_file, particles, places, alignment_times_s)
     goal = as_complex(np.array([_numbers('--goal', g, _PAIR) for g in goals]) * 1e-6)
     if len(goal) != len(swarm.position):

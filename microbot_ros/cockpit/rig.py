@@ -84,8 +84,10 @@ class Rig(Protocol):
     async def set(self, name: str, value: Any) -> Answer:
         """Change the parameter of that `name` of the controllers to a `value`."""
 
-    async def teach(self, order: str) -> Answer:
-        """Show the tracker an example, by an `order` as the service `tracker/teach` takes it."""
+    async def teach(self, like: bool, x: float, y: float, kind: str | None, stamp: int) -> Answer:
+        """Show the tracker an example at (x, y) [px] of the frame with a `stamp` [ns]: one `like`
+        a `kind` to follow, or unlike it.
+        """
 
     async def record(self, on: bool, title: str) -> Answer:
         """Begin a recording under a `title` if it is to be `on`, or end it."""

@@ -140,12 +140,6 @@ class Teach(Order):
     example: Literal['like', 'unlike']
     particle_kind: Annotated[str, Field(pattern=r'^[^\s,@]{1,40}$')] | None = None
 
-    @property
-    def order(self) -> str:
-        """As the service `tracker/teach` takes it."""
-        kind = f',{self.particle_kind}' if self.particle_kind else ''
-        return f'{self.example} {self.x_px:.3f},{self.y_px:.3f}{kind}@{self.stamp}'
-
 
 class Record(Order):
     """Begin a recording, or end it."""
@@ -187,7 +181,8 @@ _METHODS: dict[type[Verb], Callable[[Any, Rig, Discovery], Awaitable[Answer]]] =
     Path: lambda verb, rig, _: rig.path([(x, y) for x, y in verb.points_um]),
     SwitchController: lambda verb, rig, _: rig.switch_controller(verb.name),
     Set: lambda verb, rig, _: rig.set(verb.name, verb.value),
-    Teach: lambda verb, rig, _: rig.teach(verb.order),
+    Teach: lambda verb, rig, _: rig.teach(
+        verb.example == 'like', verb.x_px, verb.y_px, verb.particle_kind, int(verb.stamp)),
     Record: lambda verb, rig, _: rig.record(verb.on, one_line(verb.title)),
     Note: lambda verb, rig, _: rig.note(one_line(verb.text)),
     Discover: lambda verb, _, discovery: (
@@ -198,6 +193,34 @@ _METHODS: dict[type[Verb], Callable[[Any, Rig, Discovery], Awaitable[Answer]]] =
 async def perform(verb: Order, rig: Rig, discovery: Discovery) -> Answer:
     """Have a `verb` done by the `rig`, or by `discovery`; RefusedError with the reason if not."""
     return await _METHODS[type(verb)](verb, rig, discovery)
+
+
+def told(verb: Order) -> str:
+    """What a `verb` asks for, for people: what is set to what, where it is to go."""
+    match verb:
+        case Arm():
+            return 'Arm, attended' if verb.attended else 'Arm'
+        case Stop():
+            return 'STOP'
+        case Goal():
+            whose = '' if verb.particle is None else f' for particle {verb.particle}'
+            return f'Goal at {verb.x_um:.1f}, {verb.y_um:.1f} µm{whose}'
+        case Path():
+            return f'Path through {len(verb.points_um)} points'
+        case SwitchController():
+            return f'Switch to {verb.name}'
+        case Set():
+            return f'Set {verb.name} to {verb.value}'
+        case Teach():
+            return f'Teach {verb.example} at {verb.x_px:.0f}, {verb.y_px:.0f} px'
+        case Record():
+            title = f' “{one_line(verb.title)}”' if verb.title and verb.on else ''
+            return f'Record{title}' if verb.on else 'Stop recording'
+        case Note():
+            return f'Note “{one_line(verb.text)}”'
+        case Discover():
+            return f'Discover for {verb.minutes:g} min' if verb.on else 'Stop discovery'
+    return type(verb).__name__.replace('Goals', ' goals')
 
 
 class VerbError(ValueError):

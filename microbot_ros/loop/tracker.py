@@ -128,32 +128,36 @@ class TrackerStage:
         """Names of the kinds that it was taught, as of the last frame."""
         return tuple(kind.name for kind in self._tracker.settings.kinds)
 
-    def teach(self, words: str) -> str:
-        """Learn by `words`: what was learned, in a sentence.
+    def teach(self, like: bool, x: float, y: float, kind: str | None = None,
+              stamp: float | None = None) -> str:
+        """Learn from an example and return in a sentence what was learned.
 
-        `like X,Y[,KIND][@STAMP_NS]`, `unlike X,Y[,KIND][@STAMP_NS]`, `forget [KIND]`; X, Y in
-        pixels of the frame with that stamp, or of the newest. The next frame is seen so. Raises
-        InputError where that can't be done; nothing has changed then. Frames may be stepped
-        through meanwhile, in another thread.
+        The example is at (x, y) [px] in the frame of a `stamp` [s], or in the newest frame. It is
+        `like` what to follow, of a `kind`, or unlike it. The next frame is seen so. Raises
+        InputError if nothing can be learned from it; nothing has changed then. Frames may be
+        processed meanwhile in another thread.
         """
-        verb, _, rest = words.strip().partition(' ')
-        settings = self._wanted
-        if verb == 'forget':
-            settings, said = teacher.forget(settings, rest.strip() or None)
-        elif verb in ('like', 'unlike'):
-            x, y, name, stamp = _pointed(rest)
-            learn = teacher.like if verb == 'like' else teacher.unlike
-            settings, said = learn(settings, self._frame_at(stamp), x, y, name)
-            if verb == 'like':
-                # Who points at something that was left out wants it followed.
-                settings = settings.model_copy(update={'standing': tuple(
-                    place for place in settings.standing if not place.holds(x, y))})
-            settings, more = self._masked(settings, x, y)
-            said += more
-        else:
-            raise InputError('teach', f'expected like, unlike or forget, got {verb!r}')
-        self._wanted = settings
+        learn = teacher.like if like else teacher.unlike
+        settings, said = learn(self._wanted, self._frame_at(stamp), x, y, kind)
+        if like:
+            # Somebody who points at what was left out wants it followed.
+            settings = settings.model_copy(update={'standing': tuple(
+                place for place in settings.standing if not place.holds(x, y))})
+        self._wanted, more = self._masked(settings, x, y)
+        return said + more
+
+    def forget(self, kind: str | None = None) -> str:
+        """Forget what was taught of a `kind`, or of all, and say so; InputError if there is none.
+        """
+        self._wanted, said = teacher.forget(self._wanted, kind)
         return said
+
+    def pixel_at(self, x: float, y: float) -> tuple[float, float]:
+        """The pixel (x, y) of a place (x, y) [m]; InputError before the first frame."""
+        if self._camera is None:
+            raise InputError('teach', 'expected a frame to point into: none has come yet')
+        column, row = self._camera.pixels(np.array([x, y]))
+        return float(column), float(row)
 
     def _masked(
         self, settings: TrackerSettings, x: float, y: float
@@ -223,17 +227,3 @@ def _particles(poses: Poses, camera: ImageToWorkspace) -> np.ndarray:
     points = rows.view(PARTICLE)[:, 0]
     points['id'] = poses.id
     return points
-
-
-def _pointed(text: str) -> tuple[float, float, str | None, float | None]:
-    """X, Y [px], kind and stamp [s] of `X,Y[,KIND][@STAMP_NS]`."""
-    place, at, stamp = text.strip().partition('@')
-    parts = [part.strip() for part in place.split(',')]
-    try:
-        x, y = float(parts[0]), float(parts[1])
-        seconds = int(stamp) / 1e9 if at else None
-    except (ValueError, IndexError):
-        raise InputError('teach', f'expected X,Y[,KIND][@STAMP_NS], got {text!r}') from None
-    if len(parts) > 3 or not math.isfinite(x + y):
-        raise InputError('teach', f'expected X,Y[,KIND][@STAMP_NS], got {text!r}')
-    return x, y, parts[2] if len(parts) == 3 else None, seconds

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from microbot_ros.cockpit import address
-from microbot_ros.common.errors import InputError
+from microbot_ros.common.extras import require
 from microbot_ros.common.settings import setting
 from microbot_ros.nodes.lifecycle import ERROR, OK, RigNode
 
@@ -46,12 +46,9 @@ class CockpitNode(RigNode):
     def setup(self) -> None:
         self._server: Server | None = None
         self._address: Path | None = None
-        try:
-            from microbot_ros.cockpit.discovery import Discovery
-            from microbot_ros.cockpit.server import Server
-        except ImportError as error:
-            raise InputError(self.get_name(), f'expected the packages of microbot_ros[cockpit]: '
-                             f'{error}') from None
+        require('cockpit')
+        from microbot_ros.cockpit.discovery import Discovery
+        from microbot_ros.cockpit.server import Server
         from microbot_ros.nodes.operated_rig import OperatedRig
 
         values: CockpitParameters = self.settings

@@ -7,7 +7,7 @@ import traceback
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any, ClassVar, cast
+from typing import Any, cast
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
@@ -22,13 +22,12 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.settings import defaults
-from microbot_ros.nodes.account import Account
+from microbot_ros.nodes.core import RELIABLE, Core
+from microbot_ros.nodes.log import Log
 from microbot_ros.nodes.messages import MessageError, to_seconds
 from microbot_ros.nodes.parameters import ParameterSet, refuse_unknown
 from microbot_ros.nodes.rig import HangingError, Outlet, Rig
 
-# Small messages: deep enough for a replay at many times real time.
-RELIABLE = QoSProfile(depth=200)
 # For what is to be acted on: a node that was held up takes the newest, not a queue of old ones.
 NEWEST = QoSProfile(depth=1)
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
@@ -36,7 +35,7 @@ LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 IMAGES_IN = QoSProfile(depth=5, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 IMAGES_OUT = QoSProfile(depth=5)
 
-_LINE = 200
+_LINE = 400
 """Characters of a status message: one line of a terminal."""
 
 SILENCE_SECONDS = 1.0
@@ -45,7 +44,7 @@ SILENCE_SECONDS = 1.0
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
-class RigNode(LifecycleNode):
+class RigNode(LifecycleNode, Core):
     """A lifecycle node that cannot fail silently.
 
     Subclasses name their parameters (`Parameters`) and fill in `setup` (create publishers,
@@ -57,20 +56,13 @@ class RigNode(LifecycleNode):
     are the ROS arguments of this node alone, `--ros-args` and what follows.
     """
 
-    Parameters: ClassVar[type]
-    accounts_for: ClassVar[str] = ''
-    """The topic that sets the node going, where it says on `~/account` what it took; or ''."""
-    Account: ClassVar[type[Account]] = Account
-    unrepeatable = ''
-    """Why the same inputs need not have the same answers; '' where they do."""
-
     def __init__(self, name: str, rig: Rig | None = None,
                  arguments: Sequence[str] | None = None) -> None:
         super().__init__(name, cli_args=arguments)
         self.active = False
         self.starting = False
         """Whether its process starts it, and says why where that fails."""
-        self.account = self.Account(self)
+        self.log = Log(self)
         self.fault = ''
         """Why setup failed or the node is not doing its work; '' when all is well."""
         self._complaint = ''
@@ -81,7 +73,7 @@ class RigNode(LifecycleNode):
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self.create_timer(1.0, self._report, clock=self._steady)
         self._parameters_of_node: ParameterSet[Any] = ParameterSet(
-            self, self.Parameters, self.veto, take=self.take)
+            self, self.Parameters, self.veto, take=self._take_noted)
         self.declare_more()
         refuse_unknown(self)
 
@@ -97,14 +89,6 @@ class RigNode(LifecycleNode):
 
     def veto(self, proposed: Any) -> str:
         """Why the values `proposed` can't be taken, or ''. Changes nothing: others may refuse yet.
-        """
-        return ''
-
-    def take(self, changed: Mapping[str, Any], named: Collection[str]) -> str:
-        """Hand parameters that nobody vetoed to what runs with them: all, or none and why.
-
-        `changed` holds the new values of each set by its prefix, '' for `Parameters`; `named` are
-        the parameters that were set, to what they were or not.
         """
         return ''
 
@@ -155,8 +139,8 @@ class RigNode(LifecycleNode):
         It goes with the next cleanup. `on_matched` is called when a publisher comes or goes,
         before anything that it sends.
         """
-        if self.accounts_for and not raw:
-            callback = self.account.keeping(topic, callback)
+        if self.frame and not raw:
+            callback = self.log.keeping(topic, callback)
         take = self._guarded(callback)
         if self.rig and self.rig.joins(topic):
             leave = self.rig.listen(topic, take)
@@ -177,14 +161,6 @@ class RigNode(LifecycleNode):
         made = self.create_timer(seconds, self._guarded(callback), clock=clock)
         self._created.append((self.destroy_timer, made))
 
-    def noted(self, callback: Callable[[], None]) -> Callable[[], None]:
-        """A `callback` whose calls are noted on `~/account`, as those of timers that act: what
-        calls it need not be recorded for a replay."""
-        def act() -> None:
-            self.account.act(callback.__name__)
-            callback()
-        return act
-
     def service(self, kind: type, name: str, callback: Callable[[Any, Any], Any]) -> None:
         """A service of a `kind` that goes with the next cleanup."""
         made = self.create_service(kind, name, callback)
@@ -198,24 +174,36 @@ class RigNode(LifecycleNode):
         request is taken; its result is the third argument of `callback`. The service goes with the
         next cleanup.
         """
-        pool = ThreadPoolExecutor(1, thread_name_prefix=name)
+        aside = self.aside(name)
         made = self.create_service(kind, name, lambda *asked: asked)
         answer = made.send_response
-
-        def work(asked: tuple[Any, ...], header: Any) -> None:
-            try:
-                answer(callback(*asked), header)
-            except Exception:  # nobody looks at what a thread raises
-                self.get_logger().error(f'{name}: {traceback.format_exc()}')
 
         def take(asked: tuple[Any, ...], header: Any) -> None:
             if at_once:
                 asked = (*asked, at_once(asked[0], header))
-            pool.submit(work, asked, header)
+            aside(lambda: answer(callback(*asked), header))
 
         # The executor answers with what the callback returns; this lets it go on instead.
         made.send_response = take  # type: ignore
-        self._created += [(pool.shutdown, True), (self.destroy_service, made)]
+        self._created.append((self.destroy_service, made))
+
+    def aside(self, name: str) -> Callable[[Callable[[], None]], None]:
+        """Return what runs work in a thread called `name`, one piece after the other.
+
+        What the work raises is logged. The thread ends with the next cleanup.
+        """
+        pool = ThreadPoolExecutor(1, thread_name_prefix=name)
+        self._created.append((pool.shutdown, True))
+
+        def logged(work: Callable[[], None]) -> None:
+            try:
+                work()
+            except Exception:  # nobody looks at what a thread raises
+                self.get_logger().error(f'{name}: {traceback.format_exc()}')
+
+        def run(work: Callable[[], None]) -> None:
+            pool.submit(logged, work)
+        return run
 
     def client(self, kind: type, name: str) -> Client:
         """A client of a service of a `kind` that goes with the next cleanup."""
@@ -249,7 +237,20 @@ class RigNode(LifecycleNode):
         self._complaint_until = time.monotonic() + 5.0
         self.get_logger().warning(sentence, throttle_duration_sec=1.0)
 
+    def act(self, name: str) -> None:
+        if self.frame:
+            self.log.note(name, 0)
+
     # Machinery ------------------------------------------------------------------------------
+
+    def _take_noted(self, changed: Mapping[str, Any], named: Collection[str]) -> str:
+        if not self.frame or not hasattr(self, '_parameters_of_node'):
+            return self.take(changed, named)
+        sets = self._parameters_of_node.sets
+        values = {prefix + name: value for prefix, each in sets.items()
+                  for name, value in vars(changed.get(prefix, each.values)).items()
+                  if prefix + name in named}
+        return self.log.take(values, lambda: self.take(changed, named))
 
     def _turn(self) -> AbstractContextManager[None]:
         return self.rig.turn() if self.rig else nullcontext()
@@ -298,8 +299,8 @@ class RigNode(LifecycleNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Fill in what the node needs (`setup`), from whatever `state` it was in."""
         self.fault = ''
-        if self.accounts_for:
-            self.account.begin()
+        if self.frame:
+            self.log.begin()
         done = self._transition('configure', self.setup)
         if done != TransitionCallbackReturn.SUCCESS:
             self._discard()
@@ -360,7 +361,7 @@ class RigNode(LifecycleNode):
 
 
 def in_one_line(sentences: Sequence[str]) -> str:
-    """As many of the `sentences` as fit one line of a terminal, and how many more there are."""
+    """As many of the `sentences` as fit a line, and how many more there are."""
     told, left = '', list(sentences)
     while left and len(f'{told}; {left[0]}') <= _LINE - len('; and 999 more'):
         told = '; '.join(filter(None, (told, left.pop(0))))

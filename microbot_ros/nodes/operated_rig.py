@@ -9,8 +9,7 @@ from datetime import datetime
 from typing import Any, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from diagnostic_msgs.srv import AddDiagnostics
-from geometry_msgs.msg import PoseArray
+from geometry_msgs.msg import PointStamped, PoseArray
 from nav_msgs.msg import Path
 from rcl_interfaces.msg import ParameterEvent
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
@@ -22,17 +21,17 @@ from microbot_ros.cockpit.rig import Answer, RefusedError
 from microbot_ros.common.errors import InputError, RigError
 from microbot_ros.nodes import messages, rig_client
 from microbot_ros.nodes.described_parameters import Described
-from microbot_ros.nodes.lifecycle import NEWEST, RigNode
+from microbot_ros.nodes.lifecycle import LATCHED, NEWEST, RigNode
 from microbot_ros.nodes.rig_client import RigClient, Steps, Taken
 from microbot_ros.nodes.rig_view import RigView
 from microbot_ros.nodes.topics import CHANGES
 
 _SERVICES: dict[str, type] = {
-    'coil_driver/arm': SetBool, 'tracker/teach': AddDiagnostics, 'recorder/record': SetBool,
+    'coil_driver/arm': SetBool, 'recorder/record': SetBool,
     'controller/list_parameters': ListParameters,
     'controller/describe_parameters': DescribeParameters,
     **{f'{node}/get_parameters': GetParameters for node in ('controller', 'tracker', 'recorder')},
-    **{f'{node}/set_parameters': SetParameters for node in ('controller', 'recorder')}}
+    **{f'{node}/set_parameters': SetParameters for node in ('controller', 'recorder', 'tracker')}}
 _LOOK_S, _LOOK_AROUND_S = 0.01, 1.0
 """How often an answer is looked for; how often nodes that are not known yet."""
 _CALIBRATION = ('pixel_size_um', 'rotation_deg', 'mirrored')
@@ -55,7 +54,10 @@ class OperatedRig(RigView):
         self._client.publishers |= {
             'goals': node.publisher(PoseArray, 'goals'),
             'particle_goals': node.publisher(PointCloud2, 'particle_goals'),
-            'path': node.publisher(Path, 'path')}
+            'path': node.publisher(Path, 'path'),
+            'tracker/like': node.publisher(PointStamped, 'tracker/like'),
+            'tracker/unlike': node.publisher(PointStamped, 'tracker/unlike')}
+        node.subscribe(DiagnosticStatus, 'tracker/taught', self._hear_taught, LATCHED)
         self._heartbeat = node.publisher(Empty, 'coil_driver/heartbeat')
         self._joy = node.publisher(Joy, 'joy', NEWEST)
         node.subscribe(ParameterEvent, CHANGES, self._on_changes)
@@ -182,11 +184,16 @@ class OperatedRig(RigView):
         except ValueError as error:
             raise RefusedError(str(error)) from None
         await self._perform(self._client.set('controller', **{name: value}))
-        return f'{name} is set'
+        return f'{name} is {value} now'
 
-    async def teach(self, order: str) -> Answer:
-        """Show the tracker an example, by an `order` as its service takes it."""
-        return await self._perform(self._client.teach(order))
+    async def teach(self, like: bool, x: float, y: float, kind: str | None, stamp: int) -> Answer:
+        """Show the tracker an example at (x, y) [px] of the frame with a `stamp` [ns]: one `like`
+        a `kind` to follow, or unlike it.
+        """
+        return await self._perform(self._client.teach(like, x, y, kind, stamp))
+
+    def _hear_taught(self, message: DiagnosticStatus) -> None:
+        self._client.taught = message
 
     async def record(self, on: bool, title: str) -> Answer:
         """Begin a recording under a `title` if it is to be `on`, or end it."""
@@ -207,7 +214,7 @@ class OperatedRig(RigView):
             line = f'{datetime.now():%H:%M:%S} {text}'
             await self._perform(self._client.set(
                 'recorder', notes='\n'.join(filter(None, [before, line]))))
-        return 'notes is set'
+        return 'it is in the recording'
 
     def _is_recording(self) -> bool:
         recording = self.recording()

@@ -9,8 +9,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.srv import AddDiagnostics
-from geometry_msgs.msg import PoseStamped
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import Point, PointStamped, PoseStamped
 from nav_msgs.msg import Path
 from rcl_interfaces.msg import ParameterDescriptor
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
@@ -20,6 +20,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.publisher import Publisher
 from rclpy.task import Future
+from std_msgs.msg import Header
 from std_srvs.srv import SetBool
 
 from microbot_ros.common.errors import InputError, RigError
@@ -77,13 +78,15 @@ class RigClient:
 
     Each request is a generator (`Steps`), so that it can wait in a command's own thread or in an
     event loop. It ends with the answer, or raises RigError: a node is not there, is silent or
-    refuses. `services` and `publishers` hold what was made so far, by name.
+    refuses. `services` and `publishers` hold what was made so far, by name; `taught` is the newest
+    message of `tracker/taught`.
     """
 
     def __init__(self, node: Node) -> None:
         self.services: dict[str, Client] = {}
         self.publishers: dict[str, Publisher] = {}
         self.progress: dict[str, str] = {}
+        self.taught = DiagnosticStatus()
         self._progress_s = 0.0
         self._node = node
 
@@ -132,11 +135,32 @@ class RigClient:
             return 'the recording has ended'
         return _done('recorder', answer)
 
-    def teach(self, order: str) -> Steps[str]:
-        """Show the tracker an example, by an `order` as its service takes it."""
-        request = AddDiagnostics.Request(load_namespace=order)
-        answer, _ = yield from self._ask(AddDiagnostics, 'tracker/teach', request)
-        return _done('tracker', answer)
+    def teach(self, like: bool, x: float, y: float, kind: str | None, stamp_ns: int,
+              ) -> Steps[str]:
+        """Show the tracker an example and return what it learned; RefusedError with its reason.
+
+        The example is at (x, y) [px] of the frame with the stamp `stamp_ns` [ns]. It is `like` a
+        `kind` to follow, None for the kind that fits best, or unlike it.
+        """
+        yield from self.set('tracker', example_kind=kind or '')
+        topic = 'tracker/like' if like else 'tracker/unlike'
+        if stamp_ns >= 2**31 * 10**9:
+            raise InputError('teach', f'expected a stamp before 2038; received {stamp_ns} ns')
+        message = PointStamped(point=Point(x=x, y=y), header=Header(
+            frame_id=messages.CAMERA, stamp=Time(sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)))
+        asked = {'example': topic.partition('/')[2], 'stamp_ns': str(stamp_ns), 'x': str(x),
+                 'y': str(y)}
+        before = self.taught
+        self.publishers[topic].publish(message)
+
+        def answered() -> bool:
+            return self.taught is not before and asked == {
+                entry.key: entry.value for entry in self.taught.values}
+        if not (yield answered, sum(ASK_S)):
+            raise NoAnswerError(f'tracker did not answer within {sum(ASK_S):g} s')
+        if self.taught.level != DiagnosticStatus.OK:
+            raise RefusedError('tracker', self.taught.message)
+        return str(self.taught.message)
 
     def switch(self, controller: str) -> Steps[None]:
         """Let a `controller` drive. InputError with the reason if it is refused."""

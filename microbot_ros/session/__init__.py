@@ -6,15 +6,7 @@ from pathlib import Path
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.records import Session
-from microbot_ros.session.folder import read_folder, write_folder
-from microbot_ros.session.from_recording import session_of
-from microbot_ros.session.recorder import RecorderStatus, RecordingWriter
-from microbot_ros.session.recording import Message, Recording, is_recording, open_recording
-
-__all__ = [
-    'Message', 'RecorderStatus', 'Recording', 'RecordingWriter', 'is_recording', 'open_recording',
-    'read_session', 'write_session',
-]
+from microbot_ros.session.tables.folder import read_folder, write_folder
 
 
 def read_session(path: str | Path) -> Session:
@@ -25,6 +17,10 @@ def read_session(path: str | Path) -> Session:
     path = Path(path)
     if not path.exists():
         raise InputError(path, 'expected a session folder or a recording, found nothing')
+    # Recordings need the extra `mcap`, folders do not.
+    from microbot_ros.session.mcap.from_recording import session_of
+    from microbot_ros.session.mcap.recording import is_recording, open_recording
+
     if not is_recording(path):
         return read_folder(path)
     if (path / 'tracks.csv').exists():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import threading
 from functools import partial
 from pathlib import Path
@@ -12,10 +13,11 @@ import cv2
 import numpy as np
 import pytest
 from command_line import microbot
-from diagnostic_msgs.srv import AddDiagnostics
-from geometry_msgs.msg import Vector3Stamped
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import Point, PointStamped, Vector3Stamped
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import Image, MagneticField, PointCloud2
-from std_msgs.msg import String
+from std_msgs.msg import Header, String
 
 from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes import messages
@@ -62,14 +64,29 @@ def test_what_is_pointed_at_is_followed_and_its_name_reaches_who_comes_later(
     assert graph.add('tracker').active
     assert graph.add('camera').active, graph.nodes['camera'].fault
     graph.until(lambda: bool(particles))
-    nothing = graph.call(AddDiagnostics, 'tracker/teach',
-                         AddDiagnostics.Request(load_namespace='like 5,5'))
-    assert not nothing.success
-    assert 'nothing stands out' in nothing.message
+    taught = graph.hear(DiagnosticStatus, 'tracker/taught', LATCHED)
+
+    examples = graph.probe.create_publisher(PointStamped, 'tracker/like', 10)
+    graph.until(examples.get_subscription_count)
+
+    def point(frame_id: str, x: float, y: float) -> DiagnosticStatus:
+        before = len(taught)
+        examples.publish(PointStamped(
+            header=Header(frame_id=frame_id), point=Point(x=float(x), y=float(y))))
+        graph.until(lambda: len(taught) > before)
+        return taught[-1]
+    for frame_id, x, y, reason in (
+            ('camera', 5.0, 5.0, 'nothing stands out'), ('map', 1.0, 1.0, 'expected the frame'),
+            ('camera', math.nan, 5.0, 'expected finite coordinates'),
+            ('workspace', math.inf, 0.0, 'expected finite coordinates')):
+        nothing = point(frame_id, x, y)
+        assert nothing.level == DiagnosticStatus.WARN
+        assert reason in nothing.message
     x, y = PLACE[1] / 0.45e-6 * [1, -1] + [319.5, 239.5]
-    answer = graph.call(AddDiagnostics, 'tracker/teach',
-                        AddDiagnostics.Request(load_namespace=f'like {x:.0f},{y:.0f},swimmer'))
-    assert answer.success, answer.message
+    graph.nodes['tracker'].set_parameters([Parameter('example_kind', value='swimmer')])
+    answer = point('camera', round(x), round(y))
+    assert answer.level == DiagnosticStatus.OK, answer.message
+    assert {value.key: value.value for value in answer.values}['example'] == 'like'
     graph.until(lambda: particles[-1].fields[-1].name == 'kind' and particles[-1].width > 0)
     kinds = graph.hear(String, 'tracker/kinds', LATCHED)
     graph.until(lambda: bool(kinds))
@@ -123,21 +140,22 @@ def test_frames_go_on_while_the_tracker_is_taught(
     graph.until(lambda: bool(particles))
     begun, seen = threading.Event(), threading.Event()
 
-    def slowly(words: str) -> str:
+    def slowly(*_: Any) -> str:
         begun.set()
         assert seen.wait(60)
-        return words
+        return 'learned'
     monkeypatch.setattr(tracker.stage, 'teach', slowly)
-    client = graph.probe.create_client(AddDiagnostics, 'tracker/teach')
-    graph.until(client.service_is_ready)
-    future = client.call_async(AddDiagnostics.Request(load_namespace='like 1,2'))
+    taught = graph.hear(DiagnosticStatus, 'tracker/taught', LATCHED)
+    examples = graph.probe.create_publisher(PointStamped, 'tracker/like', 10)
+    graph.until(examples.get_subscription_count)
+    examples.publish(PointStamped(header=Header(frame_id='camera')))
     graph.until(begun.is_set)
     before = len(particles)
     graph.until(lambda: len(particles) >= before + 10)
-    assert not future.done()
+    assert not taught
     seen.set()
-    graph.until(future.done)
-    assert future.result().message == 'like 1,2'
+    graph.until(lambda: bool(taught))
+    assert taught[-1].message == 'learned'
 
 
 def test_a_film_that_ends_is_said_and_all_frames_came(ros: Any, folder: Path) -> None:

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticStatus
-from diagnostic_msgs.srv import AddDiagnostics
 from geometry_msgs.msg import PoseArray, PoseStamped, Vector3Stamped
 from nav_msgs.msg import Path
 from numpy.lib.recfunctions import repack_fields
@@ -664,19 +663,13 @@ def test_frames_that_overtake_each_other_give_the_field_no_time(ros: Any) -> Non
     assert strengths[-1] > strengths[0]
 
 
-def test_services_switch_and_list_and_the_parameter_is_the_same_thing(ros: Any) -> None:
+def test_the_parameter_switches_and_the_service_lists(ros: Any) -> None:
     loop = Loop(ros)
 
-    def switch(name: str) -> Any:
-        return loop.graph.call(AddDiagnostics, 'controller/switch_controller',
-                               AddDiagnostics.Request(load_namespace=name))
-
-    refused = switch('steam')
-    assert not refused.success
-    assert "no controller 'steam'; there are: " in refused.message
-    done = switch('open_loop')
-    assert done.success
-    assert 'open_loop' in done.message
+    refused = loop.set(controller='steam')
+    assert not refused.successful
+    assert "no controller 'steam'; there are: " in refused.reason
+    assert loop.set(controller='open_loop').successful
     assert loop.node.settings.controller == 'open_loop'
     loop.graph.until(lambda: loop.see() or (loop.fields and loop.strength() > 4.9e-3))
     listed = loop.graph.call(Trigger, 'controller/list_controllers', Trigger.Request())

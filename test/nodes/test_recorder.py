@@ -17,8 +17,9 @@ from std_srvs.srv import SetBool
 
 from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes import messages
-from microbot_ros.nodes.replay_check import recorded_parameters
-from microbot_ros.session import open_recording, read_session
+from microbot_ros.nodes.replay import recorded_parameters
+from microbot_ros.session import read_session
+from microbot_ros.session.mcap.recording import open_recording
 
 
 def test_tracks_commands_and_every_second_frame(ros: Any, tmp_path: Path) -> None:

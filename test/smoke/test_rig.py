@@ -16,7 +16,8 @@ from microbot_ros.cli.demo import demo
 from microbot_ros.cli.demo.robots import KINDS
 from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes import messages
-from microbot_ros.session import open_recording, read_session
+from microbot_ros.session import read_session
+from microbot_ros.session.mcap.recording import open_recording
 
 pytestmark = [pytest.mark.xdist_group('smoke'), pytest.mark.timeout(400)]
 

@@ -40,19 +40,19 @@ def _followed(stage: TrackerStage, noise: float) -> list[tuple[int, int]]:
 
 def test_what_is_burnt_in_is_left_out_and_who_rests_is_followed() -> None:
     stage = _stage(3.0)
-    assert stage.teach('like 102,120').endswith('burnt into the picture: what is at 230,160')
+    assert stage.teach(True, 102, 120).endswith('burnt into the picture: what is at 230,160')
     assert _followed(stage, 3.0) == [(60, 60), (118, 120)]
 
 
 @pytest.mark.parametrize(('noise', 'frames'), [(0.0, 12), (3.0, 5)])
 def test_where_no_noise_tells_nothing_is_left_out(noise: float, frames: int) -> None:
     stage = _stage(noise, frames)
-    assert 'left out' not in stage.teach(f'like {80 + 2 * (frames - 1)},120')
+    assert 'left out' not in stage.teach(True, 80 + 2 * (frames - 1), 120)
     assert len(_followed(stage, noise)) == 3
 
 
 def test_who_points_at_what_was_left_out_wants_it_followed() -> None:
     stage = _stage(3.0)
-    stage.teach('like 102,120')
-    assert 'left out' not in stage.teach('like 230,160')
+    stage.teach(True, 102, 120)
+    assert 'left out' not in stage.teach(True, 230, 160)
     assert len(_followed(stage, 3.0)) == 3

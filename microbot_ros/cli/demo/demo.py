@@ -20,6 +20,7 @@ from microbot_ros.cli.options import FiniteFloatRange, cockpit_option
 from microbot_ros.cockpit import address
 from microbot_ros.common.ending import Ending, Stopped
 from microbot_ros.common.errors import InputError
+from microbot_ros.common.extras import require
 from microbot_ros.common.files import output_folder, write_text
 from microbot_ros.common.real_time import LOOP, realtime_priority
 from microbot_ros.nodes.graph import Graph
@@ -82,6 +83,7 @@ def command(seconds: float, seed: int, robots: str, cockpit: bool, out: Path,
       microbot demo --seconds 30 --seed 1 --out out/demo
       microbot demo --robots rolling --out out/rollers
     """
+    require('analysis', 'mcap', 'video')
     began = time.monotonic()
     try:
         run, summary = _demo(seconds, seed, KINDS[robots], cockpit, out, began)

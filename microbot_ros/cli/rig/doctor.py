@@ -50,18 +50,16 @@ def command(config: Path | None, json_path: Path | None) -> None:
     """
     import json
 
-    from rich.console import Console
-
     from microbot_ros.common.files import write_text
 
     if config:
         _readable(config)
-    marks = {'ok': '[green]ok  [/]', 'warn': '[yellow]warn[/]', 'fail': '[red]FAIL[/]'}
-    console = Console(highlight=False, soft_wrap=True)
+    marks = {'ok': click.style('ok  ', 'green'), 'warn': click.style('warn', 'yellow'),
+             'fail': click.style('FAIL', 'red')}
     findings = []
     for finding in _look(config):
         findings.append(finding)
-        console.print(f'{marks[finding.level]} {finding.what}: {finding.detail}')
+        click.echo(f'{marks[finding.level]} {finding.what}: {finding.detail}')
     if json_path:
         entries = [finding._asdict() for finding in findings]
         write_text(json_path, json.dumps(entries, indent=1, ensure_ascii=False) + '\n')

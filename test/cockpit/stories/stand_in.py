@@ -162,8 +162,8 @@ class StandIn:
         self.told = {**self.told, 'controller': dict(self.told['controller'])}
         return f'{name} is {value}'
 
-    async def teach(self, order: str) -> Answer:
-        return self._note('teach', order)
+    async def teach(self, like: bool, x: float, y: float, kind: str | None, stamp: int) -> Answer:
+        return self._note('teach', (like, x, y, kind, stamp))
 
     async def record(self, on: bool, title: str) -> Answer:
         self._note('record', (on, title))

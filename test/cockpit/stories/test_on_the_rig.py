@@ -284,7 +284,7 @@ def _until(page: Any, true: Any, seconds: float = 20.0) -> None:
 
 
 def test_what_is_pointed_at_is_tracked_from_then_on(page, truth, listener) -> None:
-    from diagnostic_msgs.srv import AddDiagnostics
+    from std_srvs.srv import Trigger
 
     assert 'swimmer' not in page.inner_html('#overlay .rings')
     try:
@@ -299,9 +299,9 @@ def test_what_is_pointed_at_is_tracked_from_then_on(page, truth, listener) -> No
             assert _ringed(page, truth()[0], 6)
         assert page.locator('#kinds option').get_attribute('value') == 'swimmer'
     finally:
-        forget = listener.node.create_client(AddDiagnostics, 'tracker/teach')
+        forget = listener.node.create_client(Trigger, 'tracker/forget')
         forget.wait_for_service()
-        done = forget.call_async(AddDiagnostics.Request(load_namespace='forget'))
+        done = forget.call_async(Trigger.Request())
         assert listener.until(done.done, 10.0)
 
 

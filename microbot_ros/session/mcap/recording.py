@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 import re
+import struct
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from operator import attrgetter
@@ -14,8 +15,8 @@ import numpy as np
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.files import load_yaml, write_text
-from microbot_ros.session.bag import METADATA_FILE, metadata_text, typestore
-from microbot_ros.session.mcap_file import McapFile, Message
+from microbot_ros.session.mcap.bag import METADATA_FILE, metadata_text, typestore
+from microbot_ros.session.mcap.file import McapFile, Message
 
 _FOREVER = 2**63
 
@@ -210,3 +211,15 @@ def is_topic(topic: str, name: str) -> bool:
     '/particles' and '/rig/particles' are both 'particles'.
     """
     return f'/{topic}'.endswith(f'/{name}')
+
+
+def header_stamp_ns(data: bytes) -> int:
+    """The stamp [ns] in serialised `data` of a message that begins with a std_msgs/Header.
+
+    OMG CDR: an encapsulation of four bytes whose second is odd for little-endian, then `int32 sec,
+    uint32 nanosec`. InputError for what is too short to hold one.
+    """
+    if len(data) < 12:
+        raise InputError('message', f'expected a message with a header, found {len(data)} bytes')
+    seconds, nanoseconds = struct.unpack_from('<iI' if data[1] & 1 else '>iI', data, 4)
+    return int(seconds) * 1_000_000_000 + int(nanoseconds)

@@ -1,0 +1,42 @@
+"""Libraries that only some features need, and the extra of the package that installs each."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+
+from microbot_ros.common.errors import InputError
+
+EXTRAS = {
+    'av': 'video',
+    'lz4': 'mcap', 'mcap': 'mcap', 'rosbags': 'mcap', 'zstandard': 'mcap',
+    'pymodbus': 'modbus',
+    'osqp': 'predictive',
+    'jinja2': 'analysis', 'matplotlib': 'analysis', 'openpyxl': 'analysis', 'rich': 'analysis',
+    'starlette': 'cockpit', 'uvicorn': 'cockpit', 'websockets': 'cockpit',
+    'gymnasium': 'gym', 'onnx': 'onnx', 'onnxruntime': 'onnx',
+    'dask': 'dask', 'distributed': 'dask', 'pyarrow': 'dask',
+}
+"""Library, by the name under which it is imported → the extra that installs it."""
+
+
+def advice(error: ImportError) -> str | None:
+    """Return which extra to install after an import `error`; None if no extra brings the library.
+    """
+    library = (error.name or '').partition('.')[0]
+    if library not in EXTRAS:
+        return None
+    return (f"the library '{library}' is not installed; "
+            f"pip install 'microbot_ros[{EXTRAS[library]}]'")
+
+
+def require(*extras: str) -> None:
+    """Raise InputError, saying what to install, if a library of these `extras` is not installed.
+
+    For commands that would otherwise miss a library only after minutes of work.
+    """
+    missing = [library for library, extra in EXTRAS.items()
+               if extra in extras and find_spec(library) is None]
+    if missing:
+        needed = ','.join(dict.fromkeys(EXTRAS[library] for library in missing))
+        raise InputError('', f'not installed: {", ".join(missing)}; '
+                             f"pip install 'microbot_ros[{needed}]'")
