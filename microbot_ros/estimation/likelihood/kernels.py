@@ -458,7 +458,8 @@ def filter_headings(  # type: ignore[no-untyped-def]
         times, pieces, left, noise_ratio, diffusion_ratio, sensitivity, retention):
     """Deviations (T, N) [rad] of headings from those of a model, from rows so far.
 
-    `left` (T, N) complex [m]: positions less what the model expects; the rest as in
+    `left` (T, N) complex [m]: positions less what the model expects. `times`, `pieces`,
+    `noise_ratio`, `diffusion_ratio`, `sensitivity` and `retention` as in
     `whitened_products_with_heading`. Zero where a row is not used.
     """
     T, N = left.shape
