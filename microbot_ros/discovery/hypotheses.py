@@ -195,7 +195,10 @@ class Hypotheses:
 
     def term_beside(self, fit: ModelFit,
                     report: Callable[[str], None] = lambda _: None) -> Finding | None:
-        """Return the term that is learned beside a `fit`; it is looked for once."""
+        """Return the term that is learned beside a `fit`; it is looked for once.
+
+        `report` is told what is being done.
+        """
         if id(fit) not in self._terms:
             self._terms[id(fit)] = fit, learn_term(fit, report)
         return self._terms[id(fit)][1]
