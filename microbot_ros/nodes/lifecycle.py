@@ -31,7 +31,7 @@ LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 IMAGES_IN = QoSProfile(depth=5, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 IMAGES_OUT = QoSProfile(depth=5)
 
-_LINE = 200
+_LINE = 400
 """Characters of a status message: one line of a terminal."""
 
 SILENCE_SECONDS = 1.0
@@ -328,7 +328,7 @@ class RigNode(LifecycleNode, Core):
 
 
 def in_one_line(sentences: Sequence[str]) -> str:
-    """As many of the `sentences` as fit one line of a terminal, and how many more there are."""
+    """As many of the `sentences` as fit a line, and how many more there are."""
     told, left = '', list(sentences)
     while left and len(f'{told}; {left[0]}') <= _LINE - len('; and 999 more'):
         told = '; '.join(filter(None, (told, left.pop(0))))
