@@ -68,6 +68,12 @@ def learn_terms(fit: ModelFit, first: Finding | None,
     `first` is the one of `learn_term`. Each is learned beside those before it, which are then
     learned again beside each other. `report` is told what is being done.
     """
+    return tuple(map(finish, _curves(fit, first, report)))
+
+
+def _curves(fit: ModelFit, first: Finding | None,
+            report: Callable[[str], None] = lambda _: None) -> list[Finding]:
+    """Return the terms of `learn_terms` as curves without a band."""
     findings: list[Finding] = []
     found = first
     while found is not None and len(findings) < MOST:
@@ -76,7 +82,7 @@ def learn_terms(fit: ModelFit, first: Finding | None,
             findings = again_beside_each_other(fit, findings)
         if len(findings) < MOST:
             found = learn_term(with_terms(fit, findings), report)
-    return tuple(map(finish, findings))
+    return findings
 
 
 def again_beside_each_other(fit: ModelFit, findings: Sequence[Finding]) -> list[Finding]:
@@ -85,10 +91,8 @@ def again_beside_each_other(fit: ModelFit, findings: Sequence[Finding]) -> list[
     for k in range(len(learned)):
         others = [one for i, one in enumerate(learned) if i != k]
         moments, curve = _moments_of(with_terms(fit, others), learned[k].moments.term)
-        values = curve.mean if (formula := learned[k].formula) is None else refit(
-            formula.formula, *moments.total, begin=formula.shape).values
         learned[k] = replace(learned[k], moments=moments, curve=curve,
-                             term=_filled(moments, values))
+                             term=_filled(moments, curve.mean))
     return learned
 
 
@@ -138,17 +142,9 @@ def with_term(fit: ModelFit, term: LearnedTerm) -> ModelFit:
                               [p.whitening for p in fit.session_fits]))
 
 
-def relearn(findings: Sequence[Finding], fit: ModelFit) -> ModelFit:
-    """A `fit` of other rows with the terms of `findings`, learned from these rows alone.
-
-    Which covariates, frames and formulas is known from all rows; every number is learned anew.
-    """
-    learned: list[Finding] = []
-    for found in findings:
-        learned.append(again_beside_each_other(fit, [*learned, found])[-1])
-    if len(learned) > 1:
-        learned = again_beside_each_other(fit, learned)
-    return with_terms(fit, learned)
+def relearn(fit: ModelFit) -> ModelFit:
+    """Return a `fit` with the terms that its rows ask for."""
+    return with_terms(fit, [with_formula(found) for found in _curves(fit, learn_term(fit))])
 
 
 def _noise(fit: ModelFit) -> list[float]:
@@ -206,15 +202,21 @@ def foretells(moments: Moments) -> float:
 
 def finish(found: Finding) -> Finding:
     """With a formula, where one beats the curve on rows it was not fitted to, and the band."""
+    found = with_formula(found)
+    low, high = band(found, found.formula)
+    count = found.term.values.shape[1]
+    return replace(found, term=replace(
+        found.term, low=low.reshape(count, -1).T, high=high.reshape(count, -1).T))
+
+
+def with_formula(found: Finding) -> Finding:
+    """Return a finding with a formula, where one beats the curve on rows it was not fitted to."""
     formula = best_formula(found.moments)
-    if formula is not None and not (
-            formula.paid > found.curve.log_evidence - DECISIVE
-            and _beats(found.moments, formula)):
-        formula = None
-    values = found.curve.mean if formula is None else formula.values
-    term = _filled(found.moments, values, band(found, formula))
-    if formula is not None:
-        term = replace(term, formula=formula.formula.text, parameters=formula.parameters)
+    if formula is None or not (formula.paid > found.curve.log_evidence - DECISIVE
+                               and _beats(found.moments, formula)):
+        return found
+    term = replace(_filled(found.moments, formula.values), formula=formula.formula.text,
+                   parameters=formula.parameters)
     return replace(found, term=term, formula=formula)
 
 
@@ -285,11 +287,8 @@ def centred(moments: Moments, tables: np.ndarray) -> np.ndarray:
     return shown
 
 
-def _filled(moments: Moments, values: np.ndarray,
-            ends: tuple[np.ndarray, np.ndarray] | None = None) -> LearnedTerm:
-    """The table with `values` (K·C,), and the `ends` of its band where they are known."""
+def _filled(moments: Moments, values: np.ndarray) -> LearnedTerm:
+    """The table with `values` (K·C,)."""
     term, count = moments.term, moments.term.values.shape[1]
-    values = centred(moments, values)
-    shown, low, high = (
-        one.reshape(count, -1).T for one in (values, *(ends or (values, values))))
-    return replace(term, values=shown, low=low, high=high)
+    shown = centred(moments, values).reshape(count, -1).T
+    return replace(term, values=shown, low=shown, high=shown)
