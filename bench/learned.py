@@ -27,7 +27,7 @@ from microbot_ros.control.plugins.predictive import Predictive
 from microbot_ros.discovery.discover import discover
 from microbot_ros.discovery.hypotheses import fit_first_order
 from microbot_ros.discovery.learned.candidates import accumulated, steps
-from microbot_ros.discovery.learned.learn import relearn, told
+from microbot_ros.discovery.learned.learn import learn_term, learn_terms, relearn, told
 from microbot_ros.discovery.result import Discovery
 from microbot_ros.model.learned_term import LearnedTerm
 from microbot_ros.model.model import Model
@@ -120,12 +120,14 @@ def _of_world(outcome: Outcome, filmed: Filmed) -> Outcome:
 def _gaps(filmed: Filmed) -> tuple[float, float]:
     """Held-out gap [m] without and with what is learned."""
     session = only_session(filmed)
+    fit = fit_first_order([session])
+    findings = learn_terms(fit, learn_term(fit))
 
     def base(shown: np.ndarray) -> Foretold:
         return fit_first_order([session.only(shown)]), 0.0
 
     def learned(shown: np.ndarray) -> Foretold:
-        return relearn(base(shown)[0]), 0.0
+        return relearn(findings, base(shown)[0]), 0.0
 
     before, after = gaps(filmed, session, [base, learned])
     return before, after

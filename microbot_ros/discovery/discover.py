@@ -78,7 +78,7 @@ def discover(sessions: Sequence[Session],
         verdict=judgement.verdict,
         effects=tuple(sorted(effects, key=lambda e: -e.log_evidence)),
         gap=held_out_gap(fit, [p.session for p in start.session_fits], known.credible, truth, run,
-                         relearn if learned else None),
+                         partial(relearn, learned.findings) if learned else None),
         maps_before=before, maps_after=judgement.maps,
         unexplained=_worst([*judgement.left, *judgement.beside]),
         considered=tuple(Considered(

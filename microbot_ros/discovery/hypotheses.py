@@ -210,23 +210,25 @@ class Hypotheses:
     def within_reach(self) -> list[tuple[ModelFit, float]]:
         """Return other models that may be true, each with its probability, from UNLIKELY on.
 
-        The model without one of its effects, with a rival in its place, or with one effect more.
+        The model without one of its effects, with a rival in its place, or with one effect more
+        that is rather there than not.
         """
         price = likelier_than_not()
         others = [(slot.rest, price - slot.own.evidence) for slot in self.slots]
         others += [(one.found.fit, -slot.behind(one))
                    for slot in self.slots for one in slot.within_reach]
-        others += [(one.found.fit, one.evidence - price) for one in self.more if one.evidence > 0]
+        others += [(one.found.fit, one.evidence - price) for one in self.more
+                   if one.evidence > price]
         share = softmax([0.0, *(log for _, log in others)])[1:]
         return [(fit, float(p)) for (fit, _), p in zip(others, share, strict=True)
                 if p > UNLIKELY]
 
     @property
     def credible(self) -> frozenset[str]:
-        """Every effect with which the recording is likelier, beside any of the models."""
+        """Every effect that is rather there than not, beside any of the models."""
         return frozenset(self.names) | {
             one.id for group in (self.more, *(slot.rivals for slot in self.slots))
-            for one in group if one.evidence > 0}
+            for one in group if one.evidence > likelier_than_not()}
 
     @property
     def names(self) -> tuple[str, ...]:

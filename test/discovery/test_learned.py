@@ -186,7 +186,7 @@ def test_a_formula_is_found_again(channel):
 
 # Held out ---------------------------------------------------------------------------------------
 
-def test_nothing_inside_a_hidden_block_moves_what_is_learned(film):
+def test_nothing_inside_a_hidden_block_moves_what_is_learned(film, findings):
     session, _ = film(3, CHANNEL, count=4, duration=40.0)
     prepared, _ = check_sessions([session])
     (whole,) = prepared
@@ -195,7 +195,7 @@ def test_nothing_inside_a_hidden_block_moves_what_is_learned(film):
     terms = []
     for one in (whole, changed):
         fit = fit_sessions(Model.baseline(one.conditions, one.commands), [one.only(kept)])
-        terms.append(relearn(fit).model.learned)
+        terms.append(relearn(findings, fit).model.learned)
     assert terms[0]
     assert terms[0] == terms[1]
 

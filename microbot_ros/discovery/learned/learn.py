@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +21,12 @@ CONVINCING = float(np.log(1000))
 HELD_OUT = float(np.log(20))
 """Gain in log likelihood that a curve must bring to rows that it was not learned from; log n more
 for the n-th candidate that is tried."""
+
+POSSIBLE = 1e-3
+"""Odds of a pair of covariate and frame from which it is tried in a fold of rows: a choice."""
+
+Pair = tuple[str, str, str]
+"""Covariate, frame and what a term acts on."""
 
 MOST = 3
 """Terms that are learned, at most."""
@@ -51,7 +57,7 @@ class Finding:
     curve: Curve
     formula: FittedFormula | None
     log_evidence: float
-    odds: dict[tuple[str, str, str], float]
+    odds: dict[Pair, float]
 
     @property
     def gain(self) -> float:
@@ -72,7 +78,8 @@ def learn_terms(fit: ModelFit, first: Finding | None,
 
 
 def _curves(fit: ModelFit, first: Finding | None,
-            report: Callable[[str], None] = lambda _: None) -> list[Finding]:
+            report: Callable[[str], None] = lambda _: None,
+            pairs: Collection[Pair] | None = None) -> list[Finding]:
     """Return the terms of `learn_terms` as curves without a band."""
     findings: list[Finding] = []
     found = first
@@ -81,7 +88,7 @@ def _curves(fit: ModelFit, first: Finding | None,
         if len(findings) > 1:
             findings = again_beside_each_other(fit, findings)
         if len(findings) < MOST:
-            found = learn_term(with_terms(fit, findings), report)
+            found = learn_term(with_terms(fit, findings), report, pairs)
     return findings
 
 
@@ -112,13 +119,16 @@ def with_terms(fit: ModelFit, findings: Sequence[Finding]) -> ModelFit:
     return fit
 
 
-def learn_term(fit: ModelFit, report: Callable[[str], None] = lambda _: None) -> Finding | None:
+def learn_term(fit: ModelFit, report: Callable[[str], None] = lambda _: None,
+               pairs: Collection[Pair] | None = None) -> Finding | None:
     """The term that best explains what a `fit` leaves, as a curve; None where none convinces.
 
-    `report` is told what is being done.
+    `report` is told what is being done. Of all `pairs` (covariate, frame, what it acts on), or of
+    some.
     """
     known = told(fit)
-    tables = [(table, kernels(table)) for table in candidates(known)]
+    tables = [(table, kernels(table)) for table in candidates(known)
+              if pairs is None or (table.against, table.frame, table.acts_on) in pairs]
     report(f'looking for a term, against {len(tables)} pairs of covariate and frame')
     first = _best(known, tables, _noise(known))
     if first is None:
@@ -142,9 +152,15 @@ def with_term(fit: ModelFit, term: LearnedTerm) -> ModelFit:
                               [p.whitening for p in fit.session_fits]))
 
 
-def relearn(fit: ModelFit) -> ModelFit:
-    """Return a `fit` with the terms that its rows ask for."""
-    return with_terms(fit, [with_formula(found) for found in _curves(fit, learn_term(fit))])
+def relearn(findings: Sequence[Finding], fit: ModelFit) -> ModelFit:
+    """Return a `fit` of other rows with the terms that these rows ask for.
+
+    Among the pairs of covariate and frame that had odds of POSSIBLE or more for one of the
+    `findings`.
+    """
+    pairs = {pair for found in findings for pair, odds in found.odds.items() if odds > POSSIBLE}
+    learned = _curves(fit, learn_term(fit, pairs=pairs), pairs=pairs)
+    return with_terms(fit, [with_formula(found) for found in learned])
 
 
 def _noise(fit: ModelFit) -> list[float]:
@@ -180,7 +196,7 @@ def _best(known: ModelFit, tables: Sequence[tuple[LearnedTerm, list[Kernel]]],
         found.append((moments, Curve.of(tried, *moments.total)))
     found.sort(key=lambda one: -one[1].log_evidence)
     total = float(np.logaddexp.reduce([curve.log_evidence for _, curve in found]))
-    odds: dict[tuple[str, str, str], float] = {
+    odds: dict[Pair, float] = {
         (m.term.against, m.term.frame, m.term.acts_on): float(np.exp(curve.log_evidence - total))
         for m, curve in found}
     paid = float(np.log(max(len(tables), 1)))
