@@ -12,7 +12,7 @@ import yaml
 
 from made.text import MADE, code, table
 from microbot_ros import nodes
-from microbot_ros.nodes.process import NODES
+from microbot_ros.nodes.names import NODES
 
 _NODES = Path(nodes.__file__).parent
 CONTENT = Path(__file__).with_name('graph.yaml')

@@ -41,7 +41,7 @@ def command(config: Path, arm: bool, cockpit: bool, namespace: str) -> None:
     """
     from microbot_ros.nodes.configuration import read_rig, refused
     from microbot_ros.nodes.graph_client import checked_namespace
-    from microbot_ros.nodes.process import NODES
+    from microbot_ros.nodes.names import NODES
 
     namespace = checked_namespace(namespace)
     rig = read_rig(config, namespace)
