@@ -73,8 +73,9 @@ def test_discover_drive_applies_the_model_all_the_same(found, session, tmp_path,
     driven = Driven([session], decided='settled')
     given = mock.Mock(return_value='')
     drive = 'microbot_ros.discovery.driven'
-    with mock.patch('microbot_ros.nodes.graph_client.GraphClient', return_value=nullcontext()), \
-            mock.patch('microbot_ros.nodes.driven_rig.DrivenRig'), \
+    client = 'microbot_ros.nodes.client'
+    with mock.patch(f'{client}.graph_client.GraphClient', return_value=nullcontext()), \
+            mock.patch(f'{client}.driven_rig.DrivenRig'), \
             mock.patch('microbot_ros.common.ending.Ending'), \
             mock.patch(f'{drive}.drive.drive', return_value=driven), \
             mock.patch(f'{drive}.conclusion.discovered', return_value=(named, session)), \

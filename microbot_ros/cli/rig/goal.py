@@ -17,7 +17,7 @@ from microbot_ros.common.errors import InputError, RigError, shown
 from microbot_ros.common.plausible import implausible
 
 if TYPE_CHECKING:
-    from microbot_ros.nodes.graph_client import GraphClient
+    from microbot_ros.nodes.client.graph_client import GraphClient
 
 Places = list[tuple[float, float]]
 
@@ -61,7 +61,7 @@ def command(positions_um: tuple[str, ...], file: Path | None, as_path: bool, can
     places, particles = _read(file) if file else ([_position(t) for t in positions_um], None)
     if as_path and particles is not None:
         raise InputError(str(file), 'expected no column particle in a path')
-    from microbot_ros.nodes.graph_client import GraphClient
+    from microbot_ros.nodes.client.graph_client import GraphClient
 
     with GraphClient(namespace=namespace) as client:
         if cancel:

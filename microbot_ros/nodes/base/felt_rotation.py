@@ -11,8 +11,8 @@ from sensor_msgs.msg import MagneticField
 
 from microbot_ros.estimation.online.commands import NEGLIGIBLE
 from microbot_ros.estimation.online.estimator import SET_BACK
-from microbot_ros.nodes import messages
-from microbot_ros.nodes.core import Core
+from microbot_ros.nodes.base import messages
+from microbot_ros.nodes.base.core import Core
 
 Rotation = tuple[float, np.ndarray]
 """From when [s] on which angular velocity (2,) [rad/s]."""

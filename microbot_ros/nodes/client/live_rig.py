@@ -10,7 +10,7 @@ from rcl_interfaces.srv import GetParameters
 from rclpy.client import Client
 from rclpy.task import Future
 
-from microbot_ros.nodes.lifecycle import RigNode
+from microbot_ros.nodes.base.lifecycle import RigNode
 from microbot_ros.session.mcap.recording import is_topic
 
 ACTING = frozenset({'camera', 'tracker', 'model', 'controller', 'coil_driver', 'virtual_rig'})
