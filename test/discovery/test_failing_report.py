@@ -53,7 +53,7 @@ def test_discover(found, session, tmp_path, capsys):
 
 
 def test_discover_live_publishes_the_verdict_and_goes_on(found, session, tmp_path, capsys):
-    nodes, publisher = 'microbot_ros.nodes', mock.Mock()
+    nodes, publisher = 'microbot_ros.nodes.client', mock.Mock()
     pages = mock.Mock(side_effect=[IndexError('once'), IndexError('too few')])
     with mock.patch(f'{nodes}.graph_client.GraphClient', return_value=nullcontext()), \
             mock.patch(f'{nodes}.live_session_buffer.LiveSessionBuffer'), \

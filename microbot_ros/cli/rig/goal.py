@@ -118,11 +118,11 @@ class _Coils:
         if self._client.runs('coil_driver'):
             self._client.until(lambda: self._heard, _HEALTH_SECONDS)
 
-    def _on_health(self, node: str, level: bytes, sentence: str, _: dict[str, str]) -> None:
+    def _on_health(self, node: str, level: bytes, sentence: str, values: dict[str, str]) -> None:
         if node != 'coil_driver' or sentence == self._heard:
             return
         self._heard = sentence
-        if level != b'\0':
+        if level != b'\0' or values.get('armed') == 'False':
             click.echo(f'{node}: {sentence}', err=True)
 
 
