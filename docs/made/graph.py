@@ -18,7 +18,7 @@ _NODES = Path(nodes.__file__).parent
 CONTENT = Path(__file__).with_name('graph.yaml')
 """Topic or service → what is in it, for people."""
 
-_SHARED = {'lifecycle': NODES, 'account': ('tracker', 'model', 'controller'),
+_SHARED = {'lifecycle': NODES, 'log': ('tracker', 'model', 'controller'), 'replay': (),
            'frames': ('tracker',), 'playback_publishers': ('player',),
            'felt_rotation': ('tracker', 'model'), 'preview': ('camera', 'virtual_rig'),
            'operated_rig': ('cockpit',), 'rig_view': ('cockpit',), 'graph_client': (),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -23,52 +23,39 @@ from visualization_msgs.msg import MarkerArray
 from microbot_ros.common.errors import InputError, shown
 from microbot_ros.common.settings import defaults
 from microbot_ros.control.contract import FieldCommand, Goals, Input, Result, no_field
+from microbot_ros.control.deadline_worker import DeadlineWorker
 from microbot_ros.control.registry import controller_classes
 from microbot_ros.loop.controller import ControllerParameters, ControllerStage
 from microbot_ros.loop.points import GOAL, PLACE
 from microbot_ros.model.io.model_file import read_model
 from microbot_ros.nodes import messages
+from microbot_ros.nodes.core import Core
 from microbot_ros.nodes.lifecycle import ERROR, LATCHED, NEWEST, OK, WARN, RigNode, status
 from microbot_ros.nodes.markers import markers
 from microbot_ros.nodes.parameters import ParameterSet
+from microbot_ros.session.log import EXPIRE, LET_GO
 
 _MARKERS_SECONDS = 0.2
 
 
-class ControllerNode(RigNode):
-    """`model/state`, goals → `field/command`."""
+class ControllerCore(Core):
+    """`model/state`, goals → `field/command`, `field/rotation`."""
 
     Parameters: ClassVar[type] = ControllerParameters
-    accounts_for = 'model/state'
+    frame = 'model/state'
 
-    @classmethod
-    def known_parameters(cls) -> dict[str, tuple[type, str]]:
-        known = super().known_parameters()
-        for name, kind in controller_classes(required='hold').items():
-            known |= {f'{name}.{field}': (kind.Parameters, field)
-                      for field in defaults(kind.Parameters)}
-        return known
+    def make_stage(self, values: Callable[[str, type], Any],
+                   worker: Callable[[float], DeadlineWorker]) -> None:
+        """Make the stage; `values` returns the parameters of a controller by name and class.
 
-    def declare_more(self) -> None:
-        self.stage = ControllerStage(self.settings, self.account.worker)
+        `worker` makes, from a patience [s], what calls controllers. Raises InputError where a
+        controller refuses its parameters.
+        """
+        self.stage = ControllerStage(self.settings, worker)
         answer = self.stage.configure(self.settings, {
-            name: ParameterSet(self, kind.Parameters, prefix=f'{name}.',
-                               beside=self._parameters_of_node).values
-            for name, kind in self.stage.classes.items()})
+            name: values(name, kind.Parameters) for name, kind in self.stage.classes.items()})
         if not answer.ok:
-            raise InputError(self.get_name(), answer.message)
-
-    def veto(self, proposed: ControllerParameters) -> str:
-        low_x, low_y, high_x, high_y = (*proposed.workspace_um, *4 * [math.nan])[:4]
-        if not (low_x < high_x and low_y < high_y and len(proposed.workspace_um) == 4):
-            return 'workspace_um must be left, bottom, right, top; received ' + shown(
-                proposed.workspace_um)
-        if proposed.model_file:
-            try:
-                read_model(proposed.model_file)
-            except InputError as error:
-                return str(error)
-        return ''
+            raise InputError('controller', answer.message)
 
     def take(self, changed: Mapping[str, Any], named: Collection[str]) -> str:
         """Configure with what has `changed`, then switch. Where the controller that drives is
@@ -78,8 +65,7 @@ class ControllerNode(RigNode):
             changed.get('', self.settings),
             {prefix.removesuffix('.'): values for prefix, values in changed.items() if prefix},
             restart='controller' in named, seconds=self.settings.deadline_ms * 1e-3)
-        if answer.message:
-            self.get_logger().info(answer.message)
+        self.switched(answer.message)
         return '' if answer.ok else answer.message
 
     @property
@@ -87,7 +73,7 @@ class ControllerNode(RigNode):
         """Of the controller that drives."""
         return self.stage.unrepeatable
 
-    def setup(self) -> None:
+    def connect(self) -> None:
         self.stage.begin()
         self._goals_stamp = self._path_stamp = self._plan_stamp = 0.0
         self._refused = 0.0, ''
@@ -96,9 +82,9 @@ class ControllerNode(RigNode):
         self._markers = self.publisher(MarkerArray, 'markers')
         self._markers_due = 0.0
         self._rotations = self.publisher(Vector3Stamped, 'field/rotation')
-        summaries = {name: kind.summary for name, kind in self.stage.classes.items()}
-        self.publisher(String, '~/controllers', LATCHED).publish(
-            String(data=yaml.safe_dump(summaries, sort_keys=False)))
+        # Latched: who looks later is to know too where it goes.
+        self._goals_taken = self.publisher(PointCloud2, '~/goals', LATCHED)
+        self._path_taken = self.publisher(Path, '~/path', LATCHED)
         self.subscribe(PointCloud2, 'model/state', self._on_state, NEWEST)
         self.subscribe(PoseArray, 'goals', self._on_goals)
         self.subscribe(PoseStamped, 'goal_pose', self._on_goal_pose)
@@ -106,43 +92,27 @@ class ControllerNode(RigNode):
         self.subscribe(Path, 'path', self._on_path)
         self.subscribe(JointTrajectory, 'field/plan', self._on_plan)
         self.subscribe(Joy, 'joy', self._on_joy, NEWEST)
-        armed, disarmed = self.noted(self._be_armed), self.noted(self._be_disarmed)
-        self.subscribe(Bool, 'coil_driver/armed',
-                       lambda message: armed() if message.data else disarmed(), LATCHED)
-        self.every(0.05, self._watch)
-        self.service(Trigger, '~/list_controllers', self._on_list)
-        self._progress = self.publisher(DiagnosticStatus, '~/progress')
-        # Latched: who looks later is to know too where it goes.
-        self._goals_taken = self.publisher(PointCloud2, '~/goals', LATCHED)
-        self._path_taken = self.publisher(Path, '~/path', LATCHED)
-        self._tell_goals(Time())
-        self._path_taken.publish(Path())
-        self.every(0.2, self._tell)
+        self.subscribe(Bool, 'coil_driver/armed', self._on_armed, LATCHED)
 
-    def stop(self) -> None:
-        self.make_safe()
-
-    def make_safe(self) -> None:
-        """Let go: zero once, if anything may flow, and the next command starts from there."""
-        if hasattr(self, 'stage') and self.stage.let_go():
+    def expire(self) -> None:
+        """Poses have stopped coming: let go once."""
+        if self.stage.expire(self.now_s):
+            self.act(EXPIRE)
             self._publish_zero()
 
-    def teardown(self) -> None:
-        self.stage.manager.reset()
+    def tell(self) -> None:
+        """Called when goals, a path or a plan were taken or refused."""
 
-    def health(self) -> tuple[bytes, str, dict[str, object]]:
-        outcome, name = self.stage.outcome, self.stage.manager.active
-        values: dict[str, object] = {
-            'controller': name, 'result': outcome.result.value, 'goals': len(self.stage.goals),
-            'goals_stamp_s': repr(self._goals_stamp), 'path_stamp_s': repr(self._path_stamp),
-            'plan_stamp_s': repr(self._plan_stamp), 'refused_stamp_s': repr(self._refused[0]),
-            'refused': self._refused[1], 'takes': ', '.join(self._takes(name))}
-        if outcome.command is not None:
-            values['distance_um'] = outcome.command.progress.distance * 1e6
-            values['done'] = outcome.command.progress.done
-        level = {Result.OK: OK, Result.FAULT: ERROR}.get(outcome.result, WARN)
-        waits = 'not armed: starts when armed; ' * self.stage.waits
-        return level, f'{name}: {waits}{outcome.message or "driving"}', values
+    def switched(self, message: str) -> None:
+        """Called with a `message`: what a change of parameters came to, in a sentence or ''."""
+
+    def let_go(self) -> None:
+        """Command zero once, if anything may flow; the next command starts from there."""
+        if self.stage.let_go():
+            self._publish_zero()
+
+    def _on_armed(self, message: Bool) -> None:
+        (self._be_armed if message.data else self._be_disarmed)()
 
     def _be_armed(self) -> None:
         """The coils are armed: zero first, which the driver waits for, and on from there."""
@@ -155,17 +125,17 @@ class ControllerNode(RigNode):
         self.stage.be_disarmed()
         if was_armed:
             self._goals_stamp = self._path_stamp = self._plan_stamp = 0.0
-            self._tell_goals(self.get_clock().now().to_msg())
+            self._tell_goals(self.now_stamp())
             self._path_taken.publish(Path())
-            self._tell()
+            self.tell()
 
     def _on_state(self, message: PointCloud2) -> None:
         estimates, stamp = messages.estimates(message), message.header.stamp
         silent = self.stage.joystick_remark
         outcome = self.stage.step(
-            estimates, messages.to_seconds(stamp), self.account.taken_s)
+            estimates, messages.to_seconds(stamp), self.now_s)
         if outcome.command is None:
-            self.make_safe()
+            self.let_go()
         else:
             self._publish(outcome.command, stamp)
         if self.stage.joystick_remark and not silent:
@@ -196,7 +166,7 @@ class ControllerNode(RigNode):
         if refusal:
             self._refused = messages.to_seconds(header.stamp), refusal
             self.complain(refusal)
-            self._tell()  # at once, for those who wait for it
+            self.tell()  # at once, for those who wait for it
         return bool(refusal)
 
     def _take_goals(self, header: Header, places: list[Point],
@@ -208,7 +178,7 @@ class ControllerNode(RigNode):
         self.stage.go_to(Goals(np.array([(p.x, p.y) for p in places]).reshape(-1, 2), ids))
         self._goals_stamp = messages.to_seconds(header.stamp)
         self._tell_goals(header.stamp)
-        self._tell()  # at once, for those who wait for it
+        self.tell()  # at once, for those who wait for it
 
     def _tell_goals(self, stamp: Time) -> None:
         """Say which goals it has since a `stamp`, whoever sent them and in whatever form."""
@@ -227,7 +197,7 @@ class ControllerNode(RigNode):
             (p.pose.position.x, p.pose.position.y) for p in message.poses]).reshape(-1, 2))
         self._path_stamp = messages.to_seconds(message.header.stamp)
         self._path_taken.publish(message)
-        self._tell()
+        self.tell()
 
     def _on_plan(self, message: JointTrajectory) -> None:
         stamp = messages.to_seconds(message.header.stamp)
@@ -240,16 +210,94 @@ class ControllerNode(RigNode):
         except ValueError as error:
             raise messages.MessageError(f'field/plan: {error}') from None
         self._plan_stamp = stamp
-        self._tell()
+        self.tell()
 
     def _on_joy(self, message: Joy) -> None:
-        now = self.seconds()
+        now = self.now_s
         # A driver may leave the stamp out; one that is ahead of its time is not believed.
         t = min(messages.to_seconds(message.header.stamp) or now, now)
         try:
             self.stage.move_joystick(np.array(message.axes[:2], float), t)
         except ValueError as error:
             raise messages.MessageError(f'joy: {error}') from None
+
+    def _publish_zero(self) -> None:
+        self._publish(no_field(''), self.now_stamp())
+
+    def _publish(self, command: FieldCommand, stamp: Time) -> None:
+        # The rotation first: what is commanded then already turns.
+        turns = command.frequency > 0
+        if turns or self._turning:
+            self._rotations.publish(messages.field_vector(command.angular_velocity, stamp))
+        self._turning = turns
+        self._commands.publish(messages.field_vector(command.field, stamp))
+
+
+class ControllerNode(RigNode, ControllerCore):
+    """`ControllerCore`, with its services and what viewers show."""
+
+    @classmethod
+    def known_parameters(cls) -> dict[str, tuple[type, str]]:
+        known = super().known_parameters()
+        for name, kind in controller_classes(required='hold').items():
+            known |= {f'{name}.{field}': (kind.Parameters, field)
+                      for field in defaults(kind.Parameters)}
+        return known
+
+    def declare_more(self) -> None:
+        self.make_stage(lambda name, kind: ParameterSet(
+            self, kind, prefix=f'{name}.', beside=self._parameters_of_node).values,
+            self.log.worker)
+
+    def veto(self, proposed: ControllerParameters) -> str:
+        low_x, low_y, high_x, high_y = (*proposed.workspace_um, *4 * [math.nan])[:4]
+        if not (low_x < high_x and low_y < high_y and len(proposed.workspace_um) == 4):
+            return 'workspace_um must be left, bottom, right, top; received ' + shown(
+                proposed.workspace_um)
+        if proposed.model_file:
+            try:
+                read_model(proposed.model_file)
+            except InputError as error:
+                return str(error)
+        return ''
+
+    def setup(self) -> None:
+        self.connect()
+        summaries = {name: kind.summary for name, kind in self.stage.classes.items()}
+        self.publisher(String, '~/controllers', LATCHED).publish(
+            String(data=yaml.safe_dump(summaries, sort_keys=False)))
+        self.every(0.05, self._watch)
+        self.service(Trigger, '~/list_controllers', self._on_list)
+        self._progress = self.publisher(DiagnosticStatus, '~/progress')
+        self._tell_goals(Time())
+        self._path_taken.publish(Path())
+        self.every(0.2, self.tell)
+
+    def stop(self) -> None:
+        self.make_safe()
+
+    def make_safe(self) -> None:
+        """Let go: zero once, if anything may flow, and the next command starts from there."""
+        if hasattr(self, '_commands'):
+            self.act(LET_GO)
+            self.let_go()
+
+    def teardown(self) -> None:
+        self.stage.manager.reset()
+
+    def health(self) -> tuple[bytes, str, dict[str, object]]:
+        outcome, name = self.stage.outcome, self.stage.manager.active
+        values: dict[str, object] = {
+            'controller': name, 'result': outcome.result.value, 'goals': len(self.stage.goals),
+            'goals_stamp_s': repr(self._goals_stamp), 'path_stamp_s': repr(self._path_stamp),
+            'plan_stamp_s': repr(self._plan_stamp), 'refused_stamp_s': repr(self._refused[0]),
+            'refused': self._refused[1], 'takes': ', '.join(self._takes(name))}
+        if outcome.command is not None:
+            values['distance_um'] = outcome.command.progress.distance * 1e6
+            values['done'] = outcome.command.progress.done
+        level = {Result.OK: OK, Result.FAULT: ERROR}.get(outcome.result, WARN)
+        waits = 'not armed: starts when armed; ' * self.stage.waits
+        return level, f'{name}: {waits}{outcome.message or "driving"}', values
 
     def _on_list(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
         active = self.stage.manager.active
@@ -263,20 +311,12 @@ class ControllerNode(RigNode):
 
     def _watch(self) -> None:
         """Poses that stop coming: let go once, then stay silent, and say for how long."""
-        if self.stage.expire(self.seconds()):
-            self.account.act('_watch')
-            self._publish_zero()
+        self.now_ns = self.get_clock().now().nanoseconds
+        self.expire()
 
-    def _tell(self) -> None:
+    def tell(self) -> None:
         self._progress.publish(status(self, *self.health()))
 
-    def _publish_zero(self) -> None:
-        self._publish(no_field(''), self.get_clock().now().to_msg())
-
-    def _publish(self, command: FieldCommand, stamp: Time) -> None:
-        # The rotation first: what is commanded then already turns.
-        turns = command.frequency > 0
-        if turns or self._turning:
-            self._rotations.publish(messages.field_vector(command.angular_velocity, stamp))
-        self._turning = turns
-        self._commands.publish(messages.field_vector(command.field, stamp))
+    def switched(self, message: str) -> None:
+        if message:
+            self.get_logger().info(message)

@@ -11,13 +11,13 @@ from sensor_msgs.msg import MagneticField
 
 from microbot_ros.estimation.online.commands import NEGLIGIBLE, SET_BACK
 from microbot_ros.nodes import messages
-from microbot_ros.nodes.lifecycle import RigNode
+from microbot_ros.nodes.core import Core
 
 Rotation = tuple[float, np.ndarray]
 """From when [s] on which angular velocity (2,) [rad/s]."""
 
 
-def follow_rotation(node: RigNode, tell: Callable[[float, np.ndarray], None],
+def follow_rotation(node: Core, tell: Callable[[float, np.ndarray], None],
                     read_back: bool = True) -> None:
     """Let a `node` hear what is commanded on `field/rotation` and, with `read_back`, what flows by
     `field/applied`, and `tell` what rollers feel of it: (time [s], angular velocity (2,) [rad/s]).

@@ -7,7 +7,7 @@ import traceback
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any, ClassVar, cast
+from typing import Any, cast
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
@@ -22,13 +22,12 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.settings import defaults
-from microbot_ros.nodes.account import Account
+from microbot_ros.nodes.core import RELIABLE, Core
+from microbot_ros.nodes.log import Log
 from microbot_ros.nodes.messages import MessageError, to_seconds
 from microbot_ros.nodes.parameters import ParameterSet, refuse_unknown
 from microbot_ros.nodes.rig import HangingError, Outlet, Rig
 
-# Small messages: deep enough for a replay at many times real time.
-RELIABLE = QoSProfile(depth=200)
 # For what is to be acted on: a node that was held up takes the newest, not a queue of old ones.
 NEWEST = QoSProfile(depth=1)
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
@@ -45,7 +44,7 @@ SILENCE_SECONDS = 1.0
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
-class RigNode(LifecycleNode):
+class RigNode(LifecycleNode, Core):
     """A lifecycle node that cannot fail silently.
 
     Subclasses name their parameters (`Parameters`) and fill in `setup` (create publishers,
@@ -57,20 +56,13 @@ class RigNode(LifecycleNode):
     are the ROS arguments of this node alone, `--ros-args` and what follows.
     """
 
-    Parameters: ClassVar[type]
-    accounts_for: ClassVar[str] = ''
-    """The topic that sets the node going, where it says on `~/account` what it took; or ''."""
-    Account: ClassVar[type[Account]] = Account
-    unrepeatable = ''
-    """Why the same inputs need not have the same answers; '' where they do."""
-
     def __init__(self, name: str, rig: Rig | None = None,
                  arguments: Sequence[str] | None = None) -> None:
         super().__init__(name, cli_args=arguments)
         self.active = False
         self.starting = False
         """Whether its process starts it, and says why where that fails."""
-        self.account = self.Account(self)
+        self.log = Log(self)
         self.fault = ''
         """Why setup failed or the node is not doing its work; '' when all is well."""
         self._complaint = ''
@@ -81,7 +73,7 @@ class RigNode(LifecycleNode):
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self.create_timer(1.0, self._report, clock=self._steady)
         self._parameters_of_node: ParameterSet[Any] = ParameterSet(
-            self, self.Parameters, self.veto, take=self.take)
+            self, self.Parameters, self.veto, take=self._take_noted)
         self.declare_more()
         refuse_unknown(self)
 
@@ -97,14 +89,6 @@ class RigNode(LifecycleNode):
 
     def veto(self, proposed: Any) -> str:
         """Why the values `proposed` can't be taken, or ''. Changes nothing: others may refuse yet.
-        """
-        return ''
-
-    def take(self, changed: Mapping[str, Any], named: Collection[str]) -> str:
-        """Hand parameters that nobody vetoed to what runs with them: all, or none and why.
-
-        `changed` holds the new values of each set by its prefix, '' for `Parameters`; `named` are
-        the parameters that were set, to what they were or not.
         """
         return ''
 
@@ -155,8 +139,8 @@ class RigNode(LifecycleNode):
         It goes with the next cleanup. `on_matched` is called when a publisher comes or goes,
         before anything that it sends.
         """
-        if self.accounts_for and not raw:
-            callback = self.account.keeping(topic, callback)
+        if self.frame and not raw:
+            callback = self.log.keeping(topic, callback)
         take = self._guarded(callback)
         if self.rig and self.rig.joins(topic):
             leave = self.rig.listen(topic, take)
@@ -176,14 +160,6 @@ class RigNode(LifecycleNode):
         clock = self._steady if steady else self.get_clock()
         made = self.create_timer(seconds, self._guarded(callback), clock=clock)
         self._created.append((self.destroy_timer, made))
-
-    def noted(self, callback: Callable[[], None]) -> Callable[[], None]:
-        """A `callback` whose calls are noted on `~/account`, as those of timers that act: what
-        calls it need not be recorded for a replay."""
-        def act() -> None:
-            self.account.act(callback.__name__)
-            callback()
-        return act
 
     def service(self, kind: type, name: str, callback: Callable[[Any, Any], Any]) -> None:
         """A service of a `kind` that goes with the next cleanup."""
@@ -261,7 +237,20 @@ class RigNode(LifecycleNode):
         self._complaint_until = time.monotonic() + 5.0
         self.get_logger().warning(sentence, throttle_duration_sec=1.0)
 
+    def act(self, name: str) -> None:
+        if self.frame:
+            self.log.note(name, 0)
+
     # Machinery ------------------------------------------------------------------------------
+
+    def _take_noted(self, changed: Mapping[str, Any], named: Collection[str]) -> str:
+        if not self.frame or not hasattr(self, '_parameters_of_node'):
+            return self.take(changed, named)
+        sets = self._parameters_of_node.sets
+        values = {prefix + name: value for prefix, each in sets.items()
+                  for name, value in vars(changed.get(prefix, each.values)).items()
+                  if prefix + name in named}
+        return self.log.take(values, lambda: self.take(changed, named))
 
     def _turn(self) -> AbstractContextManager[None]:
         return self.rig.turn() if self.rig else nullcontext()
@@ -310,8 +299,8 @@ class RigNode(LifecycleNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Fill in what the node needs (`setup`), from whatever `state` it was in."""
         self.fault = ''
-        if self.accounts_for:
-            self.account.begin()
+        if self.frame:
+            self.log.begin()
         done = self._transition('configure', self.setup)
         if done != TransitionCallbackReturn.SUCCESS:
             self._discard()

@@ -11,12 +11,12 @@ from rclpy.client import Client
 from rclpy.task import Future
 
 from microbot_ros.nodes.lifecycle import RigNode
-from microbot_ros.session.lockstep import FRAMES
 from microbot_ros.session.recording import is_topic
 
 ACTING = frozenset({'camera', 'tracker', 'model', 'controller', 'coil_driver', 'virtual_rig'})
 """Nodes that see or move particles. A recorder or a viewer may watch whatever is played."""
-_GONE_BY = (*FRAMES, 'field/applied', 'field/rotation')
+_GONE_BY = ('camera/image_raw', 'particles', 'model/state', 'field/command', 'field/applied',
+            'field/rotation')
 _ANSWER_SECONDS = 10.0
 """A node that is just starting answers nothing yet; one that takes longer counts as live."""
 _NAMELESS = '_NODE_NAME_UNKNOWN_'

@@ -17,6 +17,7 @@ from microbot_ros.loop.model import ModelParameters, ModelStage
 from microbot_ros.loop.points import PARTICLE
 from microbot_ros.model.io.model_file import read_model
 from microbot_ros.nodes import messages
+from microbot_ros.nodes.core import Core
 from microbot_ros.nodes.felt_rotation import follow_rotation
 from microbot_ros.nodes.lifecycle import OK, SILENCE_SECONDS, WARN, RigNode, in_one_line
 
@@ -31,16 +32,15 @@ class ModelNodeParameters(ModelParameters):
         'while a field is read back.', choices=('applied', 'command'), read_only=True)
 
 
-class ModelNode(RigNode):
+class ModelCore(Core):
     """`particles` and the field → `model/state`."""
 
     Parameters: ClassVar[type] = ModelNodeParameters
-    accounts_for = 'particles'
+    frame = 'particles'
 
-    def setup(self) -> None:
+    def connect(self) -> None:
         values: ModelNodeParameters = self.settings
         self.stage = ModelStage(values)
-        self._came = -math.inf
         self._state = self.publisher(PointCloud2, 'model/state')
         self.subscribe(PointCloud2, 'particles', self._on_particles)
         if values.propulsion == 'rolling':
@@ -49,6 +49,33 @@ class ModelNode(RigNode):
             self.subscribe(MagneticField, 'field/applied', self._on_applied)
         else:
             self.subscribe(Vector3Stamped, 'field/command', self._on_command)
+
+    def _on_applied(self, message: MagneticField) -> None:
+        self.stage.field(*messages.field_at(message))
+
+    def _on_command(self, message: Vector3Stamped) -> None:
+        # Its stamp is the exposure it answers; what passes until the field turns is a delay, and
+        # that is estimated.
+        self.stage.field(*messages.vector_at(message))
+
+    def _on_particles(self, message: PointCloud2) -> None:
+        self.stage.use(self.settings.model_file)
+        stamp = message.header.stamp
+        estimates = self.stage.step(
+            messages.points(message, PARTICLE), messages.to_seconds(stamp))
+        self.known()
+        self._state.publish(messages.cloud(estimates, stamp))
+
+    def known(self) -> None:
+        """Called after each frame, before its estimates are published."""
+
+
+class ModelNode(RigNode, ModelCore):
+    """`ModelCore` as a node."""
+
+    def setup(self) -> None:
+        self._came = -math.inf
+        self.connect()
 
     def veto(self, proposed: ModelNodeParameters) -> str:
         if proposed.model_file:
@@ -77,21 +104,8 @@ class ModelNode(RigNode):
             return WARN, in_one_line(found.diagnosis), values
         return OK, f'{int(found.known.sum())} of {len(found.id)} particles known', values
 
-    def _on_applied(self, message: MagneticField) -> None:
-        self.stage.field(*messages.field_at(message))
-
-    def _on_command(self, message: Vector3Stamped) -> None:
-        # Its stamp is the exposure it answers; what passes until the field turns is a delay, and
-        # that is estimated.
-        self.stage.field(*messages.vector_at(message))
-
-    def _on_particles(self, message: PointCloud2) -> None:
-        self.stage.use(self.settings.model_file)
-        stamp = message.header.stamp
-        estimates = self.stage.step(
-            messages.points(message, PARTICLE), messages.to_seconds(stamp))
+    def known(self) -> None:
         self._came = time.monotonic()
         if self.stage.estimates and self.stage.estimates.begun_anew:
             self.get_logger().warning(
                 in_one_line(self.stage.estimates.begun_anew), throttle_duration_sec=5.0)
-        self._state.publish(messages.cloud(estimates, stamp))

@@ -45,7 +45,8 @@ class ParameterSet(Generic[ValuesT]):
         self._kind = kind
         self._veto = veto
         self._take = take
-        self._sets: dict[str, ParameterSet[Any]] = {} if beside is None else beside._sets
+        self.sets: dict[str, ParameterSet[Any]] = {} if beside is None else beside.sets
+        """All sets of the node by their prefixes."""
         self._prefix = prefix
         initial = {}
         for name, default in settings.defaults(kind).items():
@@ -59,7 +60,7 @@ class ParameterSet(Generic[ValuesT]):
         reason = veto(self.values)
         if reason:
             raise InputError(node.get_name(), reason)
-        self._sets[prefix] = self
+        self.sets[prefix] = self
         if beside is None:
             node.add_on_set_parameters_callback(self._validate)
             node.add_post_set_parameters_callback(self._apply)
@@ -81,19 +82,19 @@ class ParameterSet(Generic[ValuesT]):
 
     def _validate(self, parameters: list[Parameter]) -> SetParametersResult:
         try:
-            proposed = {prefix: each._changed(parameters) for prefix, each in self._sets.items()}
+            proposed = {prefix: each._changed(parameters) for prefix, each in self.sets.items()}
         except ValueError as error:
             return SetParametersResult(successful=False, reason=str(error))
         changed = {prefix: values for prefix, values in proposed.items()
-                   if values != self._sets[prefix].values}
-        reasons = (self._sets[prefix]._veto(values) for prefix, values in changed.items())
+                   if values != self.sets[prefix].values}
+        reasons = (self.sets[prefix]._veto(values) for prefix, values in changed.items())
         reason = next(filter(None, reasons), '')
         if not reason:
             reason = self._take(changed, {parameter.name for parameter in parameters})
         return SetParametersResult(successful=not reason, reason=reason)
 
     def _apply(self, parameters: list[Parameter]) -> None:
-        for each in self._sets.values():
+        for each in self.sets.values():
             each.values = each._changed(parameters)
 
 

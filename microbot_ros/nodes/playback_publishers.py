@@ -28,11 +28,10 @@ class PlaybackPublishers:
         """Listeners that what is sent now will reach."""
         return sum(outlet.get_subscription_count() for outlet in self._all.values())
 
-    def missing(self, at_least: int) -> list[str]:
-        """Topics that do not reach all their listeners yet, or reach fewer than `at_least`."""
+    def missing(self) -> list[str]:
+        """Topics that do not reach all their listeners yet."""
         return [name for name, outlet in self._all.items()
-                if outlet.get_subscription_count() < max(
-                    at_least, self._node.count_subscribers(name))]
+                if outlet.get_subscription_count() < self._node.count_subscribers(name)]
 
     def send(self, topic: str, data: bytes) -> bool:
         """Publish serialised `data` on a `topic`; False where who keeps every message has no room

@@ -52,9 +52,7 @@ TOPICS: dict[str, tuple[type, QoSProfile]] = {
     'virtual_rig/truth': (PointCloud2, KEPT),
     'markers': (MarkerArray, KEPT),
     'tracker/kinds': (String, _LATCHED),
-    'tracker/account': (String, KEPT),
-    'model/account': (String, KEPT),
-    'controller/account': (String, KEPT),
+    'loop/log': (String, KEPT),
     '/diagnostics': (DiagnosticArray, KEPT),
     CHANGES: (ParameterEvent, KEPT),
 }

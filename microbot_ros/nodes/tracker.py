@@ -21,6 +21,7 @@ from microbot_ros.common.errors import InputError, clipped
 from microbot_ros.common.settings import setting
 from microbot_ros.loop.tracker import TrackerParameters, TrackerStage
 from microbot_ros.nodes import messages
+from microbot_ros.nodes.core import Core
 from microbot_ros.nodes.felt_rotation import follow_rotation
 from microbot_ros.nodes.frames import publish_camera_transform
 from microbot_ros.nodes.lifecycle import (
@@ -54,25 +55,68 @@ class TrackerNodeParameters(TrackerParameters):
         10.0, 'Rate of `particles/poses`, for viewers.', lower=0.0, upper=60.0)
 
 
-class TrackerNode(RigNode):
-    """`camera/image_raw` and the field → `particles`, `particles/poses`, `overlay/image_raw`; the
-    names of the kinds that were taught on `tracker/kinds`, and where the picture lies on
-    `/tf_static`. Examples come on `tracker/like` and `tracker/unlike`; `tracker/taught` says what
-    was learned from each."""
+class TrackerCore(Core):
+    """`camera/image_raw` and the field → `particles`, `particles/poses`."""
 
     Parameters: ClassVar[type] = TrackerNodeParameters
-    accounts_for = 'camera/image_raw'
+    frame = 'camera/image_raw'
 
-    def setup(self) -> None:
+    def connect(self) -> None:
         self.stage = TrackerStage(self.settings)
-        self._came = -float('inf')
         self._due = {'poses': 0.0, 'overlay': 0.0}
         self._particles = self.publisher(PointCloud2, 'particles')
         self._poses = self.publisher(PoseArray, 'particles/poses')
+        source = self.settings.field_source
+        if source == 'applied':
+            self.subscribe(MagneticField, 'field/applied', self._on_applied)
+        elif source == 'command':
+            self.subscribe(Vector3Stamped, 'field/command', self._on_command)
+        elif source == 'rotation':
+            follow_rotation(self, self.stage.rotation)
+        self.subscribe(Image, 'camera/image_raw', self._on_image, IMAGES_IN)
+
+    def seen(self, image: np.ndarray, stamp: Time) -> None:
+        """Called after each frame: an `image` (H, W) of a `stamp`, its particles published."""
+
+    def _on_image(self, message: Image) -> None:
+        image = messages.gray(message, self.stage.colour)
+        stamp = message.header.stamp
+        t = messages.to_seconds(stamp)
+        try:
+            particles = self.stage.step(image, t)
+        except FrameError as error:
+            self.complain(str(error))
+            return
+        self._particles.publish(messages.cloud(self.stage.with_kinds(particles), stamp))
+        if self.is_due('poses', self.settings.poses_rate_hz, t):
+            places = np.stack([particles['x'], particles['y']], axis=1)
+            self._poses.publish(messages.poses(places, particles['theta'], stamp))
+        self.seen(image, stamp)
+
+    def is_due(self, what: str, rate: float, t: float) -> bool:
+        """Return whether `what`, published at a `rate` [Hz], is due at `t` [s]."""
+        if rate <= 0 or (t < self._due[what] and self._due[what] - t < 10.0):
+            return False
+        self._due[what] = t + 1 / rate
+        return True
+
+    def _on_applied(self, message: MagneticField) -> None:
+        self.stage.field(*messages.field_at(message))
+
+    def _on_command(self, message: Vector3Stamped) -> None:
+        self.stage.field(*messages.vector_at(message))
+
+
+class TrackerNode(RigNode, TrackerCore):
+    """`TrackerCore`, with `overlay/image_raw`, the names of the kinds that were taught on
+    `tracker/kinds`, and where the picture lies on `/tf_static`. Examples come on `tracker/like`
+    and `tracker/unlike`; `tracker/taught` says what was learned from each."""
+
+    def setup(self) -> None:
+        self._came = -float('inf')
+        self._told_kinds: tuple[str, ...] | None = None
         self._overlay = self.publisher(Image, 'overlay/image_raw', IMAGES_OUT)
         self._names = self.publisher(String, '~/kinds', LATCHED)
-        self._tell_kinds()
-        self._listen(self.settings.field_source)
         publish_camera_transform(
             self, units.to_si('rotation_deg', self.settings.rotation_deg), self.settings.mirrored)
         self._taught = self.publisher(DiagnosticStatus, '~/taught', LATCHED)
@@ -82,15 +126,8 @@ class TrackerNode(RigNode):
         self.subscribe(PointStamped, '~/unlike',
                        lambda example: aside(lambda: self._learn('unlike', example)))
         self.service(Trigger, '~/forget', self._on_forget)
-        self.subscribe(Image, 'camera/image_raw', self._on_image, IMAGES_IN)
-
-    def _listen(self, source: str) -> None:
-        if source == 'applied':
-            self.subscribe(MagneticField, 'field/applied', self._on_applied)
-        elif source == 'command':
-            self.subscribe(Vector3Stamped, 'field/command', self._on_command)
-        elif source == 'rotation':
-            follow_rotation(self, self.stage.rotation)
+        self.connect()
+        self._tell_kinds()
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         stage, silence = self.stage, time.monotonic() - self._came
@@ -106,20 +143,14 @@ class TrackerNode(RigNode):
             return OK, 'learning what particles look like', values
         return OK, f'tracking {count} particles', values
 
-    def _on_image(self, message: Image) -> None:
-        image = messages.gray(message, self.stage.colour)
-        stamp = message.header.stamp
-        try:
-            particles = self.stage.step(image, messages.to_seconds(stamp))
-        except FrameError as error:
-            self.complain(str(error))
-            return
+    def seen(self, image: np.ndarray, stamp: Time) -> None:
         if remarks := self.stage.remarks:
             self.complain(remarks)
         self._came = time.monotonic()
-        if self.stage.kinds != self._told_kinds:
-            self._tell_kinds()
-        self._publish(image, particles, stamp)
+        self._tell_kinds()
+        if self._overlay.get_subscription_count() and self.is_due(
+                'overlay', self.settings.overlay_rate_hz, messages.to_seconds(stamp)):
+            self.afterwards(lambda: self._draw(image, stamp))
 
     def _learn(self, example: str, message: PointStamped) -> None:
         """Learn from an example and publish the outcome on `tracker/taught`."""
@@ -156,36 +187,15 @@ class TrackerNode(RigNode):
         return answer
 
     def _tell_kinds(self) -> None:
-        self._told_kinds = self.stage.kinds
-        self._names.publish(String(data=json.dumps(self._told_kinds)))
-
-    def _on_applied(self, message: MagneticField) -> None:
-        self.stage.field(*messages.field_at(message))
-
-    def _on_command(self, message: Vector3Stamped) -> None:
-        self.stage.field(*messages.vector_at(message))
-
-    def _publish(self, image: np.ndarray, particles: np.ndarray, stamp: Time) -> None:
-        self._particles.publish(messages.cloud(self.stage.with_kinds(particles), stamp))
-        t = messages.to_seconds(stamp)
-        if self._is_due('poses', self.settings.poses_rate_hz, t):
-            places = np.stack([particles['x'], particles['y']], axis=1)
-            self._poses.publish(messages.poses(places, particles['theta'], stamp))
-        if self._overlay.get_subscription_count() and self._is_due(
-                'overlay', self.settings.overlay_rate_hz, t):
-            self.afterwards(lambda: self._draw(image, stamp))
+        if self.stage.kinds != self._told_kinds:
+            self._told_kinds = self.stage.kinds
+            self._names.publish(String(data=json.dumps(self._told_kinds)))
 
     def _draw(self, image: np.ndarray, stamp: Time) -> None:
         from microbot_ros.tracking.overlay import draw_overlay
 
         assert self.stage.poses is not None
         self._overlay.publish(messages.image(draw_overlay(image, self.stage.poses), stamp))
-
-    def _is_due(self, what: str, rate: float, t: float) -> bool:
-        if rate <= 0 or (t < self._due[what] and self._due[what] - t < 10.0):
-            return False
-        self._due[what] = t + 1 / rate
-        return True
 
 
 def _nanoseconds(stamp: Time) -> int:

@@ -4,20 +4,30 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
 import numpy as np
 
-from microbot_ros.session.accounts import Doubt, unjudgeable
 from microbot_ros.session.cloud import cloud_table, is_cloud
 from microbot_ros.session.from_recording import stamp_ns
 from microbot_ros.session.recording import Recording
 
 _Key = tuple[int, int]
 """What pairs two messages: their stamp [ns], and which of those with that stamp."""
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """Differences of messages with stamps from `first_ns` [ns] on cannot be judged, for a `reason`
+    in words, unless more than `share` of all messages differ.
+    """
+
+    first_ns: int
+    reason: str
+    share: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -38,8 +48,9 @@ class TopicDifference:
     """How one topic differs between recordings a and b.
 
     `pairs` messages have a partner, `unequal` of them differ in some field; `only_a` and
-    `only_b` have none. `largest` is the largest difference between numbers, by field. What can't
-    be judged counts in none of these but in `unjudged`: its stamp [ns] → why.
+    `only_b` have none. `largest` is the largest difference between numbers, by field. Messages
+    whose difference cannot be judged count in none of these but in `unjudged`; `judged_to_ns` is
+    the stamp of the first of them, None where there is none.
     """
 
     topic: str
@@ -49,7 +60,8 @@ class TopicDifference:
     only_b: int
     first: FirstDifference | None
     largest: dict[str, float]
-    unjudged: dict[int, str] = dataclasses.field(default_factory=dict)
+    unjudged: int = 0
+    judged_to_ns: int | None = None
 
     @property
     def same(self) -> bool:
@@ -60,12 +72,12 @@ class TopicDifference:
 def compare(
     a: Recording, b: Recording, topics: Collection[str] | None = None,
     stamps: Collection[int] | None = None, tolerance: float = 0.0,
-    doubts: Sequence[Doubt] = (),
+    doubt: Doubt | None = None,
 ) -> list[TopicDifference]:
     """Every topic of either recording (or those chosen), compared field by field.
 
     With `stamps` [ns] only messages whose header bears one of them count. Numbers are the same
-    within `tolerance` of the largest in their field. Differences that `doubts` explain are left
+    within `tolerance` of the largest in their field. Differences that a `doubt` explains are left
     unjudged.
 
     Messages with a header are paired by its stamp, others by their order; times of receipt do
@@ -73,7 +85,7 @@ def compare(
     equals NaN.
     """
     names = sorted({*a.topics, *b.topics} if topics is None else topics)
-    return [_compare_topic(a, b, name, stamps, tolerance, doubts) for name in names]
+    return [_compare_topic(a, b, name, stamps, tolerance, doubt) for name in names]
 
 
 @dataclass
@@ -93,7 +105,7 @@ class _Frame:
 
 def _compare_topic(
     a: Recording, b: Recording, topic: str, stamps: Collection[int] | None, tolerance: float,
-    doubts: Sequence[Doubt],
+    doubt: Doubt | None,
 ) -> TopicDifference:
     frames: defaultdict[int, _Frame] = defaultdict(_Frame)
     unpaired: list[dict[_Key, tuple[int, dict[str, Any]]]] = [{}, {}]
@@ -108,8 +120,11 @@ def _compare_topic(
     for side, entries in enumerate(unpaired):
         for stamp, _ in entries:
             frames[stamp].only[side] += 1
-    unjudged = unjudgeable({stamp: frame.same for stamp, frame in frames.items()}, doubts)
-    return _sum(topic, [frame for stamp, frame in frames.items() if stamp not in unjudged],
+    unjudged = [stamp for stamp, frame in frames.items()
+                if doubt is not None and not frame.same and stamp >= doubt.first_ns]
+    if doubt is not None and len(unjudged) > doubt.share * len(frames):
+        unjudged = []
+    return _sum(topic, [frame for stamp, frame in frames.items() if stamp not in {*unjudged}],
                 unjudged)
 
 
@@ -123,7 +138,7 @@ def _pair(frame: _Frame, t_s: float, left: dict[str, Any], right: dict[str, Any]
         frame.first = frame.first or FirstDifference(t_s, field + place, x, y)
 
 
-def _sum(topic: str, frames: list[_Frame], unjudged: dict[int, str]) -> TopicDifference:
+def _sum(topic: str, frames: list[_Frame], unjudged: list[int]) -> TopicDifference:
     largest: dict[str, float] = {}
     for frame in frames:
         for field, size in frame.largest.items():
@@ -133,7 +148,7 @@ def _sum(topic: str, frames: list[_Frame], unjudged: dict[int, str]) -> TopicDif
     return TopicDifference(
         topic, sum(frame.pairs for frame in frames), sum(frame.unequal for frame in frames),
         sum(frame.only[0] for frame in frames), sum(frame.only[1] for frame in frames), first,
-        largest, unjudged)
+        largest, len(unjudged), min(unjudged, default=None))
 
 
 def _keyed(

@@ -1,11 +1,10 @@
-"""Makes the recordings that `test_replay.py` puts through today's nodes.
+"""Makes the recordings that `test_replay.py` replays through today's nodes.
 
     python test/data/record.py          # new runs
     python test/data/record.py again    # the same runs, answered by the nodes of today
 
-Real runs, put once through the nodes in lock-step, so that they hold what the nodes of that day
-answered. Where nodes are meant to answer otherwise, look at `microbot replay --check`, and then
-have them answered again.
+Runs of a real graph, replayed once, so that they hold what the nodes of that day answered. Where
+nodes are meant to answer otherwise, look at `microbot replay --check`, and then record again.
 """
 
 from __future__ import annotations
@@ -22,13 +21,15 @@ import numpy as np
 import yaml
 
 from microbot_ros.nodes.graph import Graph
-from microbot_ros.nodes.replay_check import ReplayCheck, plan_replay, recorded_parameters
+from microbot_ros.nodes.replay import Replay, plan_replay, recorded_parameters
+from microbot_ros.session.recorder import RecordingWriter
 from microbot_ros.session.recording import open_recording
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 
 HERE = Path(__file__).parent
 PIXEL_SIZE_UM = 0.45
 FRAMES = 150
+BEFORE_NS = 4_000_000_000
 STEERED = ['model', 'controller', 'coil_driver']
 
 
@@ -55,7 +56,8 @@ def track(folder: Path) -> Path:
     file.write_text(yaml.safe_dump({node: {'ros__parameters': values} for node, values in {
         'camera': {'source': str(film), 'frame_rate_hz': 30.0},
         'tracker': {'pixel_size_um': PIXEL_SIZE_UM},
-        'recorder': {'folder': str(recording), 'topics': ['camera/image_raw', 'particles']},
+        'recorder': {'folder': str(recording),
+                     'topics': ['camera/image_raw', 'particles', 'loop/log']},
     }.items()}))
     with Graph(lambda who, line: print(f'{who}: {line}')) as graph:
         for node in ('recorder', 'tracker', 'camera'):
@@ -73,14 +75,26 @@ def seconds_after_goals(recording: Path, seconds: float) -> float:
         return float(source.times('/goals')[-1] - source.start_ns) / 1e9 + seconds
 
 
+def from_first_frame(recording: Path, out: Path) -> Path:
+    """Copy a recording without what came before its frames: a busy machine starts slowly."""
+    with open_recording(recording) as source, RecordingWriter(out) as writer:
+        for name, content in source.attachments().items():
+            writer.attach(name, content)
+        first = int(source.times('/particles')[0])
+        for message in source.messages(None, first - BEFORE_NS):
+            # A line of the log holds up to 3 s of readings of the field.
+            if message.topic != '/loop/log' or message.t_ns >= first:
+                writer.write(*message)
+    return out
+
+
 def keep(recording: Path, name: str, nodes: list[str], end_s: float = 0.0) -> None:
     """What the nodes say to a recording, beside this file."""
     with tempfile.TemporaryDirectory() as folder, open_recording(recording) as source:
         out = Path(folder) / name
         plan = plan_replay(source, recording, nodes)
         parameters = recorded_parameters(source, nodes, Path(folder))
-        if failure := ReplayCheck(recording, out, plan, parameters, end_s).run():
-            sys.exit(failure)
+        Replay(recording, out, plan, parameters, end_s).run()
         shutil.copy(out / f'{name}_0.mcap', HERE / f'{name}.mcap')
 
 
@@ -92,5 +106,5 @@ if __name__ == '__main__':
             keep(HERE / 'steering.mcap', 'steering', STEERED)
         else:
             keep(track(Path(scratch)), 'tracking', ['tracker'], 2.8)
-            demo = steer(Path(scratch))
+            demo = from_first_frame(steer(Path(scratch)), Path(scratch) / 'trimmed')
             keep(demo, 'steering', STEERED, seconds_after_goals(demo, 2.5))

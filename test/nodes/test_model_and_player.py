@@ -52,7 +52,7 @@ def session(tmp_path: Path) -> Path:
 def test_what_is_played_is_what_the_model_learns(ros: Any, session: Path) -> None:
     graph = ros({'model': {'field_source': 'command', 'radius_um': 2.3, 'use_sim_time': True,
                            'viscosity_mPa_s': 1.245},
-                 'player': {'session': str(session), 'rate': 0.0, 'answers': ['model/state']}})
+                 'player': {'session': str(session), 'rate': 10.0}})
     states = graph.hear(PointCloud2, 'model/state')
     assert graph.add('model').active, graph.nodes['model'].fault
     assert graph.add('player').active, graph.nodes['player'].fault

@@ -17,7 +17,7 @@ from std_srvs.srv import SetBool
 
 from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes import messages
-from microbot_ros.nodes.replay_check import recorded_parameters
+from microbot_ros.nodes.replay import recorded_parameters
 from microbot_ros.session import read_session
 from microbot_ros.session.recording import open_recording
 

@@ -55,11 +55,10 @@ def command(
     plays, `microbot set player rate 5` and `seek_s 12.5` change where and how fast, and the
     services player/pause and player/step hold it and go on by a message.
 
-    With --check nothing is played to the outside. Every node whose input was recorded is started
-    with the parameters it had and given what it took then, in the order in which it took it, and
-    its answers are compared field by field; exit status 1 where they differ. Frames that a node
-    let pass when it was recorded are left out; those that can't be judged are counted, with the
-    reason.
+    With --check nothing is published. Each node whose input was recorded is run with the
+    parameters it had on what it took in then, in the order of the topic loop/log, and its answers
+    are compared field by field; exit status 1 where they differ. Frames that a node did not answer
+    when it was recorded are left out; those that cannot be judged are counted, with the reason.
 
     \b
     Examples, recorded tracks through today's model at ten times the speed; what did my change do?

@@ -1,0 +1,69 @@
+"""Workers that note how their calls ended, and that let them end so again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+
+from microbot_ros.control.deadline_worker import (
+    BusyError,
+    Call,
+    DeadlineWorker,
+    HungError,
+    LateError,
+    T,
+)
+
+IN_TIME, LATE, BUSY, HUNG = 't', 'l', 'b', 'h'
+"""How a call ended: in time; too late, its value unused; not begun while an earlier one went on;
+not begun, and the earlier one left behind."""
+
+_REPLAY_SECONDS = 60.0
+"""Longest call [s] in a replay, where nothing waits for it."""
+
+
+class NotingWorker(DeadlineWorker):
+    """Worker of some `patience` [s] that passes how each call ended, a letter, to `note`."""
+
+    def __init__(self, patience: float, note: Callable[[str], None]) -> None:
+        super().__init__(patience)
+        self._note = note
+
+    def call(self, function: Callable[[], T], deadline: float) -> T:
+        letter = IN_TIME
+        try:
+            return super().call(function, deadline)
+        except HungError:
+            letter = HUNG
+            raise
+        except BusyError:
+            letter = BUSY
+            raise
+        except LateError:
+            letter = LATE
+            raise
+        finally:
+            self._note(letter)
+
+
+class RepeatingWorker(DeadlineWorker):
+    """Worker, of some `patience` [s], whose calls end as `letter()` says, without a deadline."""
+
+    def __init__(self, patience: float, letter: Callable[[], str]) -> None:
+        super().__init__(patience)
+        self._letter = letter
+
+    def call(self, function: Callable[[], T], deadline: float) -> T:
+        letter = self._letter()
+        if letter == BUSY:
+            raise BusyError('has not returned from the tick before')
+        if letter == HUNG:
+            raise HungError(f'did not return for {self._patience:g} s')
+        if letter == LATE:
+            with suppress(Exception):
+                super().call(function, _REPLAY_SECONDS)
+            raise LateError(f'took longer than {deadline * 1e3:g} ms')
+        return super().call(function, _REPLAY_SECONDS)
+
+    def finished(self, call: Call[T], seconds: float) -> bool:
+        return super().finished(call, _REPLAY_SECONDS)

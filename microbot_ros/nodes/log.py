@@ -1,0 +1,101 @@
+"""Writes what the nodes take in, in order, to `loop/log`."""
+
+from __future__ import annotations
+
+import functools
+import json
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from rclpy.publisher import Publisher
+from std_msgs.msg import String
+
+from microbot_ros.control.deadline_worker import DeadlineWorker
+from microbot_ros.control.recorded_worker import IN_TIME, NotingWorker
+from microbot_ros.nodes.core import SECOND_NS
+from microbot_ros.session.log import PARAMETERS
+
+if TYPE_CHECKING:
+    from microbot_ros.nodes.lifecycle import RigNode
+
+_MOST = 200
+"""Entries after which a line is written without a frame, so that no line grows for ever while no
+frame comes. At half or twice that, lines are shorter or longer; nothing is lost."""
+
+
+class Log:
+    """The lines of one node in the log of the loop, one for each frame that it takes.
+
+    A recorder receives the same messages at other times and in another order, so that a recording
+    of topics alone does not give the inputs of an answer. `session.log` describes the format.
+    Nothing is published while nobody listens.
+    """
+
+    def __init__(self, node: RigNode) -> None:
+        self._node = node
+        self._publisher: Publisher | None = None
+        self._turn = 0
+        self._taken: list[list[Any]] = []
+        self._calls = ''
+
+    def begin(self) -> None:
+        """Start anew, with a node that is being configured."""
+        self._turn, self._taken, self._calls = 0, [], ''
+        self._publisher = self._node.publisher(String, 'loop/log')
+
+    def keeping(self, topic: str, callback: Callable[[Any], None]) -> Callable[[Any], None]:
+        """Return the `callback` of a `topic` with its messages noted."""
+        @functools.wraps(callback)
+        def take(message: Any) -> None:
+            if hasattr(message, 'header'):
+                stamp = message.header.stamp
+                self.note(topic, stamp.sec * SECOND_NS + stamp.nanosec)
+            else:
+                self.note(topic, message.data)
+            try:
+                callback(message)
+            finally:
+                self.close(topic == self._node.frame)
+        return take
+
+    def note(self, name: str, what: Any) -> None:
+        """Note that the node takes `name` now; `what` is its stamp [ns] or its content."""
+        self._node.now_ns = self._node.get_clock().now().nanoseconds
+        self._taken.append([name, what, self._node.now_ns])
+
+    def take(self, values: dict[str, Any], take: Callable[[], str]) -> str:
+        """Note parameters that are being set to `values`, and return what `take()` says to them.
+
+        A refusal is noted, without the values, only where controllers were called for it.
+        """
+        self.note(PARAMETERS, values)
+        entry = self._taken[-1]
+        refusal = take()
+        if refusal:
+            entry[1] = None
+        if refusal and not self._calls:
+            self._taken.remove(entry)
+        self.close()
+        return refusal
+
+    def worker(self, patience: float) -> DeadlineWorker:
+        """Return a worker of that `patience` [s] that notes whether calls came in time."""
+        def called(letter: str) -> None:
+            self._calls += letter
+        return NotingWorker(patience, called)
+
+    def close(self, frame: bool = False) -> None:
+        """Complete the last entry; write the line where the entry was a `frame`."""
+        if self._calls.strip(IN_TIME) and self._taken:
+            self._taken[-1].append(self._calls)
+        self._calls = ''
+        self._turn += frame
+        if frame or len(self._taken) >= _MOST:
+            self._publish()
+
+    def _publish(self) -> None:
+        taken, self._taken = self._taken, []
+        if self._publisher is not None and self._publisher.get_subscription_count():
+            self._publisher.publish(String(data=json.dumps(
+                {'node': self._node.get_name(), 'turn': self._turn, 'taken': taken},
+                separators=(',', ':'))))
