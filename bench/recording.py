@@ -19,11 +19,11 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 
 from bench.figure import Figure
 from microbot_ros.common.records import Commands, Session, Tracks
-from microbot_ros.session.as_messages import SessionMessages
-from microbot_ros.session.bag import typestore
-from microbot_ros.session.playback import Playback
-from microbot_ros.session.recorder import RecordingWriter
-from microbot_ros.session.recording import Message, open_recording
+from microbot_ros.session.mcap.bag import typestore
+from microbot_ros.session.mcap.recorder import RecordingWriter
+from microbot_ros.session.mcap.recording import Message, open_recording
+from microbot_ros.session.replay.as_messages import SessionMessages
+from microbot_ros.session.replay.playback import Playback
 
 GIGABYTE = 10**9
 IMAGE = 'sensor_msgs/msg/Image'
@@ -116,8 +116,8 @@ def _share(messages: list[Message], send) -> float:
 
 _OPEN = """
 import resource, sys, time
-from microbot_ros.session.recording import open_recording
-from microbot_ros.session.from_recording import session_of
+from microbot_ros.session.mcap.recording import open_recording
+from microbot_ros.session.mcap.from_recording import session_of
 began = time.perf_counter()
 with open_recording(sys.argv[1]) as recording:
     opened = time.perf_counter() - began
@@ -167,7 +167,7 @@ def _opening(folder: Path, size: int = 2 * GIGABYTE) -> list[Figure]:
 _ENDLESS = """
 import sys, time
 from bench.recording import VECTOR, _busy, _frames
-from microbot_ros.session.recorder import RecordingWriter
+from microbot_ros.session.mcap.recorder import RecordingWriter
 messages = list(_busy(1.0, _frames(640, 480)))
 writer = RecordingWriter(sys.argv[1])
 print('ready', flush=True)

@@ -22,8 +22,8 @@ from microbot_ros.archive.store import REPORT, Archive
 from microbot_ros.archive.work import READS, Job, Task
 from microbot_ros.common.errors import InputError, ReportError
 from microbot_ros.common.files import read_yaml, writing_report
-from microbot_ros.session.folder import SessionFile
 from microbot_ros.session.spreadsheets.sheets import Answers
+from microbot_ros.session.tables.folder import SessionFile
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -20,7 +20,7 @@ import pydantic
 from microbot_ros.archive.recordings import LABELS, Found
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.files import read_yaml
-from microbot_ros.session.recording import open_recording
+from microbot_ros.session.mcap.recording import open_recording
 from microbot_ros.session.spreadsheets.sheets import Answers
 from microbot_ros.session.spreadsheets.stated import Stated
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from microbot_ros.common.errors import InputError
-from microbot_ros.session.bag import METADATA_FILE
+from microbot_ros.session.mcap.bag import METADATA_FILE
 from microbot_ros.session.spreadsheets.columns import find_columns
 from microbot_ros.session.spreadsheets.sheets import read_sheets
 from microbot_ros.session.spreadsheets.summary import summary_of

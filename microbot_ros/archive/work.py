@@ -112,9 +112,9 @@ def _reason(error: InputError) -> str:
 
 def _read(job: Job) -> Session:
     """The session of a recording or of a table."""
-    from microbot_ros.session.folder import read_folder
-    from microbot_ros.session.from_recording import session_of
-    from microbot_ros.session.recording import open_recording
+    from microbot_ros.session.mcap.from_recording import session_of
+    from microbot_ros.session.mcap.recording import open_recording
+    from microbot_ros.session.tables.folder import read_folder
 
     if job.kind == 'session':
         return read_folder(job.path)

@@ -43,7 +43,7 @@ def command(session: Path, json_path: Path | None, figure: Path | None, repair: 
     from rich.console import Console
 
     from microbot_ros.estimation.likelihood.excitation import command_excitation
-    from microbot_ros.session.recording import is_recording, open_recording
+    from microbot_ros.session.mcap.recording import is_recording, open_recording
     from microbot_ros.session.survey import survey_folder, survey_recording
 
     if not session.exists():

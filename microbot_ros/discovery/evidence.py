@@ -14,7 +14,7 @@ from microbot_ros.estimation.likelihood.prepared_session import PreparedSession
 from microbot_ros.model.effect import Effect
 from microbot_ros.model.evidence import AnyEffect, Evidence, Recorded
 from microbot_ros.model.model import Propulsion
-from microbot_ros.session.folder import NOMINAL_FIELD
+from microbot_ros.session.tables.folder import NOMINAL_FIELD
 
 COARSE = (0.3, 2.0, 10.0)
 """Fit coordinates, both signs, from which effects of one parameter may start."""

@@ -33,7 +33,7 @@ from microbot_ros.nodes.core import Core
 from microbot_ros.nodes.lifecycle import ERROR, LATCHED, NEWEST, OK, WARN, RigNode, status
 from microbot_ros.nodes.markers import markers
 from microbot_ros.nodes.parameters import ParameterSet
-from microbot_ros.session.log import EXPIRE, LET_GO
+from microbot_ros.session.replay.log import EXPIRE, LET_GO
 
 _MARKERS_SECONDS = 0.2
 

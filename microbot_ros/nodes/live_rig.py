@@ -11,7 +11,7 @@ from rclpy.client import Client
 from rclpy.task import Future
 
 from microbot_ros.nodes.lifecycle import RigNode
-from microbot_ros.session.recording import is_topic
+from microbot_ros.session.mcap.recording import is_topic
 
 ACTING = frozenset({'camera', 'tracker', 'model', 'controller', 'coil_driver', 'virtual_rig'})
 """Nodes that see or move particles. A recorder or a viewer may watch whatever is played."""

@@ -16,7 +16,7 @@ from microbot_ros.common.records import Conditions, Session, Tracks
 from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.graph_client import GraphClient
-from microbot_ros.session.from_recording import commands_of
+from microbot_ros.session.mcap.from_recording import commands_of
 
 _LIVE_SECONDS = 1.0
 

@@ -13,7 +13,7 @@ from std_msgs.msg import String
 from microbot_ros.control.deadline_worker import DeadlineWorker
 from microbot_ros.control.recorded_worker import IN_TIME, NotingWorker
 from microbot_ros.nodes.core import SECOND_NS
-from microbot_ros.session.log import PARAMETERS
+from microbot_ros.session.replay.log import PARAMETERS
 
 if TYPE_CHECKING:
     from microbot_ros.nodes.lifecycle import RigNode

@@ -18,8 +18,8 @@ from microbot_ros.nodes.lifecycle import OK, RigNode
 from microbot_ros.nodes.live_rig import LiveRig
 from microbot_ros.nodes.playback_publishers import PlaybackPublishers
 from microbot_ros.nodes.topics import CHANGES
-from microbot_ros.session.playback import Playback, open_source
-from microbot_ros.session.recording import Message
+from microbot_ros.session.mcap.recording import Message
+from microbot_ros.session.replay.playback import Playback, open_source
 
 _CLOCK_SECONDS = 0.01
 _SETTLED_SECONDS = 0.5

@@ -24,8 +24,8 @@ from microbot_ros.common.settings import setting
 from microbot_ros.nodes.lifecycle import OK, WARN, RigNode
 from microbot_ros.nodes.parameter_collector import ParameterCollector
 from microbot_ros.nodes.topics import CHANGES, TOPICS, type_name
-from microbot_ros.session.bag import typestore
-from microbot_ros.session.recorder import RecordingWriter
+from microbot_ros.session.mcap.bag import typestore
+from microbot_ros.session.mcap.recorder import RecordingWriter
 
 _FRAMES, _OVERLAY = 'camera/image_raw', 'overlay/image_raw'
 _CONDITIONS = (

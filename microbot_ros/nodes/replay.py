@@ -30,9 +30,11 @@ from microbot_ros.nodes.messages import MessageError
 from microbot_ros.nodes.model import ModelCore
 from microbot_ros.nodes.topics import TOPICS, type_name
 from microbot_ros.nodes.tracker import TrackerCore
-from microbot_ros.session.bag import whole
-from microbot_ros.session.compare import Doubt
-from microbot_ros.session.log import (
+from microbot_ros.session.mcap.bag import whole
+from microbot_ros.session.mcap.recorder import RecordingWriter
+from microbot_ros.session.mcap.recording import Recording, header_stamp_ns, is_topic
+from microbot_ros.session.replay.compare import Doubt
+from microbot_ros.session.replay.log import (
     EXPIRE,
     LET_GO,
     LOG,
@@ -42,9 +44,7 @@ from microbot_ros.session.log import (
     order_of_receipt,
     read_log,
 )
-from microbot_ros.session.playback import Source, open_source
-from microbot_ros.session.recorder import RecordingWriter
-from microbot_ros.session.recording import Recording, header_stamp_ns, is_topic
+from microbot_ros.session.replay.playback import Source, open_source
 
 _REMEMBERED = 5000
 """Answers of a node that are kept for the node that takes them: 50 s at 100 Hz."""

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.records import Session
-from microbot_ros.session.folder import read_folder, write_folder
+from microbot_ros.session.tables.folder import read_folder, write_folder
 
 
 def read_session(path: str | Path) -> Session:
@@ -18,8 +18,8 @@ def read_session(path: str | Path) -> Session:
     if not path.exists():
         raise InputError(path, 'expected a session folder or a recording, found nothing')
     # Recordings need the extra `mcap`, folders do not.
-    from microbot_ros.session.from_recording import session_of
-    from microbot_ros.session.recording import is_recording, open_recording
+    from microbot_ros.session.mcap.from_recording import session_of
+    from microbot_ros.session.mcap.recording import is_recording, open_recording
 
     if not is_recording(path):
         return read_folder(path)

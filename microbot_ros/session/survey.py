@@ -9,10 +9,10 @@ import numpy as np
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.records import Commands, Session
-from microbot_ros.session.as_messages import SessionMessages
-from microbot_ros.session.folder import read_folder
-from microbot_ros.session.from_recording import CUT_OFF, session_of, stamp_ns
-from microbot_ros.session.recording import Recording
+from microbot_ros.session.mcap.from_recording import CUT_OFF, session_of, stamp_ns
+from microbot_ros.session.mcap.recording import Recording
+from microbot_ros.session.replay.as_messages import SessionMessages
+from microbot_ros.session.tables.folder import read_folder
 
 _SAME_LEVEL = 0.02
 """Values closer than this share of the largest are one level."""

@@ -253,7 +253,7 @@ def test_a_full_disk_leaves_nothing_half(tables, tmp_path):
     with mock.patch.object(work, 'write_text', side_effect=full), \
             pytest.raises(OSError, match='No space'):
         run('import', tables, out)
-    with mock.patch('microbot_ros.session.folder.write_table', side_effect=full), \
+    with mock.patch('microbot_ros.session.tables.folder.write_table', side_effect=full), \
             pytest.raises(OSError, match='No space'):
         run('import', tables, out)
     assert not (out / 'archive.parquet').exists()

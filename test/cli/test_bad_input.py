@@ -18,7 +18,7 @@ import pytest
 from command_line import microbot
 
 from microbot_ros.cli import main
-from microbot_ros.session.mcap_writer import MAGIC
+from microbot_ros.session.mcap.writer import MAGIC
 
 LONG = 'x' * 9000
 HEADER = 't_s,particle,x_um,y_um\n'
@@ -328,8 +328,8 @@ def test_no_damage_to_a_recording_is_more_than_a_line(tmp_path, capsys):
 def test_data_that_were_cut_off_are_said_to_be(tmp_path, capsys, command):
     from microbot_ros.common.records import Session
     from microbot_ros.session import read_session
-    from microbot_ros.session.as_messages import SessionMessages
-    from microbot_ros.session.recorder import RecordingWriter
+    from microbot_ros.session.mcap.recorder import RecordingWriter
+    from microbot_ros.session.replay.as_messages import SessionMessages
 
     simulated(tmp_path / 'plain')
     capsys.readouterr()

@@ -11,8 +11,8 @@ from click.testing import CliRunner
 
 from microbot_ros import cli
 from microbot_ros.common.errors import InputError
-from microbot_ros.session.recorder import RecordingWriter
-from microbot_ros.session.recording import open_recording
+from microbot_ros.session.mcap.recorder import RecordingWriter
+from microbot_ros.session.mcap.recording import open_recording
 
 TRACKS = 't_s,particle,x_um,y_um\n' + ''.join(
     f'{i / 10},{k},{i},{k}\n' for i in range(30) if i != 7 for k in (0, 1))

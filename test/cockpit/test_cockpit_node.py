@@ -19,7 +19,7 @@ from in_process import Amplifier, Ros
 from websockets.sync.client import connect
 
 from microbot_ros.nodes.graph_client import GraphClient
-from microbot_ros.session.recording import open_recording
+from microbot_ros.session.mcap.recording import open_recording
 
 # Nodes and pictures in one process: on an overloaded machine no picture comes within a minute.
 pytestmark = pytest.mark.rig

@@ -22,8 +22,8 @@ import yaml
 
 from microbot_ros.nodes.graph import Graph
 from microbot_ros.nodes.replay import Replay, plan_replay, recorded_parameters
-from microbot_ros.session.recorder import RecordingWriter
-from microbot_ros.session.recording import open_recording
+from microbot_ros.session.mcap.recorder import RecordingWriter
+from microbot_ros.session.mcap.recording import open_recording
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 
 HERE = Path(__file__).parent

@@ -22,7 +22,7 @@ from microbot_ros.estimation.likelihood.model_fit import fit_sessions, maximise
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.io.model_file import read_model, write_model
 from microbot_ros.model.model import Model, ParticleParameters
-from microbot_ros.session.folder import NOMINAL_FIELD
+from microbot_ros.session.tables.folder import NOMINAL_FIELD
 from microbot_ros.virtual_rig.commands import rotating
 
 FIELD = 5e-3

@@ -19,7 +19,7 @@ from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.replay import recorded_parameters
 from microbot_ros.session import read_session
-from microbot_ros.session.recording import open_recording
+from microbot_ros.session.mcap.recording import open_recording
 
 
 def test_tracks_commands_and_every_second_frame(ros: Any, tmp_path: Path) -> None:

@@ -14,8 +14,8 @@ from microbot_ros.cli.demo.robots import rolling
 from microbot_ros.discovery.discover import discover
 from microbot_ros.nodes.graph import Graph
 from microbot_ros.nodes.graph_client import GraphClient
-from microbot_ros.session.from_recording import session_of
-from microbot_ros.session.recording import open_recording
+from microbot_ros.session.mcap.from_recording import session_of
+from microbot_ros.session.mcap.recording import open_recording
 
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(400)]
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from microbot_ros.common.records import Commands, Conditions, Session, Tracks
-from microbot_ros.session.as_messages import SessionMessages
-from microbot_ros.session.bag import typestore
-from microbot_ros.session.recorder import RecordingWriter
-from microbot_ros.session.recording import Message, Topic
+from microbot_ros.session.mcap.bag import typestore
+from microbot_ros.session.mcap.recorder import RecordingWriter
+from microbot_ros.session.mcap.recording import Message, Topic
+from microbot_ros.session.replay.as_messages import SessionMessages
 
 IMAGE = 'sensor_msgs/msg/Image'
 VECTOR = 'geometry_msgs/msg/Vector3Stamped'

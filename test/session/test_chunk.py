@@ -4,9 +4,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.stream_reader import get_chunk_data_stream
 
-from microbot_ros.session.mcap_chunk import ChunkBuilder
-from microbot_ros.session.mcap_records import chunk_messages
-from microbot_ros.session.mcap_writer import bytes_of, chunk_head
+from microbot_ros.session.mcap.chunk import ChunkBuilder
+from microbot_ros.session.mcap.records import chunk_messages
+from microbot_ros.session.mcap.writer import bytes_of, chunk_head
 
 MESSAGES = st.lists(st.tuples(st.integers(1, 5), st.integers(0, 2**60), st.binary(max_size=300)),
                     min_size=1, max_size=20)

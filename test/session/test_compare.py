@@ -7,9 +7,9 @@ import pytest
 from recordings import VECTOR, encode, record, small_session, vector
 
 from microbot_ros.common.records import Session
-from microbot_ros.session.compare import compare
-from microbot_ros.session.recorder import RecordingWriter
-from microbot_ros.session.recording import open_recording
+from microbot_ros.session.mcap.recorder import RecordingWriter
+from microbot_ros.session.mcap.recording import open_recording
+from microbot_ros.session.replay.compare import compare
 
 
 def by_topic(a, b, topics=None, **options):

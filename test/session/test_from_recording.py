@@ -6,8 +6,8 @@ from recordings import VECTOR, encode, header, vector
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.session import read_session
-from microbot_ros.session.bag import typestore
-from microbot_ros.session.recorder import RecordingWriter
+from microbot_ros.session.mcap.bag import typestore
+from microbot_ros.session.mcap.recorder import RecordingWriter
 
 CLOUD = 'sensor_msgs/msg/PointCloud2'
 JOINTS = 'sensor_msgs/msg/JointState'

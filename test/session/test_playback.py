@@ -10,8 +10,8 @@ from recordings import record, small_session
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.session import write_session
-from microbot_ros.session.as_messages import SessionMessages
-from microbot_ros.session.playback import Playback, open_source
+from microbot_ros.session.replay.as_messages import SessionMessages
+from microbot_ros.session.replay.playback import Playback, open_source
 
 SOURCE = SessionMessages(small_session())
 ALL = list(SOURCE.messages())

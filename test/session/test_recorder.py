@@ -11,11 +11,11 @@ from recordings import IMAGE, VECTOR, image, vector
 from rosbags.highlevel import AnyReader
 
 from microbot_ros.common.errors import InputError
-from microbot_ros.session import recorder, store
-from microbot_ros.session.mcap_writer import McapWriter
-from microbot_ros.session.recorder import RecordingWriter
-from microbot_ros.session.recording import open_recording
-from microbot_ros.session.store import MIB
+from microbot_ros.session.mcap import recorder, store
+from microbot_ros.session.mcap.recorder import RecordingWriter
+from microbot_ros.session.mcap.recording import open_recording
+from microbot_ros.session.mcap.store import MIB
+from microbot_ros.session.mcap.writer import McapWriter
 
 MS = 1_000_000
 
@@ -143,8 +143,8 @@ FULL_DISK = """
 import resource, signal, sys
 sys.path.insert(0, sys.argv[2])
 from recordings import IMAGE, VECTOR, image, vector
-from microbot_ros.session import store
-from microbot_ros.session.recorder import RecordingWriter
+from microbot_ros.session.mcap import store
+from microbot_ros.session.mcap.recorder import RecordingWriter
 
 store.FLUSH_SECONDS = 0.0
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)

@@ -20,13 +20,14 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
 
 from microbot_ros.common.errors import InputError
-from microbot_ros.session import read_session, store
-from microbot_ros.session.as_messages import SessionMessages
-from microbot_ros.session.bag import typestore
-from microbot_ros.session.mcap_chunk import ClosedChunk
-from microbot_ros.session.mcap_writer import McapWriter
-from microbot_ros.session.recorder import RecordingWriter
-from microbot_ros.session.recording import is_recording, open_recording
+from microbot_ros.session import read_session
+from microbot_ros.session.mcap import store
+from microbot_ros.session.mcap.bag import typestore
+from microbot_ros.session.mcap.chunk import ClosedChunk
+from microbot_ros.session.mcap.recorder import RecordingWriter
+from microbot_ros.session.mcap.recording import is_recording, open_recording
+from microbot_ros.session.mcap.writer import McapWriter
+from microbot_ros.session.replay.as_messages import SessionMessages
 
 HERE = Path(__file__).parent
 
@@ -112,7 +113,7 @@ KILLED = """
 import sys, time
 sys.path.insert(0, sys.argv[2])
 from recordings import VECTOR, vector
-from microbot_ros.session.recorder import RecordingWriter
+from microbot_ros.session.mcap.recorder import RecordingWriter
 
 writer = RecordingWriter(sys.argv[1])
 writer.attach('rig.yaml', 'coils: 4')

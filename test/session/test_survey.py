@@ -7,10 +7,10 @@ from recordings import encode, header, record, small_session
 
 from microbot_ros.common.records import Commands, Session
 from microbot_ros.session import write_session
-from microbot_ros.session.as_messages import SessionMessages
-from microbot_ros.session.bag import typestore
-from microbot_ros.session.recorder import RecordingWriter
-from microbot_ros.session.recording import open_recording
+from microbot_ros.session.mcap.bag import typestore
+from microbot_ros.session.mcap.recorder import RecordingWriter
+from microbot_ros.session.mcap.recording import open_recording
+from microbot_ros.session.replay.as_messages import SessionMessages
 from microbot_ros.session.survey import (
     command_spread,
     missing_frames,

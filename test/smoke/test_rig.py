@@ -17,7 +17,7 @@ from microbot_ros.cli.demo.robots import KINDS
 from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes import messages
 from microbot_ros.session import read_session
-from microbot_ros.session.recording import open_recording
+from microbot_ros.session.mcap.recording import open_recording
 
 pytestmark = [pytest.mark.xdist_group('smoke'), pytest.mark.timeout(400)]
 

@@ -14,7 +14,7 @@ import numpy as np
 from microbot_ros.common import units
 from microbot_ros.loop.points import PARTICLE
 from microbot_ros.nodes import messages
-from microbot_ros.session.recording import open_recording
+from microbot_ros.session.mcap.recording import open_recording
 
 LAST_SECONDS = 5.0
 """The goal error is the mean over the end of the run."""

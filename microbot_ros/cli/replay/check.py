@@ -13,14 +13,14 @@ from rich.console import Console
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.files import write_text
-from microbot_ros.session.compare import Doubt, TopicDifference, compare
-from microbot_ros.session.recording import header_stamp_ns, is_recording, open_recording
+from microbot_ros.session.mcap.recording import header_stamp_ns, is_recording, open_recording
+from microbot_ros.session.replay.compare import Doubt, TopicDifference, compare
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from microbot_ros.nodes.replay import Replay
-    from microbot_ros.session.recording import Recording
+    from microbot_ros.session.mcap.recording import Recording
 
 
 ORDER_TOLERANCE, ORDER_SHARE = 1e-3, 0.01

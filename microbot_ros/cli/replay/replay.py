@@ -78,7 +78,7 @@ def command(
         raise InputError('--node, --tolerance, --config, --policy, --out, --json',
                          'expected only with --check')
     from microbot_ros.nodes.process import run
-    from microbot_ros.session.playback import Playback, open_source
+    from microbot_ros.session.replay.playback import Playback, open_source
 
     # What cannot be played is refused before a node starts, which would also log it.
     with open_source(session) as source:

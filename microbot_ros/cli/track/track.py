@@ -177,8 +177,8 @@ class _Commanded:
 
     def __init__(self, path: Path) -> None:
         from microbot_ros.estimation.online.commands import NEGLIGIBLE
-        from microbot_ros.session.folder import ROLLING, UNIFORM
-        from microbot_ros.session.tables import read_table
+        from microbot_ros.session.tables.folder import ROLLING, UNIFORM
+        from microbot_ros.session.tables.table import read_table
         from microbot_ros.tracking import Drive
 
         table = read_table(path, UNIFORM, ROLLING)

@@ -11,7 +11,6 @@ import numpy as np
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.records import Conditions, Session, Tracks
-from microbot_ros.session.plausibility import check_session
 from microbot_ros.session.spreadsheets.angles import angles
 from microbot_ros.session.spreadsheets.columns import Column, find_columns
 from microbot_ros.session.spreadsheets.commands import commands_in, find_commands
@@ -20,6 +19,7 @@ from microbot_ros.session.spreadsheets.row_times import RowTimes, aligned, own_r
 from microbot_ros.session.spreadsheets.scale import Scale, settle_scale
 from microbot_ros.session.spreadsheets.sheets import Answers, Assumptions, Sheet, read_sheets
 from microbot_ros.session.spreadsheets.summary import SummaryError, summary_of
+from microbot_ros.session.tables.plausibility import check_session
 
 
 def import_session(path: Path, answers: Answers) -> tuple[Session, list[str]]:

@@ -9,8 +9,7 @@ import numpy as np
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.records import Commands, Tracks
 from microbot_ros.common.units import to_si
-from microbot_ros.session.folder import NOMINAL_FIELD
-from microbot_ros.session.from_recording import changes
+from microbot_ros.session.mcap.from_recording import changes
 from microbot_ros.session.spreadsheets.angles import agreement, angles, settle_angles
 from microbot_ros.session.spreadsheets.columns import Column
 from microbot_ros.session.spreadsheets.row_times import (
@@ -21,6 +20,7 @@ from microbot_ros.session.spreadsheets.row_times import (
 )
 from microbot_ros.session.spreadsheets.scale import Part
 from microbot_ros.session.spreadsheets.sheets import Answers, Assumptions, Sheet
+from microbot_ros.session.tables.folder import NOMINAL_FIELD
 
 _GAUSS = 1e-4
 _LEAST_SHARE = 0.05

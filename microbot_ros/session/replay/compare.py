@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from microbot_ros.session.cloud import cloud_table, is_cloud
-from microbot_ros.session.from_recording import stamp_ns
-from microbot_ros.session.recording import Recording
+from microbot_ros.session.mcap.cloud import cloud_table, is_cloud
+from microbot_ros.session.mcap.from_recording import stamp_ns
+from microbot_ros.session.mcap.recording import Recording
 
 _Key = tuple[int, int]
 """What pairs two messages: their stamp [ns], and which of those with that stamp."""

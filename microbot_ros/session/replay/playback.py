@@ -9,9 +9,15 @@ from pathlib import Path
 from typing import Protocol
 
 from microbot_ros.common.errors import InputError
-from microbot_ros.session.as_messages import SessionMessages
-from microbot_ros.session.folder import read_folder
-from microbot_ros.session.recording import Message, Topic, is_recording, is_topic, open_recording
+from microbot_ros.session.mcap.recording import (
+    Message,
+    Topic,
+    is_recording,
+    is_topic,
+    open_recording,
+)
+from microbot_ros.session.replay.as_messages import SessionMessages
+from microbot_ros.session.tables.folder import read_folder
 
 SLOWEST, FASTEST = 0.1, 100.0
 

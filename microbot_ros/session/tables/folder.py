@@ -22,8 +22,8 @@ from microbot_ros.common.records import (
     height_problem,
 )
 from microbot_ros.common.units import exact_display, exact_si
-from microbot_ros.session.plausibility import LARGEST_ID
-from microbot_ros.session.tables import Layout, Table, read_table, write_table
+from microbot_ros.session.tables.plausibility import LARGEST_ID
+from microbot_ros.session.tables.table import Layout, Table, read_table, write_table
 
 NOMINAL_FIELD = 1e-3
 """Magnitude [T] given to a rolling field where a session states none: only its direction and

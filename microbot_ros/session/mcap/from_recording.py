@@ -11,10 +11,10 @@ import pydantic
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.records import Commands, Conditions, Session, Tracks
-from microbot_ros.session.cloud import cloud_points
-from microbot_ros.session.folder import SessionFile
-from microbot_ros.session.plausibility import check_session
-from microbot_ros.session.recording import Recording
+from microbot_ros.session.mcap.cloud import cloud_points
+from microbot_ros.session.mcap.recording import Recording
+from microbot_ros.session.tables.folder import SessionFile
+from microbot_ros.session.tables.plausibility import check_session
 
 CUT_OFF = ('The recording was cut off: what it held after the last whole chunk is lost; '
            '`microbot info --repair` writes its index.')

@@ -15,7 +15,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Chunk, ChunkIndex
 
-from microbot_ros.session.mcap_writer import MAGIC
+from microbot_ros.session.mcap.writer import MAGIC
 
 _LARGEST_CHUNK = 2**30
 _ALWAYS_READ = 2**26

@@ -18,9 +18,9 @@ from mcap.records import Message as McapMessage
 from mcap.summary import Summary
 
 from microbot_ros.common.errors import InputError, clipped
-from microbot_ros.session.mcap_records import chunk_data, chunk_messages, file_records, stream_at
-from microbot_ros.session.mcap_recovery import BROKEN, complete_index, recover_summary
-from microbot_ros.session.mcap_writer import MAGIC, closing_bytes
+from microbot_ros.session.mcap.records import chunk_data, chunk_messages, file_records, stream_at
+from microbot_ros.session.mcap.recovery import BROKEN, complete_index, recover_summary
+from microbot_ros.session.mcap.writer import MAGIC, closing_bytes
 
 _FOOTER_BYTES = 9 + 20 + len(MAGIC)
 

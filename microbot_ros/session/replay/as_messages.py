@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from microbot_ros.common.records import Session
-from microbot_ros.session.bag import typestore
-from microbot_ros.session.recording import Message, Topic
+from microbot_ros.session.mcap.bag import typestore
+from microbot_ros.session.mcap.recording import Message, Topic
 
 PARTICLES = '/particles'
 COMMAND = '/field/command'

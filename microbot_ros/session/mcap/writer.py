@@ -30,7 +30,7 @@ from mcap.records import (
 )
 from mcap.summary import Summary
 
-from microbot_ros.session.mcap_chunk import ClosedChunk
+from microbot_ros.session.mcap.chunk import ClosedChunk
 
 MAGIC = b'\x89MCAP0\r\n'
 

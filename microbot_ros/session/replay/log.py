@@ -17,8 +17,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from microbot_ros.common.errors import InputError
-from microbot_ros.session.playback import Source
-from microbot_ros.session.recording import Message, header_stamp_ns
+from microbot_ros.session.mcap.recording import Message, header_stamp_ns
+from microbot_ros.session.replay.playback import Source
 
 LOG, PARAMETERS, EXPIRE, LET_GO = 'loop/log', 'parameters', 'expire', 'let_go'
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.files import load_yaml, write_text
-from microbot_ros.session.bag import METADATA_FILE, metadata_text, typestore
-from microbot_ros.session.mcap_file import McapFile, Message
+from microbot_ros.session.mcap.bag import METADATA_FILE, metadata_text, typestore
+from microbot_ros.session.mcap.file import McapFile, Message
 
 _FOREVER = 2**63
 

@@ -12,9 +12,9 @@ from pathlib import Path
 from mcap.records import Attachment, Channel, Metadata, Schema
 
 from microbot_ros.common.files import write_text
-from microbot_ros.session.bag import METADATA_FILE, metadata_text
-from microbot_ros.session.mcap_chunk import ChunkBuilder, ClosedChunk
-from microbot_ros.session.mcap_writer import McapWriter
+from microbot_ros.session.mcap.bag import METADATA_FILE, metadata_text
+from microbot_ros.session.mcap.chunk import ChunkBuilder, ClosedChunk
+from microbot_ros.session.mcap.writer import McapWriter
 
 MIB = 2**20
 CHUNK_BYTES = 4 * MIB

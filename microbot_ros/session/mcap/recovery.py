@@ -23,7 +23,7 @@ from mcap.records import (
 )
 from mcap.summary import Summary
 
-from microbot_ros.session.mcap_records import (
+from microbot_ros.session.mcap.records import (
     RecordPlace,
     chunk_data,
     chunk_messages,
@@ -31,7 +31,7 @@ from microbot_ros.session.mcap_records import (
     file_records,
     stream_at,
 )
-from microbot_ros.session.mcap_writer import (
+from microbot_ros.session.mcap.writer import (
     MAGIC,
     attachment_index,
     bytes_of,

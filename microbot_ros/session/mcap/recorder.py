@@ -12,9 +12,9 @@ from pathlib import Path
 from mcap.records import Attachment, Channel, Metadata, Schema
 
 from microbot_ros.common.errors import InputError
-from microbot_ros.session.bag import typestore
-from microbot_ros.session.recording import is_topic
-from microbot_ros.session.store import MIB, Priority, RecordedTopic, Store
+from microbot_ros.session.mcap.bag import typestore
+from microbot_ros.session.mcap.recording import is_topic
+from microbot_ros.session.mcap.store import MIB, Priority, RecordedTopic, Store
 
 # A class of messages is dropped while more than this waits in memory, or less is free on disk.
 MOST_QUEUED = {Priority.OVERLAY: 32 * MIB, Priority.FRAME: 256 * MIB, Priority.DATA: 512 * MIB}

@@ -1,0 +1,1 @@
+"""Recordings as MCAP files in the layout of rosbag2."""

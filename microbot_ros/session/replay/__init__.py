@@ -1,0 +1,1 @@
+"""Playing a session, replaying what nodes took in, and comparing recordings."""
