@@ -57,7 +57,7 @@ setup(
     version='0.1.0',
     packages=find_packages(include=[package_name, f'{package_name}.*']),
     package_data={package_name: [
-        '**/*.html', '**/*.css', '**/*.js', '**/*.LICENSE', '**/*.xml', 'py.typed']},
+        '**/*.html', '**/*.css', '**/*.js', '**/*.LICENSE', '**/*.xml', '**/*.yaml', 'py.typed']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
         (f'share/{package_name}', ['package.xml']),

@@ -15,6 +15,8 @@ import yaml
 
 import microbot_ros
 from microbot_ros.cli import microbot
+from microbot_ros.common import faults
+from microbot_ros.drive.gate import Reason
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / 'docs'
@@ -59,14 +61,29 @@ def test_every_page_of_the_code_is_tested(build):
 
 
 def test_every_sentence_of_a_fault_has_its_cause_and_cure(build):
-    """Whoever writes a new one writes there what to do about it: docs/made/faults.yaml."""
-    known = yaml.safe_load(build.faults.REMEDIES.read_text(encoding='utf-8'))
+    """A new one needs a line in microbot_ros/common/faults.yaml."""
+    known = faults.catalogue()
     said = build.faults.sentences()
     assert {part: set(told) for part, told in said.items()} == {
         part: set(told) for part, told in known.items()}
     assert sum(map(len, said.values())) > 120, 'the reader of the code found hardly any'
     for part in known.values():
         assert [told for told, answer in part.items() if not all(map(str.strip, answer))] == []
+
+
+@pytest.mark.parametrize('reason', Reason)
+@pytest.mark.parametrize('parameters', ['', ' (deviation_A, settling_ms)'])
+def test_every_fault_of_the_gate_is_shown_with_its_cause_and_cure(reason, parameters):
+    cause, cure = faults.catalogue()['Why the gate let go: the word before the colon'][reason]
+    said = f'disarmed, {reason}{parameters}: (0, 0) A for 0.2 s; zero, confirmed by a reading'
+    assert faults.remedy(said) == faults.Remedy(cause, cure) or cure.startswith('The detail')
+
+
+def test_every_sentence_of_the_catalogue_finds_a_remedy_of_as_many_words():
+    for known in faults.catalogue().values():
+        for sentence, (_, cure) in known.items():
+            if not cure.startswith(('See there', 'See the sentence')):
+                assert faults.remedy(sentence.replace('…', '4')) is not None, sentence
 
 
 def test_every_topic_and_every_field_has_its_meaning(build):

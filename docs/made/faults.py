@@ -8,17 +8,13 @@ from collections.abc import Iterator
 from enum import Enum
 from pathlib import Path
 
-import yaml
-
 import microbot_ros
 from made.text import MADE, table
+from microbot_ros.common.faults import catalogue
 from microbot_ros.control import contract, deadline_worker
 from microbot_ros.control.contract import Result
 from microbot_ros.drive import errors
 from microbot_ros.drive.gate import Reason
-
-REMEDIES = Path(__file__).with_name('faults.yaml')
-"""Part of the rig → sentence → [cause, cure]."""
 
 _PACKAGE = Path(microbot_ros.__file__).parent
 
@@ -37,8 +33,7 @@ _PARTS: dict[str, tuple[str, ...]] = {
         'estimation/online/estimator.py', 'estimation/online/jumps.py',
         'nodes/virtual_rig.py'),
     'Every node, recorder and player': (
-        'nodes/lifecycle.py', 'nodes/recorder.py', 'session/mcap/recorder.py', 'nodes/player.py',
-        'nodes/rig.py'),
+        'nodes/lifecycle.py', 'nodes/recorder.py', 'session/mcap/recorder.py', 'nodes/player.py'),
 }
 """Part of the rig → the files that can say what is wrong with it."""
 
@@ -135,7 +130,7 @@ def _templates(expression: ast.expr) -> Iterator[str]:
 
 def page() -> str:
     """`when_something_trips.md`."""
-    remedies = yaml.safe_load(REMEDIES.read_text(encoding='utf-8'))
+    remedies = catalogue()
     parts = [
         f'# When something trips\n\n{MADE} Every sentence that a fault can say, what causes it, '
         'and what to do. … stands for what is filled in.\n\nA fault of the gate sends zero to the '

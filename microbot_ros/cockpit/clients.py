@@ -44,6 +44,8 @@ class Page:
         self._owed: deque[int] = deque()
         self._picture: tuple[int, bytes] | None = None
         self._particles: str | None = None
+        self.events = 0
+        """The number of the last event that it was sent."""
         self._state: str | None = None
         self._known: dict[str, str] = {}
         self._told_s = 0.0

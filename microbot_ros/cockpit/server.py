@@ -28,6 +28,7 @@ from microbot_ros.cockpit.clients import Page
 from microbot_ros.cockpit.connections import BriefConnection
 from microbot_ros.cockpit.control import Control
 from microbot_ros.cockpit.discovery import Discovery
+from microbot_ros.cockpit.events import Events, explained
 from microbot_ros.cockpit.rig import Answer, RefusedError, Rig, zero_in
 from microbot_ros.cockpit.security import Gatekeeper
 from microbot_ros.cockpit.stopping import Stopping
@@ -71,6 +72,7 @@ class Server:
         self._host, self._port = host, int(self._socket.getsockname()[1])
         self._control = Control()
         self._stopping = Stopping(rig)
+        self._events = Events()
         self._pages: dict[int, Page] = {}
         self._count = 0
         self._tasks: set[asyncio.Task[None]] = set()
@@ -174,18 +176,23 @@ class Server:
         while True:
             await asyncio.sleep(_STATE_S)
             self._tick(time.monotonic())
+            state = self._rig.state()
+            state |= {'attended': self._control.attended,
+                      'discovery': self._discovery.state(state.pop('verdict', {}))}
+            self._control.see(state.get('rig') == 'armed')
+            self._events.see(state)
             if not self._pages:
                 continue
+            _explain(state)
             if (known := self._known()) != self._greeting:
                 self._greeting = known
                 for page in self._pages.values():
                     page.tell(self._hello(page))
-            state = self._rig.state()
-            self._control.see(state.get('rig') == 'armed')
-            state |= {'attended': self._control.attended,
-                      'discovery': self._discovery.state(state.pop('verdict', {}))}
             parts = {name: _json(part) for name, part in state.items()}
             for page in self._pages.values():
+                if new := self._events.since(page.events):
+                    page.events = new[-1]['number']
+                    page.tell({'kind': 'events', 'events': new})
                 page.state({**parts, 'control': json.dumps(self._control_of(page))},
                            time.monotonic())
 
@@ -229,6 +236,8 @@ class Server:
             await asyncio.wait([sending, receiving], return_when=asyncio.FIRST_COMPLETED)
         finally:
             self._pages.pop(page.number, None)
+            if self._control.holder == page.number:
+                self._events.add(_named(page), 'note', 'The page in control has gone')
             self._control.leave(page.number)
             self._rig.look(bool(self._pages))
             for task in (sending, receiving):
@@ -276,6 +285,7 @@ class Server:
                 page.tell(_answer(verb.id, False, _LATE))
             case verbs.TakeControl():
                 self._control.take(page.number)
+                self._events.add(_named(page), 'note', 'Took control')
                 page.tell(_answer(verb.id, True))
             case _ if verb.needs_control and not controls:
                 page.tell(_answer(verb.id, False, _FOREIGN))
@@ -313,7 +323,7 @@ class Server:
             raise
         finally:
             page.stops -= 1
-        page.tell({**_answer(verb.id, ok, said), 'zero': zero_in(said)})
+        page.tell({**self._answer_to(page, verb, ok, said), 'zero': zero_in(said)})
 
     async def _perform(self, page: Page, verb: verbs.Order) -> None:
         if isinstance(verb, verbs.Arm):
@@ -325,14 +335,32 @@ class Server:
         except RefusedError as refusal:
             if isinstance(verb, verbs.Arm):
                 self._control.attended = False
-            page.tell(_answer(verb.id, False, str(refusal)))
+            page.tell(self._answer_to(page, verb, False, str(refusal)))
         except Exception as error:
             page.tell(_answer(verb.id, False, f'the cockpit failed: {error}'))
             raise
         else:
-            page.tell(_answer(verb.id, True, said))
+            page.tell(self._answer_to(page, verb, True, said))
         finally:
             page.in_work -= 1
+
+
+    def _answer_to(self, page: Page, verb: verbs.Order, ok: bool, said: str) -> dict[str, Any]:
+        """The answer to a `verb` of a `page`, which is an event too."""
+        text = verbs.told(verb) + (f': {said}' if said else '')
+        self._events.add(_named(page), 'ok' if ok else 'refused', text)
+        return {**_answer(verb.id, ok, said), **({} if ok else explained(said))}
+
+
+def _named(page: Page) -> str:
+    return f'page {page.number}'
+
+
+def _explain(state: dict[str, Any]) -> None:
+    """Add cause and cure of what is wrong, as far as they are known."""
+    state['why'] = explained(state['sentence']) if state.get('rig') == 'fault' else None
+    state['health'] = [one if one['level'] == 'ok' else one | explained(one['sentence'])
+                       for one in state.get('health') or []]
 
 
 def _json(part: Any) -> str:

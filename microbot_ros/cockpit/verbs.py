@@ -195,6 +195,34 @@ async def perform(verb: Order, rig: Rig, discovery: Discovery) -> Answer:
     return await _METHODS[type(verb)](verb, rig, discovery)
 
 
+def told(verb: Order) -> str:
+    """What a `verb` asks for, for people: what is set to what, where it is to go."""
+    match verb:
+        case Arm():
+            return 'Arm, attended' if verb.attended else 'Arm'
+        case Stop():
+            return 'STOP'
+        case Goal():
+            whose = '' if verb.particle is None else f' for particle {verb.particle}'
+            return f'Goal at {verb.x_um:.1f}, {verb.y_um:.1f} µm{whose}'
+        case Path():
+            return f'Path through {len(verb.points_um)} points'
+        case SwitchController():
+            return f'Switch to {verb.name}'
+        case Set():
+            return f'Set {verb.name} to {verb.value}'
+        case Teach():
+            return f'Teach {verb.example} at {verb.x_px:.0f}, {verb.y_px:.0f} px'
+        case Record():
+            title = f' “{one_line(verb.title)}”' if verb.title and verb.on else ''
+            return f'Record{title}' if verb.on else 'Stop recording'
+        case Note():
+            return f'Note “{one_line(verb.text)}”'
+        case Discover():
+            return f'Discover for {verb.minutes:g} min' if verb.on else 'Stop discovery'
+    return type(verb).__name__.replace('Goals', ' goals')
+
+
 class VerbError(ValueError):
     """What a page sent, a `text`, is no verb, for a `reason` in one sentence; `id` is its own, if
     any."""

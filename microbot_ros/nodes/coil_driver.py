@@ -180,7 +180,7 @@ class CoilDriverNode(RigNode):
         if gate.fault:
             return WARN, f'disarmed: {gate.fault.detail}; {zero}'
         if not gate.armed:
-            return ERROR if self._driver.zero_overdue else WARN, f'disarmed; {zero}'
+            return ERROR if self._driver.zero_overdue else OK, f'disarmed; {zero}'
         if self._driver.arming:
             return WARN, 'arming: each coil is checked with a pulse'
         if gate.holding:

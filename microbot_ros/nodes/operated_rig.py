@@ -184,7 +184,7 @@ class OperatedRig(RigView):
         except ValueError as error:
             raise RefusedError(str(error)) from None
         await self._perform(self._client.set('controller', **{name: value}))
-        return f'{name} is set'
+        return f'{name} is {value} now'
 
     async def teach(self, like: bool, x: float, y: float, kind: str | None, stamp: int) -> Answer:
         """Show the tracker an example at (x, y) [px] of the frame with a `stamp` [ns]: one `like`
@@ -214,7 +214,7 @@ class OperatedRig(RigView):
             line = f'{datetime.now():%H:%M:%S} {text}'
             await self._perform(self._client.set(
                 'recorder', notes='\n'.join(filter(None, [before, line]))))
-        return 'notes is set'
+        return 'it is in the recording'
 
     def _is_recording(self) -> bool:
         recording = self.recording()

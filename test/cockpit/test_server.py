@@ -295,6 +295,61 @@ class TestPictures:
             assert len(states) <= 10, 'one a second while it owes, and a few before it did'
 
 
+_STALE = ('disarmed, stale command (command_timeout_ms): none for 0.081 s; zero, confirmed by a '
+          'reading')
+
+
+class TestEvents:
+    """Who did what, and what the nodes said."""
+
+    def _events(self, page: Any, text: str) -> dict[str, Any]:
+        told = page.until(lambda message: message['kind'] == 'events' and any(
+            text in one['text'] for one in message['events']))
+        return next(one for one in told['events'] if text in one['text'])
+
+    def test_what_a_page_asks_is_an_event_of_every_page(self, served: Any) -> None:
+        with served.page() as page, served.page() as other:
+            page.say('set', id=1, name='waypoint.field_mT', value=5.0)
+            event = self._events(other, 'Set waypoint.field_mT to 5.0')
+            assert (event['origin'], event['level']) == ('page 1', 'ok')
+            other.say('stop', id=1)
+            event = self._events(page, 'STOP: zero, confirmed by a reading')
+            assert event['origin'] == 'page 2'
+            other.say('take_control', id=2)
+            assert self._events(page, 'Took control')['origin'] == 'page 2'
+            served.rig.refusals['arm'] = 'no measured currents for 0.2 s'
+            other.say('arm', id=3, attended=True)
+            event = self._events(page, 'Arm, attended: no measured currents')
+            assert event['level'] == 'refused'
+            assert 'amplifier' in event['cure']
+
+    def test_a_fault_is_one_with_cause_and_cure_and_a_new_page_is_told_of_it(
+            self, served: Any) -> None:
+        served.rig.parts = {**served.rig.parts, 'rig': 'armed'}
+        with served.page() as page:
+            page.becomes('rig', 'armed')
+            served.rig.parts = {**served.rig.parts, 'rig': 'fault', 'sentence': _STALE}
+            event = self._events(page, 'stale command')
+            assert (event['origin'], event['level']) == ('coil_driver', 'error')
+            assert event['cause']
+            assert 'Then arm again' in event['cure']
+        with served.page() as later:
+            assert self._events(later, 'stale command') == event
+
+    def test_what_a_node_says_is_wrong_begins_and_ends(self, served: Any) -> None:
+        def health(level: str, sentence: str) -> None:
+            served.rig.parts = {**served.rig.parts, 'health': [
+                {'name': 'tracker', 'level': level, 'sentence': sentence}]}
+
+        with served.page() as page:
+            health('warn', 'no particles for 4 s')
+            event = self._events(page, 'no particles')
+            assert (event['origin'], event['level']) == ('tracker', 'warning')
+            assert event['cure'] == 'Look at the overlay.'
+            health('ok', '3 particles')
+            assert self._events(page, 'Well again: 3 particles')['level'] == 'ok'
+
+
 class TestState:
     """Parts that are new, ten times a second."""
 
@@ -303,9 +358,11 @@ class TestState:
             first = page.until(lambda message: message['kind'] == 'state')
             assert {'rig', 'sentence', 'attended', 'discovery', 'control'} <= set(first)
             assert set(page.until(lambda message: message['kind'] == 'state')) == {'kind'}
-            served.rig.parts = {**served.rig.parts, 'rig': 'fault'}
-            changed = page.until(lambda message: set(message) != {'kind'})
-            assert changed == {'kind': 'state', 'rig': 'fault'}
+            served.rig.parts = {**served.rig.parts, 'rig': 'fault', 'sentence': _STALE}
+            changed = page.until(lambda message: message['kind'] == 'state' and len(message) > 1)
+            assert set(changed) == {'kind', 'rig', 'sentence', 'why'}
+            assert 'command_timeout_ms' in changed['why']['cause']
+            assert 'arm again' in changed['why']['cure']
 
     def test_a_new_page_is_told_all(self, served: Any) -> None:
         with served.page() as page:

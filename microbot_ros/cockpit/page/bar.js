@@ -21,7 +21,8 @@ function show(state) {
   const rig = CHIPS[state.rig] ? state.rig : 'unknown';
   byId('rig-chip').dataset.state = rig;
   setText(byId('rig-chip'), CHIPS[rig] + (state.attended ? ', attended' : ''));
-  setText(byId('rig-sentence'), state.sentence ?? 'Nothing was heard from the driver yet.');
+  // Of a fault the whole stands above the parts.
+  setText(byId('rig-sentence'), rig === 'fault' ? named(state.sentence) : state.sentence ?? 'Nothing was heard from the driver yet.');
   setText(byId('fact-latency'), withUnit(state.latency_ms, 1, 'ms'));
   setText(byId('fact-picture'), state.picture_age_ms == null ? '–' : `${age(state.picture_age_ms)} old`);
   setText(byId('fact-recording'), recording(state.recording));
@@ -29,6 +30,9 @@ function show(state) {
   setText(byId('fact-link'), state.link?.age_ms == null ? 'up' : `${age(state.link.age_ms)} ago`);
   document.title = `${CHIPS[rig]} · cockpit`;
 }
+
+// 'disarmed, WHY (PARAMETERS): DETAIL; ZERO' is 'WHY; ZERO'.
+const named = (sentence) => [...new Set([sentence.split(/ \(|: |; /)[0].replace('disarmed, ', ''), sentence.split('; ').at(-1)])].join('; ');
 
 function showLost(seconds) {
   byId('rig-chip').dataset.state = 'unknown';

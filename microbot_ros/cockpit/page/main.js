@@ -7,6 +7,7 @@ import { discoveryPanel } from './discovery.js';
 import { byId, make } from './dom.js';
 import { Drive } from './drive.js';
 import { Estimates } from './estimates.js';
+import { eventsPanel, whyPanel } from './events.js';
 import { fieldPanel } from './field.js';
 import { Gamepads } from './gamepad.js';
 import { healthPanel } from './health.js';
@@ -39,6 +40,8 @@ const estimates = new Estimates(link, tracks, (id) => overlay.choose(id));
 recordingPanel(link);
 discoveryPanel(link);
 healthPanel(link);
+eventsPanel(link);
+whyPanel(link);
 stateBar(link);
 
 const control = new Control(link);

@@ -18,8 +18,8 @@ export function say(level, text, topic = null) {
 
 // Ask the rig and tell its answer: `what` says what was asked for, as 'Goal' or 'Arm'.
 export async function order(link, what, verb, fields) {
-  const { ok, reason } = await link.ask(verb, fields);
+  const { ok, reason, cure } = await link.ask(verb, fields);
   if (ok) say('ok', reason ? `${what}: ${reason}` : `${what}: done`);
-  else say('refused', `${what}: ${reason}`);
+  else say('refused', `${what}: ${reason}${cure ? `. ${cure.replaceAll('`', '')}` : ''}`);
   return ok;
 }

@@ -76,9 +76,9 @@ export class Link {
   }
 
   // What could not be read as a verb is answered to nobody in particular: 'refused'.
-  #answered({ to, ok, reason, zero }) {
+  #answered({ to, ok, reason, zero, cause, cure }) {
     if (to === null) this.#say('refused', reason);
-    this.asked.get(to)?.({ ok, reason, zero });
+    this.asked.get(to)?.({ ok, reason, zero, cause, cure });
     this.asked.delete(to);
   }
 

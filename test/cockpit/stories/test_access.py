@@ -27,7 +27,7 @@ _CUT = """() => {
     const inside = node.closest('#panels') && node.id !== 'panels';
     const bottom = inside ? Math.min(box.bottom, end) : box.bottom;
     if (node.clientWidth && node.scrollWidth > node.clientWidth + 1) note('wider than its box');
-    if (!node.matches('#panels, .why, #messages, .messages') && node.clientHeight
+    if (!node.matches('#panels, #messages, .messages') && node.clientHeight
         && node.scrollHeight > node.clientHeight + 2
         && getComputedStyle(node).overflowY !== 'visible') note('higher than its box');
     if (box.left < -1 || box.right > innerWidth + 1) note('outside');
@@ -194,8 +194,8 @@ def test_each_part_is_one_click_away_at_any_size(open_page, size) -> None:
     assert page.is_visible('#drive')
     page.focus('#tab-drive')
     page.keyboard.press('ArrowLeft')
-    assert page.is_visible('#health')
+    assert page.is_visible('#events')
     assert not page.is_visible('#drive')
-    for part in ('field', 'estimates', 'recording', 'discovery'):
+    for part in ('field', 'estimates', 'recording', 'discovery', 'health'):
         page.click(f'#tab-{part}')
         assert page.is_visible(f'#{part}')
