@@ -31,9 +31,10 @@ from microbot_ros.nodes.client.graph import Graph
 from microbot_ros.nodes.client.graph_client import GraphClient
 from microbot_ros.nodes.replay import Replay, plan_replay, recorded_parameters
 from microbot_ros.session.mcap.recorder import RecordingWriter
-from microbot_ros.session.mcap.recording import header_stamp_ns, open_recording
+from microbot_ros.session.mcap.recording import open_recording
 from microbot_ros.session.replay.as_messages import SessionMessages
 from microbot_ros.session.replay.compare import compare
+from microbot_ros.session.replay.log import header_stamp_ns
 
 RATE_HZ, SECONDS = 100, 60
 WARM_SECONDS = 10
