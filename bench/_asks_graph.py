@@ -83,7 +83,7 @@ def ask(effect: str) -> Asked:
     with tempfile.TemporaryDirectory(prefix='bench-asks-') as name:
         folder = Path(name)
         with (Emulator(folder, 'serial_transfer') as board,
-              _rig.graph(folder, _nodes(effect, folder, board), joined=True),
+              _rig.graph(folder, _nodes(effect, folder, board)),
               GraphClient('bench') as client):
             answers = _rig.listen(client)
             _rig.drive(client, answers, _WARM_S)

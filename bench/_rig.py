@@ -21,7 +21,6 @@ from bench._emulator import FULL_SCALE_A, Emulator
 from microbot_ros.common.errors import RigError
 from microbot_ros.nodes.graph import Graph
 from microbot_ros.nodes.graph_client import GraphClient
-from microbot_ros.nodes.process import processes
 
 _WARM_S, _LOOK_S = 5.0, 0.5
 TURNING: dict[str, Any] = {'controller': 'open_loop', 'open_loop.durations_s': [0.5] * 4,
@@ -40,21 +39,21 @@ class Answers:
     """How often the gate tripped and was armed again."""
 
 
-def answers(film: list[np.ndarray], rate_hz: float, frames: int, *, joined: bool,
+def answers(film: list[np.ndarray], rate_hz: float, frames: int, *,
             recorder: bool = False, viewer: bool = False) -> Answers:
     """What so many `frames` of a `film` (each (H, W), uint8) give, played at `rate_hz`."""
     os.environ.setdefault('ROS_DOMAIN_ID', str(215 + os.getpid() % 17))  # nobody else's graph
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         with (Emulator(folder, 'serial_transfer') as board,
-              running(folder, film, board, rate_hz, joined, **(
+              running(folder, film, board, rate_hz, **(
                   {'recorder': {'folder': str(folder / 'recording')}} if recorder else {})),
               GraphClient('bench') as client):
             return _heard(client, frames / rate_hz, viewer)
 
 
 @contextmanager
-def running(folder: Path, film: list[np.ndarray], board: Emulator, rate_hz: float, joined: bool,
+def running(folder: Path, film: list[np.ndarray], board: Emulator, rate_hz: float,
             **more: dict[str, Any]) -> Iterator[None]:
     """The nodes of a rig whose camera plays a `film`, and whose coils turn, and `more`, with their
     parameters; the files are in `folder`."""
@@ -65,19 +64,19 @@ def running(folder: Path, film: list[np.ndarray], board: Emulator, rate_hz: floa
         'tracker': {'pixel_size_um': 0.45}, 'model': {}, 'controller': TURNING,
         'coil_driver': {'port': str(board.url), 'full_scale_A': FULL_SCALE_A},
         **more}
-    with graph(folder, nodes, joined):
+    with graph(folder, nodes):
         yield
 
 
 @contextmanager
-def graph(folder: Path, nodes: dict[str, dict[str, Any]], joined: bool) -> Iterator[None]:
+def graph(folder: Path, nodes: dict[str, dict[str, Any]]) -> Iterator[None]:
     """The processes of these `nodes` with their parameters, from a file in `folder`."""
     parameters = folder / 'parameters.yaml'
     parameters.write_text(yaml.safe_dump(
         {node: {'ros__parameters': values} for node, values in nodes.items()}))
     with Graph(lambda *_: None) as started:
-        for group in processes(tuple(nodes), joined):
-            started.start_nodes(group, parameters)
+        for node in nodes:
+            started.start_node(node, parameters)
         started.wait_ready(120.0)
         yield
 

@@ -27,7 +27,8 @@ from microbot_ros.common.errors import RigError
 from microbot_ros.nodes.graph import Graph
 from microbot_ros.nodes.graph_client import GraphClient
 from microbot_ros.nodes.lifecycle import IMAGES_IN
-from microbot_ros.session.mcap.recording import header_stamp_ns, open_recording
+from microbot_ros.session.mcap.recording import open_recording
+from microbot_ros.session.replay.log import header_stamp_ns
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 
 _ISSUE = 21
@@ -45,7 +46,7 @@ def figures() -> list[Figure]:
     with tempfile.TemporaryDirectory(prefix='bench-cockpit-') as name:
         folder = Path(name)
         with (Emulator(folder, 'serial_transfer') as board,
-              _rig.running(folder, _film(), board, _RATE_HZ, joined=True,
+              _rig.running(folder, _film(), board, _RATE_HZ,
                            recorder={'recording': False}),
               GraphClient('bench') as client, _browser.browser() as browser):
             bench = _Bench(folder, client, browser)
@@ -77,7 +78,7 @@ class _Bench:
         parameters.write_text(json.dumps(
             {'cockpit': {'ros__parameters': {'port': 0, 'token': False}}}))
         with Graph(lambda _, line: said.append(line)) as graph:
-            graph.start_nodes(['cockpit'], parameters)
+            graph.start_node('cockpit', parameters)
             graph.wait_ready(60.0)
             while not (named := [line for line in said if WORDS in line]):
                 graph.pump(0.1)

@@ -27,7 +27,7 @@ from microbot_ros.control.plugins.predictive import Predictive
 from microbot_ros.discovery.check import held_out
 from microbot_ros.discovery.discover import discover
 from microbot_ros.discovery.learned.candidates import accumulated, steps
-from microbot_ros.discovery.learned.learn import learn_terms, relearn, told
+from microbot_ros.discovery.learned.learn import learn_term, learn_terms, relearn, told
 from microbot_ros.discovery.result import Discovery
 from microbot_ros.model.learned_term import LearnedTerm
 from microbot_ros.model.model import Model
@@ -121,7 +121,7 @@ def _gaps(filmed: Filmed) -> tuple[float, float]:
     """Held-out gap [m] without and with what is learned."""
     session = only_session(filmed)
     fit = first_order([session])
-    findings = learn_terms(fit)
+    findings = learn_terms(fit, learn_term(fit))
 
     def base(shown: np.ndarray) -> Foretold:
         return held_out.learn(fit.model, [session.only(shown)], ()), 0.0

@@ -26,7 +26,7 @@ def figures() -> list[Figure]:
         parameters = Path(folder) / 'parameters.yaml'
         parameters.write_text(yaml.safe_dump({'model': {'ros__parameters': {'radius_um': 2.3}}}))
         with Graph(lambda *_: None) as graph, GraphClient('load') as client:
-            graph.start_nodes(['model'], parameters)
+            graph.start_node('model', parameters)
             graph.wait_ready(120.0)
             share = 100 * _share(client, psutil.Process(graph.process_id('model')))
     return [Figure(4, 'model node, 200 particles at 100 Hz', share, '% of a core', '≤ 20', '',

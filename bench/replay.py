@@ -31,9 +31,10 @@ from microbot_ros.nodes.lifecycle import IMAGES_OUT, RELIABLE
 from microbot_ros.nodes.replay import Replay, plan_replay, recorded_parameters
 from microbot_ros.nodes.topics import KEPT
 from microbot_ros.session.mcap.recorder import RecordingWriter
-from microbot_ros.session.mcap.recording import header_stamp_ns, open_recording
+from microbot_ros.session.mcap.recording import open_recording
 from microbot_ros.session.replay.as_messages import SessionMessages
 from microbot_ros.session.replay.compare import compare
+from microbot_ros.session.replay.log import header_stamp_ns
 
 RATE_HZ, SECONDS = 100, 60
 WARM_SECONDS = 10
@@ -76,7 +77,7 @@ def _loading(folder: Path) -> list[Figure]:
         client.arm()
         client.set('controller', controller='open_loop')
         before = _latencies(graph, client, late, SECONDS / 2)
-        graph.start_nodes(['recorder'], folder / 'load' / 'rig.yaml')
+        graph.start_node('recorder', folder / 'load' / 'rig.yaml')
         graph.wait_ready(60.0)
         process = psutil.Process(graph.process_id('recorder'))
         begin, busy = time.monotonic(), sum(process.cpu_times()[:2])
@@ -146,7 +147,7 @@ def _start(graph: Graph, folder: Path) -> list[str]:
         str(port), '--full-scale-A', '2'], says_when_ready='serving')
     graph.wait_ready(20.0)
     for node in own:
-        graph.start_nodes([node], rig)
+        graph.start_node(node, rig)
     graph.wait_ready(120.0)
     graph.start('camera', [
         sys.executable, '-m', 'bench._camera_load', '1280', '1024', str(RATE_HZ)])
@@ -215,7 +216,7 @@ def _killed(path: Path, seconds: float) -> float:
     with GraphClient('bench') as client, Graph(lambda *_: None) as graph:
         frames = client.node.create_publisher(Image, 'camera/image_raw', IMAGES_OUT)
         particles = client.node.create_publisher(PointCloud2, 'particles', RELIABLE)
-        graph.start_nodes(['recorder'], rig)
+        graph.start_node('recorder', rig)
         graph.wait_ready(60.0)
         while not (frames.get_subscription_count() and particles.get_subscription_count()):
             client.spin(0.01)

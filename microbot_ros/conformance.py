@@ -21,8 +21,10 @@ from pathlib import Path
 import numpy as np
 
 from microbot_ros.common.records import Commands, Conditions
-from microbot_ros.discovery.discover import discover
-from microbot_ros.discovery.result import Discovery
+from microbot_ros.discovery.check.input_checks import check_sessions
+from microbot_ros.discovery.hypotheses import Hypotheses, consider, log_bayes_factor
+from microbot_ros.discovery.search import CandidateFit
+from microbot_ros.discovery.verdict import enough, judge, scrutinised
 from microbot_ros.model.effect import STAGES, Effect
 from microbot_ros.model.effect_context import EffectContext, Places
 from microbot_ros.model.effects import EFFECTS
@@ -37,6 +39,8 @@ from microbot_ros.virtual_rig.injected_effects import INJECTABLE, inject_effect
 from microbot_ros.virtual_rig.record_session import Camera, draw_swarm, record_session
 
 FIELD = 5e-3
+PRIOR_OFF = 3.0
+"""Factor by which the typical sizes that a person states may be wrong: a choice."""
 _COUNT = 3
 _HOOKS = ('heading_offset', 'alignment_rate', 'speed_factor', 'drift')
 
@@ -68,14 +72,38 @@ def exercise_discovery(hidden: Effect) -> None:
 
     Two sessions of the simulated world, half a minute of three particles under steps of the
     field at two strengths: with the effect, which has to be strong enough for that, and without.
+    Both verdicts must stay the same under priors that are narrower or wider by PRIOR_OFF than
+    the effect declares.
     """
-    found = _search(hidden, {hidden.id: {
+    known = _search(hidden, {hidden.id: {
         p.name: p.display_units(value) for p, value in hidden.values().items()}})
-    established = [e.id for e in found.effects if e.status == 'established']
+    established = _established(known)
     assert hidden.id in established, (
         f'{hidden.id} is hidden; established are: {", ".join(established) or "none"}')
-    nothing = [e.id for e in _search(hidden, {}).effects if e.status == 'established']
-    assert not nothing, f'nothing is hidden; established are: {", ".join(nothing)}'
+    found = next(slot.own.found for slot in known.slots if slot.own.id == hidden.id)
+    least = _log_evidence_under_other_priors(found).min()
+    assert least >= enough(), (
+        f"'prior' decides whether {hidden.id} is named: with one off by {PRIOR_OFF:g} its "
+        f'log evidence is {least:.1f}, less than {enough():.1f}')
+    nothing = _search(hidden, {})
+    established = _established(nothing)
+    assert not established, f'nothing is hidden; established are: {", ".join(established)}'
+    for one in nothing.more:
+        if one.id == hidden.id:
+            most = _log_evidence_under_other_priors(one.found).max()
+            assert most < enough(), (
+                f"'prior' decides whether {hidden.id} is named where nothing is hidden: its log "
+                f'evidence is {most:.1f}, more than {enough():.1f}')
+
+
+def _established(known: Hypotheses) -> list[str]:
+    judgement = scrutinised(known, judge(known))
+    return [name for name in known.names if judgement.status(name) == 'established']
+
+
+def _log_evidence_under_other_priors(found: CandidateFit) -> np.ndarray:
+    """Return the log evidence (2,) of an effect under a narrower prior and under a wider one."""
+    return np.array([log_bayes_factor(found, wider) for wider in (1 / PRIOR_OFF, PRIOR_OFF)])
 
 
 def plain(kind: type[Effect]) -> Effect:
@@ -89,12 +117,17 @@ def _says_what_it_is(kind: type[Effect]) -> None:
     assert kind.stage in STAGES, f"'stage' must be one of {STAGES}; received {kind.stage}"
     assert kind.__doc__, 'has no docstring: its equation, for the report'
     assert kind.summary.endswith('.'), "'summary' must be a sentence"
+    assert 0 < kind.prior[0] < kind.prior[1] < math.inf, (
+        f"'prior' must be two ascending positive numbers; received {kind.prior}")
+    assert kind.lookalike_time >= 0, (
+        f"'lookalike_time' must not be negative; received {kind.lookalike_time}")
     assert kind.required_excitation.strip(), "has no 'required_excitation'"
     assert kind.id not in kind.confounded_with, 'is confounded with itself'
     assert any(not p.shape for p in kind.parameters()), 'has no strength'
     for p in kind.parameters():
         assert p.meaning.strip(), f'{p.name} has no meaning'
         assert p.scale > 0, f'{p.name}: scale must be positive; received {p.scale}'
+        assert p.floor >= 0, f'{p.name}: floor must not be negative; received {p.floor}'
         assert p.low < p.high, f'{p.name}: low must be below high'
         assert p.low <= p.null_value <= p.high, f'{p.name}: null_value lies beyond the bounds'
         assert p.to_fit(p.null_value) == 0, f'{p.name}: inverse needs the null_value infinity'
@@ -258,8 +291,8 @@ def _moved(effect: Effect | None = None, line: Timeline | None = None) -> np.nda
     return respond(model, line).increments(_particles(count))
 
 
-def _search(hidden: Effect, effects: dict[str, dict[str, float]]) -> Discovery:
-    """What discovery finds in a session with these `effects`, as suits what may be `hidden`."""
+def _search(hidden: Effect, effects: dict[str, dict[str, float]]) -> Hypotheses:
+    """Return what is found in a session with these `effects`, as suits what may be `hidden`."""
     rng = np.random.default_rng(7)
     rolls = hidden.is_drive_curve
     swarm = draw_swarm(rng, _COUNT, Fluid(1.245e-3), FIELD, radius=2.3e-6, half_extent=40e-6)
@@ -274,4 +307,4 @@ def _search(hidden: Effect, effects: dict[str, dict[str, float]]) -> Discovery:
         'rolling' if rolls else 'catalytic', 2.3e-6, 1.245e-3, reference_field=FIELD)
     session, _ = record_session(make_world(swarm, rng, effects, FIELD), commands,
                                 Camera(20.0, 0.5, 0.1e-6), 30.0, rng, known)
-    return discover([session])
+    return consider(check_sessions([session])[0])

@@ -33,8 +33,7 @@ _PARTS: dict[str, tuple[str, ...]] = {
         'estimation/online/estimator.py', 'estimation/online/jumps.py',
         'nodes/virtual_rig.py'),
     'Every node, recorder and player': (
-        'nodes/lifecycle.py', 'nodes/recorder.py', 'session/mcap/recorder.py', 'nodes/player.py',
-        'nodes/rig.py'),
+        'nodes/lifecycle.py', 'nodes/recorder.py', 'session/mcap/recorder.py', 'nodes/player.py'),
 }
 """Part of the rig → the files that can say what is wrong with it."""
 

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from microbot_ros.common.records import Session
+from microbot_ros.common.units import symbol
 from microbot_ros.discovery.check.held_out import held_out_gap
 from microbot_ros.discovery.check.input_checks import check_sessions
 from microbot_ros.discovery.check.score_tests import residual_maps
@@ -24,6 +25,7 @@ from microbot_ros.discovery.learned.learn import (
 from microbot_ros.discovery.learned.likeness import confirmation, looks_like
 from microbot_ros.discovery.next_experiment import next_experiment
 from microbot_ros.discovery.processes import Run, in_processes, serially
+from microbot_ros.discovery.report.words import words
 from microbot_ros.discovery.result import (
     Considered,
     Discovery,
@@ -59,17 +61,6 @@ def discover(sessions: Sequence[Session],
     judgement = judge(known, run)
     report('asking whether something is there that no name explains')
     judgement = scrutinised(known, judgement, report)
-    return conclude(known, judgement, remarks, report, truth, run)
-
-
-def conclude(known: Hypotheses, judgement: Judgement, remarks: tuple[str, ...],
-             report: Callable[[str], None] = lambda _: None, truth: Model | None = None,
-             run: Run = serially) -> Discovery:
-    """Return the result of what is `known` of sessions, and of the `judgement` on it.
-
-    `remarks` on the sessions come before those on the result; `report`, `truth` and `run` as for
-    `discover` and `judge`.
-    """
     fit, start = known.fit, known.start
     before = residual_maps(start, run) if known.slots else judgement.maps
     complete = judgement.verdict != 'unnamed'
@@ -83,11 +74,10 @@ def conclude(known: Hypotheses, judgement: Judgement, remarks: tuple[str, ...],
         fit = learned.fit
         intervals = Intervals(fit, complete=False)
     report('predicting what was held out')
-    sessions = [p.session for p in start.session_fits]
     return Discovery(
         verdict=judgement.verdict,
         effects=tuple(sorted(effects, key=lambda e: -e.log_evidence)),
-        gap=held_out_gap(fit, sessions, truth, run,
+        gap=held_out_gap(fit, [p.session for p in start.session_fits], truth, run,
                          partial(relearn, learned.findings) if learned else None),
         maps_before=before, maps_after=judgement.maps,
         unexplained=_worst([*judgement.left, *judgement.beside]),
@@ -104,7 +94,8 @@ def conclude(known: Hypotheses, judgement: Judgement, remarks: tuple[str, ...],
                                        for one in slot.within_reach], run)),
         model=fit.model,
         particles=_particle_parameters(fit),
-        remarks=(*remarks, *_confounded(start), *_not_thermal(fit)),
+        remarks=(*remarks, *_reservations(known, judgement), *_confounded(start),
+                 *_not_thermal(fit)),
         learned=_told(learned) if learned else (),
     )
 
@@ -118,9 +109,11 @@ class _Terms:
     evidence: float
 
     @classmethod
-    def of(cls, findings: tuple[Finding, ...], fit: ModelFit, price: float) -> _Terms:
-        """With the log likelihood, less the `price` of the effects and of the terms."""
-        return cls(findings, fit, fit.log_likelihood - price - sum(
+    def of(cls, findings: tuple[Finding, ...], rest: ModelFit, evidence: float) -> _Terms:
+        """Beside a `rest`, of log `evidence` over the first-order model on the same rows."""
+        fit = with_terms(rest, findings)
+        gained = fit.log_likelihood - rest.log_likelihood
+        return cls(findings, fit, evidence + gained - sum(
             one.gain - one.log_evidence for one in findings))
 
 
@@ -129,10 +122,11 @@ def _learned(known: Hypotheses, report: Callable[[str], None]) -> _Terms | None:
 
     Whichever the data make likelier, since effects that stand in for something are in its way.
     """
-    price = (known.start.cost - known.fit.cost) / 2 - known.evidence
-    beside = [(known.fit, price), (known.start, 0.0)] if known.slots else [(known.start, 0.0)]
-    found = [_Terms.of(findings, with_terms(fit, findings), price) for fit, price in beside
-             if (findings := learn_terms(fit, report))]
+    beside = [(known.start, 0.0)]
+    if known.slots:
+        beside.insert(0, (known.fit, known.evidence))
+    found = [_Terms.of(findings, fit, evidence) for fit, evidence in beside
+             if (findings := learn_terms(fit, known.term_beside(fit, report), report))]
     return max(found, key=lambda one: one.evidence, default=None)
 
 
@@ -149,6 +143,22 @@ def _worst(maps: Iterable[ResidualMap]) -> tuple[ResidualMap, ...]:
     for one in sorted(maps, key=lambda m: m.p_value):
         found.setdefault(one.against, one)
     return tuple(found.values())
+
+
+def _reservations(known: Hypotheses, judgement: Judgement) -> list[str]:
+    """Return a sentence on each effect that is small or was recorded for a short time only."""
+    told = []
+    for name in judgement.of_instrument:
+        effect = known.fit.model.effect(name)
+        assert effect is not None
+        floors = ', '.join(f'{p.meaning} {p.display_units(p.floor):g} {symbol(p.name)}'.strip()
+                           for p in effect.parameters() if p.floor)
+        told.append(f'{words(name)}: too small to be told from an error of camera, time stamps or '
+                    f'coils, and not named (floor: {floors}).')
+    return told + [
+        f'{words(name)}: recorded for less than {EFFECTS[name].lookalike_time:.0f} s, in which '
+        'something else that differs from place to place, or in time, may look like it.'
+        for name in judgement.early]
 
 
 def _not_thermal(fit: ModelFit) -> list[str]:

@@ -3,7 +3,8 @@
 The evidence for an effect is a Bayes factor against the model without it. v, φ and D of both have
 the same flat prior and are taken at their maximum (`estimation.likelihood`). The effect's
 strengths x, in fit coordinates, are normal about nothing with a standard deviation s that is
-itself not known: one of SCALES, all alike. With x̂ the maximum, H its information beside all that
+itself not known: in the range that the effect declares (`Effect.prior`), all orders of magnitude
+alike. With x̂ the maximum, H its information beside all that
 is fitted besides and LR the likelihood ratio, the integral over x (Laplace's method, exact where
 x acts linearly) gives for each s
 
@@ -12,20 +13,24 @@ x acts linearly) gives for each s
 A shape (a place, a width, a frequency) is spread evenly over the independent ones it was looked
 for at, `Effect.trials`, and within each over a peak that is narrower the more it rises:
 − log(trials) − ½ d log(1 + LR) for d numbers.
+
+Where headings remember noise and no radius tells their rotational diffusion, it is fitted too and
+pays for that (`log_price_of_turning`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import compress, product
 
 import numpy as np
 from scipy.special import logsumexp
 
+from microbot_ros.discovery.learned.learn import Finding, learn_term
 from microbot_ros.discovery.processes import Run, serially
 from microbot_ros.discovery.search import CandidateFit, compare, search, without
-from microbot_ros.estimation.likelihood.model_fit import ModelFit, fit_sessions
+from microbot_ros.estimation.likelihood.model_fit import ModelFit, fit_sessions, fit_with_noise
 from microbot_ros.estimation.likelihood.prepared_session import PreparedSession
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model
@@ -36,11 +41,13 @@ FALSE = 0.01
 RIVAL = float(np.log(1 / FALSE))
 """Log odds against each rival from which a name is alone."""
 
-SCALES = np.geomspace(0.01, 10.0, 7)
-"""Standard deviations of strengths, in fit coordinates, where a typical size is 1."""
+PER_DECADE = 2
+"""Standard deviations of a prior that are averaged over, for each order of magnitude. With 1 or 4
+the log evidence of an effect changes by less than 0.1."""
 
-MOST = 3
-"""Effects in a model: what seems to need more needs another library."""
+MOST = 4
+"""Effects in a model. Rollers on a rig need a delay, a ratio of coils, a dead band and a response
+to the drive. With 3 one of these stays unexplained and makes the verdict `unnamed`."""
 
 WORTH = 1.0
 """Gain in log odds from which an effect is taken into the model, to look on beside it."""
@@ -53,29 +60,47 @@ CLEARLY = 3.0
 """The same for a rival whose shape was not seen."""
 
 
+LOOKS = 4 * MOST
+"""Models that a search looks at, at most: twice as many as it takes to add each effect and to
+exchange it once."""
+
+REPEATED = 0.02
+"""Relative difference of parameters, or part of their typical size, up to which a model with the
+same effects is the same: a choice. A lag leaves out other rows than one that is shorter by a
+third, so that the same set of effects may be better when it comes again."""
+
+
 def likelier_than_not() -> float:
     """Log evidence from which an effect, any of the library, is rather there than not."""
     return float(np.log(len(EFFECTS)))
 
 
-def log_bayes_factor(found: CandidateFit) -> float:
-    """Natural log of the odds that what was seen gives an effect, against the fit without it."""
-    return _log_evidence(found.fit, [found.id], found.likelihood_ratio) - _price(
-        found.fit.model, found.id, found.trials, found.likelihood_ratio)
+def log_bayes_factor(found: CandidateFit, wider: float = 1.0) -> float:
+    """Return the natural log of the Bayes factor for an effect, against the fit without it.
+
+    The prior of its strengths is `wider` by a factor than the effect declares it.
+    """
+    return _log_evidence(found.fit, [found.id], found.likelihood_ratio, wider) - _price(found)
 
 
 def joint_log_bayes_factor(fit: ModelFit, rest: ModelFit, found: Sequence[CandidateFit]) -> float:
-    """Natural log of the odds that what was seen gives all effects `found` together.
+    """Return the natural log of the Bayes factor for all effects `found` together.
 
     Those that a `fit` has and the `rest` has not. Where effects explain the same, the odds of
     each beside the others say too little of all of them, and multiplied they say too much.
     """
-    names = [one.id for one in found]
-    return _log_evidence(fit, names, rest.cost - fit.cost) - sum(
-        _price(fit.model, one.id, one.trials, one.likelihood_ratio) for one in found)
+    return (_log_evidence(fit, [one.id for one in found], rest.cost - fit.cost)
+            - sum(map(_price, found)))
 
 
-def _log_evidence(fit: ModelFit, names: Sequence[str], likelihood_ratio: float) -> float:
+def _widths(name: str) -> np.ndarray:
+    """Standard deviations (S,) of the prior of an effect's strengths, in fit coordinates."""
+    low, high = EFFECTS[name].prior
+    return np.geomspace(low, high, 1 + round(PER_DECADE * np.log10(high / low)))
+
+
+def _log_evidence(fit: ModelFit, names: Sequence[str], likelihood_ratio: float,
+                  wider: float = 1.0) -> float:
     """Log of the likelihood ratio averaged over strengths of the effects `names` of a `fit`."""
     information, _, visible = fit.normal
     parameters = fit.model.parameters
@@ -89,17 +114,19 @@ def _log_evidence(fit: ModelFit, names: Sequence[str], likelihood_ratio: float) 
     left = axes * np.maximum(power, 0.0) @ axes.T
     group = np.array([names.index(name) for name, _ in compress(parameters, own)], int)
     logs = []
-    for scales in product(SCALES, repeat=len(names)):
-        spread = np.array(scales)[group] ** 2
+    for widths in product(*map(_widths, names)):
+        spread = (wider * np.array(widths)[group]) ** 2
         wide = np.eye(len(x)) + spread[:, None] * left
         logs.append(-0.5 * (np.linalg.slogdet(wide)[1] + x @ left @ np.linalg.solve(wide, x)))
     return float(max(likelihood_ratio, 0.0) / 2 + logsumexp(logs) - np.log(len(logs)))
 
 
-def _price(model: Model, name: str, trials: float, likelihood_ratio: float) -> float:
-    """What the choice of a shape costs, in log odds."""
-    shapes = sum(p.shape for effect, p in model.parameters if effect == name)
-    return float(np.log(trials) + shapes / 2 * np.log1p(max(likelihood_ratio, 0.0)))
+def _price(found: CandidateFit) -> float:
+    """Return what the choice of a shape costs, and a rotational diffusion that is freed with it.
+    """
+    shapes = sum(p.shape for p in EFFECTS[found.id].parameters())
+    return found.price_of_turning + float(
+        np.log(found.trials) + shapes / 2 * np.log1p(max(found.likelihood_ratio, 0.0)))
 
 
 @dataclass(frozen=True)
@@ -145,7 +172,6 @@ class Slot:
             not more or other.likelihood_ratio - own.likelihood_ratio >= 2 * more))
         return behind if behind < 0 or told else np.inf
 
-
     @property
     def within_reach(self) -> tuple[Candidate, ...]:
         """The rivals that the effect can't be told from."""
@@ -165,6 +191,17 @@ class Hypotheses:
     fit: ModelFit
     slots: tuple[Slot, ...]
     more: tuple[Candidate, ...]
+    _terms: dict[int, tuple[ModelFit, Finding | None]] = field(default_factory=dict, repr=False)
+
+    def term_beside(self, fit: ModelFit,
+                    report: Callable[[str], None] = lambda _: None) -> Finding | None:
+        """Return the term that is learned beside a `fit`; it is looked for once.
+
+        `report` is told what is being done.
+        """
+        if id(fit) not in self._terms:
+            self._terms[id(fit)] = fit, learn_term(fit, report)
+        return self._terms[id(fit)][1]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -176,7 +213,9 @@ class Hypotheses:
         """Log odds for all effects of the model together, the choice among the library paid."""
         if not self.slots:
             return 0.0
-        return joint_log_bayes_factor(self.fit, self.start, [s.own.found for s in self.slots]) - (
+        # On the same rows: what a lag can't explain is left out.
+        rest = fit_with_noise(self.fit.under(self.start.model))
+        return joint_log_bayes_factor(self.fit, rest, [s.own.found for s in self.slots]) - (
             len(self.slots) * likelier_than_not())
 
     def odds(self) -> dict[str, float]:
@@ -210,25 +249,46 @@ def consider(sessions: Sequence[PreparedSession], taken: Sequence[str] = (),
     """Return the hypotheses on `sessions` of one rig, which share the effects.
 
     Effects are added while the odds are for them, dropped where they are not any more, and
-    exchanged for rivals that became likelier, from the effects `taken` at a look before on.
+    exchanged for rivals that became likelier, from the effects `taken` at a look before on. The
+    search ends where a set of effects would come again.
     `report` is told what is being done; `run` shares the candidates.
     """
     start = fit = fit_first_order(sessions)
     for name in taken:
         again = [one for one in _candidates(fit, [name], run) if one.evidence > 0]
         fit = fit_sessions(again[0].found.fit.model, sessions) if again else fit
-    for _ in range(2 * MOST + 2):
-        present = [effect.id for effect in fit.model.effects]
-        report(f'looking beside {", ".join(present) or "the first-order model"}')
+    looked: list[Hypotheses] = []
+    while len(looked) < LOOKS:
+        report('looking beside ' + (', '.join(e.id for e in fit.model.effects)
+                                    or 'the first-order model'))
         slots = _slots(fit, run)
         better = _exchange(slots)
-        if better is None:
-            more = _candidates(fit, [name for name in EFFECTS if name not in present], run)
-            if not more or more[0].evidence < likelier_than_not() + WORTH or len(present) >= MOST:
-                break
+        more = _others(fit, run) if better is None else ()
+        looked.append(Hypotheses(start, fit, slots, more))
+        if more and len(slots) < MOST and more[0].evidence >= likelier_than_not() + WORTH:
             better = more[0].found.fit.model
+        if better is None:
+            break
         fit = fit_sessions(better, sessions)
-    return Hypotheses(start, fit, slots, more)
+        if known := next((one for one in looked if _same(one.fit.model, fit.model)), None):
+            looked.append(known)
+            break
+    known = looked[-1]
+    return known if known.more else replace(known, more=_others(known.fit, run))
+
+
+def _same(one: Model, other: Model) -> bool:
+    """Return whether models have the same effects with nearly the same parameters."""
+    first, second = (dict(zip(model.parameters, model.vector(), strict=True))
+                     for model in (one, other))
+    return first.keys() == second.keys() and np.allclose(
+        [first[key] for key in second], list(second.values()), rtol=REPEATED, atol=REPEATED)
+
+
+def _others(fit: ModelFit, run: Run) -> tuple[Candidate, ...]:
+    """Return the candidates beside all effects of a `fit`."""
+    present = [effect.id for effect in fit.model.effects]
+    return _candidates(fit, [name for name in EFFECTS if name not in present], run)
 
 
 def _slots(fit: ModelFit, run: Run) -> tuple[Slot, ...]:

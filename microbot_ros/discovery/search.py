@@ -34,7 +34,8 @@ class CandidateFit:
 
     `likelihood_ratio` LR with `dof` degrees of freedom; `trials`: independent places at which the
     effect was looked for; `shape_seen`: whether the recording shows the shape that was found, not
-    only its flank.
+    only its flank; `price_of_turning`: what a rotational diffusion costs, in log odds, that is
+    fitted with the effect and not without it.
     """
 
     fit: ModelFit
@@ -43,6 +44,7 @@ class CandidateFit:
     dof: int
     trials: float
     shape_seen: bool
+    price_of_turning: float = 0.0
 
     @property
     def has_shape(self) -> bool:
@@ -72,7 +74,8 @@ def compare(fit: ModelFit, rest: ModelFit, effect_id: str) -> CandidateFit:
         raise ValueError(f'the fit has no {effect_id}')
     return CandidateFit(
         fit, effect_id, rest.cost - fit.cost, effect.degrees_of_freedom(evidence),
-        effect.trials(evidence), effect.shape_seen(evidence))
+        effect.trials(evidence), effect.shape_seen(evidence),
+        fit.price_of_turning - rest.price_of_turning)
 
 
 def fit_candidate(fit: ModelFit, effect_id: str) -> CandidateFit | None:

@@ -25,7 +25,7 @@ from microbot_ros.discovery.hypotheses import (
     joint_log_bayes_factor,
     likelier_than_not,
 )
-from microbot_ros.discovery.learned.learn import Finding, learn_term, with_term
+from microbot_ros.discovery.learned.learn import Finding, with_term
 from microbot_ros.discovery.processes import Run, serially
 from microbot_ros.discovery.result import FRAMES, ResidualMap, Status, Verdict
 from microbot_ros.discovery.search import without
@@ -53,7 +53,8 @@ class Judgement:
     worst first; `beside`: what is left too, but decides nothing: steps that were cut out, and what
     is small beside a named effect; `unlisted`: whether a term was learned that shows what is left;
     `early`: names that had not the time yet to show that they are the same everywhere, or all
-    along; `maps`: all of what the model leaves.
+    along; `of_instrument`: effects of the model that are too small to be told from an error of
+    camera, time stamps or coils (`Effect.below_floor`); `maps`: all of what the model leaves.
     """
 
     named: tuple[str, ...]
@@ -63,6 +64,7 @@ class Judgement:
     beside: tuple[ResidualMap, ...] = ()
     unlisted: bool = False
     early: tuple[str, ...] = ()
+    of_instrument: tuple[str, ...] = ()
     maps: tuple[ResidualMap, ...] = ()
 
     @property
@@ -80,7 +82,7 @@ class Judgement:
         """How sure an effect `name` of the model is."""
         if self.left:
             return 'proxy'
-        return ('established' if name in self.named and name not in self.early else 'suggested')
+        return 'established' if name in self.named else 'suggested'
 
     @property
     def answered(self) -> bool:
@@ -90,14 +92,18 @@ class Judgement:
 
 def judge(known: Hypotheses, run: Run = serially) -> Judgement:
     """What follows from what is `known`; `run` shares the maps."""
-    named = tuple(slot.own.id for slot in _likely(known) if slot.own.found.shape_seen)
+    small = tuple(effect.id for effect in known.fit.model.effects if effect.below_floor())
+    named = tuple(slot.own.id for slot in _likely(known)
+                  if slot.own.found.shape_seen and slot.own.id not in small)
+    times = max((p.session.times for p in known.fit.session_fits), key=np.ptp)
+    early = tuple(name for name in named if np.ptp(times) < EFFECTS[name].lookalike_time)
     open_ = {slot.own.id: tuple(one.id for one in slot.within_reach)
              for slot in known.slots if slot.own.id in named}
-    pending = [slot.own.id for slot in known.slots if slot.own.id not in named]
+    pending = [name for name in known.names if name not in (*named, *small)]
     pending += [one.id for one in known.more if one.evidence > likelier_than_not()]
     maps = residual_maps(known.fit, run)
     left, beside = _left(known, named, maps, run)
-    return Judgement(named, open_, tuple(pending), left, beside, maps=maps)
+    return Judgement(named, open_, tuple(pending), left, beside, False, early, small, maps)
 
 
 def _likely(known: Hypotheses) -> list[Slot]:
@@ -158,7 +164,7 @@ def scrutinised(known: Hypotheses, judgement: Judgement,
     """
     if found := _in_place_of_fields(known, report):
         return replace(judgement, left=(_as_map(found), *judgement.left), unlisted=True)
-    if found := learn_term(known.fit, report):
+    if found := known.term_beside(known.fit, report):
         shown = max((slot.own.found.likelihood_ratio for slot in known.slots
                      if slot.own.id in judgement.named), default=0.0)
         if not judgement.left and 2 * found.gain < SMALL * shown:
@@ -180,11 +186,13 @@ def _in_place_of_fields(known: Hypotheses, report: Callable[[str], None]) -> Fin
               if kinds[slot.own.id].overrides('drift') and kinds[slot.own.id].time_invariant]
     if not fields:
         return None
-    rest = known.fit
-    for one in fields:
-        rest = without(rest, one.id)
+    rest = known.start
+    if len(fields) < len(known.slots):
+        rest = known.fit
+        for one in fields:
+            rest = without(rest, one.id)
     together = joint_log_bayes_factor(known.fit, rest, [one.found for one in fields])
-    found = learn_term(rest, report)
+    found = known.term_beside(rest, report)
     if found is None or found.term.against != 'position':
         return None
     # Both with the noise at its maximum: at that of the term the rest looks too bad.

@@ -43,6 +43,12 @@ class Effect(ABC):
     """
     time_invariant: ClassVar[bool] = True
     """Whether it is the same at all times while the command stays."""
+    prior: ClassVar[tuple[float, float]] = (0.01, 10.0)
+    """Prior of the strengths: normal about nothing, with a standard deviation between these two,
+    in units of `scale`; every order of magnitude in between is equally likely."""
+    lookalike_time: ClassVar[float] = 0.0
+    """Seconds of recording for which a field of place, or a change in time, that no effect has may
+    look like this effect. A search that drives a rig does not end on the name before."""
     is_drive_curve: ClassVar[bool] = False
     """Whether it is a curve of the speed over the drive's frequency: how the gains at the levels
     of the drive scatter about the curve then judges it too."""
@@ -152,6 +158,11 @@ class Effect(ABC):
         Nor is what has a strength at a bound that physics sets: something else is there then.
         """
         return self.within_bounds()
+
+    def below_floor(self) -> bool:
+        """Return whether all strengths are below what the instrument can be trusted with."""
+        return all(abs(value - p.null_value) < p.floor
+                   for p, value in self.values().items() if not p.shape)
 
     def within_bounds(self) -> bool:
         """Whether all strengths lie inside their bounds; doing nothing does, even at a bound."""

@@ -9,8 +9,7 @@ import numpy as np
 from geometry_msgs.msg import Vector3Stamped
 from sensor_msgs.msg import MagneticField
 
-from microbot_ros.estimation.online.commands import NEGLIGIBLE
-from microbot_ros.estimation.online.estimator import SET_BACK
+from microbot_ros.estimation.online.commands import NEGLIGIBLE, SET_BACK
 from microbot_ros.nodes import messages
 from microbot_ros.nodes.core import Core
 

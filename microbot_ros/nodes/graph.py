@@ -35,7 +35,7 @@ _REMARK_S = 1.0
 @dataclass
 class _Child:
     name: str
-    nodes: tuple[str, ...]
+    is_node: bool
     process: subprocess.Popen[bytes]
     says_when_ready: str
     ready: bool = False
@@ -73,13 +73,12 @@ class Graph:
         """How many children were started and not yet stopped."""
         return len(self._children)
 
-    def start_nodes(self, names: Sequence[str], parameters: Path, namespace: str = '/') -> None:
-        """Start one process with nodes of these `names` in a `namespace`, and a file of their
-        `parameters`.
+    def start_node(self, name: str, parameters: Path, namespace: str = '/') -> None:
+        """Start a process with the node `name` in a `namespace`, and a file of its `parameters`.
         """
-        self._start('+'.join(names), [sys.executable, '-m', 'microbot_ros.nodes', *names,
-                                      '--ros-args', '--params-file', str(parameters),
-                                      '-r', f'__ns:={namespace}'], READY, tuple(names))
+        self._start(name, [sys.executable, '-m', 'microbot_ros.nodes', name,
+                           '--ros-args', '--params-file', str(parameters),
+                           '-r', f'__ns:={namespace}'], READY, True)
 
     def start(self, name: str, command: Sequence[str], says_when_ready: str = READY) -> None:
         """Start a child that is no node by its `command`, as an emulated amplifier, under a
@@ -87,16 +86,16 @@ class Graph:
 
         It does its work once it prints `says_when_ready`, and ends after the nodes.
         """
-        self._start(name, command, says_when_ready, ())
+        self._start(name, command, says_when_ready, False)
 
     def _start(self, name: str, command: Sequence[str], says_when_ready: str,
-               nodes: tuple[str, ...]) -> None:
+               is_node: bool) -> None:
         with self._starting:
             # In a session of its own, so that Ctrl-C reaches only us.
             process = subprocess.Popen(
                 command, env=self._environment, bufsize=0, stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True)
-            child = self._children[name] = _Child(name, nodes, process, says_when_ready)
+            child = self._children[name] = _Child(name, is_node, process, says_when_ready)
             if self._ending:
                 _end([child])
         os.set_blocking(_output(child), False)
@@ -169,7 +168,7 @@ class Graph:
         """
         with self._starting:
             self._ending = True
-            _end([child for child in self._children.values() if child.nodes])
+            _end([child for child in self._children.values() if child.is_node])
 
     def stop(self, names: Sequence[str], seconds: float = _END_S) -> None:
         """SIGTERM the children of these `names`, the coil driver first, and see them end.
@@ -178,8 +177,8 @@ class Graph:
         for `seconds` is killed.
         """
         children = [self._children[name] for name in names]
-        for group in ([child for child in children if child.nodes],
-                      [child for child in children if not child.nodes]):
+        for group in ([child for child in children if child.is_node],
+                      [child for child in children if not child.is_node]):
             _end(group)
             self._see_end(group, seconds)
             for child in group:
@@ -220,7 +219,7 @@ def _reason(child: _Child) -> InputError:
         last = child.said[-1] if child.said else 'it said nothing'
         return InputError(child.name, f'ended while starting: {last}')
     node, _, problem = said[-1].partition(': ')
-    return InputError(node, problem) if node in child.nodes else InputError(child.name, said[-1])
+    return InputError(node, problem) if node == child.name else InputError(child.name, said[-1])
 
 
 def _output(child: _Child) -> int:
@@ -230,5 +229,5 @@ def _output(child: _Child) -> int:
 
 def _end(children: Sequence[_Child]) -> None:
     """SIGTERM, the coil driver before all others."""
-    for child in sorted(children, key=lambda child: 'coil_driver' not in child.nodes):
+    for child in sorted(children, key=lambda child: child.name != 'coil_driver'):
         child.process.send_signal(signal.SIGTERM)

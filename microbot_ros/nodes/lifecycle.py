@@ -6,17 +6,14 @@ import time
 import traceback
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, nullcontext
-from typing import Any, cast
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.msg import SetParametersResult
 from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 
@@ -26,7 +23,6 @@ from microbot_ros.nodes.core import RELIABLE, Core
 from microbot_ros.nodes.log import Log
 from microbot_ros.nodes.messages import MessageError, to_seconds
 from microbot_ros.nodes.parameters import ParameterSet, refuse_unknown
-from microbot_ros.nodes.rig import HangingError, Outlet, Rig
 
 # For what is to be acted on: a node that was held up takes the newest, not a queue of old ones.
 NEWEST = QoSProfile(depth=1)
@@ -52,12 +48,11 @@ class RigNode(LifecycleNode, Core):
     An exception in a transition or callback is logged with its traceback and shown on
     `/diagnostics`, and `make_safe` runs at once; a bad message is reported and dropped.
     Subscriptions and timers act only while the node is active. A transition (`on_…`) is given the
-    `state` that it leaves. Nodes that share a `rig` speak to each other through it. `arguments`
-    are the ROS arguments of this node alone, `--ros-args` and what follows.
+    `state` that it leaves. `arguments` are the ROS arguments of this node alone, `--ros-args` and
+    what follows.
     """
 
-    def __init__(self, name: str, rig: Rig | None = None,
-                 arguments: Sequence[str] | None = None) -> None:
+    def __init__(self, name: str, arguments: Sequence[str] | None = None) -> None:
         super().__init__(name, cli_args=arguments)
         self.active = False
         self.starting = False
@@ -69,7 +64,6 @@ class RigNode(LifecycleNode, Core):
         self._complaint_until = 0.0
         self._created: list[tuple[Callable[[Any], Any], Any]] = []
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.rig = rig
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self.create_timer(1.0, self._report, clock=self._steady)
         self._parameters_of_node: ParameterSet[Any] = ParameterSet(
@@ -127,8 +121,6 @@ class RigNode(LifecycleNode, Core):
         """A publisher on a `topic` for messages of a `kind`, by `qos`; goes with the cleanup."""
         made = self.create_publisher(kind, topic, qos)
         self._created.append((self.destroy_publisher, made))
-        if self.rig and qos is not LATCHED:
-            return cast(Publisher, Outlet(self.rig, topic, made))
         return made
 
     def subscribe(self, kind: type, topic: str, callback: Callable[[Any], None],
@@ -142,12 +134,6 @@ class RigNode(LifecycleNode, Core):
         if self.frame and not raw:
             callback = self.log.keeping(topic, callback)
         take = self._guarded(callback)
-        if self.rig and self.rig.joins(topic):
-            leave = self.rig.listen(topic, take)
-            self._created.append((lambda _: leave(), None))
-            if not on_matched:
-                return
-            take, raw = _ignore, True
         events = SubscriptionEventCallbacks(
             matched=self._guarded(on_matched) if on_matched else None)
         made = self.create_subscription(kind, topic, take, qos, raw=raw, event_callbacks=events)
@@ -211,13 +197,6 @@ class RigNode(LifecycleNode, Core):
         self._created.append((self.destroy_client, made))
         return made
 
-    def afterwards(self, work: Callable[[], None]) -> None:
-        """Do some `work` once the currents that answer this callback are on their way."""
-        if self.rig:
-            self.rig.afterwards(work)
-        else:
-            work()
-
     def seconds(self) -> float:
         """Now on the node's clock [s]."""
         return to_seconds(self.get_clock().now().to_msg())
@@ -252,25 +231,13 @@ class RigNode(LifecycleNode, Core):
                   if prefix + name in named}
         return self.log.take(values, lambda: self.take(changed, named))
 
-    def _turn(self) -> AbstractContextManager[None]:
-        return self.rig.turn() if self.rig else nullcontext()
-
-    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
-        """As rclpy does, all of `parameter_list` or none, between two frames."""
-        try:
-            with self._turn():
-                return super().set_parameters_atomically(parameter_list)
-        except HangingError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-
     def _guarded(self, callback: Callable[..., None]) -> Callable[..., None]:
         def guarded(*arguments: Any) -> None:
             if not self.active:
                 return
             try:
-                with self._turn():
-                    callback(*arguments)
-            except (MessageError, HangingError) as error:
+                callback(*arguments)
+            except MessageError as error:
                 self.complain(str(error))
             except Exception as error:
                 self._failed(callback.__name__, error)
@@ -385,10 +352,6 @@ def _for_people(error: Exception) -> str:
     if isinstance(error, OSError) and error.filename is not None:
         return f'{error.filename}: {error.strerror}'
     return str(error) if isinstance(error, InputError) else ''
-
-
-def _ignore(_: object) -> None:
-    """What is heard here has come another way."""
 
 
 def _text(value: object) -> str:

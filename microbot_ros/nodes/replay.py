@@ -32,7 +32,7 @@ from microbot_ros.nodes.topics import TOPICS, type_name
 from microbot_ros.nodes.tracker import TrackerCore
 from microbot_ros.session.mcap.bag import whole
 from microbot_ros.session.mcap.recorder import RecordingWriter
-from microbot_ros.session.mcap.recording import Recording, header_stamp_ns, is_topic
+from microbot_ros.session.mcap.recording import Recording, is_topic
 from microbot_ros.session.replay.compare import Doubt
 from microbot_ros.session.replay.log import (
     EXPIRE,
@@ -41,6 +41,7 @@ from microbot_ros.session.replay.log import (
     PARAMETERS,
     Entry,
     Inputs,
+    header_stamp_ns,
     order_of_receipt,
     read_log,
 )

@@ -150,7 +150,7 @@ class TrackerNode(RigNode, TrackerCore):
         self._tell_kinds()
         if self._overlay.get_subscription_count() and self.is_due(
                 'overlay', self.settings.overlay_rate_hz, messages.to_seconds(stamp)):
-            self.afterwards(lambda: self._draw(image, stamp))
+            self._draw(image, stamp)
 
     def _learn(self, example: str, message: PointStamped) -> None:
         """Learn from an example and publish the outcome on `tracker/taught`."""

@@ -23,7 +23,7 @@ class Children:
     statuses: ClassVar[dict[str, int]] = {}
     problem: ClassVar[InputError | None] = None
     signal: ClassVar[int | None] = None
-    started: ClassVar[list[list[str]]] = []
+    started: ClassVar[list[str]] = []
 
     def __init__(self, tell: Any) -> None:
         self.tell = tell
@@ -34,9 +34,9 @@ class Children:
     def __exit__(self, *_: object) -> None:
         self.tell('controller', 'the last word')
 
-    def start_nodes(self, names: list[str], _parameters: Path, namespace: str) -> None:
+    def start_node(self, name: str, _parameters: Path, namespace: str) -> None:
         assert namespace == '/lab'
-        self.started.append(list(names))
+        self.started.append(name)
 
     def wait_ready(self) -> None:
         if self.problem:
@@ -78,16 +78,15 @@ def _run(config: Path, *words: str) -> tuple[int, str, str]:
     return command('run', '--config', config, '--namespace', 'lab', *words)
 
 
-@pytest.mark.parametrize(('words', 'groups'), [
-    ((), [['model'], ['controller']]), (('--one-process',), [['model', 'controller']]),
-    (('--cockpit',), [['model'], ['controller'], ['cockpit']])])
+@pytest.mark.parametrize(('words', 'nodes'), [
+    ((), ['model', 'controller']), (('--cockpit',), ['model', 'controller', 'cockpit'])])
 def test_it_ends_when_every_node_has_and_says_which(
         children: type[Children], config: Path, words: tuple[str, ...],
-        groups: list[list[str]]) -> None:
-    children.statuses = {'+'.join(group): 3 for group in groups}
+        nodes: list[str]) -> None:
+    children.statuses = dict.fromkeys(nodes, 3)
     status, out, error = _run(config, *words)
     assert (status, out) == (0, '')
-    assert children.started == groups
+    assert children.started == nodes
     assert 'microbot: running: model, controller' in error
     for name in children.statuses:
         assert f'{name}: ended with status 3; the other nodes go on' in error

@@ -70,7 +70,7 @@ class VirtualRig:
             says_when_ready='serving')
         self.graph.wait_ready(60.0)
         for name in NODES:
-            self.graph.start_nodes([name], parameters)
+            self.graph.start_node(name, parameters)
         self.graph.wait_ready(300.0)  # where nothing is compiled yet
         self.until(lambda: self.address)
 
@@ -78,7 +78,7 @@ class VirtualRig:
         """Start a cockpit in place of one that has ended, at another address."""
         self.graph.stop(['cockpit'])
         self.address = ''
-        self.graph.start_nodes(['cockpit'], self._parameters)
+        self.graph.start_node('cockpit', self._parameters)
         self.graph.wait_ready(60.0)
         self.until(lambda: self.address)
 

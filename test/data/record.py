@@ -61,7 +61,7 @@ def track(folder: Path) -> Path:
     }.items()}))
     with Graph(lambda who, line: print(f'{who}: {line}')) as graph:
         for node in ('recorder', 'tracker', 'camera'):
-            graph.start_nodes([node], file)
+            graph.start_node(node, file)
             graph.wait_ready(60.0)
         for _ in range(60):
             graph.pump(0.1)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -16,6 +18,9 @@ from microbot_ros.discovery.hypotheses import (
 )
 from microbot_ros.discovery.search import contribution, fit_candidate
 from microbot_ros.discovery.verdict import judge
+from microbot_ros.model.effects.field.command_delay import CommandDelay
+from microbot_ros.model.effects.velocity.speed_decay import SpeedDecay
+from microbot_ros.model.effects.velocity.uniform_drift import UniformDrift
 
 
 @pytest.fixture(scope='module')
@@ -63,3 +68,51 @@ def test_effects_are_looked_for_in_all_recordings_together(film):
     assert judge(several).named == ('uniform_drift',)
     assert np.isfinite(several.evidence)
     assert several.evidence > one.evidence
+
+
+def test_shapes_are_looked_for_in_all_recordings(film):
+    """The spot is where only particles of the second recording come by."""
+    away = film(50, duration=10.0, half_extent=50e-6)[0]
+    away = replace(away, tracks=replace(away.tracks, position=away.tracks.position + 3e-4))
+    near = film(51, {'hot_spot': {'x_um': 10.0, 'y_um': -20.0, 'speed_um_s': 3.0,
+                                  'width_um': 25.0}}, duration=40.0, half_extent=50e-6)[0]
+    known = consider(check_sessions([away, near])[0])
+    spot = known.fit.model.effect('hot_spot')
+    assert np.hypot(spot.x - 10e-6, spot.y + 20e-6) < 10e-6
+
+
+def test_what_is_smaller_than_the_floor_is_the_instruments(drifting):
+    known = consider(drifting)
+    small = known.fit.model.with_effect(CommandDelay(2e-3))
+    judgement = judge(replace(known, fit=known.fit.under(small)))
+    assert judgement.of_instrument == ('command_delay',)
+    assert judgement.status('command_delay') == 'suggested'
+    assert not CommandDelay(5e-3).below_floor()
+    assert not SpeedDecay.null().below_floor()
+
+
+def test_a_rotational_diffusion_that_a_lag_frees_is_paid(film):
+    session, _ = film(52, {'alignment_lag': {'tau_s': 0.4}}, duration=30.0)
+    prices = []
+    for conditions in (session.conditions, replace(session.conditions, radius=None)):
+        prepared, _ = check_sessions([replace(session, conditions=conditions)])
+        found = fit_candidate(fit_first_order(prepared), 'alignment_lag')
+        prices.append(found.price_of_turning)
+    assert prices[0] == 0
+    assert 0 < prices[1] < 10
+
+
+def test_a_prior_that_is_off_by_three_hardly_matters(drifting):
+    found = fit_candidate(fit_first_order(drifting), 'uniform_drift')
+    narrow, declared, wide = (log_bayes_factor(found, wider) for wider in (1 / 3, 1.0, 3.0))
+    assert narrow == pytest.approx(declared, abs=0.5)
+    assert wide == pytest.approx(declared, abs=0.5)
+    # All of its widths are larger than what was found by a factor of ten and more.
+    assert log_bayes_factor(found, 1e4) < declared - 2 * np.log(10)
+
+
+def test_the_search_ends_where_models_repeat(drifting, monkeypatch):
+    """An exchange that is always proposed ends the search instead of going round."""
+    other = fit_first_order(drifting).model.with_effect(UniformDrift(1e-7, 0.0))
+    monkeypatch.setattr('microbot_ros.discovery.hypotheses._exchange', lambda _: other)
+    assert consider(drifting).names == ('uniform_drift',)

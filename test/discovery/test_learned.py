@@ -46,7 +46,7 @@ def channel_fixture(film):
 
 @pytest.fixture(name='findings', scope='module')
 def findings_fixture(channel):
-    return learn_terms(channel)
+    return learn_terms(channel, learn_term(channel))
 
 
 def moments_of(fit, against, acts_on):
@@ -80,7 +80,7 @@ def test_what_faces_some_ways_is_slower_and_learned_against_the_heading(film):
 @pytest.mark.parametrize('seed', range(3))
 def test_where_nothing_is_missing_nothing_is_learned(film, seed):
     session, _ = film(20 + seed)
-    assert learn_terms(baseline(session)) == ()
+    assert learn_term(baseline(session)) is None
 
 
 def test_the_order_of_rows_does_not_matter(film):

@@ -141,7 +141,7 @@ class Ros:
 
     def add(self, name: str, namespace: str = '/') -> RigNode:
         """Make a node and configure and activate it; look at its `active` and `fault`."""
-        node = make(name, None, ['--ros-args', '--params-file', str(self._file),
+        node = make(name, ['--ros-args', '--params-file', str(self._file),
                                  '-r', f'__ns:={namespace}'])
         self.nodes[node.get_fully_qualified_name().removeprefix('/')] = node
         self._executor.add_node(node)

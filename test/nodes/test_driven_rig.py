@@ -39,7 +39,7 @@ class Stand:
         }.items()}))
         self._graph = Graph(lambda *_: None)
         for node in ('model', 'controller', 'coil_driver'):
-            self._graph.start_nodes([node], file)
+            self._graph.start_node(node, file)
         self._graph.wait_ready(60.0)
         self.client = GraphClient('test')
         self.rig = ForeignRig(self.client.node, effect, parameters)

@@ -112,7 +112,7 @@ def test_what_hangs_is_killed_and_named(said: Said) -> None:
 def test_what_is_started_once_all_are_to_end_is_told_too(tmp_path: Path) -> None:
     with Graph(lambda *_: None) as graph:
         graph.tell_to_end()
-        graph.start_nodes(['coil_driver'], tmp_path / 'none.yaml')
+        graph.start_node('coil_driver', tmp_path / 'none.yaml')
         process = psutil.Process(graph.process_id('coil_driver'))
         process.wait(5)  # not yet listening to signals, it ends of the first
 

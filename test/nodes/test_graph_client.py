@@ -192,12 +192,14 @@ def _requests(driver: Any) -> list[bool]:
 
 
 def test_arming_whose_answer_was_lost_is_not_asked_for_again(
-        ros: Any, emulator: Any, lose: Callable[[str], list[str]]) -> None:
+        ros: Any, emulator: Any, lose: Callable[[str], list[str]],
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rig_client, 'ARM_S', (4.0,))
     lost = lose('~/arm')
     graph, driver = _driver_and_commander(ros, emulator)
     asked = _requests(driver)
     assert graph.microbot('arm') == (
-        1, '', 'microbot: coil_driver did not answer within 20 s; disarmed: '
+        1, '', 'microbot: coil_driver did not answer within 4 s; disarmed: '
         'zero, confirmed by a reading\n')
     assert lost
     assert asked == [True, False]

@@ -86,7 +86,7 @@ def test_two_rigs_are_driven_at_once(tmp_path: Path, emulator_in: Any) -> None:
         for rig in rigs:
             process = subprocess.Popen(
                 [sys.executable, '-m', 'microbot_ros.cli', 'run', '--config', str(file),
-                 '--one-process', '--namespace', rig], stderr=subprocess.DEVNULL)
+                 '--namespace', rig], stderr=subprocess.DEVNULL)
             leave.callback(process.wait)
             leave.callback(process.terminate)
         for rig in rigs:

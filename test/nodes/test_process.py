@@ -1,23 +1,26 @@
-"""What runs nodes in a process: started, joined, and ended with the coils at zero."""
+"""What runs a node in a process: started, and ended with the coils at zero."""
 
 from __future__ import annotations
 
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
+import rclpy
+import rclpy.executors
 import yaml
+from geometry_msgs.msg import Vector3Stamped
 from in_process import PATIENT, command, own_context
+from std_srvs.srv import SetBool
 
-from microbot_ros.nodes import process
+from microbot_ros.nodes import messages, process
 from microbot_ros.nodes.graph import READY
-from microbot_ros.nodes.graph_client import GraphClient
 
 
 @pytest.fixture(autouse=True)
@@ -56,32 +59,38 @@ def _once_settled(monkeypatch: pytest.MonkeyPatch, do: Callable[[], None]) -> th
     return thread
 
 
-def test_a_joined_loop_drives_and_a_signal_ends_it_at_zero(
+def test_a_driver_is_ended_by_a_signal_at_zero(
         tmp_path: Path, emulator: Any, monkeypatch: pytest.MonkeyPatch,
         capfd: pytest.CaptureFixture[str]) -> None:
-    film = tmp_path / 'film'
-    film.mkdir()
-    rng = np.random.default_rng(3)
-    for k in range(20):
-        cv2.imwrite(str(film / f'{k}.png'), rng.integers(0, 255, (64, 64)).astype(np.uint8))
-    arguments = _arguments(tmp_path, {
-        'camera': {'source': str(film), 'frame_rate_hz': 30.0, 'loop': True},
-        'tracker': {}, 'model': {}, 'controller': {},
-        'coil_driver': {'port': str(emulator.port)}})
+    arguments = _arguments(tmp_path, {'coil_driver': {'port': str(emulator.port)}})
     flowed: list[bool] = []
 
     def drive() -> None:
-        with GraphClient('test') as client:
-            armed: list[bool] = []
-            client.watch_health(lambda node, _, __, values: armed.append(
-                node == 'coil_driver' and values['armed'] == 'True'))
-            client.arm()
-            assert client.until(lambda: armed and armed[-1], 60.0)
-            flowed.append(any(any(entry['currents_A']) for entry in emulator.entries()))
+        rclpy.init(context=(context := rclpy.Context()))
+        node = rclpy.create_node('commander', context=context)
+        try:
+            field = node.create_publisher(Vector3Stamped, 'field/command', 10)
+            arm = node.create_client(SetBool, 'coil_driver/arm')
+            assert arm.wait_for_service(60.0)
+            asked = arm.call_async(SetBool.Request(data=True))
+            deadline, strength = time.monotonic() + 60.0, 0.0
+            executor = rclpy.executors.SingleThreadedExecutor(context=context)
+            executor.add_node(node)
+            while not any(any(entry['currents_A']) for entry in emulator.entries()[-5:]) or (
+                    not asked.done()):
+                assert time.monotonic() < deadline
+                strength = 1e-3 if asked.done() else 0.0
+                field.publish(messages.field_vector(
+                    np.array([strength, 0.0]), node.get_clock().now().to_msg()))
+                executor.spin_once(timeout_sec=0.01)
+            flowed.append(asked.result().success)
+        finally:
+            node.destroy_node()
+            context.try_shutdown()
     thread = _once_settled(monkeypatch, drive)
-    assert process.run([*process.LOOP_NODES], arguments) == 0
+    assert process.run('coil_driver', arguments) == 0
     thread.join()
-    assert f'{READY} camera tracker model controller coil_driver' in capfd.readouterr().out
+    assert f'{READY} coil_driver' in capfd.readouterr().out
     assert flowed == [True]
     assert emulator.zero
 
@@ -89,7 +98,7 @@ def test_a_joined_loop_drives_and_a_signal_ends_it_at_zero(
 def test_a_node_that_cannot_begin_is_one_line_and_two(
         tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     arguments = _arguments(tmp_path, {'camera': {'source': '/nowhere/film.mp4'}})
-    assert process.run(['camera'], arguments) == 2
+    assert process.run('camera', arguments) == 2
     said = [line for line in capfd.readouterr().err.splitlines() if 'microbot: ' in line]
     assert len(said) == 1
     assert '/nowhere/film.mp4' in said[0]
@@ -98,11 +107,11 @@ def test_a_node_that_cannot_begin_is_one_line_and_two(
 def test_a_node_that_would_ignore_its_file_does_not_start(
         tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     arguments = _arguments(tmp_path, {'coil_driver': {'current_limit_A': 0.1}})
-    assert process.run(['coil_driver'], [*arguments, '-r', '__ns:=/rig_2']) == 2
+    assert process.run('coil_driver', [*arguments, '-r', '__ns:=/rig_2']) == 2
     assert '/**/coil_driver' in capfd.readouterr().err
 
 
-@pytest.mark.parametrize('words', [[], ['steam'], ['model', 'steam']])
+@pytest.mark.parametrize('words', [[], ['steam']])
 def test_what_is_no_node_is_two(
         words: list[str], monkeypatch: pytest.MonkeyPatch,
         capfd: pytest.CaptureFixture[str]) -> None:

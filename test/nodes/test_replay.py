@@ -55,9 +55,9 @@ from microbot_ros.nodes.replay import (
 from microbot_ros.session import read_session
 from microbot_ros.session.mcap.cloud import cloud_table
 from microbot_ros.session.mcap.recorder import RecordingWriter
-from microbot_ros.session.mcap.recording import header_stamp_ns, open_recording
+from microbot_ros.session.mcap.recording import open_recording
 from microbot_ros.session.replay.compare import compare
-from microbot_ros.session.replay.log import PARAMETERS, Entry
+from microbot_ros.session.replay.log import PARAMETERS, Entry, header_stamp_ns
 from microbot_ros.session.replay.playback import open_source
 
 DATA = Path(__file__).parents[1] / 'data'

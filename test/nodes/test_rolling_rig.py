@@ -63,7 +63,7 @@ def test_a_hidden_cut_in_is_named_and_the_gap_closes(tmp_path: Path, emulator: A
     with Graph(lambda *_: None) as graph, GraphClient('test') as client:
         file = _rig(tmp_path, emulator)
         for node in ('virtual_rig', 'tracker', 'model', 'controller', 'coil_driver', 'recorder'):
-            graph.start_nodes([node], file)
+            graph.start_node(node, file)
         graph.wait_ready(300.0)
         seen: list[np.ndarray] = []
         client.watch_estimates(seen.append)

@@ -25,7 +25,6 @@ from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 pytestmark = [pytest.mark.rig, pytest.mark.timeout(240)]
 DEAD_MAN_S = 0.4
 """Driver 0.1 s or device watchdog 0.1 s, and what a loaded machine adds to a process's death."""
-PER_NODE, JOINED = '--process-per-node', '--one-process'
 SIGNAL_S = 0.1
 """Asked for: from a signal to zero."""
 
@@ -45,7 +44,7 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
 class Running:
     """`microbot run` in a process of its own, and a client of its graph."""
 
-    def __init__(self, folder: Path, film: Path, emulator: Any, processes: str = PER_NODE,
+    def __init__(self, folder: Path, film: Path, emulator: Any,
                  **more: dict[str, Any]) -> None:
         nodes: dict[str, dict[str, Any]] = {
             'camera': {'source': str(film), 'frame_rate_hz': 30.0, 'loop': True},
@@ -63,8 +62,8 @@ class Running:
         self.said = (folder / 'said.txt')
         with self.said.open('w') as said:
             self.process = subprocess.Popen(
-                [sys.executable, '-m', 'microbot_ros.cli', 'run', '--config', str(config),
-                 processes], stderr=said, stdout=subprocess.DEVNULL, start_new_session=True)
+                [sys.executable, '-m', 'microbot_ros.cli', 'run', '--config', str(config)],
+                stderr=said, stdout=subprocess.DEVNULL, start_new_session=True)
 
     def drive(self) -> None:
         """Wait until all nodes run, and let currents flow."""
@@ -92,7 +91,7 @@ class Running:
             time.sleep(0.01)
 
     def node(self, name: str) -> psutil.Process:
-        """The process of a node, perhaps with others."""
+        """The process of a node."""
         return next(child for child in psutil.Process(self.process.pid).children()
                     if name in child.cmdline()[3:])
 
@@ -129,28 +128,6 @@ def running(tmp_path: Path, film: Path, emulator: Any) -> Iterator[Running]:
     yield from _driven(Running(tmp_path, film, emulator))
 
 
-@pytest.fixture
-def joined(tmp_path: Path, film: Path, emulator: Any) -> Iterator[Running]:
-    """A rig whose coils are driven, the loop in one process."""
-    yield from _driven(Running(tmp_path, film, emulator, JOINED))
-
-
-def test_the_joined_loop_runs_in_real_time_and_its_driver_before_it(
-        joined: Running, real_time: bool) -> None:
-    process = joined.node('tracker')
-    assert process == joined.node('coil_driver')
-    found = {os.sched_getparam(thread.id).sched_priority for thread in process.threads()}
-    assert found == ({LOOP, SAFETY} if real_time else {0})
-
-
-@pytest.mark.parametrize('number', [signal.SIGKILL, signal.SIGSTOP])
-def test_a_joined_loop_that_is_killed_or_hangs_altogether_means_zero(
-        joined: Running, machine: Any, number: int) -> None:
-    moment = time.monotonic()
-    joined.node('tracker').send_signal(number)
-    assert joined.zero_after(moment) < DEAD_MAN_S + machine.kept_waiting_s(moment)
-
-
 def test_the_whole_loop_runs_in_real_time_where_the_system_grants_it(
         running: Running, real_time: bool) -> None:
     ending = SAFETY  # the thread that hears of the end
@@ -184,16 +161,13 @@ def test_a_stopped_controller_means_zero(running: Running, machine: Any) -> None
 
 
 @pytest.fixture
-def recorded(request: pytest.FixtureRequest, tmp_path: Path, film: Path,
-             emulator: Any) -> Iterator[Running]:
+def recorded(tmp_path: Path, film: Path, emulator: Any) -> Iterator[Running]:
     """A rig whose coils are driven and whose recorder has something to write."""
-    yield from _driven(Running(tmp_path, film, emulator, request.param,
+    yield from _driven(Running(tmp_path, film, emulator,
                                recorder={'folder': str(tmp_path / 'recording')}))
 
 
-@pytest.mark.parametrize(('recorded', 'number'), [
-    (PER_NODE, signal.SIGINT), (PER_NODE, signal.SIGTERM), (JOINED, signal.SIGHUP),
-    (JOINED, signal.SIGTERM)], indirect=['recorded'])
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_zero_comes_at_once_however_long_the_recorder_takes(
         recorded: Running, machine: Any, tmp_path: Path, number: int) -> None:
     children = psutil.Process(recorded.process.pid).children()
@@ -226,8 +200,7 @@ def test_a_killed_launcher_means_zero_and_nobody_stays(
     assert not any(child.is_running() for child in children)
 
 
-@pytest.mark.parametrize('recorded', [JOINED], indirect=True)
-def test_what_the_joined_loop_recorded_is_answered_the_same_by_nodes_apart(
+def test_what_a_rig_recorded_is_answered_the_same(
         recorded: Running, tmp_path: Path) -> None:
     with GraphClient('test') as client:  # in the middle of frames: between two of them
         for name in ('hold', 'open_loop'):

@@ -69,7 +69,7 @@ class SmokeRig:
         # The particles swim as soon as the virtual rig runs: all others are there by then.
         for names in (), NODES[:-1], NODES[-1:]:
             for name in names:
-                self.graph.start_nodes([name], file)
+                self.graph.start_node(name, file)
             self.graph.wait_ready()
         self.client = GraphClient('smoke')
         self.client.watch_estimates(lambda points: setattr(self, 'estimates', points))

@@ -138,7 +138,7 @@ def _run(graph: Graph, ending: Ending, folder: Path, seconds: float, seed: int,
     others = (*NODES[:-1], *(['cockpit'] if cockpit else []))
     for nodes in (), others, NODES[-1:]:
         for node in nodes:
-            graph.start_nodes([node], rig)
+            graph.start_node(node, rig)
         with ending.interrupts():
             graph.wait_ready()
     with ending.interrupts(), realtime_priority(LOOP):  # no signal waits for the loop

@@ -91,4 +91,4 @@ def command(
         arguments += ['-p', f'{name}:={value}']
     if topics:
         arguments += ['-p', f'topics:=[{",".join(topics)}]']
-    sys.exit(run(['player'], arguments))
+    sys.exit(run('player', arguments))

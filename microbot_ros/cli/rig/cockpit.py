@@ -39,6 +39,6 @@ def command(host: str, port: int, token: bool, namespace: str) -> None:
     from microbot_ros.nodes.process import run
 
     given = {'host': host, 'port': str(port), 'token': str(token).lower()}
-    sys.exit(run(['cockpit'], [
+    sys.exit(run('cockpit', [
         '--ros-args', '-r', f'__ns:={checked_namespace(namespace)}',
         *(word for name, value in given.items() for word in ('-p', f'{name}:={value}'))]))

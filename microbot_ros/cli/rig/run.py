@@ -21,12 +21,9 @@ from microbot_ros.nodes.graph import Graph
 @click.option('--config', type=click.Path(path_type=Path), required=True,
               help='ROS parameter file with a section per node; see config/rig.yaml.')
 @click.option('--arm', is_flag=True, help='Arm the gate once everything runs.')
-@click.option('--one-process/--process-per-node', default=False, show_default=True,
-              help='The loop in one process answers 2 ms sooner where nothing is recorded; in a '
-              'process per node a crash of one leaves the others.')
 @cockpit_option
 @namespace_option
-def command(config: Path, arm: bool, one_process: bool, cockpit: bool, namespace: str) -> None:
+def command(config: Path, arm: bool, cockpit: bool, namespace: str) -> None:
     """Run the nodes beside a rig until Ctrl-C, SIGTERM or SIGHUP: the coils go to zero at once.
 
     Nothing drives the coils before the gate is armed: with --arm, or from another terminal
@@ -44,7 +41,7 @@ def command(config: Path, arm: bool, one_process: bool, cockpit: bool, namespace
     """
     from microbot_ros.nodes.configuration import read_rig, refused
     from microbot_ros.nodes.graph_client import checked_namespace
-    from microbot_ros.nodes.process import NODES, processes
+    from microbot_ros.nodes.process import NODES
 
     namespace = checked_namespace(namespace)
     rig = read_rig(config, namespace)
@@ -53,8 +50,8 @@ def command(config: Path, arm: bool, one_process: bool, cockpit: bool, namespace
     nodes = [name for name in NODES if name in rig or (cockpit and name == 'cockpit')]
     graph = Graph(_say)
     with Ending(graph.tell_to_end) as ending, graph:
-        for group in processes(nodes, one_process):
-            graph.start_nodes(group, config, namespace)
+        for node in nodes:
+            graph.start_node(node, config, namespace)
         try:
             with ending.interrupts():
                 graph.wait_ready()

@@ -175,13 +175,36 @@ def _errors(fits: Sequence[ModelFit], k: int, whole: PreparedSession, frames: np
         learned = fit.session_fits[k]
         here = _carried_over(fit.model, learned, whole)
         left = whole.z - here.expected.at(learned.velocity_phasor)
-        squares.append(np.abs(left[ahead:] - left[:-ahead]) ** 2 / 2)
+        squares.append(np.abs(left[ahead:] - left[:-ahead] - _by_headings(here, left, ahead)) ** 2
+                       / 2)
         use &= _known(learned, here, horizon)
     elapsed = whole.times[:-ahead] - whole.times[0]
     length = max(TURN * horizon, float(np.ptp(whole.times)) / STRETCHES)
     stretch = k * (STRETCHES + 1) + (elapsed / length).astype(int)
     return np.stack([np.broadcast_to(stretch[:, None], use.shape)[use],
                      *(square[use] for square in squares)], axis=1)
+
+
+def _by_headings(here: SessionFit, left: np.ndarray, ahead: int) -> np.ndarray | float:
+    """Return how much further (T − ahead, N) [m] particles get as their headings deviate.
+
+    Under a lag, which way a heading deviates from the model at the beginning of a prediction is
+    known from the positions until then, of which a model leaves `left` (T, N) [m].
+    """
+    noise = here.whitening
+    if noise.sensitivity is None or noise.retention is None:
+        return 0.0
+    from microbot_ros.estimation.likelihood.kernels import filter_headings
+
+    session = here.session
+    deviation = filter_headings(session.times, session.pieces, left, noise.noise_ratio,
+                                noise.diffusion_ratio, noise.sensitivity, noise.retention)
+    deviation, further = deviation[:-ahead], np.zeros_like(left[ahead:])
+    for k in range(ahead):
+        rows = slice(k, k + len(further))
+        further += noise.sensitivity[rows] * deviation
+        deviation = deviation * noise.retention[rows]
+    return further
 
 
 def _known(learned: SessionFit, here: SessionFit, horizon: float) -> np.ndarray:

@@ -7,41 +7,31 @@ from dataclasses import replace
 from typing import Any
 
 from microbot_ros.common.records import Session
-from microbot_ros.discovery.check.input_checks import check_sessions
-from microbot_ros.discovery.discover import conclude
+from microbot_ros.discovery.discover import discover
 from microbot_ros.discovery.driven.drive import Driven
 from microbot_ros.discovery.driven.joined import join
-from microbot_ros.discovery.driven.questions import LOOKALIKE
 from microbot_ros.discovery.report.words import words
 from microbot_ros.discovery.result import Discovery
 
 
 def discovered(driven: Driven, report: Callable[[str], None] = lambda _: None,
                ) -> tuple[Discovery, Session] | None:
-    """The result on all experiments, and these as one session; None where nothing was learned.
+    """Return the result on all experiments, and these as one session; None for too few rows.
 
-    The model is the one that was taken in the end, and what is established was decided while
-    driving: no p-value is asked again about data that ended when it suited. `report` is told what
-    is being done.
+    It is the result of `discover` on that session, but for the remarks and the next experiment.
+    `report` is told what is being done.
     """
-    insight = driven.insight
-    if insight is None:
+    if driven.insight is None:
         return None
     session = join(driven.experiments)
-    _, remarks = check_sessions([session])
-    found = conclude(insight.known, insight.judgement, (*_remarks(driven), *remarks), report)
-    if not found.learned:
-        found = replace(found, next_experiment=None)
-    return found, session
+    found = discover([session], report)
+    return replace(found, remarks=(*_remarks(driven), *found.remarks),
+                   next_experiment=found.next_experiment if found.learned else None), session
 
 
 def _remarks(driven: Driven) -> tuple[str, ...]:
     remarks = [f'{words(one)} and {words(other)}: no command of this rig tells them apart.'
                for one, other in driven.twins]
-    if driven.insight:
-        remarks += [f'{words(name)}: seen for less than {LOOKALIKE[name]:.0f} s, in '
-                    'which something else that differs from place to place, or in time, may look '
-                    'like it.' for name in driven.insight.judgement.early]
     if driven.reason:
         remarks.append(f'The experiments were stopped: {driven.reason}.')
     if driven.decided == 'out_of_time':

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 import numpy as np
@@ -19,7 +19,6 @@ from microbot_ros.discovery.driven.questions import (
     likeliest,
     questions,
     search,
-    too_early,
     twins,
 )
 from microbot_ros.discovery.hypotheses import Hypotheses, consider
@@ -180,8 +179,9 @@ def drive(rig: Rig, minutes: float, report: Callable[[str], None] = lambda _: No
         final = left < SHORTEST or bool(
             insight and insight.judgement.settled and rig.seconds >= SCRUTINY)
         if insight and final and not played.stopped:
-            report('asking whether something is there that no name explains')
-            insight = replace(insight, judgement=scrutinised(insight.known, insight.judgement))
+            report('searching anew, and for something that no name explains')
+            insight = _look(result, last=True)
+            final = left < SHORTEST or bool(insight and insight.judgement.answered)
         result.insight = insight or result.insight
         result.looks.append(Look(
             plan.sentence(), played.stopped, rig.seconds, insight.judgement if insight else None,
@@ -197,17 +197,20 @@ def drive(rig: Rig, minutes: float, report: Callable[[str], None] = lambda _: No
     return result
 
 
-def _look(result: Driven) -> Insight | None:
-    """At all experiments together; None where they are not enough."""
-    before = result.insight
+def _look(result: Driven, last: bool = False) -> Insight | None:
+    """Return what follows from all experiments together; None where they are not enough.
+
+    The search goes on from the effects of the look before. The `last` look is the search of
+    `discover`: from no effect on, and for a term that no name explains.
+    """
+    before = None if last else result.insight
     try:
         prepared, _ = check_sessions([join(result.experiments)])
     except (InputError, ValueError):
         return None
     known = consider(prepared, before.known.names if before else ())
     judgement = judge(known)
-    times = prepared[0].times
-    return Insight(known, replace(judgement, early=too_early(judgement.named, times)))
+    return Insight(known, scrutinised(known, judgement) if last else judgement)
 
 
 def _unexplained(result: Driven) -> bool:

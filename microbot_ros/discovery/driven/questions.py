@@ -12,11 +12,6 @@ from microbot_ros.discovery.driven.design import Design, Question, Search
 from microbot_ros.discovery.hypotheses import RIVAL, Hypotheses, Slot
 from microbot_ros.discovery.verdict import Judgement, enough
 
-LOOKALIKE = dict.fromkeys(('uniform_drift', 'linear_flow', 'hot_spot'), 210.0) | {
-    'speed_decay': 54.0}
-"""Seconds for which a field of place or a change in time that no name has may look like these:
-particles must have been elsewhere, or some time must have gone by, for the difference to show."""
-
 CREDIBLE = 1.0
 """Log evidence from which what could be there, beside or in place, is asked for."""
 
@@ -44,12 +39,6 @@ def questions(known: Hypotheses) -> list[Question]:
                            max(RIVAL - first.evidence + second.evidence, 1.0), odds[second.id])
                   for k, first in enumerate(shown) for second in shown[k + 1:]]
     return asked
-
-
-def too_early(named: Sequence[str], times: np.ndarray) -> tuple[str, ...]:
-    """Of the names `named` those that what is in no list may look like for longer than all frames
-    last, whose `times` (T,) [s] these are."""
-    return tuple(name for name in named if np.ptp(times) < LOOKALIKE.get(name, 0.0))
 
 
 def likeliest(known: Hypotheses) -> list[Question]:

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
 from microbot_ros.discovery.learned.moments import Moments
-from microbot_ros.model.learned_term import PERIODIC, LearnedTerm
+from microbot_ros.model.learned_term import PERIODIC, Against, LearnedTerm
 
 KEPT = 1e-4
 """Eigenvalue of a kernel, relative to the largest, from which on nothing is kept."""
@@ -46,41 +46,59 @@ class Kernel:
 
 
 def kernels(term: LearnedTerm) -> list[Kernel]:
-    """All that are tried for a table."""
-    found = list(_kernels(term))
+    """Return all kernels that are tried for a table.
+
+    Lengths are parts of the covariate's range, so that tables of one form have the same kernels.
+    """
+    in_laboratory = term.frame == 'laboratory' and term.acts_on == 'velocity'
+    axes = (_logarithmic(term.axes[0]),) if term.against == 'neighbour distance' else term.axes
+    if term.against not in (*PERIODIC, 'particle'):
+        size = max(np.ptp(axis[1:-1]) for axis in axes)
+        axes = tuple(np.round((axis - axis[1]) / size, 9) for axis in axes)
+    return _kernels_of(term.against, term.values.shape[1], in_laboratory,
+                       tuple(tuple(axis.tolist()) for axis in axes))
+
+
+def _logarithmic(distance: np.ndarray) -> np.ndarray:
+    return np.log(np.maximum(distance, distance[1]))
+
+
+@lru_cache(64)
+def _kernels_of(against: Against, components: int, in_laboratory: bool,
+                axes: tuple[tuple[float, ...], ...]) -> list[Kernel]:
+    """Return the kernels of a table against a covariate, of `components`, over knots on `axes`."""
+    found = list(_kernels(against, components, in_laboratory, tuple(map(np.array, axes))))
     total = sum(one.share for one in found)
     return [Kernel(one.kind, one.basis, one.share / total) for one in found]
 
 
-def _kernels(term: LearnedTerm) -> Iterator[Kernel]:
-    free, components = _free(term), term.values.shape[1]
-    if term.against == 'position':
-        yield from _of_place(term, free, components)
+def _kernels(against: Against, components: int, in_laboratory: bool,
+             axes: tuple[np.ndarray, ...]) -> Iterator[Kernel]:
+    free = _free(against, axes)
+    if against == 'position':
+        yield from _of_place(axes, free, components)
         return
-    x = term.axes[0]
+    x = axes[0]
     apart = x[:, None] - x[None, :]
-    if term.against == 'particle':
+    if against == 'particle':
         yield Kernel('any', _spread(np.eye(len(x)), free, components), 1.0)
         return
-    if term.against in PERIODIC:
+    if against in PERIODIC:
         for length in TURNS:
             yield Kernel('smooth', _spread(
                 np.exp(-2 * np.sin(apart / 2) ** 2 / length**2), free, components), 1.0)
         return
-    low, high = x[1], x[-2]
-    if term.against == 'neighbour distance':
-        x = np.log(np.maximum(x, low))
-        low, high = x[1], x[-2]
-        apart = x[:, None] - x[None, :]
-    for part in LENGTHS:
-        length = part * (high - low)
+    for length in LENGTHS:
         smooth = np.exp(-0.5 * (apart / length) ** 2)
         yield Kernel('smooth', _spread(smooth, free, components), 1.0)
-        yield from _along_a_line(term, smooth, free)
+        if in_laboratory:
+            line = _spread(smooth, free, 1)
+            for way in WAYS:
+                yield Kernel('along a line', _directed(way, line), 1.0 / len(WAYS))
         yield Kernel('rough', _spread(np.exp(-np.abs(apart) / (3 * length)), free, components),
                      0.5)
-    if term.against == 'time':
-        frequencies = np.arange(1.5, 0.4 * len(x), 0.5) / (high - low)
+    if against == 'time':
+        frequencies = np.arange(1.5, 0.4 * len(x), 0.5)
         for f in frequencies:
             yield Kernel('swing', np.kron(np.eye(components), _swing(f, x, free)),
                          6.0 / len(frequencies))
@@ -96,19 +114,10 @@ def _swing(frequency: float, x: np.ndarray, free: np.ndarray) -> np.ndarray:
     return scaled
 
 
-def _along_a_line(term: LearnedTerm, covariance: np.ndarray,
-                  free: np.ndarray) -> Iterator[Kernel]:
-    """Velocities in the laboratory that keep to one direction, whatever they depend on."""
-    if term.frame == 'laboratory' and term.acts_on == 'velocity':
-        one = _spread(covariance, free, 1)
-        for way in WAYS:
-            yield Kernel('along a line', _directed(way, one), 1.0 / len(WAYS))
-
-
 def _parallel(length: float, x: np.ndarray, y: np.ndarray, free: np.ndarray) -> Iterator[Kernel]:
     """Flows along one direction that vary across it only, as in channels, beside walls, in jets.
 
-    Over knots at `x`, `y` (K,) [m], of which some are `free`, within a `length` [m].
+    Over knots at `x`, `y` (K,), of which some are `free`, within a `length`.
     """
     for way in WAYS:
         across = y * np.cos(way) - x * np.sin(way)
@@ -122,11 +131,11 @@ def _directed(way: float, one: np.ndarray) -> np.ndarray:
     return np.concatenate([np.cos(way) * one, np.sin(way) * one])
 
 
-def _free(term: LearnedTerm) -> np.ndarray:
+def _free(against: Against, axes: tuple[np.ndarray, ...]) -> np.ndarray:
     """Which knots (K,) may be other than zero: not the ends, where a term has faded."""
-    if term.against in (*PERIODIC, 'particle'):
-        return np.ones(len(term.values), bool)
-    inner = [np.r_[False, np.ones(len(axis) - 2, bool), False] for axis in term.axes]
+    if against in (*PERIODIC, 'particle'):
+        return np.ones(len(axes[0]), bool)
+    inner = [np.r_[False, np.ones(len(axis) - 2, bool), False] for axis in axes]
     if len(inner) == 1:
         return inner[0]
     grid: np.ndarray = (inner[0][:, None] & inner[1][None, :]).ravel()
@@ -135,24 +144,23 @@ def _free(term: LearnedTerm) -> np.ndarray:
 
 def _spread(covariance: np.ndarray, free: np.ndarray, components: int) -> np.ndarray:
     """Leading eigenvectors of a `covariance` (K, K), scaled, for each of the components alike."""
-    one = _leading(np.where(free[:, None] & free[None, :], covariance, 0.0))
-    return np.kron(np.eye(components), one)
+    return np.kron(np.eye(components), _leading(covariance, free))
 
 
-def _leading(covariance: np.ndarray) -> np.ndarray:
-    values, vectors = np.linalg.eigh(covariance)
+def _leading(covariance: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """Leading eigenvectors (K, R) of a `covariance` (K, K), scaled, zero at knots not `free`."""
+    values, vectors = np.linalg.eigh(covariance[np.ix_(free, free)])
     kept = values > KEPT * values[-1]
-    scaled: np.ndarray = vectors[:, kept] * np.sqrt(values[kept])
+    scaled = np.zeros((len(free), int(kept.sum())))
+    scaled[free] = vectors[:, kept] * np.sqrt(values[kept])
     return scaled
 
 
-def _of_place(term: LearnedTerm, free: np.ndarray, components: int) -> Iterator[Kernel]:
+def _of_place(axes: tuple[np.ndarray, ...], free: np.ndarray, components: int) -> Iterator[Kernel]:
     """Fields of place: of any kind, and for velocities those without curl, or divergence."""
-    x, y = (part.ravel() for part in np.meshgrid(*term.axes, indexing='ij'))
+    x, y = (part.ravel() for part in np.meshgrid(*axes, indexing='ij'))
     dx, dy = x[:, None] - x[None, :], y[:, None] - y[None, :]
-    size = max(np.ptp(axis[1:-1]) for axis in term.axes)
-    for part in (0.2, 0.4, 0.8):
-        length = part * size
+    for length in (0.2, 0.4, 0.8):
         bell = np.exp(-0.5 * (dx**2 + dy**2) / length**2)
         yield Kernel('any', _spread(bell, free, components), 1.0)
         if components == 1:
@@ -164,8 +172,7 @@ def _of_place(term: LearnedTerm, free: np.ndarray, components: int) -> Iterator[
                 ('without circulation', [[xx, xy], [xy, yy]]),
                 ('without sources', [[yy, -xy], [-xy, xx]])):
             covariance = np.block(block) * np.tile(bell, (2, 2))
-            yield Kernel(kind, _leading(
-                np.where(both[:, None] & both[None, :], covariance, 0.0)), 1.0)
+            yield Kernel(kind, _leading(covariance, both), 1.0)
 
 
 @dataclass(frozen=True)

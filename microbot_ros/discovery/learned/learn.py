@@ -19,7 +19,8 @@ CONVINCING = float(np.log(1000))
 """Log evidence that a term must have, once all that were looked at are paid for."""
 
 HELD_OUT = float(np.log(20))
-"""Gain in log likelihood that a curve must bring to rows that it was not learned from."""
+"""Gain in log likelihood that a curve must bring to rows that it was not learned from; log n more
+for the n-th candidate that is tried."""
 
 MOST = 3
 """Terms that are learned, at most."""
@@ -60,21 +61,21 @@ class Finding:
         return float(projection @ values - 0.5 * values @ gram @ values)
 
 
-def learn_terms(fit: ModelFit,
+def learn_terms(fit: ModelFit, first: Finding | None,
                 report: Callable[[str], None] = lambda _: None) -> tuple[Finding, ...]:
     """The terms that explain what a `fit` leaves, one after the other; none if nothing convinces.
 
-    Each beside those before it, which are then learned again beside each other. `report` is told
-    what is being done.
+    `first` is the one of `learn_term`. Each is learned beside those before it, which are then
+    learned again beside each other. `report` is told what is being done.
     """
     findings: list[Finding] = []
-    while len(findings) < MOST:
-        found = learn_term(with_terms(fit, findings), report)
-        if found is None:
-            break
+    found = first
+    while found is not None and len(findings) < MOST:
         findings.append(found)
         if len(findings) > 1:
             findings = again_beside_each_other(fit, findings)
+        if len(findings) < MOST:
+            found = learn_term(with_terms(fit, findings), report)
     return tuple(map(finish, findings))
 
 
@@ -187,10 +188,10 @@ def _best(known: ModelFit, tables: Sequence[tuple[LearnedTerm, list[Kernel]]],
         (m.term.against, m.term.frame, m.term.acts_on): float(np.exp(curve.log_evidence - total))
         for m, curve in found}
     paid = float(np.log(max(len(tables), 1)))
-    for moments, curve in found:
+    for rank, (moments, curve) in enumerate(found, 1):
         if curve.log_evidence - paid < CONVINCING:
             return None
-        if foretells(moments) > HELD_OUT:
+        if foretells(moments) > HELD_OUT + np.log(rank):
             return Finding(_filled(moments, curve.mean), moments, curve, None,
                            curve.log_evidence - paid, odds)
     return None

@@ -84,9 +84,6 @@ def headline(found: Discovery) -> str:
     sure = [e for e in found.effects if e.status == 'established']
     rest = [e.id for e in found.effects if e.status != 'established']
     told = '; '.join(map(_told, sure))
-    if found.verdict == 'named' and not sure:
-        return (f'Missing from the first-order model: what looks like {listed(rest)}, but was not '
-                'seen for long enough to be told from what is in no list.')
     if found.verdict == 'named':
         return (f'Missing from the first-order model: {told}.'
                 + (f' What is left is small beside it, and shows against {_against(found)}.'

@@ -451,3 +451,41 @@ def whitened_products_with_heading(  # type: ignore[no-untyped-def]
             for other in range(m):
                 gram[other, m] = gram[m, other]
     return products, log_det + 0.5 * math.log(product), used
+
+
+@numba.njit(cache=True)
+def filter_headings(  # type: ignore[no-untyped-def]
+        times, pieces, left, noise_ratio, diffusion_ratio, sensitivity, retention):
+    """Deviations (T, N) [rad] of headings from those of a model, from rows so far.
+
+    `left` (T, N) complex [m]: positions less what the model expects. `times`, `pieces`,
+    `noise_ratio`, `diffusion_ratio`, `sensitivity` and `retention` as in
+    `whitened_products_with_heading`. Zero where a row is not used.
+    """
+    T, N = left.shape
+    out = np.zeros((T, N))
+    noises = _heading_noises(times, diffusion_ratio, retention)
+    place, turn = np.zeros(1, np.complex128), np.zeros(1)
+    for n in range(N):
+        piece = 0
+        covariance = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        for k in range(T):
+            if piece:
+                covariance = _carry(covariance, place, turn, k, n, times, noises,
+                                    diffusion_ratio, sensitivity, retention)
+            if not pieces[k, n]:
+                continue
+            if pieces[k, n] != piece:
+                piece = pieces[k, n]
+                covariance = (noise_ratio, 0.0, noise_ratio, 0.0, 0.0, _stationary_variance(
+                    diffusion_ratio, times, retention, k, n))
+                place[0], turn[0] = left[k, n], 0.0
+                continue
+            covariance, gains, _, _ = _seen(covariance, noise_ratio, noise_ratio)
+            gxx, gxy, gyx, gyy, gax, gay = gains
+            step = left[k, n] - place[0]
+            i, j = step.real, step.imag
+            place[0] += complex(gxx * i + gxy * j, gyx * i + gyy * j)
+            turn[0] += gax * i + gay * j
+            out[k, n] = turn[0]
+    return out

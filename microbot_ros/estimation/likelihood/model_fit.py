@@ -31,6 +31,9 @@ from microbot_ros.model.parameter import Parameter
 ROUNDS = 8
 """Turns in which effects and noise are fitted, at most."""
 
+SETTLED = 0.05
+"""Relative change of an alignment time with which the rows that it can explain hardly change."""
+
 ENOUGH = 0.01
 """Gain in −2 log likelihood that ends a search: a tenth of a standard deviation is left."""
 
@@ -66,6 +69,15 @@ class ModelFit:
     def cost(self) -> float:
         """−2 log likelihood."""
         return -2 * self.log_likelihood
+
+    @cached_property
+    def price_of_turning(self) -> float:
+        """What fitting the rotational diffusion D_r of sessions costs, in log odds.
+
+        0 where it is known. The prior of log D_r is flat over TURNING, and the peak of the
+        likelihood has a standard deviation s: log(range/(√(2π) s)).
+        """
+        return sum(map(_price_of_turning, self.session_fits))
 
     @property
     def count(self) -> int:
@@ -290,6 +302,18 @@ def _fit_noise(model: Model, fit: SessionFit, near: bool) -> SessionFit:
     return _last(search_noise_ratio(start, near))
 
 
+def _price_of_turning(fit: SessionFit) -> float:
+    known = fit.whitening
+    if known.sensitivity is None or fit.session.rotational_diffusion is not None:
+        return 0.0
+    around = [replace(known, diffusion_ratio=known.diffusion_ratio * math.exp(step))
+              for step in (-1.0, 1.0)]
+    lower, upper = (SessionFit.of(fit.session, one, fit.expected).log_likelihood for one in around)
+    curvature = 2 * fit.log_likelihood - lower - upper
+    spread = math.sqrt(2 * math.pi / max(curvature, NOTHING))
+    return max(math.log((TURNING[1] - TURNING[0]) / spread), 0.0)
+
+
 def _last(search: Iterator[SessionFit | None]) -> SessionFit:
     """What a search ends with."""
     *_, found = search
@@ -357,9 +381,21 @@ def fit_sessions(model: Model, sessions: Sequence[PreparedSession]) -> ModelFit:
     Effects start from where the model has them. Positions that terms depend on are those that a
     filter under the model believes.
     """
+    fit = _fit_sessions(model, sessions)
+    for _ in range(ROUNDS):
+        # Which rows a lag can explain depends on how long it is.
+        before, now = model.alignment_time, fit.model.alignment_time
+        if abs(now - before) <= SETTLED * now:
+            break
+        model, fit = fit.model, _fit_sessions(fit.model, sessions)
+    return fit
+
+
+def _fit_sessions(model: Model, sessions: Sequence[PreparedSession]) -> ModelFit:
+    """Fit a `model` to the rows of `sessions` that it can explain, as it was and as it is then."""
     fit = _fit_predictable(model, sessions, [ROTATIONAL_DIFFUSION] * len(sessions))
     if fit.model.lags:
-        # What a lag can explain depends on how long it is, and on how noisy headings are.
+        # What a lag can explain depends on how noisy headings are, too.
         fit = _fit_predictable(fit.model, sessions, [
             s.whitening.diffusion_ratio * s.diffusion for s in fit.session_fits])
     located = [

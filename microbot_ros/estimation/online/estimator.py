@@ -13,7 +13,7 @@ from microbot_ros.common.errors import InputError
 from microbot_ros.common.records import Conditions
 from microbot_ros.estimation.held import HeldWatch
 from microbot_ros.estimation.likelihood.noise import Noise, stokes_einstein
-from microbot_ros.estimation.online.commands import CommandLog
+from microbot_ros.estimation.online.commands import SET_BACK, CommandLog
 from microbot_ros.estimation.online.estimates import FASTEST, Estimates, Settings, State, answer
 from microbot_ros.estimation.online.heading_bank import HeadingBank
 from microbot_ros.estimation.online.jumps import JumpNotes
@@ -46,9 +46,6 @@ FARTHEST = 1.0
 
 BEST = 0.01
 """Variance of the best readings in a frame over that of its typical ones, at least."""
-
-SET_BACK = 1.0
-"""A clock that goes back by more than this [s] has been started anew."""
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 
 from microbot_ros.model.effect import Effect
 from microbot_ros.model.evidence import Evidence
-from microbot_ros.model.parameter import parameter
+from microbot_ros.model.parameter import COILS, parameter
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,8 @@ class AmplifierDeadband(Effect):
         'commands in all directions, best weak ones: headings bend towards the axes')
     confounded_with = ('coil_gain_mismatch', 'incomplete_alignment')
 
-    deadband: float = parameter('deadband_mT', 'field that each axis loses', 0.0, 1e-2, 1e-4)
+    deadband: float = parameter('deadband_mT', 'field that each axis loses', 0.0, 1e-2, 1e-4,
+                                floor=COILS)
 
     def field(self, B: np.ndarray) -> np.ndarray:
         return np.copysign(np.maximum(np.abs(B) - self.deadband, 0.0), B)

@@ -8,7 +8,7 @@ import numpy as np
 
 from microbot_ros.model.effect import Effect
 from microbot_ros.model.evidence import Evidence
-from microbot_ros.model.parameter import parameter
+from microbot_ros.model.parameter import COILS, parameter
 
 
 @dataclass(frozen=True)
@@ -22,8 +22,10 @@ class BackgroundField(Effect):
         'commands in all directions, best at two field magnitudes: it bends as 1/|B|')
     confounded_with = ('uniform_drift', 'coil_gain_mismatch', 'coil_misalignment')
 
-    bx: float = parameter('bx_mT', 'background field to the right', -2e-2, 2e-2, 1e-4)
-    by: float = parameter('by_mT', 'background field upwards', -2e-2, 2e-2, 1e-4)
+    bx: float = parameter('bx_mT', 'background field to the right', -2e-2, 2e-2, 1e-4,
+                          floor=COILS)
+    by: float = parameter('by_mT', 'background field upwards', -2e-2, 2e-2, 1e-4,
+                          floor=COILS)
 
     def field(self, B: np.ndarray) -> np.ndarray:
         return B + np.array([self.bx, self.by])

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from microbot_ros.model.effect import Effect
-from microbot_ros.model.parameter import parameter
+from microbot_ros.model.parameter import ALIKE, parameter
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class CoilGainMismatch(Effect):
     )
 
     gain_ratio: float = parameter(
-        'gain_ratio', 'y coils over x coils', 0.4, 2.5, 0.1, null_value=1.0,
+        'gain_ratio', 'y coils over x coils', 0.4, 2.5, 0.1, null_value=1.0, floor=ALIKE,
     )
 
     def field(self, B: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from microbot_ros.model.effect import Effect
-from microbot_ros.model.parameter import parameter
+from microbot_ros.model.parameter import ALIKE, parameter
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,8 @@ class CoilMisalignment(Effect):
     required_excitation = 'commands in all directions'
     confounded_with = ('background_field', 'coil_gain_mismatch')
 
-    skew: float = parameter('skew_rad', 'lean of the y axis towards +x', -1.0, 1.0, 0.1)
+    skew: float = parameter('skew_rad', 'lean of the y axis towards +x', -1.0, 1.0, 0.1,
+                            floor=ALIKE)
 
     def field(self, B: np.ndarray) -> np.ndarray:
         lean = np.array([[1.0, np.sin(self.skew)], [0.0, np.cos(self.skew)]])

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from microbot_ros.model.effect import Effect
 from microbot_ros.model.evidence import Evidence
-from microbot_ros.model.parameter import parameter
+from microbot_ros.model.parameter import STAMPS, parameter
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,8 @@ class CommandDelay(Effect):
         'turns of the command by different angles, or of its strength or frequency')
     confounded_with = ('alignment_lag', 'heading_slip')
 
-    delay: float = parameter('delay_s', 'from command to field', 0.0, 2.0, 0.05)
+    delay: float = parameter('delay_s', 'from command to field', 0.0, 2.0, 0.05,
+                             floor=STAMPS)
 
     def latency(self) -> float:
         return self.delay

@@ -9,7 +9,7 @@ import numpy as np
 from microbot_ros.model.effect import Effect
 from microbot_ros.model.effect_context import EffectContext
 from microbot_ros.model.evidence import Evidence
-from microbot_ros.model.parameter import parameter
+from microbot_ros.model.parameter import STAMPS, parameter
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,8 @@ class AlignmentLag(Effect):
         'turns of the command by different angles, best some near 180° and some near 30°')
     confounded_with = ('command_delay', 'heading_slip')
 
-    tau: float = parameter('tau_s', 'alignment time at the reference field', 0.0, 30.0, 0.1)
+    tau: float = parameter('tau_s', 'alignment time at the reference field', 0.0, 30.0, 0.1,
+                           floor=STAMPS)
 
     def alignment_rate(self, context: EffectContext) -> np.ndarray | None:
         if self.tau == 0:

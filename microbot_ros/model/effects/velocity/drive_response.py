@@ -66,11 +66,10 @@ class DriveResponse(Effect):
 
     @classmethod
     def starts(cls, evidence: Evidence) -> Sequence[Self]:
-        f = evidence.recordings[0].commands.frequency
-        driven = np.abs(f[f != 0]) if f is not None else np.empty(0)
+        driven = evidence.frequencies[evidence.frequencies > 0]
         if not driven.size:
             return (cls.null(),)
-        low, *corners = np.quantile(np.unique(driven), [0.1, 0.25, 0.5, 0.75]).tolist()
+        low, *corners = np.quantile(driven, [0.1, 0.25, 0.5, 0.75]).tolist()
         return tuple(cls(low / 2, slip, corner) for corner in corners for slip in (0.0, 0.5))
 
 

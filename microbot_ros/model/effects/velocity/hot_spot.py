@@ -34,6 +34,7 @@ class HotSpot(Effect):
     required_excitation = 'tracks that pass on different sides of the place, at about its width'
     confounded_with = ('uniform_drift', 'linear_flow', 'gradient_force', 'speed_decay')
     proportional = True
+    lookalike_time = 210.0  # a flow that differs from place to place: docs/decisions/asking.md
     needs_position = True
 
     x: float = parameter('x_um', 'the spot', -1e-2, 1e-2, 1e-5, shape=True)
@@ -50,15 +51,17 @@ class HotSpot(Effect):
 
     @classmethod
     def starts(cls, evidence: Evidence) -> Sequence[Self]:
-        return evidence.promising(evidence.likely(cls._grid(evidence.recordings[0]), cls._near))
+        return evidence.promising(evidence.likely(cls._grid(evidence), cls._near))
 
     @classmethod
-    def _grid(cls, recorded: Recorded) -> tuple[Self, ...]:
-        """On grids over what the tracks cover, a width apart, at five widths."""
-        if recorded.positions is None:
+    def _grid(cls, evidence: Evidence) -> tuple[Self, ...]:
+        """On grids over what the tracks of all recordings cover, a width apart, at five widths."""
+        places = [one.positions.reshape(-1, 2) for one in evidence.recordings
+                  if one.positions is not None]
+        if not places:
             return (cls.null(),)
-        low = np.nanmin(recorded.positions, axis=(0, 1))
-        high = np.nanmax(recorded.positions, axis=(0, 1))
+        low = np.nanmin([np.nanmin(one, axis=0) for one in places], axis=0)
+        high = np.nanmax([np.nanmax(one, axis=0) for one in places], axis=0)
         extent = float(max(high - low))
         return tuple(
             cls(x, y, 0.0, extent / part) for part in _WIDTHS
@@ -82,7 +85,7 @@ class HotSpot(Effect):
 
         Among narrow ones there are more to look at, and each pays for all.
         """
-        grid = self._grid(evidence.recordings[0])
+        grid = self._grid(evidence)
         area = np.ptp([spot.x for spot in grid]) * np.ptp([spot.y for spot in grid])
         # A spot reaches over two widths each way.
         return float(max(len({spot.width for spot in grid}) * area / (4 * self.width) ** 2, 1.0))

@@ -21,6 +21,7 @@ class LinearFlow(Effect):
     required_excitation = 'positions spread over the workspace and visited more than once'
     confounded_with = ('uniform_drift', 'hot_spot', 'gradient_force')
     proportional = True
+    lookalike_time = 210.0  # a flow that differs from place to place: docs/decisions/asking.md
     needs_position = True
 
     gxx: float = parameter('gxx_per_s', 'd v_x / d x', -1.0, 1.0, 1e-2)

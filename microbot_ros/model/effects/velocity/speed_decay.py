@@ -22,6 +22,7 @@ class SpeedDecay(Effect):
     required_excitation = 'a recording of a good part of the decay that returns to earlier places'
     confounded_with = ('hot_spot', 'incomplete_alignment', 'drive_response')
     time_invariant = False
+    lookalike_time = 54.0  # a lamp, or warmth, that changes: docs/decisions/asking.md
 
     tau: float = parameter(
         'tau_s', 'time in which the speed falls to 1/e', 1.0, np.inf, 100.0,

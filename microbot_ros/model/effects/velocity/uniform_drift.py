@@ -22,6 +22,7 @@ class UniformDrift(Effect):
         'commands whose directions average out, so that propulsion does not hide it')
     confounded_with = ('background_field', 'linear_flow', 'periodic_drift', 'hot_spot')
     proportional = True
+    lookalike_time = 210.0  # a flow that differs from place to place: docs/decisions/asking.md
 
     wx: float = parameter('wx_um_s', 'drift to the right', -1e-4, 1e-4, 1e-6)
     wy: float = parameter('wy_um_s', 'drift upwards', -1e-4, 1e-4, 1e-6)
