@@ -43,7 +43,8 @@ _SAYS = ('complain', '_refuse', 'trip', 'Outcome', 'set_result', 'request_zero',
 """Functions whose argument is a sentence for whoever drives the rig."""
 
 _ANSWERS = ('arm', '_choose_commander', '_silence', '_diagnosis', '_stray', '_inspect', '_problem',
-            '_changes', '_duplicates', '_clock', '_of_restless', 'sentences')
+            '_changes', '_duplicates', '_clock', '_of_restless', '_of_held',
+            'sentences')
 """Functions that return such a sentence."""
 
 _NAMES = ('fault', 'complaint', 'problem', 'detail', '_trouble', '_finished', 'why', '_fault',
