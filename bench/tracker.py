@@ -23,8 +23,6 @@ from microbot_ros.tracking.tracker import make_detector
 
 _DATA = Path(__file__).parents[1].parent / 'shared' / 'data'
 _NOWHERE = np.empty((0, 2))
-_FULL_SEARCH = 0.1
-"""Seconds between searches of the whole picture, as the node has them."""
 
 _LIKE_TRACKPY = TrackerSettings(
     diameter_px=8, min_contrast_grey=2, min_quality=0, size_tolerance=2.4, min_detection_sigma=4)
@@ -273,19 +271,10 @@ def _mickyroll() -> list[Figure]:
     images = [frame.image for frame in itertools.islice(source.frames(), 120)]
     settings = TrackerSettings()
     appearance = learn(images[:10], settings)
-    full, windows = (
-        Tracker(settings, appearance, interval) for interval in (0.0, _FULL_SEARCH))
-    spent = np.array([
-        [_seconds(full, image, t / 60), _seconds(windows, image, t / 60)]
-        for t, image in enumerate(images)])[10:]
-    faster = float(np.divide(*spent.mean(axis=0)))
-    return [
-        _at_least(8, 'detection and linking, 2048×1080', 1 / float(np.median(spent[:, 0])),
-                  'frames/s', 60, 'one core'),
-        _at_least(8, f'the same, a full search every {1e3 * _FULL_SEARCH:.0f} ms '
-                  f'({1 / spent[:, 1].mean():.0f} frames/s), windows otherwise', faster,
-                  '× faster', 1, 'full searches in every frame'),
-    ]
+    tracker = Tracker(settings, appearance)
+    spent = np.array([_seconds(tracker, image, t / 60) for t, image in enumerate(images)])[10:]
+    return [_at_least(8, 'detection and linking, 2048×1080', 1 / float(np.median(spent)),
+                      'frames/s', 60, 'one core')]
 
 
 def _seconds(tracker: Tracker, image: np.ndarray, t: float) -> float:

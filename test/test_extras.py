@@ -11,6 +11,7 @@ import lowest
 import pytest
 
 from microbot_ros.common.extras import EXTRAS, advice
+from microbot_ros.nodes.process import NODES
 
 ROOT = Path(__file__).parents[1]
 WITHOUT = f"""
@@ -35,6 +36,13 @@ def test_every_library_of_an_extra_is_named() -> None:
         for library in libraries:
             assert EXTRAS[library.partition('>')[0]] == extra
     assert set(EXTRAS.values()) >= set(lowest.features())
+
+
+@pytest.mark.parametrize('node', sorted(set(NODES) - {'cockpit'}))
+def test_a_node_needs_only_the_core(node: str) -> None:
+    """Import only: what a node does with a library of an extra, it asks for when it does it."""
+    done = run(f'import microbot_ros.nodes.{node}')
+    assert done.returncode == 0, done.stderr
 
 
 def test_no_command_needs_an_extra_to_explain_itself() -> None:

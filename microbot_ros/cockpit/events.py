@@ -17,7 +17,7 @@ _RIG = {'armed': 'note', 'disarmed': 'note', 'fault': 'error', 'unknown': 'warni
 
 
 def explained(sentence: str) -> dict[str, str]:
-    """Return the `cause` and the `cure` of what a node said, where the catalogue knows it."""
+    """Return `cause` and `cure` of a `sentence` of a node, where the catalogue knows it."""
     found = remedy(sentence)
     return {'cause': found.cause, 'cure': found.cure} if found else {}
 

@@ -45,10 +45,6 @@ class TrackerParameters:
     settings_file: str = setting(
         '', 'YAML file with settings of the detection; empty chooses them from the first frames.',
         read_only=True)
-    full_search_ms: float = setting(
-        100.0, 'Longest time between searches of the whole picture, and so until a new particle '
-        'is seen; known ones are looked for around their predictions. 0: every frame.',
-        lower=0.0, upper=10_000.0, read_only=True)
 
 
 class TrackerStage:
@@ -62,9 +58,7 @@ class TrackerStage:
         file = parameters.settings_file
         self._parameters = parameters
         self._wanted = read_yaml(file, TrackerSettings) if file else TrackerSettings()
-        self._tracker = Tracker(
-            self._wanted,
-            full_search_interval=units.to_si('full_search_ms', parameters.full_search_ms))
+        self._tracker = Tracker(self._wanted)
         self._camera: ImageToWorkspace | None = None
         self._drive = Drive()
         self._previous = 0.0

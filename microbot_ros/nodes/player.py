@@ -8,18 +8,20 @@ import itertools
 import math
 import time
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from std_srvs.srv import SetBool, Trigger
 
 from microbot_ros.common.errors import InputError
+from microbot_ros.common.extras import require
 from microbot_ros.common.settings import setting
-from microbot_ros.nodes.lifecycle import OK, RigNode
-from microbot_ros.nodes.live_rig import LiveRig
-from microbot_ros.nodes.playback_publishers import PlaybackPublishers
-from microbot_ros.nodes.topics import CHANGES
-from microbot_ros.session.mcap.recording import Message
-from microbot_ros.session.replay.playback import Playback, open_source
+from microbot_ros.nodes.base.lifecycle import OK, RigNode
+from microbot_ros.nodes.base.playback_publishers import PlaybackPublishers
+from microbot_ros.nodes.base.topics import CHANGES
+from microbot_ros.nodes.client.live_rig import LiveRig
+
+if TYPE_CHECKING:
+    from microbot_ros.session.mcap.recording import Message
 
 _CLOCK_SECONDS = 0.01
 _SETTLED_SECONDS = 0.5
@@ -80,6 +82,9 @@ class PlayerNode(RigNode):
         if not values.session:
             raise InputError(self.get_name(), 'expected a parameter session: what to play')
         self._open = contextlib.ExitStack()
+        require('mcap')
+        from microbot_ros.session.replay.playback import open_source
+
         self._source = self._open.enter_context(open_source(values.session))
         self._kinds = self._find_kinds(set(values.topics))
         self._outlets = PlaybackPublishers(self, self._kinds)
@@ -97,6 +102,8 @@ class PlayerNode(RigNode):
         self._listeners = 0
         self._unsent = None
         self._begun = self._done = False
+        from microbot_ros.session.replay.playback import Playback
+
         self._playback = Playback(
             self._source, self._asked, rate=values.rate or math.inf, start=values.start_s,
             end=values.end_s or None, loop=values.loop, topics=[*self._kinds])

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from importlib import metadata
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import yaml
 from rcl_interfaces.msg import ParameterEvent
@@ -20,12 +20,14 @@ from rclpy.serialization import deserialize_message
 from std_srvs.srv import SetBool
 
 from microbot_ros.common.errors import InputError
+from microbot_ros.common.extras import require
 from microbot_ros.common.settings import setting
-from microbot_ros.nodes.lifecycle import OK, WARN, RigNode
-from microbot_ros.nodes.parameter_collector import ParameterCollector
-from microbot_ros.nodes.topics import CHANGES, TOPICS, type_name
-from microbot_ros.session.mcap.bag import typestore
-from microbot_ros.session.mcap.recorder import RecordingWriter
+from microbot_ros.nodes.base.lifecycle import OK, WARN, RigNode
+from microbot_ros.nodes.base.topics import CHANGES, TOPICS, type_name
+from microbot_ros.nodes.client.parameter_collector import ParameterCollector
+
+if TYPE_CHECKING:
+    from microbot_ros.session.mcap.recorder import RecordingWriter
 
 _FRAMES, _OVERLAY = 'camera/image_raw', 'overlay/image_raw'
 _CONDITIONS = (
@@ -68,6 +70,9 @@ class RecorderNode(RigNode):
     Parameters: ClassVar[type] = RecorderParameters
 
     def setup(self) -> None:
+        require('mcap')
+        from microbot_ros.session.mcap.bag import typestore
+
         typestore()  # takes 0.1 s; frames would wait for it, and some be lost
         self._writer: RecordingWriter | None = None
         self._subject: dict[str, str] = {}
@@ -136,6 +141,8 @@ class RecorderNode(RigNode):
     def _begin(self) -> None:
         values: RecorderParameters = self.settings
         folder = values.folder or f'recordings/{datetime.now():%Y-%m-%d_%H-%M-%S}'
+        from microbot_ros.session.mcap.recorder import RecordingWriter
+
         writer = RecordingWriter(folder)
         self._subject = {'title': values.title, 'notes': values.notes}
         self._began = time.monotonic()

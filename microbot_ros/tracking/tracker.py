@@ -17,7 +17,6 @@ from microbot_ros.tracking.locate.detect import RoundDetector
 from microbot_ros.tracking.locate.kinds_detector import KindsDetector, stand_in
 from microbot_ros.tracking.locate.outline import OutlineDetector
 from microbot_ros.tracking.refine.appearance import Appearance
-from microbot_ros.tracking.search_windows import SearchWindows
 from microbot_ros.tracking.settings import TrackerSettings
 from microbot_ros.tracking.teach.learn import learning
 
@@ -78,15 +77,10 @@ class Tracker:
     a portion with each frame that follows; `ready` turns True then, and till then there are no
     poses. OpenCV is set to one thread: the tracker shares
     its machine with the rest of the loop.
-
-    The whole picture is searched every `full_search_interval` [s], as soon as anything is not as
-    expected, and around the known particles otherwise: see `SearchWindows`. A new particle is
-    found that much later at most; with 0 every search is for all.
     """
 
     def __init__(
         self, settings: TrackerSettings, appearance: Appearance | None = None,
-        full_search_interval: float = 0.0,
     ) -> None:
         import cv2
 
@@ -96,7 +90,6 @@ class Tracker:
         self.size: tuple[int, int] | None = None
         self._dtype: np.dtype | None = None
         self._follower: _Follower | None = None
-        self._full_search_interval = full_search_interval
         self._first_frames: list[np.ndarray] = []
         self._learning: Generator[None, None, Appearance | None] | None = None
         self.remarks: dict[str, str] = {}
@@ -161,10 +154,9 @@ class Tracker:
             self._learn(image)
             return _poses(t, None, 0j)
         if self._follower is None:
-            self._follower = _Follower(
-                self.settings, self.appearance, image.shape, self._full_search_interval)
+            self._follower = _Follower(self.settings, self.appearance, image.shape)
         pushed = 0j if drive is None else complex(*drive)
-        self._follower.follow(image, t, dt, pushed)
+        self._follower.follow(image, dt, pushed)
         linker = self._follower.linker
         self.remarks = self._frame_quality.look(image, dt, linker.jump) | linker.doubts
         if self._follower.detector.remark:
@@ -220,33 +212,20 @@ class _Follower:
     """Search, fit and linking, once it is known what the particles look like."""
 
     def __init__(self, settings: TrackerSettings, appearance: Appearance, size: tuple[int, int],
-                 full_search_interval: float) -> None:
+                 ) -> None:
         self.linker = Linker(settings, appearance, size)
-        self._interval = full_search_interval
         self.look_for(settings, appearance)
 
     def look_for(self, settings: TrackerSettings, appearance: Appearance) -> None:
         """Find what these `settings` say and is of this `appearance`; go on with who is known."""
         self.detector = make_detector(appearance, settings)
         self.linker.look_for(settings, appearance)
-        # Kinds are looked for everywhere: in windows there would be no light to compare with.
-        interval = 0.0 if settings.kinds else self._interval
-        self._search_windows = SearchWindows(interval, self.linker.max_step_px,
-                                self.detector.margin_px, self.detector.grain_px)
 
-    def follow(self, image: np.ndarray, t: float, dt: float | None, pushed: complex) -> None:
-        """Follow all on to the picture (H, W) at time `t` [s], `dt` after the last."""
+    def follow(self, image: np.ndarray, dt: float | None, pushed: complex) -> None:
+        """Follow all on to the picture (H, W), `dt` [s] after the last."""
         if dt is not None:
             self.linker.predict(dt, pushed)
-        expected = self.linker.expected()
-        windows = self._search_windows.windows(t, self.linker.states, image.shape)
-        if windows is not None:
-            found = self.detector.detect(image, expected, windows)
-            if len(found) >= len(expected):
-                self.linker.update(found, everywhere=False)
-                return
-        self._search_windows.looked_everywhere(t)
-        self.linker.update(self.detector.detect(image, expected))
+        self.linker.update(self.detector.detect(image, self.linker.expected()))
 
 
 def make_detector(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from functools import cache
 
 import numpy as np
@@ -31,11 +30,10 @@ def warm_up(dtype: type[np.uint8] | type[np.uint16] = np.uint8) -> None:
     for shape, cap in (('round', 0.0), ('round', 40.0), ('any', 0.0)):
         settings = TrackerSettings(shape=shape, diameter_px=10)
         scale = 1 if dtype is np.uint8 else 64
-        # One more than it takes to name a particle: named ones are looked for where expected,
-        # in windows.
+        # One more than it takes to name a particle.
         frames = [
             (_discs(rng, cap) * scale).astype(dtype) for _ in range(settings.confirm_frames + 1)]
-        tracker = Tracker(settings, learn(frames, settings), full_search_interval=math.inf)
+        tracker = Tracker(settings, learn(frames, settings))
         for k, frame in enumerate(frames):
             tracker.update(frame, float(k))
     # Whoever points at something has frames coming.
@@ -46,7 +44,7 @@ def warm_up(dtype: type[np.uint8] | type[np.uint16] = np.uint8) -> None:
 
 
 def _discs(rng: np.random.Generator, cap: float) -> np.ndarray:
-    """Discs, one side of each darker by `cap`: enough to see shaking, with room for windows."""
+    """Discs, one side of each darker by `cap`: enough to see shaking."""
     y, x = np.mgrid[0:160, 0:320]
     picture = 150 + rng.normal(0, 1, x.shape)
     for k, angle in enumerate((0.4, 2.1, -1.2, 3.0, -2.5)):

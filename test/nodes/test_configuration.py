@@ -9,8 +9,8 @@ import pytest
 import yaml
 
 from microbot_ros.common.errors import InputError
+from microbot_ros.nodes.base.names import NODES
 from microbot_ros.nodes.configuration import node_class, read_rig, refused
-from microbot_ros.nodes.process import NODES
 
 ROOT = Path(__file__).parents[2]
 
@@ -37,7 +37,7 @@ def test_who_asks_for_no_measurement_gets_an_amplifier_without(tmp_path: Path) -
 @pytest.mark.parametrize(('text', 'line', 'expected'), [
     ('coil_diver:\n  ros__parameters: {}\n', 1, "unknown node 'coil_diver'; known are: camera"),
     ('tracker:\n  ros__parameters:\n    pixel_size_mm: 1.0\n', 3,
-     "unknown parameter 'pixel_size_mm' of tracker; known are: field_source, full_search_ms"),
+     "unknown parameter 'pixel_size_mm' of tracker; known are: example_kind, field_source"),
     ('controller:\n  ros__parameters:\n    waypoint.arival_um: 3\n', 3,
      "unknown parameter 'waypoint.arival_um' of controller; nearest of "),
     ('controller:\n  ros__parameters:\n    controller: waypiont\n', 3,

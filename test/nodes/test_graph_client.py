@@ -16,8 +16,9 @@ from sensor_msgs.msg import PointCloud2
 from microbot_ros.drive.amplifier import Zero
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.loop.points import ESTIMATE
-from microbot_ros.nodes import messages, rig_client
-from microbot_ros.nodes.graph_client import GraphClient
+from microbot_ros.nodes.base import messages
+from microbot_ros.nodes.client import rig_client
+from microbot_ros.nodes.client.graph_client import GraphClient
 
 
 @pytest.fixture(autouse=True)
@@ -192,12 +193,14 @@ def _requests(driver: Any) -> list[bool]:
 
 
 def test_arming_whose_answer_was_lost_is_not_asked_for_again(
-        ros: Any, emulator: Any, lose: Callable[[str], list[str]]) -> None:
+        ros: Any, emulator: Any, lose: Callable[[str], list[str]],
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rig_client, 'ARM_S', (4.0,))
     lost = lose('~/arm')
     graph, driver = _driver_and_commander(ros, emulator)
     asked = _requests(driver)
     assert graph.microbot('arm') == (
-        1, '', 'microbot: coil_driver did not answer within 20 s; disarmed: '
+        1, '', 'microbot: coil_driver did not answer within 4 s; disarmed: '
         'zero, confirmed by a reading\n')
     assert lost
     assert asked == [True, False]

@@ -44,7 +44,8 @@ from microbot_ros.control.testkit import controller_input
 from microbot_ros.estimation.batch import fit
 from microbot_ros.estimation.online.estimator import Estimates, Estimator
 from microbot_ros.loop.points import PARTICLE
-from microbot_ros.nodes import messages, process
+from microbot_ros.nodes import process
+from microbot_ros.nodes.base import messages
 from microbot_ros.nodes.replay import (
     STAGES,
     Replay,
@@ -55,9 +56,9 @@ from microbot_ros.nodes.replay import (
 from microbot_ros.session import read_session
 from microbot_ros.session.mcap.cloud import cloud_table
 from microbot_ros.session.mcap.recorder import RecordingWriter
-from microbot_ros.session.mcap.recording import header_stamp_ns, open_recording
+from microbot_ros.session.mcap.recording import open_recording
 from microbot_ros.session.replay.compare import compare
-from microbot_ros.session.replay.log import PARAMETERS, Entry
+from microbot_ros.session.replay.log import PARAMETERS, Entry, header_stamp_ns
 from microbot_ros.session.replay.playback import open_source
 
 DATA = Path(__file__).parents[1] / 'data'

@@ -9,8 +9,14 @@ from hypothesis import strategies as st
 from recordings import Listed, vector
 
 from microbot_ros.common.errors import InputError
-from microbot_ros.session.mcap.recording import Message, header_stamp_ns
-from microbot_ros.session.replay.log import Entry, Inputs, order_of_receipt, read_log
+from microbot_ros.session.mcap.recording import Message
+from microbot_ros.session.replay.log import (
+    Entry,
+    Inputs,
+    header_stamp_ns,
+    order_of_receipt,
+    read_log,
+)
 
 VECTOR = 'geometry_msgs/msg/Vector3Stamped'
 MS = 1_000_000

@@ -33,7 +33,7 @@ for count in (1, 6, 90):
         frames.append(expose(picture, 3, rng))
     for shape in ('round', 'any'):
         settings = TrackerSettings(shape=shape)
-        tracker = Tracker(settings, learn(frames, settings), full_search_interval=1.0)
+        tracker = Tracker(settings, learn(frames, settings))
         for t, frame in enumerate(frames):
             tracker.update(frame, t / 60)
         later = compiled()

@@ -13,8 +13,9 @@ from rich.console import Console
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.files import write_text
-from microbot_ros.session.mcap.recording import header_stamp_ns, is_recording, open_recording
+from microbot_ros.session.mcap.recording import is_recording, open_recording
 from microbot_ros.session.replay.compare import Doubt, TopicDifference, compare
+from microbot_ros.session.replay.log import header_stamp_ns
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -9,6 +9,7 @@ import numpy as np
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.records import Session
+from microbot_ros.estimation.held import is_held
 from microbot_ros.estimation.likelihood.prepared_session import (
     JUMP,
     PreparedSession,
@@ -39,21 +40,6 @@ FAINT = 2e-5
 
 SURE = 4.0
 """Standard deviations from which a particle is said to follow the commands."""
-
-NORMALS = np.exp(2j * np.pi * np.arange(180) / 180)
-"""Directions in which a wall is looked for."""
-
-BORDER, INNER = 1.5, 0.92
-"""Half the breadth of a border, in standard deviations of a step, and the quantile of places
-along its normal in its middle: beyond lies only the error of reading."""
-
-LONG = 0.15
-"""Part of its steps that a particle is at a border if it is pressed against a wall there."""
-
-HELD, LEGS = 0.25, 4
-"""Part of the way into a wall that it goes at most, under so many different commands: a flow
-balances one of them at most, and each at another place."""
-
 
 def check_sessions(sessions: Sequence[Session],
                    ) -> tuple[list[PreparedSession], tuple[str, ...]]:
@@ -228,41 +214,8 @@ def at_a_wall(e: PreparedSession) -> np.ndarray:
     use = e.joined()
     legs = e.commands.index_at(e.times[:-1])
     return np.array([
-        _is_held(e.z[:-1, n][used], np.diff(e.z[:, n])[used], swum[used, n], legs[used])
+        is_held(e.z[:-1, n][used], np.diff(e.z[:, n])[used], swum[used, n], legs[used])
         for n, used in enumerate(use.T)], bool)
-
-
-def _is_held(z: np.ndarray, steps: np.ndarray, swum: np.ndarray, legs: np.ndarray) -> bool:
-    """Whether a wall holds a particle: `steps` (T,) from `z` (T,), `swum` (T,) for c = 1.
-
-    `legs` (T,): which command each was under.
-    """
-    if len(steps) < FEWEST_FRAMES or not swum.any():
-        return False
-    c = np.vdot(swum, steps) / np.vdot(swum, swum)
-    breadth = BORDER * float(np.sqrt(np.mean(np.abs(steps - c * swum) ** 2) / 2))
-    out = (z[:, None] * NORMALS.conj()).real
-    inwards = np.quantile(out, INNER, axis=0) - out
-    share = (np.abs(inwards) < breadth).mean(axis=0)
-    k = int(share.argmax())
-    normal, there, free = NORMALS[k], np.abs(inwards[:, k]) < breadth, inwards[:, k] > 2 * breadth
-    if share.max() < LONG:
-        return False
-    # A wall leaves the motion along it free, and all motion elsewhere: c by these, as two real
-    # numbers. By the motion along it alone c is hardly known where that keeps to one line.
-    along, way = (steps / (1j * normal)).real, swum / (1j * normal)
-    moved, ways = np.append(along, (steps / normal).real[free]), np.append(way, 1j * way[free])
-    columns = np.stack([ways.real, -ways.imag], axis=1)
-    found = np.linalg.lstsq(columns, moved, rcond=1e-6)[0]
-    towards = (complex(*found) * swum / normal).real
-    if towards[there].sum() < 0:
-        normal, towards = -normal, -towards
-    pressed = there & (towards > 0)
-    spread = float(np.std(along - columns[:len(along)] @ found)) * np.sqrt(pressed.sum())
-    expected, gone = towards[pressed].sum(), (steps[pressed] / normal).real.sum()
-    pushes = np.bincount(legs[pressed] - legs[0], towards[pressed])
-    return bool(np.count_nonzero(pushes > 2 * breadth) >= LEGS and gone < HELD * expected
-                and expected - gone > 2 * SURE * spread)
 
 
 def _without(session: Session, names: set[int]) -> Session:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.integrate import trapezoid
 
 from microbot_ros.estimation.likelihood.expected_displacement import ExpectedDisplacement
 from microbot_ros.estimation.likelihood.joint import SessionFit, Whitening
@@ -74,9 +73,12 @@ def _moments(at: np.ndarray, value: np.ndarray) -> tuple[float, float, float]:
         np.linspace(low, high, 12) for low, high in pairwise(at)
     ]))
     density = np.exp(np.interp(fine, at, value) - value.max())
-    mass = trapezoid(density, fine)
-    mean = trapezoid(density * fine, fine) / mass
-    variance = trapezoid(density * (fine - mean) ** 2, fine) / mass
+    # The trapezoid rule, by hand: importing scipy.integrate would take a node 0.1 s.
+    steps = np.diff(fine)
+    weight = density * (np.append(steps, 0.0) + np.insert(steps, 0, 0.0))
+    weight /= weight.sum()
+    mean = weight @ fine
+    variance = weight @ (fine - mean) ** 2
     return float(mean), float(np.sqrt(variance)), mode
 
 

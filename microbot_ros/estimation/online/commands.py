@@ -11,6 +11,8 @@ from microbot_ros.common.records import Commands
 NEGLIGIBLE = 1e-5
 """A field weaker than this [T], a fifth of the earth's, is noise of a read-back."""
 
+SET_BACK = 1.0
+"""A clock that goes back by more than this [s] has been started anew."""
 
 STRONGEST, FASTEST_TURN = 1e3, 1e6
 """Fields [T] and frequencies [Hz] beyond these are no commands, whoever sends them."""

@@ -11,8 +11,9 @@ import numpy as np
 from microbot_ros.common.compiled import numba
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.records import Conditions
+from microbot_ros.estimation.held import HeldWatch
 from microbot_ros.estimation.likelihood.noise import Noise, stokes_einstein
-from microbot_ros.estimation.online.commands import CommandLog
+from microbot_ros.estimation.online.commands import SET_BACK, CommandLog
 from microbot_ros.estimation.online.estimates import FASTEST, Estimates, Settings, State, answer
 from microbot_ros.estimation.online.heading_bank import HeadingBank
 from microbot_ros.estimation.online.jumps import JumpNotes
@@ -45,9 +46,6 @@ FARTHEST = 1.0
 
 BEST = 0.01
 """Variance of the best readings in a frame over that of its typical ones, at least."""
-
-SET_BACK = 1.0
-"""A clock that goes back by more than this [s] has been started anew."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +86,8 @@ class Estimator:
         self._track_faults = TrackFaults()
         self._faults: tuple[str, ...] = ()
         self._restless: set[int] = set()
+        self._held = HeldWatch()
+        self._moved: dict[int, tuple[complex, complex]] = {}
         self._next_question = -np.inf
         self._t = -np.inf
 
@@ -157,6 +157,9 @@ class Estimator:
         shared = self._knowledge(frame.sigma)
         readings, changed = self._filter(frame, shared)
         begun = self._begun_anew(readings)
+        free = self._held.add(
+            t, self._population.ids, readings.z, readings.seen, self._moved)
+        self._population.begin_anew(free)
         self._watch(readings)
         shared.add(t, self._population.ids, readings, changed)
         if shared.work(t, self.model, self._log, self._population):
@@ -221,6 +224,9 @@ class Estimator:
         step = self._propagator.advance(
             self._log, shared.delay.value, start, frame.t,
             Swarm(self._population.ids, bank.p[0], bank.velocity_phasor[0]))
+        ids = self._population.ids
+        both = (np.broadcast_to(part, len(ids)).tolist() for part in (step.path, step.drift))
+        self._moved = dict(zip(ids.tolist(), zip(*both, strict=True), strict=True))
         wander = (WANDER * np.abs(bank.velocity_phasor[0])) ** 2 * step.span
         if isinstance(bank, HeadingBank):
             bent = self._propagator.heading_deviation(
@@ -258,7 +264,8 @@ class Estimator:
             self._opening = None
 
     def _answer(self, seen: np.ndarray, begun_anew: tuple[str, ...]) -> Estimates:
-        state = State(self._t, self._population.ids, seen, *self._population.known(self._t))
+        state = State(self._t, self._population.ids, seen,
+                      *self._population.known(self._t, self._held.held))
         swarm = Swarm(state.ids, state.p, state.velocity_phasor)
         shared = self._shared or self._knowledge(np.empty(0))
         if self._t >= self._next_question:
@@ -278,6 +285,8 @@ class Estimator:
         )
         if self._restless:
             told = _of_restless(self._restless), *told
+        if self._held.held:
+            told = _of_held(self._held.held), *told
         now = self._t if math.isfinite(self._t) else 0.0
         ahead = self._propagator.look_ahead(
             self._log, shared.delay.value, now, now + max(self.settings.horizon, 1e-6), swarm)
@@ -294,6 +303,12 @@ def _of_restless(ids: set[int]) -> str:
     names = ', '.join(map(str, sorted(ids)))
     return (f'particle{"s" * (len(ids) > 1)} {names}: neither the field nor noise explains the '
             'motion, so v and φ are not known; places are as the camera sees them')
+
+
+def _of_held(ids: set[int]) -> str:
+    names = ', '.join(map(str, sorted(ids)))
+    return (f'particle{"s" * (len(ids) > 1)} {names}: held by a wall or the edge of the picture, '
+            'so v and φ are not known')
 
 
 @numba.njit(cache=True)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -123,13 +124,23 @@ class Population:
         readings.restless[restless] = True
         self.bank.restart(rows, readings.z[rows], noise[rows], self._phasor_prior_var)
 
-    def known(self, t: float) -> Mixture:
-        """The estimates at `t` [s]; of a restless particle's c, what is known of any."""
-        known, restless = self.bank.combined(), self._restless_until > t
-        if restless.any():
-            known.velocity_phasor[restless] = known.cross[restless] = 0
-            known.phasor_var[restless] = self._phasor_prior_var
+    def known(self, t: float, held: Collection[int] = ()) -> Mixture:
+        """The estimates at `t` [s]; of the c of a particle that is restless, or `held` by a wall,
+        what is known of any."""
+        known, unknown = self.bank.combined(), self._restless_until > t
+        if held:
+            unknown = unknown | np.isin(self.ids, list(held))
+        if unknown.any():
+            known.velocity_phasor[unknown] = known.cross[unknown] = 0
+            known.phasor_var[unknown] = self._phasor_prior_var
         return known
+
+    def begin_anew(self, names: Collection[int]) -> None:
+        """Forget the c of the particles with these `names`."""
+        rows = np.flatnonzero(np.isin(self.ids, list(names)))
+        if len(rows):
+            known = self.bank.combined()
+            self.bank.restart(rows, known.p[rows], known.p_var[rows], self._phasor_prior_var)
 
     def correct_velocity_phasors(self, factor: complex) -> None:
         """Multiply every c by a complex `factor`, as after a better value of the delay.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import heapq
 import re
-import struct
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from operator import attrgetter
@@ -211,15 +210,3 @@ def is_topic(topic: str, name: str) -> bool:
     '/particles' and '/rig/particles' are both 'particles'.
     """
     return f'/{topic}'.endswith(f'/{name}')
-
-
-def header_stamp_ns(data: bytes) -> int:
-    """The stamp [ns] in serialised `data` of a message that begins with a std_msgs/Header.
-
-    OMG CDR: an encapsulation of four bytes whose second is odd for little-endian, then `int32 sec,
-    uint32 nanosec`. InputError for what is too short to hold one.
-    """
-    if len(data) < 12:
-        raise InputError('message', f'expected a message with a header, found {len(data)} bytes')
-    seconds, nanoseconds = struct.unpack_from('<iI' if data[1] & 1 else '>iI', data, 4)
-    return int(seconds) * 1_000_000_000 + int(nanoseconds)

@@ -12,13 +12,16 @@ stopped. A fourth element has a letter for each call to a controller, where not 
 from __future__ import annotations
 
 import json
+import struct
 from collections import deque
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from microbot_ros.common.errors import InputError
-from microbot_ros.session.mcap.recording import Message, header_stamp_ns
-from microbot_ros.session.replay.playback import Source
+
+if TYPE_CHECKING:
+    from microbot_ros.session.mcap.recording import Message
+    from microbot_ros.session.replay.playback import Source
 
 LOG, PARAMETERS, EXPIRE, LET_GO = 'loop/log', 'parameters', 'expire', 'let_go'
 
@@ -125,3 +128,15 @@ def _line(message: Message) -> tuple[str, int, list[Entry]]:
     except (ValueError, KeyError, TypeError, IndexError):
         raise InputError(message.topic, 'expected a line of the log of the loop, found something '
                                         'else') from None
+
+
+def header_stamp_ns(data: bytes) -> int:
+    """The stamp [ns] in serialised `data` of a message that begins with a std_msgs/Header.
+
+    OMG CDR: an encapsulation of four bytes whose second is odd for little-endian, then `int32 sec,
+    uint32 nanosec`. InputError for what is too short to hold one.
+    """
+    if len(data) < 12:
+        raise InputError('message', f'expected a message with a header, found {len(data)} bytes')
+    seconds, nanoseconds = struct.unpack_from('<iI' if data[1] & 1 else '>iI', data, 4)
+    return int(seconds) * 1_000_000_000 + int(nanoseconds)

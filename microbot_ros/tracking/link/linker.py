@@ -135,11 +135,8 @@ class Linker:
         near = (states.id != UNNAMED) & (states.missed < _EXPECTED_FOR)
         return states.xy[near]
 
-    def update(self, found: Detections, everywhere: bool = True) -> None:
-        """Give each detection to a particle, or to a new one; drop who was unseen too long.
-
-        Only where the detections are from `everywhere` do they say how often new ones turn up.
-        """
+    def update(self, found: Detections) -> None:
+        """Give each detection to a particle, or to a new one; drop who was unseen too long."""
         states = self.states
         offset = self._jumped(found)
         found, noise = self._doubted(found)
@@ -171,7 +168,7 @@ class Linker:
         self._delete_tracks()
         self._confirm_tracks()
         births = len(found) - len(detection)
-        if len(track) and everywhere:
+        if len(track):
             self._birth_rate += 0.02 * (births - self._birth_rate)
             self._birth_rate = max(self._birth_rate, _BIRTHS[1])
         if births:

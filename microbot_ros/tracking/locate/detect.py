@@ -9,7 +9,7 @@ import numpy as np
 
 from microbot_ros.common.compiled import numba
 from microbot_ros.tracking.locate.matched_filter import MatchedFilter
-from microbot_ros.tracking.locate.search import Light, whole
+from microbot_ros.tracking.locate.search import background
 from microbot_ros.tracking.refine.appearance import Appearance
 from microbot_ros.tracking.refine.fit import (
     CONTRAST,
@@ -84,12 +84,6 @@ class RoundDetector:
         self._settings = settings
         self._filter = MatchedFilter(appearance)
         self._spacing = max(4, int(np.ceil(appearance.diameter_px)))
-        self._light = Light(self._spacing)
-        self._reach = int(appearance.reach_px) + 4  # a fit may move out of the box a little
-        self.grain_px = self._filter.shrink
-        """Boxes to look at begin and end at multiples of this."""
-        self.margin_px = appearance.reach_px + appearance.diameter_px / 2
-        """How far from a particle the picture bears on what is measured."""
         self._lookup_fit = None if appearance.capped else LookupFit(appearance)
         radii = np.arange(appearance.table.shape[1]) * TABLE_STEP
         energy = 2 * np.pi * TABLE_STEP * float(np.sum(radii * appearance.table[0] ** 2))
@@ -97,20 +91,16 @@ class RoundDetector:
             energy, appearance.min_contrast_grey, settings.min_detection_sigma,
             settings.size_tolerance, settings.min_quality, _CLOSEST * appearance.diameter_px)
 
-    def detect(
-        self, image: np.ndarray, expected: np.ndarray, boxes: np.ndarray | None = None
-    ) -> Detections:
-        """All particles of `image` (H, W), or of boxes (n, 4) in it that don't overlap.
+    def detect(self, image: np.ndarray, expected: np.ndarray) -> Detections:
+        """All particles of `image` (H, W).
 
         `expected` (M, 2) [px] is where known particles should be. Where fewer peaks are found
         than particles are expected, the fit starts from the expectations as well, so that
         touching particles are told apart.
         """
         peaks = self._filter.candidates(
-            image, self._settings.min_detection_sigma, 0.7 * self.appearance.min_contrast_grey,
-            boxes)
-        grid = self._light.look(
-            image, whole(image.shape) if boxes is None else boxes, self._reach)
+            image, self._settings.min_detection_sigma, 0.7 * self.appearance.min_contrast_grey)
+        grid = background(image, self._spacing)
         found, hidden = self._assign(peaks, expected)
         rows = _starts(found, hidden)
         errors = self._fit(image, grid, rows, np.ones(len(rows), bool))

@@ -41,20 +41,14 @@ class KindsDetector:
     def __init__(self, kinds: Sequence[Kind], standing: Sequence[Place] = ()) -> None:
         self.kinds = tuple(kinds)
         self.remark = ''
-        self.grain_px = 1
-        """Boxes to look at begin and end at multiples of this."""
-        self.margin_px = 0.0
-        """How far from a body the picture bears on what is measured; all is looked at anyway."""
         self._standing = np.array([(place.x_px, place.y_px, place.radius_px)
                                    for place in standing]).reshape(-1, 3)
         self._looks: dict[tuple[bool, int, float], list[int]] = {}
         for k, kind in enumerate(self.kinds):
             self._looks.setdefault((kind.dark, kind.shrink, kind.parts_px), []).append(k)
 
-    def detect(
-        self, image: np.ndarray, expected: np.ndarray, boxes: np.ndarray | None = None
-    ) -> Detections:
-        """All bodies of these kinds in `image` (H, W); `boxes` are not needed: it is fast.
+    def detect(self, image: np.ndarray, expected: np.ndarray) -> Detections:
+        """All bodies of these kinds in `image` (H, W).
 
         A body near where one is `expected` (M, 2) [px] may look less like its kind.
         """

@@ -5,14 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from microbot_ros.common.compiled import numba
-from microbot_ros.tracking.locate.search import (
-    block_mean_into,
-    grown,
-    in_cells,
-    peaks,
-    pixel_noise,
-    whole,
-)
+from microbot_ros.tracking.locate.search import block_mean_into, peaks, pixel_noise
 from microbot_ros.tracking.refine.appearance import Appearance
 from microbot_ros.tracking.refine.fit import FAST
 
@@ -86,14 +79,11 @@ class MatchedFilter:
 
     def candidates(
         self, image: np.ndarray, least_sigma: float, least_contrast: float,
-        boxes: np.ndarray | None,
     ) -> np.ndarray:
-        """Rows (N, 3), x, y [px] and contrast [grey] of maxima of an `image`, in boxes; None for
-        all.
+        """Rows (N, 3), x, y [px] and contrast [grey] of maxima of an `image`.
 
         Maxima count from `least_sigma` standard deviations of the response and from
-        `least_contrast` [grey]. What noise and texture there is, is judged when the whole picture
-        is searched.
+        `least_contrast` [grey].
         """
         shape = (image.shape[0] // self.shrink, image.shape[1] // self.shrink)
         # Fresh memory for each frame would cost as much as the filters.
@@ -101,16 +91,12 @@ class MatchedFilter:
             margin = 2 * (self._rows.shape[1] - 1)
             self._response = np.zeros(shape, np.float32)
             self._small = np.zeros((shape[0] + margin, shape[1] + margin), np.float32)
-        cells = _respond(
-            image, self.shrink, self._small, self._columns, self._rows, self._separation,
-            self._response, whole(image.shape) if boxes is None else boxes)
-        if boxes is None:
-            self.noise = pixel_noise(image)
+        _respond(image, self.shrink, self._small, self._columns, self._rows, self._response)
+        self.noise = pixel_noise(image)
         least = least_sigma * self.noise * self.gain / self.shrink
-        if boxes is None:
-            self.texture = _share_beyond(self._response, least) * image.size
+        self.texture = _share_beyond(self._response, least) * image.size
         found: np.ndarray = peaks(
-            self._response, self.shrink, max(least, least_contrast), self._separation, cells)
+            self._response, self.shrink, max(least, least_contrast), self._separation)
         return found
 
 
@@ -125,19 +111,15 @@ def _folded(kernels: np.ndarray) -> np.ndarray:
 
 
 @numba.njit(cache=True)
-def _respond(image, shrink, small, columns, rows, separation, response, boxes):  # type: ignore[no-untyped-def]
-    """Fill the response, and the shrunk picture that it takes, as far as boxes need it.
+def _respond(image, shrink, small, columns, rows, response):  # type: ignore[no-untyped-def]
+    """Fill the response, and the shrunk picture that it needs.
 
-    It is the contrast [grey] that a particle centred in each cell would have. Returns the cells
-    of the boxes; around them it is there up to the separation.
+    It is the contrast [grey] that a particle centred in each cell would have.
     """
     margin = columns.shape[1] - 1
-    cells = in_cells(boxes, shrink, response.shape)
-    compared = grown(cells, separation, response.shape)
-    block_mean_into(small, image, shrink, margin, grown(compared, margin, response.shape))
+    block_mean_into(small, image, shrink, margin)
     _mirror_edges(small, margin)
-    _convolve(response, small, columns, rows, compared)
-    return cells
+    _convolve(response, small, columns, rows)
 
 
 @numba.njit(cache=True)
@@ -167,48 +149,42 @@ def _mirror_edges(picture, margin):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, fastmath=FAST)
-def _convolve(response, padded, columns, rows, boxes):  # type: ignore[no-untyped-def]
-    """The sum of separable filters, `columns` and `rows` folded (n, K), in boxes of `response`.
+def _convolve(response, padded, columns, rows):  # type: ignore[no-untyped-def]
+    """The sum of separable filters, `columns` and `rows` folded (n, K), into `response`.
 
     `padded` has a margin of K − 1 cells more than the response all around.
     """
     margin = columns.shape[1] - 1
-    for y0, x0, y1, x1 in boxes:
-        line = np.empty(x1 - x0 + 2 * margin, np.float32)
-        count, start = numba.uintp(x1 - x0), numba.uintp(x0)
-        for y in range(y0, y1):
-            response[y, x0:x1] = 0
-            for n in range(len(columns)):
-                line[:] = 0
-                for k in range(0, margin + 1, _AT_ONCE):
-                    _add_rows(line, padded, numba.uintp(y + margin - k),
-                              numba.uintp(y + margin + k), start, count + numba.uintp(2 * margin),
-                              columns[n, k], columns[n, k + 1], columns[n, k + 2],
-                              columns[n, k + 3])
-                for k in range(0, margin + 1, _AT_ONCE):
-                    _add_shifted(response, numba.uintp(y), line, numba.uintp(margin - k),
-                                 numba.uintp(margin + k), start, count,
-                                 rows[n, k], rows[n, k + 1], rows[n, k + 2], rows[n, k + 3])
+    line = np.empty(padded.shape[1], np.float32)
+    for y in range(response.shape[0]):
+        response[y] = 0
+        for n in range(len(columns)):
+            line[:] = 0
+            for k in range(0, margin + 1, _AT_ONCE):
+                _add_rows(line, padded, numba.uintp(y + margin - k), numba.uintp(y + margin + k),
+                          columns[n, k], columns[n, k + 1], columns[n, k + 2], columns[n, k + 3])
+            for k in range(0, margin + 1, _AT_ONCE):
+                _add_shifted(response[y], line, numba.uintp(margin - k), numba.uintp(margin + k),
+                             rows[n, k], rows[n, k + 1], rows[n, k + 2], rows[n, k + 3])
 
 
 @numba.njit(cache=True, fastmath=FAST)
-def _add_rows(line, picture, up, down, start, count, a, b, c, d):  # type: ignore[no-untyped-def]
-    """Add rows `up`, `up` − 1 … and `down`, `down` + 1 …, from `start` on, by their weights."""
+def _add_rows(line, picture, up, down, a, b, c, d):  # type: ignore[no-untyped-def]
+    """Add rows `up`, `up` − 1 … and `down`, `down` + 1 … by their weights."""
     one, two, three = numba.uintp(1), numba.uintp(2), numba.uintp(3)
-    for i in range(count):
-        x = start + i
-        line[i] += (a * (picture[up, x] + picture[down, x])
-                    + b * (picture[up - one, x] + picture[down + one, x])
-                    + c * (picture[up - two, x] + picture[down + two, x])
-                    + d * (picture[up - three, x] + picture[down + three, x]))
+    for i in range(numba.uintp(line.size)):
+        line[i] += (a * (picture[up, i] + picture[down, i])
+                    + b * (picture[up - one, i] + picture[down + one, i])
+                    + c * (picture[up - two, i] + picture[down + two, i])
+                    + d * (picture[up - three, i] + picture[down + three, i]))
 
 
 @numba.njit(cache=True, fastmath=FAST)
-def _add_shifted(out, y, line, left, right, start, count, a, b, c, d):  # type: ignore[no-untyped-def]
+def _add_shifted(out, line, left, right, a, b, c, d):  # type: ignore[no-untyped-def]
     """Add the line from `left`, `left` − 1 … and `right`, `right` + 1 … on, by their weights."""
     one, two, three = numba.uintp(1), numba.uintp(2), numba.uintp(3)
-    for i in range(count):
-        out[y, start + i] += (a * (line[left + i] + line[right + i])
+    for i in range(numba.uintp(out.size)):
+        out[i] += (a * (line[left + i] + line[right + i])
                            + b * (line[left - one + i] + line[right + one + i])
                            + c * (line[left - two + i] + line[right + two + i])
                            + d * (line[left - three + i] + line[right + three + i]))

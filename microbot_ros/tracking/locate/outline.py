@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 
 import numpy as np
 
 from microbot_ros.common.compiled import numba
 from microbot_ros.tracking.locate.detect import Detections
-from microbot_ros.tracking.locate.search import background, block_mean, pixel_noise, whole
+from microbot_ros.tracking.locate.search import background, block_mean, pixel_noise
 from microbot_ros.tracking.refine.appearance import Appearance
 from microbot_ros.tracking.settings import TrackerSettings
 
@@ -50,24 +49,17 @@ class OutlineDetector:
         self.remark = ''
         self._shrink = max(1, int(appearance.diameter_px / 10))
         self._spacing = max(4, int(np.ceil(appearance.diameter_px / self._shrink)))
-        self.grain_px = self._shrink * self._spacing
-        """Boxes to look at begin and end at multiples of this: at the edges of cells of light."""
-        self.margin_px = float(3 * self.grain_px)
-        """How far from a particle the picture bears on what is measured: that of its light."""
         self._least_sharpness = _SHARP * settings.min_quality
         self._least_diameter = appearance.diameter_px / settings.size_tolerance**2
         self._least_peak = max(0.75 * appearance.contrast_grey, appearance.min_contrast_grey)
 
-    def detect(
-        self, image: np.ndarray, expected: np.ndarray, boxes: np.ndarray | None = None
-    ) -> Detections:
-        """All particles of `image` (H, W), or of boxes (n, 4) in it that don't overlap.
+    def detect(self, image: np.ndarray, expected: np.ndarray) -> Detections:
+        """All particles of `image` (H, W).
 
         `expected` (M, 2) [px] is where known particles should be: they need not be as sharp and
         as large as one that is new, so that a particle at the limit doesn't come and go.
         """
-        boxes = whole(image.shape) if boxes is None else boxes
-        sums = np.concatenate([self._regions(image, box) for box in boxes])
+        sums = self._regions(image)
         good = self._good(sums, 1.0)
         if len(expected):
             places = np.column_stack([sums[:, _WX], sums[:, _WY]]) / sums[:, _WEIGHT, None]
@@ -76,22 +68,15 @@ class OutlineDetector:
             good |= known & self._good(sums, _LENIENCE)
         return self._detections(sums[good], pixel_noise(image) / self._shrink)
 
-    def _regions(self, image: np.ndarray, box: np.ndarray) -> np.ndarray:
-        """Sums of the regions in a box that does not cut them."""
+    def _regions(self, image: np.ndarray) -> np.ndarray:
+        """Sums of the regions of an `image`."""
         import cv2
 
-        y0, x0, y1, x1 = box.tolist()
-        contrast = self._contrast(np.ascontiguousarray(image[y0:y1, x0:x1]))
+        contrast = self._contrast(image)
         typical = self.appearance.contrast_grey
         mask = (contrast > _LOW * typical).view(np.uint8)
         count, labels = cv2.connectedComponents(mask, connectivity=8, ltype=cv2.CV_32S)
-        whole_regions = np.arange(count) > 0
-        edges = (labels[0], labels[:, 0], labels[-1], labels[:, -1])
-        cuts = (y0 > 0, x0 > 0, y1 < image.shape[0], x1 < image.shape[1])
-        for edge in itertools.compress(edges, cuts):
-            whole_regions[edge] = False
-        origin = x0 // self._shrink, y0 // self._shrink
-        sums: np.ndarray = _sums(contrast, labels, count, typical, *origin)[whole_regions]
+        sums: np.ndarray = _sums(contrast, labels, count, typical)[1:]
         return sums
 
     def _contrast(self, image: np.ndarray) -> np.ndarray:
@@ -136,7 +121,7 @@ class OutlineDetector:
 
         The spread of ln(diameter) or the typical ln(length/width), whichever is larger.
         """
-        sums = self._regions(image, whole(image.shape)[0])
+        sums = self._regions(image)
         good = self._good(sums, 1.0)
         if not np.any(good):
             return 0.0
@@ -169,18 +154,15 @@ def _elongation(sums: np.ndarray) -> np.ndarray:
 
 
 @numba.njit(cache=True)
-def _sums(contrast, labels, count, typical, x0, y0):  # type: ignore[no-untyped-def]
-    """Moments (count, 11) of every labelled region, in order of the names above.
-
-    The first of the contrasts is that of the shrunk pixel (x0, y0).
-    """
+def _sums(contrast, labels, count, typical):  # type: ignore[no-untyped-def]
+    """Moments (count, 11) of every labelled region, in order of the names above."""
     sums = np.zeros((count, 11))
     for j in range(labels.shape[0]):
         for i in range(labels.shape[1]):
             k = labels[j, i]
             if k == 0:
                 continue
-            value, x, y = contrast[j, i], x0 + i, y0 + j
+            value, x, y = contrast[j, i], i, j
             w = min(value / typical, 1.0)
             row = sums[k]
             row[_COUNT] += 1
@@ -197,6 +179,6 @@ def _sums(contrast, labels, count, typical, x0, y0):  # type: ignore[no-untyped-
             k = labels[j, i]
             if k > 0 and contrast[j, i] < typical:
                 row = sums[k]
-                row[_EDGE_X] += (x0 + i - row[_WX] / row[_WEIGHT]) ** 2
-                row[_EDGE_Y] += (y0 + j - row[_WY] / row[_WEIGHT]) ** 2
+                row[_EDGE_X] += (i - row[_WX] / row[_WEIGHT]) ** 2
+                row[_EDGE_Y] += (j - row[_WY] / row[_WEIGHT]) ** 2
     return sums

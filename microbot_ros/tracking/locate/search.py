@@ -1,7 +1,4 @@
-"""Looking over a picture, or parts of it: block means, the light, peaks, the pixels' noise.
-
-Parts are boxes, (n, 4) whole numbers: rows y0, x0, y1, x1, the ends left out.
-"""
+"""Block means of a picture, its light, its peaks, the noise of its pixels."""
 
 from __future__ import annotations
 
@@ -17,59 +14,30 @@ _MEDIAN = 5
 """Cells across the neighbourhood whose median is the light of a cell."""
 
 
-def whole(shape: tuple[int, ...]) -> np.ndarray:
-    """The one box (1, 4) that is all of a picture of that `shape` (H, W)."""
-    return np.array([[0, 0, shape[0], shape[1]]])
-
-
-@numba.njit(cache=True)
-def grown(boxes, margin, shape):  # type: ignore[no-untyped-def]
-    """Boxes with a margin all around, as far as a picture of that shape goes."""
-    larger = np.empty_like(boxes)
-    for k in range(len(boxes)):
-        for axis in range(2):
-            larger[k, axis] = min(max(boxes[k, axis] - margin, 0), shape[axis])
-            larger[k, axis + 2] = min(max(boxes[k, axis + 2] + margin, 0), shape[axis])
-    return larger
-
-
-@numba.njit(cache=True)
-def in_cells(boxes, size, shape):  # type: ignore[no-untyped-def]
-    """The cells of `size` px, of a `shape` of (rows, columns), that hold a part of the boxes."""
-    cells = np.empty_like(boxes)
-    for k in range(len(boxes)):
-        for axis in range(2):
-            cells[k, axis] = min(boxes[k, axis] // size, shape[axis])
-            cells[k, axis + 2] = min(-(-boxes[k, axis + 2] // size), shape[axis])
-    return cells
-
-
 def block_mean(image: np.ndarray, size: int) -> np.ndarray:
     """Means (H // size, W // size) float32 of an `image` over square blocks; a rest is left out.
     """
     mean = np.empty((image.shape[0] // size, image.shape[1] // size), np.float32)
-    block_mean_into(mean, image, size, 0, whole(mean.shape))
+    block_mean_into(mean, image, size, 0)
     return mean
 
 
 @numba.njit(cache=True, fastmath=FAST)
-def block_mean_into(mean, image, size, pad, boxes):  # type: ignore[no-untyped-def]
-    """`block_mean` of an `image` over blocks of `size` px, in boxes of cells, into `mean`.
-
-    `mean` has `pad` cells of margin.
+def block_mean_into(mean, image, size, pad):  # type: ignore[no-untyped-def]
+    """`block_mean` of an `image` over blocks of `size` px, into `mean`, which has a margin of
+    `pad` cells.
     """
     scale = np.float32(1.0 / (size * size))
-    for y0, x0, y1, x1 in boxes:
-        line = np.empty((x1 - x0) * size, np.float32)
-        # Unsigned indices can't wrap around, which lets the compiler use vectors.
-        count, start, to = numba.uintp(x1 - x0), numba.uintp(x0 * size), numba.uintp(pad + x0)
-        for j in range(y0, y1):
-            line[:] = 0
-            for dy in range(size):
-                source = numba.uintp(j * size + dy)
-                for i in range(numba.uintp(line.size)):
-                    line[i] += image[source, start + i]
-            _narrow(line, size, scale, mean[pad + j], to, count)
+    # Unsigned indices can't wrap around, which lets the compiler use vectors.
+    count, to = numba.uintp(mean.shape[1] - 2 * pad), numba.uintp(pad)
+    line = np.empty(count * size, np.float32)
+    for j in range(mean.shape[0] - 2 * pad):
+        line[:] = 0
+        for dy in range(size):
+            source = numba.uintp(j * size + dy)
+            for i in range(numba.uintp(line.size)):
+                line[i] += image[source, i]
+        _narrow(line, size, scale, mean[pad + j], to, count)
 
 
 @numba.njit(cache=True, fastmath=FAST)
@@ -92,63 +60,33 @@ def _narrow(line, size, scale, mean, start, count):  # type: ignore[no-untyped-d
             mean[start + i] = total * scale
 
 
-class Light:
-    """The light without particles, in cells of `spacing` px: the median of 5×5 block means.
+def background(image: np.ndarray, spacing: int) -> np.ndarray:
+    """The light (H // spacing, W // spacing) of an `image`, without particles, in cells of
+    `spacing` px: the median of 5×5 block means.
 
     A particle as wide as a cell covers at most a quarter of the cells of such a neighbourhood,
-    so the median doesn't see it. Where it isn't asked to look it keeps what it saw last.
+    so the median doesn't see it.
     """
+    import cv2
 
-    def __init__(self, spacing: int) -> None:
-        self._spacing = spacing
-        self._cells = np.empty((0, 0), np.float32)
-
-    def look(self, image: np.ndarray, boxes: np.ndarray, margin: int = 0) -> np.ndarray:
-        """The light (H // spacing, W // spacing) of an `image`, anew up to `margin` px from the
-        `boxes`.
-        """
-        import cv2
-
-        if min(image.shape) < self._spacing:
-            return np.full((1, 1), np.median(image), np.float32)
-        shape = (image.shape[0] // self._spacing, image.shape[1] // self._spacing)
-        if self._cells.shape != shape:
-            self._cells = np.zeros(shape, np.float32)
-        _block_mean_near(self._cells, image, self._spacing, margin, boxes)
-        return np.atleast_2d(cv2.medianBlur(self._cells, _MEDIAN))
+    if min(image.shape) < spacing:
+        return np.full((1, 1), np.median(image), np.float32)
+    return np.atleast_2d(cv2.medianBlur(block_mean(image, spacing), _MEDIAN))
 
 
 @numba.njit(cache=True)
-def _block_mean_near(cells, image, size, margin, boxes):  # type: ignore[no-untyped-def]
-    """Block means of all cells that take part in the light near the boxes, between cells too."""
-    wide = in_cells(grown(boxes, margin, image.shape), size, cells.shape)
-    near = grown(wide, 1 + _MEDIAN // 2, cells.shape)
-    block_mean_into(cells, image, size, 0, near)
-
-
-def background(image: np.ndarray, spacing: int) -> np.ndarray:
-    """The light without particles in all of an `image`, in cells of `spacing` px; see `Light`."""
-    return Light(spacing).look(image, whole(image.shape))
-
-
-@numba.njit(cache=True)
-def peaks(response, shrink, least, separation, boxes):  # type: ignore[no-untyped-def]
+def peaks(response, shrink, least, separation):  # type: ignore[no-untyped-def]
     """Rows (N, 3) of x, y [px], value: maxima of a `response` above `least`.
 
-    A maximum is the highest within ±`separation` cells. In boxes of cells of `shrink` px that
-    don't overlap; what lies around them, up to the separation, is compared with.
+    A maximum is the highest within ±`separation` cells of `shrink` px.
     """
-    height, width = response.shape
     found = []
-    for y0, x0, y1, x1 in boxes:
-        first, end = max(x0 - 1, 0), min(x1 + 1, width)
-        crest = np.empty(end - first, np.uint8)
-        for y in range(max(y0, 1), min(y1, height - 1)):
-            _crests(response[y - 1, first:end], response[y, first:end],
-                    response[y + 1, first:end], least, crest)
-            for k in range(1, len(crest) - 1):
-                if crest[k] and _highest(response, first + k, y, separation):
-                    found.append(_top(response, first + k, y))
+    crest = np.empty(response.shape[1], np.uint8)
+    for y in range(1, response.shape[0] - 1):
+        _crests(response[y - 1], response[y], response[y + 1], least, crest)
+        for x in range(1, len(crest) - 1):
+            if crest[x] and _highest(response, x, y, separation):
+                found.append(_top(response, x, y))
     rows = np.empty((len(found), 3))
     for k in range(len(found)):
         x, y, value = found[k]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from microbot_ros.tracking.locate.search import block_mean, peaks, spread, whole
+from microbot_ros.tracking.locate.search import block_mean, peaks, spread
 from microbot_ros.tracking.settings import TrackerSettings
 
 LEAST_DIAMETER = 2.5
@@ -117,7 +117,7 @@ def _spots(frame: np.ndarray, diameter: float, sign: float) -> np.ndarray:
     response = cv2.GaussianBlur(image, (0, 0), inner) - cv2.GaussianBlur(image, (0, 0), outer)
     noise = max(spread(response), 0.3 * 0.2 / inner)
     found: np.ndarray = peaks(response, shrink, _LEAST_SIGMA * noise,
-                              max(1, int(0.5 * diameter / shrink)), whole(response.shape))
+                              max(1, int(0.5 * diameter / shrink)))
     return found[np.argsort(-found[:, 2])][:_MOST_CANDIDATES]
 
 

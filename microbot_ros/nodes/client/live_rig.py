@@ -10,8 +10,7 @@ from rcl_interfaces.srv import GetParameters
 from rclpy.client import Client
 from rclpy.task import Future
 
-from microbot_ros.nodes.lifecycle import RigNode
-from microbot_ros.session.mcap.recording import is_topic
+from microbot_ros.nodes.base.lifecycle import RigNode
 
 ACTING = frozenset({'camera', 'tracker', 'model', 'controller', 'coil_driver', 'virtual_rig'})
 """Nodes that see or move particles. A recorder or a viewer may watch whatever is played."""
@@ -66,7 +65,7 @@ class LiveRig:
             subscribers = node.get_subscriptions_info_by_topic(topic)
             found |= {(one.node_name, one.node_namespace) for one in [*publishers, *subscribers]
                       if one.node_name in ACTING}
-            if any(is_topic(topic, name) for name in _GONE_BY):
+            if f'/{topic}'.endswith(tuple(f'/{name}' for name in _GONE_BY)):
                 found |= {(one.node_name, one.node_namespace) for one in publishers}
         return {f'{where.rstrip("/")}/{name}' for name, where in found
                 if (name, where) != (node.get_name(), namespace)}

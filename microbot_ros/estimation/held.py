@@ -1,0 +1,126 @@
+"""Which particles a wall or the edge of the dish holds, from how they answer commands there."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+FEWEST_FRAMES = 50
+"""Steps below which nothing is said."""
+
+SURE = 4.0
+"""Standard deviations by which the motion into a wall is short of what the commands say."""
+
+NORMALS = np.exp(2j * np.pi * np.arange(180) / 180)
+"""Directions in which a wall is looked for."""
+
+BORDER, INNER = 1.5, 0.92
+"""Half the breadth of a border, in standard deviations of a step, and the quantile of places
+along its normal in its middle: beyond lies only the error of reading."""
+
+LONG = 0.15
+"""Part of its steps that a particle is at a border if it is pressed against a wall there."""
+
+HELD, LEGS = 0.25, 4
+"""Part of the way into a wall that it goes at most, under so many different commands: a flow
+balances one of them at most, and each at another place."""
+
+SECONDS, SAMPLE = 12.0, 0.1
+"""Span of the recent past that is looked at, and time between its samples [s]. Choice: a particle
+that left a wall is known again after 12 s; half the span holds too few commands."""
+
+ANOTHER = np.deg2rad(20.0)
+"""A command whose direction differs by this much is another one. At half of it noise of a
+controller counts as commands; at twice few controllers give four of them into one wall."""
+
+
+def is_held(z: np.ndarray, steps: np.ndarray, swum: np.ndarray, legs: np.ndarray) -> bool:
+    """Whether a wall holds a particle: `steps` (T,) from `z` (T,), `swum` (T,) for c = 1; complex.
+
+    `legs` (T,): which command each was under. It is held where it is often at one straight border
+    of all that it visits, and there goes along it as the commands say, but hardly towards it.
+    """
+    if len(steps) < FEWEST_FRAMES or not swum.any():
+        return False
+    c = np.vdot(swum, steps) / np.vdot(swum, swum)
+    breadth = BORDER * float(np.sqrt(np.mean(np.abs(steps - c * swum) ** 2) / 2))
+    out = (z[:, None] * NORMALS.conj()).real
+    inwards = np.quantile(out, INNER, axis=0) - out
+    share = (np.abs(inwards) < breadth).mean(axis=0)
+    k = int(share.argmax())
+    normal, there, free = NORMALS[k], np.abs(inwards[:, k]) < breadth, inwards[:, k] > 2 * breadth
+    if share.max() < LONG:
+        return False
+    # A wall leaves the motion along it free, and all motion elsewhere: c by these, as two real
+    # numbers. By the motion along it alone c is hardly known where that keeps to one line.
+    along, way = (steps / (1j * normal)).real, swum / (1j * normal)
+    moved, ways = np.append(along, (steps / normal).real[free]), np.append(way, 1j * way[free])
+    columns = np.stack([ways.real, -ways.imag], axis=1)
+    found = np.linalg.lstsq(columns, moved, rcond=1e-6)[0]
+    towards = (complex(*found) * swum / normal).real
+    if towards[there].sum() < 0:
+        normal, towards = -normal, -towards
+    pressed = there & (towards > 0)
+    spread = float(np.std(along - columns[:len(along)] @ found)) * np.sqrt(pressed.sum())
+    expected, gone = towards[pressed].sum(), (steps[pressed] / normal).real.sum()
+    pushes = np.bincount(legs[pressed] - legs[0], towards[pressed])
+    return bool(np.count_nonzero(pushes > 2 * breadth) >= LEGS and gone < HELD * expected
+                and expected - gone > 2 * SURE * spread)
+
+
+class HeldWatch:
+    """The recent past of every particle, and which of them are `held`: sets of identities."""
+
+    def __init__(self) -> None:
+        self.held: set[int] = set()
+        self._tracks: dict[int, deque[tuple[float, complex, complex, complex]]] = {}
+        self._ways: dict[int, complex] = {}
+        self._carried: dict[int, complex] = {}
+        self._sampled = -np.inf
+        self._turn = 0
+
+    def add(self, t: float, ids: np.ndarray, z: np.ndarray, seen: np.ndarray,
+            moved: dict[int, tuple[complex, complex]]) -> list[int]:
+        """Add a frame at `t` [s] of particles `ids` (N,) that were `seen` (N,) at `z` (N,) [m].
+
+        `moved` says of each that was there before how far, since the frame before, the commands
+        moved c = 1, and what the model says of drift [m]. Return which are free again.
+        """
+        names = ids.tolist()
+        nothing = 0j, 0j
+        self._ways = {name: self._ways.get(name, 0j) + moved.get(name, nothing)[0]
+                      for name in names}
+        self._carried = {name: self._carried.get(name, 0j) + moved.get(name, nothing)[1]
+                         for name in names}
+        if t - self._sampled >= SAMPLE:
+            self._sampled = t
+            self._tracks = {name: self._tracks.get(name, deque(maxlen=round(SECONDS / SAMPLE)))
+                            for name in names}
+            for name, place, there in zip(names, z.tolist(), seen.tolist(), strict=True):
+                if there:
+                    self._tracks[name].append((t, place, self._ways[name], self._carried[name]))
+        before = self.held & set(names)
+        self.held = set(before)
+        if names:  # one a frame: a look takes half a millisecond
+            self._turn = (self._turn + 1) % len(names)
+            self._look(names[self._turn])
+        return sorted(before - self.held)
+
+    def _look(self, name: int) -> None:
+        track = np.array(self._tracks.get(name, ()), complex).reshape(-1, 4)
+        t, z, way, carried = track.T
+        steps, joined = np.diff(z - carried), np.diff(t.real) < 3 * SAMPLE
+        swum = np.diff(way)[joined]
+        held = is_held(z[:-1][joined], steps[joined], swum, _legs(np.angle(swum)))
+        (self.held.add if held else self.held.discard)(name)
+
+
+def _legs(direction: np.ndarray) -> np.ndarray:
+    """Number (T,) of the command that each step was under, by its `direction` (T,) [rad]."""
+    legs, first = np.zeros(len(direction), int), direction[0] if len(direction) else 0.0
+    for k in range(1, len(direction)):
+        another = abs(np.angle(np.exp(1j * (direction[k] - first)))) > ANOTHER
+        first = direction[k] if another else first
+        legs[k] = legs[k - 1] + another
+    return legs

@@ -1,0 +1,76 @@
+"""A particle that a wall holds has no speed and says why; one that swims freely is never held."""
+
+import numpy as np
+import pytest
+
+from microbot_ros.estimation.online.estimator import Estimator
+
+RATE, FIELD = 30.0, 5e-3
+DIFFUSION, READ = 0.2e-12, 5e-8
+SPEED, PHI = 4.1e-6, 0.4
+
+
+def swim(seconds, direction, *, wall=None, start=(0.0, 0.0), flow=(0.0, 0.0), seed=0):
+    """Answers (t, speed [m/s], sentences) of the estimator for one particle, frame by frame.
+
+    The command points to `direction(t)` [rad]; nothing passes x = `wall` [m].
+    """
+    random = np.random.default_rng(seed)
+    estimator, told = Estimator(), []
+    place = np.array(start, float)
+    for frame in range(int(seconds * RATE)):
+        t = frame / RATE
+        angle = direction(t)
+        estimator.command(t, FIELD * np.array([np.cos(angle), np.sin(angle)]))
+        found = estimator.update(
+            t, np.array([7]), (place + random.normal(0, READ, 2))[None], np.full(1, READ))
+        told.append((t, float(found.speed[0]), found.diagnosis))
+        heading = angle + PHI
+        place = place + (SPEED * np.array([np.cos(heading), np.sin(heading)]) + flow) / RATE
+        place += random.normal(0, np.sqrt(2 * DIFFUSION / RATE), 2)
+        if wall is not None:
+            place[0] = min(place[0], wall)
+    return told
+
+
+def pressing(t):
+    """Into the wall at x > 0, in directions that change, and never away from it."""
+    return -PHI + 1.0 * np.sin(1.9 * t)
+
+
+def every_way(t):
+    return 0.9 * t
+
+
+def around(t):
+    """There and back, so that it stays about where it is."""
+    return np.pi * (int(t / 2) % 2) + 0.3 * t
+
+
+def held(told):
+    return [t for t, _, said in told if any('held by a wall' in one for one in said)]
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_what_a_wall_holds_has_no_speed_and_says_why(seed):
+    told = swim(20.0, pressing, wall=1e-6, seed=seed)
+    assert 0 < held(told)[0] < 12
+    assert all(np.isnan(speed) for t, speed, _ in told if t > held(told)[0] + 0.1)
+    assert 'particle 7: held by a wall or the edge of the picture' in told[-1][2][0]
+
+
+@pytest.mark.parametrize('seed', range(2))
+def test_it_is_known_again_once_it_swims_freely(seed):
+    told = swim(34.0, lambda t: pressing(t) if t < 12 else np.pi - PHI + pressing(t), wall=1e-6,
+                seed=seed)
+    assert held(told)[-1] < 26
+    assert told[-1][1] == pytest.approx(SPEED, rel=0.1)
+
+
+@pytest.mark.parametrize('flow', [(0.0, 0.0), (1e-6, -1e-6)])
+@pytest.mark.parametrize('direction', [every_way, around, pressing])
+@pytest.mark.parametrize('seed', range(2))
+def test_who_swims_freely_is_never_held(direction, flow, seed):
+    told = swim(40.0, direction, flow=flow, seed=seed)
+    assert held(told) == []
+    assert np.isfinite(told[-1][1])
