@@ -22,9 +22,9 @@ from std_srvs.srv import SetBool
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.extras import lack, require
 from microbot_ros.common.settings import setting
-from microbot_ros.nodes.lifecycle import OK, WARN, RigNode
-from microbot_ros.nodes.parameter_collector import ParameterCollector
-from microbot_ros.nodes.topics import CHANGES, TOPICS, type_name
+from microbot_ros.nodes.base.lifecycle import OK, WARN, RigNode
+from microbot_ros.nodes.base.topics import CHANGES, TOPICS, type_name
+from microbot_ros.nodes.client.parameter_collector import ParameterCollector
 
 if TYPE_CHECKING:
     from microbot_ros.session.mcap.recorder import RecordingWriter
