@@ -12,6 +12,7 @@ import lowest
 import pytest
 
 from microbot_ros.common.extras import EXTRAS, advice
+from microbot_ros.nodes.client.graph import READY
 from microbot_ros.nodes.process import NODES
 
 ROOT = Path(__file__).parents[1]
@@ -87,7 +88,7 @@ def test_the_demo_names_all_that_it_lacks_before_it_begins(tmp_path: Path) -> No
 
 
 def test_a_rig_runs_without_recording_and_says_so() -> None:
-    code = WITHOUT + "from microbot_ros.nodes.process import run; sys.exit(run(['recorder']))"
+    code = WITHOUT + "from microbot_ros.nodes.process import run; sys.exit(run('recorder'))"
     with subprocess.Popen([sys.executable, '-c', code], cwd=ROOT, text=True,
                           stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as recorder:
         assert recorder.stdout is not None
@@ -97,7 +98,7 @@ def test_a_rig_runs_without_recording_and_says_so() -> None:
         recorder.send_signal(signal.SIGINT)
         said += recorder.communicate(timeout=60)[0]
     assert recorder.returncode == 0
-    assert "not recording: not installed: lz4, mcap, rosbags, zstandard; pip install" in said
+    assert 'not recording: not installed: lz4, mcap, rosbags, zstandard; pip install' in said
 
 
 def test_a_controller_without_its_solver_is_left_out() -> None:
