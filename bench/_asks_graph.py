@@ -22,7 +22,7 @@ from bench._emulator import FULL_SCALE_A, Emulator
 from bench._hidden_effects import LISTED
 from bench._hidden_suite import FLUID
 from bench.figure import Figure
-from microbot_ros.nodes.graph_client import GraphClient
+from microbot_ros.nodes.client.graph_client import GraphClient
 
 ISSUE = 18
 SAMPLE = list(LISTED)[::4]

@@ -17,10 +17,10 @@ from rclpy.time import Time
 from sensor_msgs.msg import Image
 
 from microbot_ros.common.real_time import LOOP, set_realtime_priority_of_all
-from microbot_ros.nodes import messages
-from microbot_ros.nodes.graph import READY
-from microbot_ros.nodes.lifecycle import IMAGES_OUT
-from microbot_ros.nodes.transport import BY_PROFILE, NODE, transport
+from microbot_ros.nodes.base import messages
+from microbot_ros.nodes.base.lifecycle import IMAGES_OUT
+from microbot_ros.nodes.base.transport import BY_PROFILE, NODE, transport
+from microbot_ros.nodes.client.graph import READY
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 
 PIXEL_SIZE_UM = 0.45

@@ -28,7 +28,7 @@ from sensor_msgs.msg import Joy
 from std_srvs.srv import SetBool
 
 from bench._emulator import FULL_SCALE_A, Emulator
-from microbot_ros.nodes.graph_client import GraphClient
+from microbot_ros.nodes.client.graph_client import GraphClient
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 
 NODES = ('camera', 'tracker', 'model', 'controller', 'coil_driver')
@@ -164,7 +164,7 @@ class _Rig:
 
 def _run_node(name: str, parameters: Path) -> None:
     """In a process of its own: a node until its end or that of the server it came from."""
-    from microbot_ros.nodes.graph import PARENT
+    from microbot_ros.nodes.client.graph import PARENT
     from microbot_ros.nodes.process import run
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     os.dup2(1, 2)

@@ -19,8 +19,8 @@ from visualization_msgs.msg import MarkerArray
 
 from bench._emulator import FULL_SCALE_A, Emulator
 from microbot_ros.common.errors import RigError
-from microbot_ros.nodes.graph import Graph
-from microbot_ros.nodes.graph_client import GraphClient
+from microbot_ros.nodes.client.graph import Graph
+from microbot_ros.nodes.client.graph_client import GraphClient
 
 _WARM_S, _LOOK_S = 5.0, 0.5
 TURNING: dict[str, Any] = {'controller': 'open_loop', 'open_loop.durations_s': [0.5] * 4,

@@ -22,7 +22,7 @@ from bench._aravis import has_aravis
 from bench.figure import Figure
 from microbot_ros.cameras.camera import CameraSettings, EndOfFrames, camera_class
 from microbot_ros.cameras.stream import FrameStream
-from microbot_ros.nodes import messages
+from microbot_ros.nodes.base import messages
 
 _SIZE = {'width_px': 640, 'height_px': 480}
 _SECONDS = 3.0

@@ -24,9 +24,9 @@ from bench._emulator import Emulator
 from bench.figure import Figure
 from microbot_ros.cockpit.address import WORDS
 from microbot_ros.common.errors import RigError
-from microbot_ros.nodes.graph import Graph
-from microbot_ros.nodes.graph_client import GraphClient
-from microbot_ros.nodes.lifecycle import IMAGES_IN
+from microbot_ros.nodes.base.lifecycle import IMAGES_IN
+from microbot_ros.nodes.client.graph import Graph
+from microbot_ros.nodes.client.graph_client import GraphClient
 from microbot_ros.session.mcap.recording import open_recording
 from microbot_ros.session.replay.log import header_stamp_ns
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings

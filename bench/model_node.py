@@ -13,9 +13,9 @@ from sensor_msgs.msg import MagneticField, PointCloud2
 
 from bench.figure import Figure
 from microbot_ros.loop.points import PARTICLE
-from microbot_ros.nodes import messages
-from microbot_ros.nodes.graph import Graph
-from microbot_ros.nodes.graph_client import GraphClient
+from microbot_ros.nodes.base import messages
+from microbot_ros.nodes.client.graph import Graph
+from microbot_ros.nodes.client.graph_client import GraphClient
 
 RATE_HZ, PARTICLES, WARM_FRAMES, FRAMES = 100, 200, 1000, 3000
 

@@ -24,12 +24,12 @@ from bench.figure import Figure, sized
 from bench.recording import _session
 from microbot_ros.common.errors import InputError
 from microbot_ros.loop.points import PARTICLE
-from microbot_ros.nodes import messages
-from microbot_ros.nodes.graph import Graph
-from microbot_ros.nodes.graph_client import GraphClient
-from microbot_ros.nodes.lifecycle import IMAGES_OUT, RELIABLE
+from microbot_ros.nodes.base import messages
+from microbot_ros.nodes.base.lifecycle import IMAGES_OUT, RELIABLE
+from microbot_ros.nodes.base.topics import KEPT
+from microbot_ros.nodes.client.graph import Graph
+from microbot_ros.nodes.client.graph_client import GraphClient
 from microbot_ros.nodes.replay import Replay, plan_replay, recorded_parameters
-from microbot_ros.nodes.topics import KEPT
 from microbot_ros.session.mcap.recorder import RecordingWriter
 from microbot_ros.session.mcap.recording import open_recording
 from microbot_ros.session.replay.as_messages import SessionMessages

@@ -96,7 +96,7 @@ def test_every_topic_and_every_field_has_its_meaning(build):
 
 
 def test_every_topic_that_is_recorded_is_in_the_reference(build):
-    from microbot_ros.nodes.topics import CHANGES, TOPICS
+    from microbot_ros.nodes.base.topics import CHANGES, TOPICS
 
     assert TOPICS.keys() - {end.name for end in build.graph.ends()} == {CHANGES}
 

@@ -250,8 +250,8 @@ def test_launch_files_start_nodes_with_parameters_that_exist(
 
 def test_what_rviz_shows_is_what_the_nodes_send() -> None:
     """RViz is not on PyPI: its frame and its topics are held against the nodes'."""
-    from microbot_ros.nodes.messages import WORKSPACE
-    from microbot_ros.nodes.topics import TOPICS
+    from microbot_ros.nodes.base.messages import WORKSPACE
+    from microbot_ros.nodes.base.topics import TOPICS
 
     shown = yaml.safe_load((ROOT / 'config' / 'rig.rviz').read_text())['Visualization Manager']
     assert shown['Global Options']['Fixed Frame'] == WORKSPACE

@@ -26,14 +26,15 @@ _PARTS: dict[str, tuple[str, ...]] = {
         'drive/amplifiers/*/driver.py'),
     'The controller': (
         'control/**/*.py', 'loop/controller.py', 'loop/allocation.py', 'nodes/controller.py',
-        'nodes/messages.py'),
+        'nodes/base/messages.py'),
     'Camera, tracker and model': (
         'nodes/camera.py', 'cameras/stream.py', 'nodes/tracker.py', 'tracking/**/*.py',
         'nodes/model.py', 'estimation/online/track_faults.py', 'estimation/online/monitor.py',
         'estimation/online/estimator.py', 'estimation/online/jumps.py',
         'nodes/virtual_rig.py'),
     'Every node, recorder and player': (
-        'nodes/lifecycle.py', 'nodes/recorder.py', 'session/mcap/recorder.py', 'nodes/player.py'),
+        'nodes/base/lifecycle.py', 'nodes/recorder.py', 'session/mcap/recorder.py',
+        'nodes/player.py'),
 }
 """Part of the rig → the files that can say what is wrong with it."""
 

@@ -12,7 +12,7 @@ import yaml
 
 from made.text import MADE, code, table
 from microbot_ros import nodes
-from microbot_ros.nodes.process import NODES
+from microbot_ros.nodes.base.names import NODES
 
 _NODES = Path(nodes.__file__).parent
 CONTENT = Path(__file__).with_name('graph.yaml')
@@ -41,7 +41,7 @@ class End(NamedTuple):
 
 def ends() -> Iterator[End]:
     """All that the nodes publish, take and offer, as the code says it."""
-    for path in sorted(_NODES.glob('*.py')):
+    for path in sorted(_NODES.rglob('*.py')):
         tree = ast.parse(path.read_text(encoding='utf-8'))
         types = _message_types(tree)
         for call in (found for found in ast.walk(tree) if isinstance(found, ast.Call)):

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from made.text import MADE, code, table
 from microbot_ros.common import settings, units
 from microbot_ros.control.registry import controller_classes
+from microbot_ros.nodes.base.names import NODES
 from microbot_ros.nodes.configuration import node_class
-from microbot_ros.nodes.process import NODES
 
 _HEAD = ('parameter', 'default', 'unit', 'range', 'meaning')
 

@@ -107,7 +107,7 @@ def script() -> None:
     try:
         main()
     except SystemExit as end:
-        graph = sys.modules.get('microbot_ros.nodes.participant')
+        graph = sys.modules.get('microbot_ros.nodes.base.participant')
         if graph and isinstance(end.code, int | None):
             graph.leave(end.code or 0)
         raise

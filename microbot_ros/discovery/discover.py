@@ -95,7 +95,7 @@ def discover(sessions: Sequence[Session],
         model=fit.model,
         particles=_particle_parameters(fit),
         remarks=(*remarks, *_reservations(known, judgement), *_confounded(start),
-                 *_not_thermal(fit)),
+                 *_not_thermal(fit), *_unsteady(fit)),
         learned=_told(learned) if learned else (),
     )
 
@@ -165,6 +165,21 @@ def _not_thermal(fit: ModelFit) -> list[str]:
     """What D of each session does not agree with."""
     return [f'{p.session.name}: {one}.' for p in fit.session_fits
             for one in implausible_diffusion(p.session.conditions, p.noise())]
+
+
+def _unsteady(fit: ModelFit) -> list[str]:
+    """How speeds of each session fluctuate, where they do: part of the noise, not an effect."""
+    told = []
+    for p in fit.session_fits:
+        if p.whitening.fluctuation is None:
+            continue
+        said = (f'{p.session.name}: speeds fluctuate by {100 * p.fluctuation:.0f} % with a '
+                f'correlation time of {p.whitening.fluctuation:.2g} s')
+        if p.swing > 0:
+            said += (f', and positions swing along the motion by {p.swing * 1e6:.2g} µm (standard '
+                     'deviation), as of particles that roll unevenly')
+        told.append(said + '. Both are part of the noise.')
+    return told
 
 
 def _confounded(fit: ModelFit) -> list[str]:

@@ -30,7 +30,12 @@ from scipy.special import logsumexp
 from microbot_ros.discovery.learned.learn import Finding, learn_term
 from microbot_ros.discovery.processes import Run, serially
 from microbot_ros.discovery.search import CandidateFit, compare, search, without
-from microbot_ros.estimation.likelihood.model_fit import ModelFit, fit_sessions, fit_with_noise
+from microbot_ros.estimation.likelihood.model_fit import (
+    ModelFit,
+    fit_sessions,
+    fit_with_noise,
+    unsteady,
+)
 from microbot_ros.estimation.likelihood.prepared_session import PreparedSession
 from microbot_ros.model.effects import EFFECTS
 from microbot_ros.model.model import Model
@@ -44,6 +49,10 @@ RIVAL = float(np.log(1 / FALSE))
 PER_DECADE = 2
 """Standard deviations of a prior that are averaged over, for each order of magnitude. With 1 or 4
 the log evidence of an effect changes by less than 0.1."""
+
+FEW = 2
+"""Effects beside which speeds are first looked at: what stands in for speeds that fluctuate comes
+after what is there, as a rule."""
 
 MOST = 4
 """Effects in a model. Rollers on a rig need a delay, a ratio of coils, a dead band and a response
@@ -250,9 +259,26 @@ def consider(sessions: Sequence[PreparedSession], taken: Sequence[str] = (),
 
     Effects are added while the odds are for them, dropped where they are not any more, and
     exchanged for rivals that became likelier, from the effects `taken` at a look before on. The
-    search ends where a set of effects would come again.
+    search ends where a set of effects would come again. Where the model that is found leaves
+    speeds that fluctuate, the search goes on from it with these in the noise of all fits.
     `report` is told what is being done; `run` shares the candidates.
     """
+    known = _search(sessions, taken, FEW, report, run)
+    plain = known.fit
+    for effect in plain.model.effects:
+        if effect.overrides('alignment_rate'):  # a filter has room for one memory
+            plain = without(plain, effect.id)
+    restless = unsteady(sessions, plain, known.fit)
+    if restless is None:
+        return known if len(known.slots) < FEW else _search(
+            sessions, known.names, MOST, report, run)
+    report('looking again beside speeds that fluctuate')
+    return _search(restless, [effect.id for effect in plain.model.effects], MOST, report, run)
+
+
+def _search(sessions: Sequence[PreparedSession], taken: Sequence[str], most: int,
+            report: Callable[[str], None], run: Run) -> Hypotheses:
+    """Return the hypotheses on `sessions`, of `most` effects, as for `consider`."""
     start = fit = fit_first_order(sessions)
     for name in taken:
         again = [one for one in _candidates(fit, [name], run) if one.evidence > 0]
@@ -265,7 +291,7 @@ def consider(sessions: Sequence[PreparedSession], taken: Sequence[str] = (),
         better = _exchange(slots)
         more = _others(fit, run) if better is None else ()
         looked.append(Hypotheses(start, fit, slots, more))
-        if more and len(slots) < MOST and more[0].evidence >= likelier_than_not() + WORTH:
+        if more and len(slots) < most and more[0].evidence >= likelier_than_not() + WORTH:
             better = more[0].found.fit.model
         if better is None:
             break
@@ -305,7 +331,7 @@ def _exchange(slots: Sequence[Slot]) -> Model | None:
     """The model with an effect less that is not worth it, or with a likelier rival in its place.
     """
     for slot in slots:
-        if slot.own.evidence < likelier_than_not():
+        if slot.own.evidence < likelier_than_not() or not _possible(slot.own.found):
             return slot.rest.model
         for rival in slot.rivals:
             if slot.behind(rival) < (-LIKELIER if rival.found.shape_seen else -CLEARLY):
@@ -315,5 +341,11 @@ def _exchange(slots: Sequence[Slot]) -> Model | None:
 
 def _candidates(fit: ModelFit, names: Iterable[str], run: Run) -> tuple[Candidate, ...]:
     """What could be there beside a `fit`, among `names`, the likeliest first."""
-    found = (Candidate.of(one) for one in search(fit, names, run))
+    found = (Candidate.of(one) for one in search(fit, names, run) if _possible(one))
     return tuple(sorted(found, key=lambda one: -one.evidence))
+
+
+def _possible(found: CandidateFit) -> bool:
+    """Whether an effect without a shape is inside its physical bounds: at one it is another thing.
+    """
+    return found.has_shape or found.shape_seen

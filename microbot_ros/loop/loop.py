@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -12,8 +13,10 @@ import numpy as np
 from microbot_ros.control.deadline_worker import UnhurriedWorker
 from microbot_ros.control.manager import Outcome
 from microbot_ros.drive.gate import Gate
+from microbot_ros.drive.rotation import Rotation
 from microbot_ros.loop.allocation import AllocationStage, GateParameters, limits
 from microbot_ros.loop.controller import ControllerParameters, ControllerStage
+from microbot_ros.loop.felt_rotation import FeltRotation
 from microbot_ros.loop.model import ModelParameters, ModelStage
 from microbot_ros.loop.tracker import TrackerParameters, TrackerStage
 
@@ -39,21 +42,25 @@ class LoopStep:
 
     `t` [s] is its exposure; `particles` (N,) of type PARTICLE are those in it, `estimates` (M,)
     of type ESTIMATE what is known of them and of those that have just gone out of sight. `field`
-    (2,) [T] is what the controller asks for, `frequency` [Hz] that of a rolling field, `currents`
-    (4,) [A] what the gate affirms of it, and `reasons` why that may be less.
+    (2,) or (3,) [T] is what the controller asks for, `angular_velocity` (3,) [rad/s] that of a
+    field that turns, `currents` (N,) [A] what the gate affirms of it at `t`, and `reasons` why
+    that may be less.
     """
 
     t: float
     particles: np.ndarray
     estimates: np.ndarray
     field: np.ndarray
-    frequency: float
+    angular_velocity: np.ndarray
     currents: np.ndarray
     reasons: tuple[str, ...]
 
 
 class Loop:
     """Tracker, model, controller manager, allocation and gate as one function of a frame.
+
+    For as many coils, N, as the rig has, in two or three axes, and for fields that turn: their
+    currents between two frames are those of `sample`.
 
     It has no thread and no clock: times come with what it is given, and controllers are called
     without a deadline. The same frames, measurements and goals give the same currents to the last
@@ -70,7 +77,11 @@ class Loop:
         if not answer.ok:
             raise ValueError(answer.message)
         self.allocation = AllocationStage(parameters.gate)
-        self.gate = Gate(limits(parameters.gate))
+        self.gate = Gate(limits(parameters.gate), len(self.allocation.coils.names))
+        self._rotation = Rotation(self.gate.limits.slew_A_per_s)
+        self._felt = FeltRotation()
+        self._turned = False
+        self._given_t = -math.inf
 
     @property
     def tracker(self) -> TrackerStage:
@@ -85,13 +96,30 @@ class Loop:
             raise RuntimeError(refusal)
 
     def measured(self, currents: np.ndarray, t: float) -> np.ndarray:
-        """The amplifier reads currents (4,) [A] back at `t` [s]; the field (2,) [T] they make."""
+        """Take in the currents (N,) [A] that the amplifier reads back at `t` [s].
+
+        Returns the field (2,) or (3,) [T] that they make.
+        """
         self.gate.measured(currents.tolist(), t)
         field = self.allocation.field(currents)
-        self.model.field(t, field)
-        if self._tracker is not None:
-            self._tracker.field(t, field)
+        if self._rolls:
+            if changed := self._felt.applied(t, field):
+                self._tell_rotation(*changed)
+        else:
+            self.model.field(t, field[:2])
+            if self._tracker is not None:
+                self._tracker.field(t, field[:2])
         return field
+
+    def sample(self, t: float) -> np.ndarray:
+        """Return the currents (N,) [A] that may flow at `t` [s], between two frames."""
+        if self._rotation.turns:
+            self.gate.command(self._rotation.currents(t).tolist(), t, self._given_t)
+        else:
+            self.gate.tick(t)
+        if not self.gate.armed:
+            self._rotation.stop()
+        return np.array(self.gate.output)
 
     def step(self, image: np.ndarray, t: float) -> LoopStep:
         """Take an `image` (H, W) that was exposed at `t` [s].
@@ -108,20 +136,50 @@ class Loop:
         outcome = self.controller.step(estimates, t, t)
         if outcome.command is None:
             self.controller.let_go()
-        field, frequency = _asked(outcome)
-        currents = self.gate.command(self.allocation.step(field).tolist(), t)
-        return LoopStep(t, particles, estimates, field, frequency, np.array(currents),
-                        self._reasons(outcome))
+        field, angular_velocity = _asked(outcome)
+        refusal = self._command(field, angular_velocity, t)
+        return LoopStep(t, particles, estimates, field, angular_velocity, self.sample(t),
+                        self._reasons(outcome, refusal))
 
-    def _reasons(self, outcome: Outcome) -> tuple[str, ...]:
+    @property
+    def _rolls(self) -> bool:
+        return self._parameters.model.propulsion == 'rolling'
+
+    def _command(self, field: np.ndarray, angular_velocity: np.ndarray, t: float) -> str:
+        """Give a field at `t` [s], turning where it is to; why the coils can't make it, or ''."""
+        turns = bool(angular_velocity.any())
+        if self._rolls and (turns or self._turned):
+            self._tell_rotation(*self._felt.command(t, angular_velocity[:2]))
+        self._turned = turns
+        try:
+            if turns and field.any():
+                wanted = self.allocation.turn(np.array([*field, 0.0][:3]), angular_velocity)
+                self._rotation.follow(wanted, t, np.array(self.gate.output))
+                self._given_t = t
+            else:
+                currents = self.allocation.step(field)
+                self._rotation.stop()
+                self.gate.command(currents.tolist(), t)
+        except ValueError as error:
+            return str(error)
+        return ''
+
+    def _tell_rotation(self, t: float, angular_velocity: np.ndarray) -> None:
+        self.model.rotation(t, angular_velocity)
+        if self._tracker is not None:
+            self._tracker.rotation(t, angular_velocity)
+
+    def _reasons(self, outcome: Outcome, refusal: str) -> tuple[str, ...]:
         found = self.model.estimates
         doubts = found.diagnosis if found is not None else ()
         fault = self.gate.fault
-        said = (outcome.message, *doubts, f'{fault.reason.value}: {fault.detail}' if fault else '')
+        cut = f'{fault.reason.value}: {fault.detail}' if fault else ''
+        said = (outcome.message, refusal, *doubts, cut)
         return tuple(filter(None, said))
 
 
-def _asked(outcome: Outcome) -> tuple[np.ndarray, float]:
+def _asked(outcome: Outcome) -> tuple[np.ndarray, np.ndarray]:
+    """Return the field and the angular velocity of an outcome; zero without a command."""
     if outcome.command is None:
-        return np.zeros(2), 0.0
-    return outcome.command.field, outcome.command.frequency
+        return np.zeros(2), np.zeros(3)
+    return outcome.command.field, outcome.command.angular_velocity

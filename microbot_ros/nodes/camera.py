@@ -19,9 +19,9 @@ from microbot_ros.cameras.camera import (
 from microbot_ros.cameras.stream import FrameStream
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.settings import setting
-from microbot_ros.nodes import messages
-from microbot_ros.nodes.lifecycle import ERROR, IMAGES_OUT, OK, WARN, RigNode
-from microbot_ros.nodes.preview import Preview
+from microbot_ros.nodes.base import messages
+from microbot_ros.nodes.base.lifecycle import ERROR, IMAGES_OUT, OK, WARN, RigNode
+from microbot_ros.nodes.base.preview import Preview
 
 _RETRY_SECONDS = 1.0
 _FRESH_SECONDS = 1.0

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 from microbot_ros.cockpit import address
 from microbot_ros.common.extras import require
 from microbot_ros.common.settings import setting
-from microbot_ros.nodes.lifecycle import ERROR, OK, RigNode
+from microbot_ros.nodes.base.lifecycle import ERROR, OK, RigNode
 
 if TYPE_CHECKING:
     from microbot_ros.cockpit.server import Server
@@ -49,7 +49,7 @@ class CockpitNode(RigNode):
         require('cockpit')
         from microbot_ros.cockpit.discovery import Discovery, default_folder
         from microbot_ros.cockpit.server import Server
-        from microbot_ros.nodes.operated_rig import OperatedRig
+        from microbot_ros.nodes.client.operated_rig import OperatedRig
 
         values: CockpitParameters = self.settings
         self._operated = OperatedRig(self)

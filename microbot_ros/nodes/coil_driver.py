@@ -22,8 +22,8 @@ from microbot_ros.drive.errors import AmplifierError
 from microbot_ros.drive.gate import Fault, Reason
 from microbot_ros.drive.heat import HeatRecord
 from microbot_ros.loop.allocation import AllocationStage, GateParameters, limits
-from microbot_ros.nodes import messages
-from microbot_ros.nodes.lifecycle import ERROR, LATCHED, NEWEST, OK, WARN, RigNode
+from microbot_ros.nodes.base import messages
+from microbot_ros.nodes.base.lifecycle import ERROR, LATCHED, NEWEST, OK, WARN, RigNode
 
 _WARM = 0.01
 """Heat of a coil, as a part of what it bears, from which on it is kept for a restart."""

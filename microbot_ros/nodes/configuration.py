@@ -14,8 +14,8 @@ from microbot_ros.common.errors import InputError, clipped
 from microbot_ros.common.files import Settings, line_of, load_yaml, read_yaml
 from microbot_ros.control.registry import PluginError, controller_class
 from microbot_ros.drive.amplifier import amplifier_class
-from microbot_ros.nodes.lifecycle import RigNode
-from microbot_ros.nodes.process import NODES
+from microbot_ros.nodes.base.lifecycle import RigNode
+from microbot_ros.nodes.base.names import NODES
 
 EVERY_NODE = ('use_sim_time',)
 

@@ -28,11 +28,11 @@ from microbot_ros.control.registry import controller_classes
 from microbot_ros.loop.controller import ControllerParameters, ControllerStage
 from microbot_ros.loop.points import GOAL, PLACE
 from microbot_ros.model.io.model_file import read_model
-from microbot_ros.nodes import messages
-from microbot_ros.nodes.core import Core
-from microbot_ros.nodes.lifecycle import ERROR, LATCHED, NEWEST, OK, WARN, RigNode, status
-from microbot_ros.nodes.markers import markers
-from microbot_ros.nodes.parameters import ParameterSet
+from microbot_ros.nodes.base import messages
+from microbot_ros.nodes.base.core import Core
+from microbot_ros.nodes.base.lifecycle import ERROR, LATCHED, NEWEST, OK, WARN, RigNode, status
+from microbot_ros.nodes.base.markers import markers
+from microbot_ros.nodes.base.parameters import ParameterSet
 from microbot_ros.session.replay.log import EXPIRE, LET_GO
 
 _MARKERS_SECONDS = 0.2

@@ -16,10 +16,10 @@ from microbot_ros.common.settings import setting
 from microbot_ros.loop.model import ModelParameters, ModelStage
 from microbot_ros.loop.points import PARTICLE
 from microbot_ros.model.io.model_file import read_model
-from microbot_ros.nodes import messages
-from microbot_ros.nodes.core import Core
-from microbot_ros.nodes.felt_rotation import follow_rotation
-from microbot_ros.nodes.lifecycle import OK, SILENCE_SECONDS, WARN, RigNode, in_one_line
+from microbot_ros.nodes.base import messages
+from microbot_ros.nodes.base.core import Core
+from microbot_ros.nodes.base.felt_rotation import follow_rotation
+from microbot_ros.nodes.base.lifecycle import OK, SILENCE_SECONDS, WARN, RigNode, in_one_line
 
 
 @dataclass(frozen=True)

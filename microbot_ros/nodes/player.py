@@ -15,10 +15,10 @@ from std_srvs.srv import SetBool, Trigger
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.extras import require
 from microbot_ros.common.settings import setting
-from microbot_ros.nodes.lifecycle import OK, RigNode
-from microbot_ros.nodes.live_rig import LiveRig
-from microbot_ros.nodes.playback_publishers import PlaybackPublishers
-from microbot_ros.nodes.topics import CHANGES
+from microbot_ros.nodes.base.lifecycle import OK, RigNode
+from microbot_ros.nodes.base.playback_publishers import PlaybackPublishers
+from microbot_ros.nodes.base.topics import CHANGES
+from microbot_ros.nodes.client.live_rig import LiveRig
 
 if TYPE_CHECKING:
     from microbot_ros.session.mcap.recording import Message

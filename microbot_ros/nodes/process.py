@@ -18,25 +18,10 @@ from microbot_ros.common.ending import Ending, Stopped, find_launcher
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.first_compilation import tell_of_compiling
 from microbot_ros.common.real_time import LOOP, SAFETY, set_realtime_priority_of_all
-from microbot_ros.nodes.graph import READY, WORD
-from microbot_ros.nodes.lifecycle import RigNode
-from microbot_ros.nodes.participant import join, leave
-
-NODES = {
-    'camera': 'CameraNode',
-    'tracker': 'TrackerNode',
-    'model': 'ModelNode',
-    'controller': 'ControllerNode',
-    'coil_driver': 'CoilDriverNode',
-    'virtual_rig': 'VirtualRigNode',
-    'recorder': 'RecorderNode',
-    'player': 'PlayerNode',
-    'cockpit': 'CockpitNode',
-}
-"""Node name → class in the module of the same name; imported only where it runs."""
-
-LOOP_NODES = ('camera', 'tracker', 'model', 'controller', 'coil_driver')
-"""Nodes that run in real time."""
+from microbot_ros.nodes.base.lifecycle import RigNode
+from microbot_ros.nodes.base.names import LOOP_NODES, NODES
+from microbot_ros.nodes.base.participant import join, leave
+from microbot_ros.nodes.client.graph import READY, WORD
 
 # The end is noticed between two spins. The coils do not wait for that.
 _SPIN_SECONDS = 0.02

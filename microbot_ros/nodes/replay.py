@@ -23,12 +23,12 @@ from microbot_ros.common.errors import InputError
 from microbot_ros.control.plugins.policy import EXECUTED_FILE
 from microbot_ros.control.recorded_worker import IN_TIME, RepeatingWorker
 from microbot_ros.loop.allocation import AllocationStage, GateParameters
-from microbot_ros.nodes import messages
+from microbot_ros.nodes.base import messages
+from microbot_ros.nodes.base.core import RELIABLE, Core
+from microbot_ros.nodes.base.messages import MessageError
+from microbot_ros.nodes.base.topics import TOPICS, type_name
 from microbot_ros.nodes.controller import ControllerCore
-from microbot_ros.nodes.core import RELIABLE, Core
-from microbot_ros.nodes.messages import MessageError
 from microbot_ros.nodes.model import ModelCore
-from microbot_ros.nodes.topics import TOPICS, type_name
 from microbot_ros.nodes.tracker import TrackerCore
 from microbot_ros.session.mcap.bag import whole
 from microbot_ros.session.mcap.recorder import RecordingWriter

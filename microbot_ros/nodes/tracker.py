@@ -20,11 +20,11 @@ from microbot_ros.common import units
 from microbot_ros.common.errors import InputError, clipped
 from microbot_ros.common.settings import setting
 from microbot_ros.loop.tracker import TrackerParameters, TrackerStage
-from microbot_ros.nodes import messages
-from microbot_ros.nodes.core import Core
-from microbot_ros.nodes.felt_rotation import follow_rotation
-from microbot_ros.nodes.frames import publish_camera_transform
-from microbot_ros.nodes.lifecycle import (
+from microbot_ros.nodes.base import messages
+from microbot_ros.nodes.base.core import Core
+from microbot_ros.nodes.base.felt_rotation import follow_rotation
+from microbot_ros.nodes.base.frames import publish_camera_transform
+from microbot_ros.nodes.base.lifecycle import (
     IMAGES_IN,
     IMAGES_OUT,
     LATCHED,

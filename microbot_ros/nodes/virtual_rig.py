@@ -29,9 +29,9 @@ from microbot_ros.model.io.effect_table import write_effects
 from microbot_ros.model.io.model_file import read_model
 from microbot_ros.model.model import Model
 from microbot_ros.model.physics.particle import Fluid, rolling_drag, rotational_drag
-from microbot_ros.nodes import messages
-from microbot_ros.nodes.lifecycle import IMAGES_OUT, OK, WARN, RigNode
-from microbot_ros.nodes.preview import Preview
+from microbot_ros.nodes.base import messages
+from microbot_ros.nodes.base.lifecycle import IMAGES_OUT, OK, WARN, RigNode
+from microbot_ros.nodes.base.preview import Preview
 from microbot_ros.virtual_rig.body import bodies
 from microbot_ros.virtual_rig.foreign_effects import make_world
 from microbot_ros.virtual_rig.injected_effects import INJECTABLE, inject_effect

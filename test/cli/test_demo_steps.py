@@ -14,7 +14,7 @@ from microbot_ros.cli.demo import demo
 from microbot_ros.cli.demo.robots import KINDS
 from microbot_ros.common.errors import InputError
 from microbot_ros.loop.points import ESTIMATE
-from microbot_ros.nodes import graph_client
+from microbot_ros.nodes.client import graph_client
 
 
 class Client:

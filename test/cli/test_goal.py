@@ -5,7 +5,7 @@ from command_line import runner
 
 from microbot_ros.cli.rig.goal import command
 from microbot_ros.common.errors import InputError, RigError
-from microbot_ros.nodes import graph_client, rig_client
+from microbot_ros.nodes.client import graph_client, rig_client
 
 
 class Graph:

@@ -13,7 +13,7 @@ from in_process import command
 
 from microbot_ros.cli.rig import run
 from microbot_ros.common.errors import InputError
-from microbot_ros.nodes import rig_client
+from microbot_ros.nodes.client import rig_client
 
 
 class Children:

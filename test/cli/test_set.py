@@ -6,7 +6,7 @@ import pytest
 from click.testing import CliRunner
 
 from microbot_ros.cli.rig.set import command
-from microbot_ros.nodes import graph_client
+from microbot_ros.nodes.client import graph_client
 
 
 class Graph:

@@ -18,7 +18,7 @@ from geometry_msgs.msg import Vector3Stamped
 from in_process import Amplifier, Ros
 from websockets.sync.client import connect
 
-from microbot_ros.nodes.graph_client import GraphClient
+from microbot_ros.nodes.client.graph_client import GraphClient
 from microbot_ros.session.mcap.recording import open_recording
 
 # Nodes and pictures in one process: on an overloaded machine no picture comes within a minute.

@@ -248,7 +248,7 @@ def test_discovery_that_is_told_to_end_says_so(page: Any, virtual: VirtualRig) -
 def _at_rest() -> Iterator[None]:
     """Nothing flows after a test, whatever became of its page."""
     yield
-    from microbot_ros.nodes.graph_client import GraphClient
+    from microbot_ros.nodes.client.graph_client import GraphClient
 
     with GraphClient() as client:
         client.set('controller', controller='hold')

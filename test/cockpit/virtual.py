@@ -15,7 +15,7 @@ from typing import Any
 import yaml
 
 from microbot_ros.cockpit.address import WORDS
-from microbot_ros.nodes.graph import Graph
+from microbot_ros.nodes.client.graph import Graph
 
 NODES = ('tracker', 'model', 'controller', 'coil_driver', 'recorder', 'virtual_rig', 'cockpit')
 

@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 import yaml
 
-from microbot_ros.nodes.graph import Graph
+from microbot_ros.nodes.client.graph import Graph
 from microbot_ros.nodes.replay import Replay, plan_replay, recorded_parameters
 from microbot_ros.session.mcap.recorder import RecordingWriter
 from microbot_ros.session.mcap.recording import open_recording

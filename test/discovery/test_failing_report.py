@@ -53,7 +53,7 @@ def test_discover(found, session, tmp_path, capsys):
 
 
 def test_discover_live_publishes_the_verdict_and_goes_on(found, session, tmp_path, capsys):
-    nodes, publisher = 'microbot_ros.nodes', mock.Mock()
+    nodes, publisher = 'microbot_ros.nodes.client', mock.Mock()
     pages = mock.Mock(side_effect=[IndexError('once'), IndexError('too few')])
     with mock.patch(f'{nodes}.graph_client.GraphClient', return_value=nullcontext()), \
             mock.patch(f'{nodes}.live_session_buffer.LiveSessionBuffer'), \
@@ -73,8 +73,9 @@ def test_discover_drive_applies_the_model_all_the_same(found, session, tmp_path,
     driven = Driven([session], decided='settled')
     given = mock.Mock(return_value='')
     drive = 'microbot_ros.discovery.driven'
-    with mock.patch('microbot_ros.nodes.graph_client.GraphClient', return_value=nullcontext()), \
-            mock.patch('microbot_ros.nodes.driven_rig.DrivenRig'), \
+    client = 'microbot_ros.nodes.client'
+    with mock.patch(f'{client}.graph_client.GraphClient', return_value=nullcontext()), \
+            mock.patch(f'{client}.driven_rig.DrivenRig'), \
             mock.patch('microbot_ros.common.ending.Ending'), \
             mock.patch(f'{drive}.drive.drive', return_value=driven), \
             mock.patch(f'{drive}.conclusion.discovered', return_value=(named, session)), \

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from microbot_ros.discovery.check.held_out import block_of, held_out_gap, learn, mean_by_stretch
+from microbot_ros.discovery.check.held_out import held_out_gap, learn, mean_by_stretch
 from microbot_ros.discovery.check.input_checks import check_sessions
 from microbot_ros.discovery.hypotheses import fit_first_order
 from microbot_ros.discovery.next_experiment import next_experiment
@@ -85,6 +85,12 @@ def test_headings_that_chance_has_scattered_are_no_gap(film):
     assert fit.session_fits[0].session.seen.sum() < lagging.sessions[0].seen.sum()
     gap = held_out_gap(fit, lagging.sessions)
     assert gap.after < 0.1 * gap.before
+
+
+def block_of(session, blocks):
+    """The block (T,) of every frame, of so many of equal length."""
+    times = session.times
+    return np.minimum((times - times[0]) / np.ptp(times) * blocks, blocks - 1).astype(int)
 
 
 @given(block=st.integers(0, 3), strength=st.floats(0.1, 100.0), seed=st.integers(0, 99))

@@ -117,8 +117,9 @@ def test_where_only_a_direction_was_told_no_effect_of_strength_is_looked_for(fil
     of_strength = {name for name, kind in EFFECTS.items()
                    if not kind.applies(FitEvidence(unknown)) and kind.applies(FitEvidence(known))}
     assert of_strength == {
-        'amplifier_deadband', 'background_field', 'incomplete_alignment', 'gradient_force',
-        'coil_pull', 'dipole_interaction'}
+        'background_field', 'incomplete_alignment', 'gradient_force', 'coil_pull',
+        'dipole_interaction'}
+    assert fit_candidate(unknown, 'amplifier_deadband') is not None  # a share of full scale
 
 
 def test_a_field_that_turns_one_way_hides_a_lag_in_phi(film):

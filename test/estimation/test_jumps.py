@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from microbot_ros.estimation.online.jumps import JumpNotes
-from microbot_ros.nodes.lifecycle import in_one_line
+from microbot_ros.nodes.base.lifecycle import in_one_line
 
 
 def test_a_jump_is_told_by_its_length_and_more_are_counted():

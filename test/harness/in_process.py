@@ -30,8 +30,8 @@ from microbot_ros.drive.emulator.faults import Faults, parse
 from microbot_ros.drive.emulator.line import Line
 from microbot_ros.drive.emulator.process import make_device
 from microbot_ros.drive.emulator.server import Server
-from microbot_ros.nodes.lifecycle import RigNode
-from microbot_ros.nodes.participant import join
+from microbot_ros.nodes.base.lifecycle import RigNode
+from microbot_ros.nodes.base.participant import join
 from microbot_ros.nodes.process import SWITCH_S, make
 
 FULL_SCALE_A = 2.0

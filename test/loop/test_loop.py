@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
+from coil_rigs import EIGHT, SIX
 
-from microbot_ros.control.contract import Goals
+from microbot_ros.control.contract import FieldCommand, Goals
+from microbot_ros.control.manager import Outcome
 from microbot_ros.drive.gate import Reason
 from microbot_ros.loop.allocation import GateParameters
 from microbot_ros.loop.controller import ControllerParameters
@@ -16,6 +20,7 @@ from microbot_ros.loop.loop import Loop, LoopParameters, LoopStep
 from microbot_ros.loop.model import ModelParameters
 from microbot_ros.loop.points import particles_at
 from microbot_ros.loop.tracker import TrackerParameters
+from microbot_ros.magnetics import CoilSettings
 from microbot_ros.model.physics.particle import Fluid
 from microbot_ros.tracking import FrameError
 from microbot_ros.virtual_rig.closed_loop import LoopFeedback
@@ -25,6 +30,8 @@ from microbot_ros.virtual_rig.world import World
 WATER = Fluid(1.245e-3)
 RADIUS = 2.3e-6
 GOAL = np.array([[30e-6, -20e-6]])
+WIDE = {'current_limit_A': 100.0, 'step_limit_A': 200.0, 'slew_limit_A_per_s': 1e4}
+"""Limits that the coils of every rig here keep."""
 
 
 def loop(controller: str = 'waypoint', **gate: Any) -> Loop:
@@ -138,3 +145,85 @@ def test_a_picture_that_cannot_be_used_is_refused_and_changes_nothing() -> None:
         made.step(np.zeros((100, 100), np.uint8), 2 / 30)
     assert made.tracker.frames == 1
     assert made.tracker.refused == 1
+
+
+def turned(angular_velocity: np.ndarray, field: np.ndarray) -> Outcome:
+    """What a controller asks for that turns a field (2,) or (3,) [T], right-handed."""
+    rate = float(np.linalg.norm(angular_velocity))
+    return Outcome(FieldCommand(field, rate / math.tau, axis=angular_velocity / rate))
+
+
+def asking(made: Loop, outcome: Outcome) -> Loop:
+    """A loop whose controller answers one thing."""
+    made.controller.step = lambda *_: outcome  # type: ignore[method-assign]
+    channels = len(made.allocation.coils.names)
+    made.measured(np.zeros(channels), 0.0)
+    made.arm(0.0)
+    return made
+
+
+def coils(folder: Path, found: CoilSettings) -> str:
+    file = folder / 'coils.yaml'
+    file.write_text(yaml.safe_dump(found.model_dump(mode='json')))
+    return str(file)
+
+
+@pytest.mark.parametrize('settings', [SIX, EIGHT])
+def test_coils_of_three_axes_make_a_field_that_stands_up(
+        tmp_path: Path, settings: CoilSettings) -> None:
+    wanted = np.array([0.5e-3, -0.3e-3, 0.8e-3])
+    made = asking(loop(coils_file=coils(tmp_path, settings), full_field_mT=1.0, **WIDE),
+                  Outcome(FieldCommand(wanted)))
+    step = made.steer(particles((0.0, 0.0)), 0.03)
+    assert len(step.currents) == len(settings.windings)
+    assert made.measured(step.currents, 0.031) == pytest.approx(wanted, abs=1e-9)
+
+
+def test_what_the_coils_cannot_make_is_not_commanded_and_told() -> None:
+    made = asking(loop(), Outcome(FieldCommand(np.array([0.0, 0.0, 1e-3]))))
+    step = made.steer(particles((0.0, 0.0)), 0.03)
+    assert not step.currents.any()
+    assert any('no field along z' in reason for reason in step.reasons)
+
+
+@pytest.mark.parametrize('axis', [(0.0, 0.0, 1.0), (0.6, 0.0, 0.8)])
+def test_a_field_turns_between_frames_about_its_axis(
+        tmp_path: Path, axis: tuple[float, float, float]) -> None:
+    omega = math.tau * 5 * np.array(axis)
+    across = np.array([0.0, 1e-3, 0.0])
+    made = asking(loop(coils_file=coils(tmp_path, SIX), full_field_mT=1.0, **WIDE),
+                  turned(omega, across))
+    made.steer(particles((0.0, 0.0)), 0.03)
+    for t in np.arange(0.031, 0.1, 0.001):
+        field = made.measured(made.sample(float(t)), float(t))
+        angle = np.linalg.norm(omega) * (t - 0.03)
+        turn = np.cross(np.array(axis), across)
+        settled = t > 0.06  # the first field is reached no faster than the slew limit allows
+        if settled:
+            assert field == pytest.approx(
+                math.cos(angle) * across + math.sin(angle) * turn, abs=2e-5)
+
+
+def test_a_field_that_turned_stops_with_the_next_that_stands_and_goes_stale_alone() -> None:
+    made = asking(loop(), turned(math.tau * np.array([0.0, 0.0, 5.0]), np.array([1e-3, 0.0])))
+    made.steer(particles((0.0, 0.0)), 0.03)
+    assert made.sample(0.05).any()
+    assert not made.sample(0.2).any()
+    assert made.gate.fault is not None
+    assert made.gate.fault.reason in (Reason.STALE, Reason.SILENCE)
+    assert not made.sample(0.21).any()
+
+
+def test_rollers_are_learned_by_what_turns() -> None:
+    made = Loop(LoopParameters(model=ModelParameters(propulsion='rolling')))
+    told: list[tuple[float, list[float]]] = []
+    made.model.rotation = lambda t, omega: told.append(  # type: ignore[method-assign]
+        (t, omega.tolist()))
+    omega = np.array([0.0, math.tau * 5, 0.0])
+    made.controller.step = lambda *_: turned(  # type: ignore[method-assign]
+        omega, np.array([1e-3, 0.0]))
+    made.steer(particles((0.0, 0.0)), 0.1)
+    made.controller.step = lambda *_: Outcome(None)  # type: ignore[method-assign]
+    made.steer(particles((0.0, 0.0)), 0.2)
+    made.steer(particles((0.0, 0.0)), 0.3)
+    assert told == [(0.1, omega[:2].tolist()), (0.2, [0.0, 0.0])]

@@ -8,7 +8,7 @@ from sensor_msgs.msg import MagneticField, PointCloud2
 
 from microbot_ros.loop.points import PARTICLE
 from microbot_ros.model.physics.particle import Fluid
-from microbot_ros.nodes import messages
+from microbot_ros.nodes.base import messages
 from microbot_ros.virtual_rig.injected_effects import inject_effect
 from microbot_ros.virtual_rig.record_session import draw_swarm
 from microbot_ros.virtual_rig.world import FieldHistory, World

@@ -14,7 +14,7 @@ from in_process import command
 from std_srvs.srv import SetBool
 
 from microbot_ros.magnetics import CoilSettings
-from microbot_ros.nodes import messages
+from microbot_ros.nodes.base import messages
 
 magpylib = pytest.importorskip('magpylib')
 

@@ -20,8 +20,8 @@ from sensor_msgs.msg import Image, MagneticField, PointCloud2
 from std_msgs.msg import Header, String
 
 from microbot_ros.loop.points import PARTICLE
-from microbot_ros.nodes import messages
-from microbot_ros.nodes.lifecycle import IMAGES_IN, LATCHED
+from microbot_ros.nodes.base import messages
+from microbot_ros.nodes.base.lifecycle import IMAGES_IN, LATCHED
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 
 PLACE = np.array([[-60.0, 20.0], [10.0, -40.0], [70.0, 30.0]]) * 1e-6

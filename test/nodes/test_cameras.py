@@ -25,8 +25,8 @@ from microbot_ros.cameras.camera import (
 )
 from microbot_ros.common.errors import InputError
 from microbot_ros.nodes import camera as camera_node
-from microbot_ros.nodes import messages
-from microbot_ros.nodes.lifecycle import ERROR, IMAGES_IN, OK, WARN
+from microbot_ros.nodes.base import messages
+from microbot_ros.nodes.base.lifecycle import ERROR, IMAGES_IN, OK, WARN
 
 
 class Bench(CameraDriver):

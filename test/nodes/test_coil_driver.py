@@ -18,9 +18,9 @@ from std_srvs.srv import SetBool
 
 from microbot_ros.drive.coil_driver import STOPPED
 from microbot_ros.drive.gate import Fault
-from microbot_ros.nodes import messages
+from microbot_ros.nodes.base import messages
+from microbot_ros.nodes.base.lifecycle import LATCHED
 from microbot_ros.nodes.coil_driver import LIMITS
-from microbot_ros.nodes.lifecycle import LATCHED
 
 
 def _start(emulator: Any, ros: Any, **parameters: Any) -> Any:

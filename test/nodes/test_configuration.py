@@ -9,8 +9,8 @@ import pytest
 import yaml
 
 from microbot_ros.common.errors import InputError
+from microbot_ros.nodes.base.names import NODES
 from microbot_ros.nodes.configuration import node_class, read_rig, refused
-from microbot_ros.nodes.process import NODES
 
 ROOT = Path(__file__).parents[2]
 

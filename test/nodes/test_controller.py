@@ -27,8 +27,8 @@ from microbot_ros.common.records import Commands
 from microbot_ros.control.contract import no_field
 from microbot_ros.control.plugins.open_loop import OpenLoop
 from microbot_ros.loop.points import ESTIMATE, GOAL
-from microbot_ros.nodes import messages
-from microbot_ros.nodes.lifecycle import LATCHED
+from microbot_ros.nodes.base import messages
+from microbot_ros.nodes.base.lifecycle import LATCHED
 
 
 class Loop:

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 
-from microbot_ros.nodes.described_parameters import Described
+from microbot_ros.nodes.client.described_parameters import Described
 
 VALUES: dict[str, Any] = {
     'controller': 'hold', 'use_sim_time': False, 'model_file': '', 'policy.file': 'a.onnx',

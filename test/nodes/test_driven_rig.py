@@ -18,8 +18,8 @@ import yaml
 from nodes.foreign_rig import ForeignRig
 
 from microbot_ros.discovery.discover import discover
-from microbot_ros.nodes.graph import Graph
-from microbot_ros.nodes.graph_client import GraphClient
+from microbot_ros.nodes.client.graph import Graph
+from microbot_ros.nodes.client.graph_client import GraphClient
 from microbot_ros.session import read_session
 
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(400)]

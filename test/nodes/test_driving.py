@@ -19,9 +19,9 @@ from std_srvs.srv import SetBool
 from microbot_ros.common.errors import RigError
 from microbot_ros.common.records import Session
 from microbot_ros.discovery.driven.plan import Plan
-from microbot_ros.nodes import driven_rig
-from microbot_ros.nodes.driven_rig import DrivenRig
-from microbot_ros.nodes.graph_client import GraphClient
+from microbot_ros.nodes.client import driven_rig
+from microbot_ros.nodes.client.driven_rig import DrivenRig
+from microbot_ros.nodes.client.graph_client import GraphClient
 
 # A process that is held up skips what it had no time for: each field lasts longer than that.
 SHORT = Plan(np.array([0.0, 2.0, 4.0, 1.0]), np.full(4, FIELD), np.full(4, 1.0))

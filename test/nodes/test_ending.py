@@ -23,8 +23,8 @@ from rclpy.parameter import Parameter
 
 from microbot_ros.common.ending import PARENT
 from microbot_ros.common.errors import InputError, RigError
-from microbot_ros.nodes import messages
-from microbot_ros.nodes.graph_client import GraphClient
+from microbot_ros.nodes.base import messages
+from microbot_ros.nodes.client.graph_client import GraphClient
 
 pytestmark = [pytest.mark.rig, pytest.mark.timeout(120)]
 

@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sensor_msgs.msg import MagneticField, PointCloud2
 
+from microbot_ros.loop.felt_rotation import FeltRotation
 from microbot_ros.loop.points import PARTICLE
-from microbot_ros.nodes import messages
-from microbot_ros.nodes.felt_rotation import FeltRotation
+from microbot_ros.nodes.base import messages
 
 OMEGA = np.array([0.0, 12.0])
 FLOWS, NOTHING = np.array([0.0, 0.0, 3e-3]), np.array([2e-6, -4e-6, 3e-6])

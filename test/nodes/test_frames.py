@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from microbot_ros.nodes import frames
-from microbot_ros.nodes.lifecycle import LATCHED
+from microbot_ros.nodes.base import frames
+from microbot_ros.nodes.base.lifecycle import LATCHED
 from microbot_ros.tracking import ImageToWorkspace
 
 STAMP = Time(sec=1_700_000_000)

@@ -12,7 +12,7 @@ import pytest
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.first_compilation import COMPILES
-from microbot_ros.nodes.graph import Graph
+from microbot_ros.nodes.client.graph import Graph
 
 pytestmark = pytest.mark.rig
 

@@ -16,8 +16,9 @@ from sensor_msgs.msg import PointCloud2
 from microbot_ros.drive.amplifier import Zero
 from microbot_ros.drive.coil_driver import CoilDriver
 from microbot_ros.loop.points import ESTIMATE
-from microbot_ros.nodes import messages, rig_client
-from microbot_ros.nodes.graph_client import GraphClient
+from microbot_ros.nodes.base import messages
+from microbot_ros.nodes.client import rig_client
+from microbot_ros.nodes.client.graph_client import GraphClient
 
 
 @pytest.fixture(autouse=True)

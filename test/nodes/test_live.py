@@ -14,10 +14,10 @@ from std_msgs.msg import String
 from microbot_ros.common.records import Commands, Conditions, Session, Tracks
 from microbot_ros.discovery.discover import discover
 from microbot_ros.model.io.model_file import read_model
-from microbot_ros.nodes.graph_client import GraphClient
-from microbot_ros.nodes.lifecycle import LATCHED
-from microbot_ros.nodes.live_session_buffer import LiveSessionBuffer
-from microbot_ros.nodes.verdict_publisher import VerdictPublisher
+from microbot_ros.nodes.base.lifecycle import LATCHED
+from microbot_ros.nodes.client.graph_client import GraphClient
+from microbot_ros.nodes.client.live_session_buffer import LiveSessionBuffer
+from microbot_ros.nodes.client.verdict_publisher import VerdictPublisher
 from microbot_ros.session import write_session
 
 FREQUENCIES = np.array([1.0, 2.0, 4.0])

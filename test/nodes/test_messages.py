@@ -16,7 +16,7 @@ from sensor_msgs.msg import Image, PointCloud2, PointField
 
 from microbot_ros.common.records import Commands
 from microbot_ros.loop.points import ESTIMATE, PARTICLE
-from microbot_ros.nodes import messages
+from microbot_ros.nodes.base import messages
 
 STAMP = Time(sec=1_700_000_000, nanosec=123_456_789)
 

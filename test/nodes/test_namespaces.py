@@ -15,8 +15,8 @@ import pytest
 import yaml
 
 from microbot_ros.common.errors import InputError, RigError
+from microbot_ros.nodes.client.graph_client import GraphClient
 from microbot_ros.nodes.configuration import read_rig, refuse_elsewhere
-from microbot_ros.nodes.graph_client import GraphClient
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 
 CONFIG = Path(__file__).parents[2] / 'config' / 'rig.yaml'

@@ -16,8 +16,8 @@ from rclpy.parameter import Parameter
 from microbot_ros.common import settings
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.settings import setting
-from microbot_ros.nodes.parameters import ParameterSet, refuse_unknown
-from microbot_ros.nodes.transport import BY_PROFILE, NODE, transport
+from microbot_ros.nodes.base.parameters import ParameterSet, refuse_unknown
+from microbot_ros.nodes.base.transport import BY_PROFILE, NODE, transport
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from sensor_msgs.msg import CompressedImage
 
-from microbot_ros.nodes import messages
-from microbot_ros.nodes.preview import Preview, preview
+from microbot_ros.nodes.base import messages
+from microbot_ros.nodes.base.preview import Preview, preview
 
 
 def decoded(message: CompressedImage) -> np.ndarray:
@@ -65,7 +65,7 @@ def test_thirty_a_second_and_only_while_somebody_looks(
     graph = ros({})
     node = graph.add('model')
     made: list[float] = []
-    monkeypatch.setattr('microbot_ros.nodes.preview.preview', lambda image: made.append(
+    monkeypatch.setattr('microbot_ros.nodes.base.preview.preview', lambda image: made.append(
         messages.to_seconds(image.header.stamp)) or CompressedImage(header=image.header))
     shown = Preview(node)
 

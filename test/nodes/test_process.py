@@ -19,8 +19,9 @@ from geometry_msgs.msg import Vector3Stamped
 from in_process import PATIENT, command, own_context
 from std_srvs.srv import SetBool
 
-from microbot_ros.nodes import messages, process
-from microbot_ros.nodes.graph import READY
+from microbot_ros.nodes import process
+from microbot_ros.nodes.base import messages
+from microbot_ros.nodes.client.graph import READY
 
 
 @pytest.fixture(autouse=True)

@@ -16,7 +16,7 @@ from sensor_msgs.msg import Image, PointCloud2
 from std_srvs.srv import SetBool
 
 from microbot_ros.loop.points import PARTICLE
-from microbot_ros.nodes import messages
+from microbot_ros.nodes.base import messages
 from microbot_ros.nodes.replay import recorded_parameters
 from microbot_ros.session import read_session
 from microbot_ros.session.mcap.recording import open_recording

@@ -44,7 +44,8 @@ from microbot_ros.control.testkit import controller_input
 from microbot_ros.estimation.batch import fit
 from microbot_ros.estimation.online.estimator import Estimates, Estimator
 from microbot_ros.loop.points import PARTICLE
-from microbot_ros.nodes import messages, process
+from microbot_ros.nodes import process
+from microbot_ros.nodes.base import messages
 from microbot_ros.nodes.replay import (
     STAGES,
     Replay,

@@ -11,7 +11,7 @@ from rclpy.task import Future
 
 from microbot_ros.common.errors import InputError, RigError
 from microbot_ros.control.controller_thread import AGAIN
-from microbot_ros.nodes.rig_client import RefusedError, RigClient
+from microbot_ros.nodes.client.rig_client import RefusedError, RigClient
 
 
 class Service:

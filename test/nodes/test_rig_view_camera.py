@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from microbot_ros.nodes.rig_view import _to_um
+from microbot_ros.nodes.client.rig_view import _to_um
 from microbot_ros.tracking.camera import ImageToWorkspace
 
 

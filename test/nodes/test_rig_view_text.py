@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 from std_msgs.msg import String
 
-from microbot_ros.nodes import messages
-from microbot_ros.nodes.rig_view import RigView
+from microbot_ros.nodes.base import messages
+from microbot_ros.nodes.client.rig_view import RigView
 
 
 class Node:

@@ -18,7 +18,7 @@ from std_srvs.srv import SetBool
 from microbot_ros.cli.demo.robots import three_pairs
 from microbot_ros.loop.points import ESTIMATE
 from microbot_ros.magnetics import CoilSet
-from microbot_ros.nodes import messages
+from microbot_ros.nodes.base import messages
 
 B, HERTZ = 3e-3, 4.0
 

@@ -12,8 +12,8 @@ import yaml
 
 from microbot_ros.cli.demo.robots import rolling
 from microbot_ros.discovery.discover import discover
-from microbot_ros.nodes.graph import Graph
-from microbot_ros.nodes.graph_client import GraphClient
+from microbot_ros.nodes.client.graph import Graph
+from microbot_ros.nodes.client.graph_client import GraphClient
 from microbot_ros.session.mcap.from_recording import session_of
 from microbot_ros.session.mcap.recording import open_recording
 

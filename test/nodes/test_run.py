@@ -19,7 +19,7 @@ import yaml
 
 from microbot_ros.common.errors import RigError
 from microbot_ros.common.real_time import LOOP, SAFETY
-from microbot_ros.nodes.graph_client import GraphClient
+from microbot_ros.nodes.client.graph_client import GraphClient
 from microbot_ros.virtual_rig.microscope import Microscope, MicroscopeSettings
 
 pytestmark = [pytest.mark.rig, pytest.mark.timeout(240)]

@@ -13,8 +13,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from microbot_ros.nodes.graph_client import GraphClient
-from microbot_ros.nodes.transport import asked_reach, clear_shared_memory
+from microbot_ros.nodes.base.transport import asked_reach, clear_shared_memory
+from microbot_ros.nodes.client.graph_client import GraphClient
 
 FORGOTTEN_S = 4.0
 """A lease of 3 s, and a look around each second."""
@@ -22,7 +22,7 @@ FORGOTTEN_S = 4.0
 
 TALKER = """
 import rclpy
-from microbot_ros.nodes.participant import join
+from microbot_ros.nodes.base.participant import join
 from std_msgs.msg import String
 join([])
 node = rclpy.create_node("talker")
@@ -84,8 +84,8 @@ def test_who_would_be_open_to_others_is_refused_unless_that_is_asked_for(asks: s
                'first = rclpy.create_node("first")\n'
                f'os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "{asks}"\n'
                'from microbot_ros.common.errors import InputError\n'
-               'from microbot_ros.nodes.graph_client import GraphClient\n'
-               'from microbot_ros.nodes.participant import leave\n'
+               'from microbot_ros.nodes.client.graph_client import GraphClient\n'
+               'from microbot_ros.nodes.base.participant import leave\n'
                'try:\n'
                '    GraphClient("guest").echo()\n'
                'except InputError as error:\n'
@@ -153,7 +153,7 @@ def test_clients_that_come_and_go_are_one_participant() -> None:
 def test_who_leaves_says_its_last_words_and_leaves_no_memory(status: int) -> None:
     program = ('import atexit, os, sys\n'
                'from pathlib import Path\n'
-               'from microbot_ros.nodes.participant import join, leave\n'
+               'from microbot_ros.nodes.base.participant import join, leave\n'
                'atexit.register(print, "closed")\n'
                'import rclpy\n'
                'join([])\n'
@@ -178,8 +178,8 @@ def test_a_client_takes_no_shared_memory() -> None:
     """For seconds after a process has gone, what is sent to its port in there reaches nobody, and
     not who has the port next: the next client."""
     program = ('import psutil\n'
-               'from microbot_ros.nodes.graph_client import GraphClient\n'
-               'from microbot_ros.nodes.participant import leave\n'
+               'from microbot_ros.nodes.client.graph_client import GraphClient\n'
+               'from microbot_ros.nodes.base.participant import leave\n'
                'with GraphClient("guest") as client:\n'
                '    assert client.until(lambda: client.runs("talker"), 30)\n'
                '    print(*(one.path for one in psutil.Process().open_files()\n'

@@ -17,8 +17,8 @@ import yaml
 from domains import own_domain
 
 from microbot_ros.common.errors import RigError
-from microbot_ros.nodes.graph import Graph
-from microbot_ros.nodes.graph_client import GraphClient
+from microbot_ros.nodes.client.graph import Graph
+from microbot_ros.nodes.client.graph_client import GraphClient
 
 NODES = ('recorder', 'tracker', 'model', 'controller', 'coil_driver', 'virtual_rig')
 SPEEDS_UM_S, PHIS_RAD = (11.1, 13.2, 15.0), (-1.09, 3.82, 2.64)

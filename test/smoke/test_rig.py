@@ -15,7 +15,7 @@ from smoke.conftest import NODES, PHIS_RAD, SPEEDS_UM_S, SmokeRig
 from microbot_ros.cli.demo import demo
 from microbot_ros.cli.demo.robots import KINDS
 from microbot_ros.loop.points import PARTICLE
-from microbot_ros.nodes import messages
+from microbot_ros.nodes.base import messages
 from microbot_ros.session import read_session
 from microbot_ros.session.mcap.recording import open_recording
 

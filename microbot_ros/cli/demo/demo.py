@@ -23,7 +23,7 @@ from microbot_ros.common.errors import InputError
 from microbot_ros.common.extras import require
 from microbot_ros.common.files import output_folder, write_text
 from microbot_ros.common.real_time import LOOP, realtime_priority
-from microbot_ros.nodes.graph import Graph
+from microbot_ros.nodes.client.graph import Graph
 
 GOALS_UM = np.array([(16.0, 10.0), (-14.0, 14.0), (-4.0, -10.0)])
 """Where to go, relative to where the steered particle is when it knows its v and φ."""
@@ -147,7 +147,7 @@ def _run(graph: Graph, ending: Ending, folder: Path, seconds: float, seed: int,
 
 def _steer(graph: Graph, seconds: float, robots: Robots, began: float) -> _Run:
     """Learn, then visit places, for that long."""
-    from microbot_ros.nodes.graph_client import GraphClient
+    from microbot_ros.nodes.client.graph_client import GraphClient
 
     with GraphClient() as client:
         watch = _Watch(client, graph, robots.unit, began)

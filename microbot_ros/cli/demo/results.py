@@ -13,7 +13,7 @@ import numpy as np
 
 from microbot_ros.common import units
 from microbot_ros.loop.points import PARTICLE
-from microbot_ros.nodes import messages
+from microbot_ros.nodes.base import messages
 from microbot_ros.session.mcap.recording import open_recording
 
 LAST_SECONDS = 5.0

@@ -12,7 +12,7 @@ import numpy as np
 
 from microbot_ros.cli.demo.results import DemoRun
 from microbot_ros.loop.points import PARTICLE
-from microbot_ros.nodes import messages
+from microbot_ros.nodes.base import messages
 from microbot_ros.session.mcap.recording import open_recording
 from microbot_ros.tracking import ImageToWorkspace, Poses
 from microbot_ros.tracking.overlay import OverlayVideo, draw_overlay

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
     from microbot_ros.common.records import Session
     from microbot_ros.discovery.result import Discovery
-    from microbot_ros.nodes.graph_client import GraphClient
-    from microbot_ros.nodes.live_session_buffer import LiveSessionBuffer
+    from microbot_ros.nodes.client.graph_client import GraphClient
+    from microbot_ros.nodes.client.live_session_buffer import LiveSessionBuffer
 
 
 @click.command()
@@ -139,9 +139,9 @@ def _watch(out: Path, seconds: float, rounds: int, jobs: int, json_path: Path | 
 
     from microbot_ros.common.errors import InputError, ReportError
     from microbot_ros.common.files import output_folder
-    from microbot_ros.nodes.graph_client import GraphClient
-    from microbot_ros.nodes.live_session_buffer import LiveSessionBuffer
-    from microbot_ros.nodes.verdict_publisher import VerdictPublisher
+    from microbot_ros.nodes.client.graph_client import GraphClient
+    from microbot_ros.nodes.client.live_session_buffer import LiveSessionBuffer
+    from microbot_ros.nodes.client.verdict_publisher import VerdictPublisher
     from microbot_ros.session import write_session
 
     with GraphClient('discover', namespace) as client:

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from microbot_ros.common.records import Session
     from microbot_ros.discovery.driven.drive import Driven
     from microbot_ros.discovery.result import Discovery
-    from microbot_ros.nodes.graph_client import GraphClient
+    from microbot_ros.nodes.client.graph_client import GraphClient
 
 CONTROLLER, APPROACH, JUDGED = 'waypoint', 6.0, 10.0
 """What holds a particle to see what a model is worth; seconds to get there, and that count."""
@@ -28,8 +28,8 @@ def drive_rig(out: Path, minutes: float, use: bool, json_path: Path | None,
     from microbot_ros.common.ending import Ending, find_launcher
     from microbot_ros.common.errors import ReportError
     from microbot_ros.discovery.driven.drive import drive
-    from microbot_ros.nodes.driven_rig import DrivenRig
-    from microbot_ros.nodes.graph_client import GraphClient
+    from microbot_ros.nodes.client.driven_rig import DrivenRig
+    from microbot_ros.nodes.client.graph_client import GraphClient
 
     out = out.resolve()
     kept = _Kept(out)

@@ -27,7 +27,7 @@ def command(off: bool, namespace: str) -> None:
       microbot arm
       microbot arm --off
     """
-    from microbot_ros.nodes.graph_client import GraphClient
+    from microbot_ros.nodes.client.graph_client import GraphClient
 
     with GraphClient(namespace=namespace) as client:
         answer = client.stop() if off else client.arm()

@@ -35,7 +35,7 @@ def command(host: str, port: int, token: bool, namespace: str) -> None:
       microbot cockpit --host 0.0.0.0 --port 8000
       microbot cockpit --no-token
     """
-    from microbot_ros.nodes.graph_client import checked_namespace
+    from microbot_ros.nodes.client.graph_client import checked_namespace
     from microbot_ros.nodes.process import run
 
     given = {'host': host, 'port': str(port), 'token': str(token).lower()}

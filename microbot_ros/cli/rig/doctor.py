@@ -95,7 +95,7 @@ def _python() -> Finding:
 
 def _ros() -> Finding:
     """A message through the middleware and back, as the nodes send theirs."""
-    from microbot_ros.nodes.graph_client import GraphClient
+    from microbot_ros.nodes.client.graph_client import GraphClient
 
     with GraphClient('doctor') as client:
         name = client.echo()

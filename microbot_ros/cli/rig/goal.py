@@ -17,7 +17,7 @@ from microbot_ros.common.errors import InputError, RigError, shown
 from microbot_ros.common.plausible import implausible
 
 if TYPE_CHECKING:
-    from microbot_ros.nodes.graph_client import GraphClient
+    from microbot_ros.nodes.client.graph_client import GraphClient
 
 Places = list[tuple[float, float]]
 
@@ -61,7 +61,7 @@ def command(positions_um: tuple[str, ...], file: Path | None, as_path: bool, can
     places, particles = _read(file) if file else ([_position(t) for t in positions_um], None)
     if as_path and particles is not None:
         raise InputError(str(file), 'expected no column particle in a path')
-    from microbot_ros.nodes.graph_client import GraphClient
+    from microbot_ros.nodes.client.graph_client import GraphClient
 
     with GraphClient(namespace=namespace) as client:
         if cancel:
@@ -118,11 +118,11 @@ class _Coils:
         if self._client.runs('coil_driver'):
             self._client.until(lambda: self._heard, _HEALTH_SECONDS)
 
-    def _on_health(self, node: str, level: bytes, sentence: str, _: dict[str, str]) -> None:
+    def _on_health(self, node: str, level: bytes, sentence: str, values: dict[str, str]) -> None:
         if node != 'coil_driver' or sentence == self._heard:
             return
         self._heard = sentence
-        if level != b'\0':
+        if level != b'\0' or values.get('armed') == 'False':
             click.echo(f'{node}: {sentence}', err=True)
 
 

@@ -28,7 +28,7 @@ def command(stop: bool, title: str, notes: str, folder: Path | None, namespace: 
       microbot record --title 'batch 7' --notes '5 % peroxide'
       microbot record --stop
     """
-    from microbot_ros.nodes.graph_client import GraphClient
+    from microbot_ros.nodes.client.graph_client import GraphClient
 
     with GraphClient(namespace=namespace) as client:
         if not stop:

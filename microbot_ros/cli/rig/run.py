@@ -14,7 +14,7 @@ from microbot_ros.cockpit import address
 from microbot_ros.common.ending import Ending, Stopped
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.real_time import LOOP, realtime_priority
-from microbot_ros.nodes.graph import Graph
+from microbot_ros.nodes.client.graph import Graph
 
 
 @click.command()
@@ -39,9 +39,9 @@ def command(config: Path, arm: bool, cockpit: bool, namespace: str) -> None:
       microbot arm
       microbot run --config rig_2.yaml --namespace rig_2
     """
+    from microbot_ros.nodes.base.names import NODES
+    from microbot_ros.nodes.client.graph_client import checked_namespace
     from microbot_ros.nodes.configuration import read_rig, refused
-    from microbot_ros.nodes.graph_client import checked_namespace
-    from microbot_ros.nodes.process import NODES
 
     namespace = checked_namespace(namespace)
     rig = read_rig(config, namespace)
@@ -68,7 +68,7 @@ def command(config: Path, arm: bool, cockpit: bool, namespace: str) -> None:
 
 def _watch(graph: Graph, arm: bool, namespace: str) -> None:
     """Tell what changes in the rig of a `namespace`, until every node has ended."""
-    from microbot_ros.nodes.graph_client import GraphClient
+    from microbot_ros.nodes.client.graph_client import GraphClient
 
     last: dict[str, tuple[bytes, str]] = {}
 

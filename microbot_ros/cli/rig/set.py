@@ -26,7 +26,7 @@ def command(node: str, parameter: str, value: str, namespace: str) -> None:
     Example, switching the controller while running:
       microbot set controller controller waypoint
     """
-    from microbot_ros.nodes.graph_client import GraphClient
+    from microbot_ros.nodes.client.graph_client import GraphClient
 
     with GraphClient(namespace=namespace) as client:
         if parameter.endswith('_file') and value:

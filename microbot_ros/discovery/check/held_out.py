@@ -43,12 +43,6 @@ slowly are less independent of each other.
 """
 
 
-def block_of(session: PreparedSession, blocks: int) -> np.ndarray:
-    """The block (T,) of every frame."""
-    times = session.times
-    return np.minimum((times - times[0]) / np.ptp(times) * blocks, blocks - 1).astype(int)
-
-
 def learn(model: Model, sessions: Sequence[PreparedSession], names: Iterable[str]) -> ModelFit:
     """The effects `names` fitted to `sessions` in their order, beside a `model` without them."""
     return _learn_beside(fit_sessions(model, sessions), sessions, names)
@@ -80,9 +74,9 @@ def held_out_gap(fit: ModelFit, sessions: Sequence[PreparedSession], truth: Mode
     are those of `fit`, and so is the part of the sessions that is judged: no model foretells a
     heading that chance has scattered. The effects of `truth`, where it is known, are not fitted.
     What depends on position is taken where the particles were. `relearn` adds a term to a fit,
-    learned from what that leaves: blocks are short then, since no table tells of a time in which
-    nothing was seen. `run` shares the blocks. All models are judged on the same rows, those whose
-    particles every one of them knows.
+    learned from what that leaves. Blocks are short: no fit tells of a frequency, or of a time, at
+    which nothing was seen. `run` shares the blocks. All models are judged on the same rows, those
+    whose particles every one of them knows.
     """
     shortest = min(float(np.ptp(session.times)) for session in sessions)
     horizon = min(HORIZON, shortest / (2 * BLOCKS))
@@ -91,8 +85,7 @@ def held_out_gap(fit: ModelFit, sessions: Sequence[PreparedSession], truth: Mode
     bare, names = replace(fit.model, effects=(), learned=()), [e.id for e in fit.model.effects]
 
     def errors_in(block: int) -> tuple[list[str], np.ndarray]:
-        inside = [(_turns(s, horizon) if relearn else block_of(s, BLOCKS)) == block
-                  for s in sessions]
+        inside = [_turns(s, horizon) == block for s in sessions]
         rest = [s.only(~hidden) for s, hidden in zip(sessions, inside, strict=True)]
         before = fit_sessions(bare, rest)
         learned = {'before': before, 'after': _learn_beside(before, rest, names)}
@@ -192,7 +185,7 @@ def _by_headings(here: SessionFit, left: np.ndarray, ahead: int) -> np.ndarray |
     known from the positions until then, of which a model leaves `left` (T, N) [m].
     """
     noise = here.whitening
-    if noise.sensitivity is None or noise.retention is None:
+    if noise.sensitivity is None or noise.retention is None or noise.fluctuation is not None:
         return 0.0
     from microbot_ros.estimation.likelihood.kernels import filter_headings
 
@@ -218,10 +211,10 @@ def _known(learned: SessionFit, here: SessionFit, horizon: float) -> np.ndarray:
 
 
 def _floor(fit: ModelFit, horizon: float) -> float:
-    """√(2D·horizon + 2σ²), averaged over sessions."""
+    """√(2D·horizon + 2σ²), averaged over sessions, with what speeds that fluctuate add."""
     values = [
         2 * p.diffusion * (max(round(horizon / p.session.interval), 1) * p.session.interval)
-        + 2 * max(p.whitening.noise_ratio, 0.0) * p.diffusion
+        + 2 * max(p.whitening.noise_ratio, 0.0) * p.diffusion + p.unsteady_motion(horizon)
         for p in fit.session_fits
     ]
     return float(np.sqrt(np.average(values, weights=[p.count for p in fit.session_fits])))

@@ -54,7 +54,11 @@ class Whitening:
     `noise_ratio` [s] is σ²/D less a third of the exposure, so that it may be negative. Where
     headings keep what noise did to them from frame to frame, `diffusion_ratio` is D_r/D
     [rad²/m²], with `sensitivity` and `retention` (T−1, N) of `kernels.whiten_with_heading`.
-    `stretch`: how much larger than they are lengths look along x and along y.
+    Where speeds fluctuate, the same three describe the relative deviation of each speed, which
+    has the correlation time `fluctuation` [s]; None: speeds are steady. Rollers swing forth and
+    back with every turn: `swing_ratio` [s] is the variance over D by which positions scatter for
+    that along the `way` (T, N) of each, complex of length 1 or 0. `stretch`: how much larger than
+    they are lengths look along x and along y.
     """
 
     noise_ratio: float
@@ -62,6 +66,9 @@ class Whitening:
     sensitivity: np.ndarray | None = None
     retention: np.ndarray | None = None
     stretch: tuple[float, float] = (1.0, 1.0)
+    fluctuation: float | None = None
+    swing_ratio: float = 0.0
+    way: np.ndarray | None = None
 
     @property
     def is_plain(self) -> bool:
@@ -86,7 +93,8 @@ class Whitening:
         else:
             white, log_det, count = whiten_with_heading(
                 *rows, columns, ratios[0], ratios[1], self.diffusion_ratio,
-                self._unstretched(self.sensitivity), self.retention)
+                self._unstretched(self.sensitivity), self.retention,
+                self._unstretched(self._swing(session)))
         return white, log_det + count * math.log(math.prod(self.stretch)), count
 
     def products(self, session: PreparedSession,
@@ -105,7 +113,14 @@ class Whitening:
         if self.sensitivity is None:
             return whitened_products(*columns, self.noise_ratio)
         return whitened_products_with_heading(
-            *columns, self.noise_ratio, self.diffusion_ratio, self.sensitivity, self.retention)
+            *columns, self.noise_ratio, self.diffusion_ratio, self.sensitivity, self.retention,
+            self._swing(session))
+
+    def _swing(self, session: PreparedSession) -> np.ndarray:
+        """How readings scatter along the way of each particle (T, N)."""
+        if self.way is None:
+            return np.zeros(session.pieces.shape, complex)
+        return math.sqrt(self.swing_ratio) * self.way
 
     def _unstretched(self, vectors: np.ndarray) -> np.ndarray:
         """Complex `vectors` as they are, not as they look."""
@@ -182,6 +197,30 @@ class SessionFit:
     def degrees_of_freedom(self) -> int:
         """f = n − p, at least 1."""
         return max(2 * (self.count - int((self.power > 0).sum())), 1)
+
+    @property
+    def fluctuation(self) -> float:
+        """Standard deviation of each speed about its mean, relative to it; 0 where steady."""
+        time = self.whitening.fluctuation
+        return 0.0 if time is None else math.sqrt(
+            self.whitening.diffusion_ratio * self.diffusion * time)
+
+    def unsteady_motion(self, seconds: float) -> float:
+        """Mean square [m²] per axis of what fluctuating speeds and swings add in `seconds` [s]."""
+        time = self.whitening.fluctuation
+        if time is None:
+            return 0.0
+        moved = np.diff(self.expected.along * self.velocity_phasor.real
+                        + self.expected.across * self.velocity_phasor.imag, axis=0)
+        speed = np.abs(moved) / np.diff(self.session.times)[:, None]
+        memory = 2 * time * (seconds - time * (1 - math.exp(-seconds / time)))
+        walked = self.fluctuation**2 * float((speed**2).mean()) * memory
+        return walked / 2 + self.swing**2
+
+    @property
+    def swing(self) -> float:
+        """Standard deviation [m] of each position about the motion, along it, as rollers turn."""
+        return math.sqrt(self.whitening.swing_ratio * self.diffusion)
 
     @property
     def diffusion(self) -> float:

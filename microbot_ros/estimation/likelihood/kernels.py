@@ -306,25 +306,40 @@ def _ahead(covariance, h, side, spread, mixed, turned, b, q):  # type: ignore[no
 
 
 @numba.njit(cache=True)
-def _seen(covariance, ratio_x, ratio_y):  # type: ignore[no-untyped-def]
+def _seen(covariance, ratio_x, ratio_y, swing):  # type: ignore[no-untyped-def]
     """The covariance after a reading, the gains (xx, xy, yx, yy, ax, ay), how to make the
     innovation white (scale of x, lean, scale of y), and the determinant of its covariance.
+
+    A reading has the variances `ratio_x` and `ratio_y`, and that of the complex `swing` along it.
     """
     xx, xy, yy, xa, ya, aa = covariance
-    sx, sy = xx + ratio_x, yy + ratio_y
-    if aa == 0 and abs(xy) < NEGLIGIBLE * sx:  # before it is a number too small to be fast
+    if swing != 0:
+        mixed = swing.real * swing.imag
+        ratio_x, ratio_y = ratio_x + swing.real * swing.real, ratio_y + swing.imag * swing.imag
+    else:
+        mixed = 0.0
+    sx, sy, sxy = xx + ratio_x, yy + ratio_y, xy + mixed
+    if aa == 0 and abs(sxy) < NEGLIGIBLE * sx:  # before it is a number too small to be fast
         gx, gy = xx / sx, yy / sy
         return ((ratio_x * gx, 0.0, ratio_y * gy, 0.0, 0.0, 0.0), (gx, 0.0, 0.0, gy, 0.0, 0.0),
                 (1 / math.sqrt(sx), 0.0, 1 / math.sqrt(sy)), sx * sy)
-    det = sx * sy - xy * xy
+    det = sx * sy - sxy * sxy
     over = 1 / det
-    gxx, gxy = (xx * sy - xy * xy) * over, (xy * sx - xx * xy) * over
-    gyx, gyy = (xy * sy - yy * xy) * over, (yy * sx - xy * xy) * over
-    gax, gay = (xa * sy - ya * xy) * over, (ya * sx - xa * xy) * over
-    after = (ratio_x * gxx, ratio_y * gxy, ratio_y * gyy,
+    gxx, gxy = (xx * sy - xy * sxy) * over, (xy * sx - xx * sxy) * over
+    gyx, gyy = (xy * sy - yy * sxy) * over, (yy * sx - xy * sxy) * over
+    gax, gay = (xa * sy - ya * sxy) * over, (ya * sx - xa * sxy) * over
+    after = (gxx * ratio_x + gxy * mixed, gxx * mixed + gxy * ratio_y,
+             gyx * mixed + gyy * ratio_y,
              xa - gxx * xa - gxy * ya, ya - gyx * xa - gyy * ya, aa - gax * xa - gay * ya)
-    white = 1 / math.sqrt(sx), xy / sx, math.sqrt(sx * over)
+    white = 1 / math.sqrt(sx), sxy / sx, math.sqrt(sx * over)
     return after, (gxx, gxy, gyx, gyy, gax, gay), white, det
+
+
+@numba.njit(cache=True)
+def _begun(ratio_x, ratio_y, swing, turned):  # type: ignore[no-untyped-def]
+    """The covariance after the first reading of a piece; `turned`: the variance of the heading."""
+    return (ratio_x + swing.real * swing.real, swing.real * swing.imag,
+            ratio_y + swing.imag * swing.imag, 0.0, 0.0, turned)
 
 
 @numba.njit(cache=True)
@@ -354,18 +369,21 @@ def _logged(log_det, product):  # type: ignore[no-untyped-def]
 
 
 @numba.njit([(*_ROWS, given(types.complex128, 3, 'C'), types.float64, types.float64,
-             types.float64, given(types.complex128, 2, 'C'), given(types.float64, 2, 'C'))],
+             types.float64, given(types.complex128, 2, 'C'), given(types.float64, 2, 'C'),
+             given(types.complex128, 2, 'C'))],
             cache=True)
 def whiten_with_heading(  # type: ignore[no-untyped-def]
-        times, pieces, columns, ratio_x, ratio_y, diffusion_ratio, sensitivity, retention):
+        times, pieces, columns, ratio_x, ratio_y, diffusion_ratio, sensitivity, retention,
+        swing):
     """White increments of complex `columns` (T, N, M) where headings are noisy as well.
 
     `times` and `pieces` as in `whiten_columns`; `ratio_x`, `ratio_y`: the `noise_ratio` [s] of
     either axis; `diffusion_ratio` = D_r/D [rad²/m²]; `sensitivity` (T−1, N) complex: displacement
     over a frame interval per radian at its start; `retention` (T−1, N): the part of a deviation
-    left at its end. A Kalman filter over place (x, y) and heading (a), whose covariance is kept
-    as six scalars; real and imaginary parts of the result are independent. Also ½ log det of the
-    innovations over both axes, and rows used.
+    left at its end; `swing` (T, N) complex, in square roots of `ratio_x`: the standard deviation
+    and the direction in which readings scatter besides. A Kalman filter over place (x, y) and
+    heading (a), whose covariance is kept as six scalars; real and imaginary parts of the result
+    are independent. Also ½ log det of the innovations over both axes, and rows used.
     """
     T, N, M = columns.shape
     out = np.zeros((T, N, M), np.complex128)
@@ -383,12 +401,12 @@ def whiten_with_heading(  # type: ignore[no-untyped-def]
                 continue
             if pieces[k, n] != piece:
                 piece = pieces[k, n]
-                covariance = (ratio_x, 0.0, ratio_y, 0.0, 0.0, _stationary_variance(
+                covariance = _begun(ratio_x, ratio_y, swing[k, n], _stationary_variance(
                     diffusion_ratio, times, retention, k, n))
                 for m in range(M):
                     place[m], turn[m] = columns[k, n, m], 0.0
                 continue
-            covariance, gains, white, det = _seen(covariance, ratio_x, ratio_y)
+            covariance, gains, white, det = _seen(covariance, ratio_x, ratio_y, swing[k, n])
             gxx, gxy, gyx, gyy, gax, gay = gains
             scale_x, lean, scale_y = white
             log_det, product = _logged(log_det, product * det)
@@ -404,11 +422,12 @@ def whiten_with_heading(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def whitened_products_with_heading(  # type: ignore[no-untyped-def]
-        times, pieces, z, offset, along, noise_ratio, diffusion_ratio, sensitivity, retention):
+        times, pieces, z, offset, along, noise_ratio, diffusion_ratio, sensitivity, retention,
+        swing):
     """`whitened_products` where headings are noisy as well.
 
     `times`, `pieces`, `z`, `offset`, `along` and `noise_ratio` as there; `diffusion_ratio`,
-    `sensitivity` and `retention` as in `whiten_with_heading`.
+    `sensitivity`, `retention` and `swing` as in `whiten_with_heading`.
     """
     T, N = z.shape
     products, log_det, used, product = np.zeros((N, 3, 3)), 0.0, 0, 1.0
@@ -428,12 +447,13 @@ def whitened_products_with_heading(  # type: ignore[no-untyped-def]
             new[0], new[1], new[2] = z[k, n] - offset[k, o], along[k, a], 1j * along[k, a]
             if pieces[k, n] != piece:
                 piece = pieces[k, n]
-                covariance = (noise_ratio, 0.0, noise_ratio, 0.0, 0.0, _stationary_variance(
+                covariance = _begun(noise_ratio, noise_ratio, swing[k, n], _stationary_variance(
                     diffusion_ratio, times, retention, k, n))
                 for m in range(3):
                     place[m], turn[m] = new[m], 0.0
                 continue
-            covariance, gains, white, det = _seen(covariance, noise_ratio, noise_ratio)
+            covariance, gains, white, det = _seen(
+                covariance, noise_ratio, noise_ratio, swing[k, n])
             gxx, gxy, gyx, gyy, gax, gay = gains
             scale_x, lean, scale_y = white
             log_det, product = _logged(log_det, product * det)
@@ -481,7 +501,7 @@ def filter_headings(  # type: ignore[no-untyped-def]
                     diffusion_ratio, times, retention, k, n))
                 place[0], turn[0] = left[k, n], 0.0
                 continue
-            covariance, gains, _, _ = _seen(covariance, noise_ratio, noise_ratio)
+            covariance, gains, _, _ = _seen(covariance, noise_ratio, noise_ratio, 0j)
             gxx, gxy, gyx, gyy, gax, gay = gains
             step = left[k, n] - place[0]
             i, j = step.real, step.imag

@@ -11,6 +11,7 @@ import numpy as np
 
 from microbot_ros.estimation.likelihood.expected_displacement import ExpectedDisplacement
 from microbot_ros.estimation.likelihood.joint import (
+    SMALLEST,
     SessionFit,
     Whitening,
     climb,
@@ -45,6 +46,24 @@ NEGLIGIBLE = 1e-4
 
 TURNING = math.log(1e-5), math.log(10.0)
 """Between what rotational diffusion [rad²/s] is looked for where nothing tells it, logarithms."""
+
+SHORTEST, LONGEST, PART = 2.0, 5.0, 0.05
+"""Between what the correlation time of speeds is looked for: so many frame intervals, seconds [s],
+and no more than this part of the recording. What lasts longer is a trend, which has other names.
+"""
+
+STARTS = 0.2, 2.0
+"""Correlation times [s] from which it is looked for."""
+
+BEYOND = 10.0
+"""Gain in −2 log likelihood, over that of the Bayesian information criterion, from which speeds
+are said to fluctuate: odds of 150."""
+
+BY_CHANCE = 0.01
+"""Chance per session of a cut where nothing but noise is."""
+
+MOVES = 1e-12
+"""Displacement between frames [m] that is none."""
 
 COLLINEAR = 1e-7
 """Part of a column's power below which v and φ absorb it."""
@@ -283,6 +302,8 @@ def fit_noise(fit: ModelFit, near: bool = False) -> ModelFit:
 def _fit_noise(model: Model, fit: SessionFit, near: bool) -> SessionFit:
     session, known = fit.session, fit.whitening
     remembered = remembers(model, session)
+    if session.speeds_fluctuate and not remembered:
+        return fit_fluctuation(fit, model)
     near = near and remembered == (known.sensitivity is not None)
     plain = Whitening(known.noise_ratio, stretch=model.stretch)
     if remembered:
@@ -302,9 +323,89 @@ def _fit_noise(model: Model, fit: SessionFit, near: bool) -> SessionFit:
     return _last(search_noise_ratio(start, near))
 
 
+def fluctuating(fit: SessionFit, time: float) -> Whitening:
+    """The noise of a `fit` where each speed has a deviation of correlation time `time` [s]."""
+    interval = np.diff(fit.session.times)[:, None]
+    moved = np.diff(fit.expected.along * fit.velocity_phasor.real
+                    + fit.expected.across * fit.velocity_phasor.imag, axis=0)
+    retention = np.exp(-interval / time)
+    # A deviation at the start of an interval acts for as long as it lasts.
+    sensitivity = moved * (1 - retention) * time / interval
+    length = np.abs(moved)
+    way = np.where(length > MOVES, moved / np.maximum(length, MOVES), 0)
+    return replace(
+        fit.whitening, fluctuation=time, sensitivity=np.ascontiguousarray(sensitivity),
+        retention=np.ascontiguousarray(np.broadcast_to(retention, sensitivity.shape)),
+        way=np.concatenate([way[:1], way]))
+
+
+def unsteady(sessions: Sequence[PreparedSession], fit: ModelFit,
+             best: ModelFit) -> list[PreparedSession] | None:
+    """The `sessions` of a `fit` with speeds that fluctuate in their noise; None if all are steady.
+
+    By the restricted likelihood, a number of the noise for log n each and BEYOND them; also
+    beside that of the `best` fit of steady speeds, whose headings may remember. Tracks are cut at
+    the few steps that stand out then.
+    """
+    numbers = 3 if fit.model.propulsion == 'rolling' else 2
+    restless, fluctuates = [], False
+    for session, p, other in zip(sessions, fit.session_fits, best.session_fits, strict=True):
+        one = session
+        if not (session.speeds_fluctuate or remembers(fit.model, session)):
+            least = max(p.restricted_log_likelihood, other.restricted_log_likelihood)
+            found = fit_fluctuation(p, fit.model)
+            gain = 2 * (found.restricted_log_likelihood - least)
+            if gain > numbers * math.log(2 * p.count) + BEYOND:
+                out = np.zeros_like(session.seen)
+                out[np.isin(session.times, p.session.times)] = np.abs(found.residual) ** 2 > (
+                    2 * math.log(found.count / BY_CHANCE))
+                one = replace(session, speeds_fluctuate=True).cut_at(out)
+                fluctuates = True
+        restless.append(one)
+    return restless if fluctuates else None
+
+
+def fit_fluctuation(fit: SessionFit, model: Model) -> SessionFit:
+    """A `fit` of a `model` with the strength and correlation time of its speeds at the maximum.
+
+    With those of all other noise, and of the swing of rollers. Uphill from what the fit has, or
+    from a few correlation times where its speeds are steady.
+    """
+    from scipy.optimize import minimize
+
+    session, known = fit.session, fit.whitening
+    h, rolls = session.interval, model.propulsion == 'rolling'
+    low, high = SHORTEST * h, min(LONGEST, PART * float(np.ptp(session.times)))
+
+    def at(u: np.ndarray) -> SessionFit:
+        noise = replace(
+            fluctuating(fit, float(np.clip(math.exp(u[2]), low, high))), stretch=model.stretch,
+            diffusion_ratio=math.exp(u[1]), swing_ratio=math.exp(u[3]) if rolls else 0.0,
+            noise_ratio=math.exp(max(u[0], math.log(SMALLEST * h))) - h / 3)
+        return SessionFit.of(session, noise, fit.expected)
+
+    total = known.noise_ratio + h / 3
+    if known.fluctuation is None:
+        starts = [(0.3**2 / (time * fit.diffusion), time, total)
+                  for time in STARTS if time < high]
+        step = 1.0
+    else:
+        starts = [(known.diffusion_ratio, known.fluctuation, known.swing_ratio)]
+        step = 0.2
+    found = []
+    for of in starts:
+        start = np.log([total, *np.maximum(of, 1e-300)])[:4 if rolls else 3]
+        simplex = np.vstack([start, start + step * np.eye(len(start))])
+        best = minimize(lambda u: -at(u).restricted_log_likelihood, start, method='Nelder-Mead',
+                        options={'initial_simplex': simplex, 'xatol': 0.02, 'fatol': 0.02})
+        found.append(at(best.x))
+    return max(found, key=lambda one: one.restricted_log_likelihood)
+
+
 def _price_of_turning(fit: SessionFit) -> float:
     known = fit.whitening
-    if known.sensitivity is None or fit.session.rotational_diffusion is not None:
+    if (known.sensitivity is None or known.fluctuation is not None
+            or fit.session.rotational_diffusion is not None):
         return 0.0
     around = [replace(known, diffusion_ratio=known.diffusion_ratio * math.exp(step))
               for step in (-1.0, 1.0)]
@@ -328,6 +429,8 @@ def remembers(model: Model, session: PreparedSession) -> bool:
     """
     if model.lags:
         return True
+    if model.propulsion == 'rolling':  # does not move then
+        return False
     on = np.hypot(*session.commands.field.T) > 0
     later = session.commands.t > session.times[0]
     return not on[later].all()
@@ -335,6 +438,10 @@ def remembers(model: Model, session: PreparedSession) -> bool:
 
 def whitening_on(model: Model, known: SessionFit, session: PreparedSession) -> Whitening:
     """The noise of a `known` fit of a `model`, for another `session` of the same particles."""
+    if known.whitening.fluctuation is not None:
+        expected = ExpectedDisplacement.of(model, session.timeline)
+        return fluctuating(replace(known, session=session, expected=expected),
+                           known.whitening.fluctuation)
     if known.whitening.sensitivity is None:
         return known.whitening
     sensitivity, retention = _heading_noise(model, session, known.velocity_phasor)

@@ -77,7 +77,8 @@ class PreparedSession:
     from earlier and present frames only, for terms that depend on position (raw ones would bias
     them), NaN while a particle is not in view; `commands` on the same clock; `conditions` of the
     rig; `jumps` (P,): how many slips and steps too large for any motion each particle made;
-    `phi` (N,) [rad], where some fit has told it already, for terms that depend on the heading.
+    `phi` (N,) [rad], where some fit has told it already, for terms that depend on the heading;
+    `speeds_fluctuate`: whether the noise of every fit includes speeds that fluctuate.
     """
 
     name: str
@@ -90,6 +91,7 @@ class PreparedSession:
     conditions: Conditions
     jumps: np.ndarray
     phi: np.ndarray | None = None
+    speeds_fluctuate: bool = False
 
     @classmethod
     def of(cls, session: Session) -> PreparedSession:
@@ -204,7 +206,15 @@ class PreparedSession:
 
         A track that was seeded anew or a stage that was touched. The particle stays the same one.
         """
-        cut = np.concatenate([np.zeros((1, self.z.shape[1]), bool), self._odd_steps(TOUCHES)])
+        return self._cut(np.concatenate(
+            [np.zeros((1, self.z.shape[1]), bool), self._odd_steps(TOUCHES)]))
+
+    def cut_at(self, rows: np.ndarray) -> PreparedSession:
+        """Tracks in pieces that begin at `rows` (T, N) bool, where these are rare in a track."""
+        rare = rows.sum(axis=0) <= np.maximum(TOUCHES * self.seen.sum(axis=0), 2)
+        return self._cut(rows & rare)
+
+    def _cut(self, cut: np.ndarray) -> PreparedSession:
         if not cut.any():
             return self
         number = np.cumsum(cut, axis=0)

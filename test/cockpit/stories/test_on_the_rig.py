@@ -56,7 +56,7 @@ def virtual(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
 @pytest.fixture
 def listener() -> Iterator[Any]:
     """A node of the tests' own."""
-    from microbot_ros.nodes.graph_client import GraphClient
+    from microbot_ros.nodes.client.graph_client import GraphClient
     with GraphClient('listener') as client:
         yield client
 
@@ -65,7 +65,7 @@ def listener() -> Iterator[Any]:
 def _at_rest(virtual: VirtualRig) -> Iterator[None]:
     """Nothing flows after a story, whatever became of its page."""
     yield
-    from microbot_ros.nodes.graph_client import GraphClient
+    from microbot_ros.nodes.client.graph_client import GraphClient
     assert virtual.address
     with GraphClient() as client:
         client.set('controller', controller='hold')
@@ -142,7 +142,7 @@ def test_rings_are_where_the_tracker_has_particles_at_the_stamp_shown(page, list
     from sensor_msgs.msg import PointCloud2
 
     from microbot_ros.loop.points import PARTICLE
-    from microbot_ros.nodes import messages
+    from microbot_ros.nodes.base import messages
 
     heard = {}
 
@@ -220,7 +220,7 @@ def test_goals_from_before_the_page_are_shown(visit, listener) -> None:
     """Whoever sent them, and however."""
     from geometry_msgs.msg import PoseStamped
 
-    from microbot_ros.nodes import messages
+    from microbot_ros.nodes.base import messages
 
     listener.set('controller', controller='waypoint')
     message = PoseStamped()
@@ -258,7 +258,7 @@ def truth(listener: Any) -> Any:
     """Where the particles really are: () → {number: (x, y)} [px], by the virtual rig."""
     from sensor_msgs.msg import PointCloud2
 
-    from microbot_ros.nodes import messages
+    from microbot_ros.nodes.base import messages
 
     heard: list[PointCloud2] = []
     listener.node.create_subscription(PointCloud2, 'virtual_rig/truth', heard.append, 1)

@@ -7,13 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from microbot_ros.model.effect import Effect
-from microbot_ros.model.evidence import Evidence
 from microbot_ros.model.parameter import COILS, parameter
 
 
 @dataclass(frozen=True)
 class AmplifierDeadband(Effect):
-    """Each axis loses its first b: Bₖ = sign(Bₖ) max(|Bₖ| − b, 0), before the coils."""
+    """Each axis loses its first b: Bₖ = sign(Bₖ) max(|Bₖ| − b, 0), before the coils.
+
+    For rollers whose field strength is not stated, b is in units of the nominal field of 1 mT:
+    a dead band of 0.11 mT is 11 % of full scale.
+    """
 
     id = 'amplifier_deadband'
     stage = 'field'
@@ -27,7 +30,3 @@ class AmplifierDeadband(Effect):
 
     def field(self, B: np.ndarray) -> np.ndarray:
         return np.copysign(np.maximum(np.abs(B) - self.deadband, 0.0), B)
-
-    @classmethod
-    def applies(cls, evidence: Evidence) -> bool:
-        return evidence.strength_known

@@ -41,10 +41,10 @@ class DriveResponse(Effect):
         null_value=10.0, shape=True,
     )
     cut_in_steepness: float = parameter(
-        'cut_in_steepness', 'n', 1.0, 16.0, 2.0, null_value=2.0, shape=True, default=2.0,
+        'cut_in_steepness', 'n', 0.5, 16.0, 2.0, null_value=2.0, shape=True, default=2.0,
     )
     step_out_steepness: float = parameter(
-        'step_out_steepness', 'm', 1.0, 16.0, 4.0, null_value=4.0, shape=True, default=4.0,
+        'step_out_steepness', 'm', 0.5, 16.0, 4.0, null_value=4.0, shape=True, default=4.0,
     )
 
     def speed_factor(self, context: EffectContext) -> np.ndarray:

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from sensor_msgs.msg import CompressedImage, Image
 
-from microbot_ros.nodes import messages
-from microbot_ros.nodes.lifecycle import IMAGES_OUT, RigNode
+from microbot_ros.nodes.base import messages
+from microbot_ros.nodes.base.lifecycle import IMAGES_OUT, RigNode
 
 _RATE_HZ = 30.0
 _WIDEST_PX = 640

@@ -28,7 +28,7 @@ from microbot_ros.common.records import Commands
 from microbot_ros.control.controller_thread import AGAIN, CONFIGURING
 from microbot_ros.drive.amplifier import BY_HAND, Zero
 from microbot_ros.loop.points import GOAL
-from microbot_ros.nodes import messages
+from microbot_ros.nodes.base import messages
 
 FIND_S = 5.0
 """How long a node may take to be seen. What is said to a process that has just started may be

@@ -8,8 +8,8 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import TransformStamped
 from std_msgs.msg import Header
 
-from microbot_ros.nodes.lifecycle import LATCHED, RigNode
-from microbot_ros.nodes.messages import CAMERA, WORKSPACE
+from microbot_ros.nodes.base.lifecycle import LATCHED, RigNode
+from microbot_ros.nodes.base.messages import CAMERA, WORKSPACE
 
 try:
     from tf2_msgs.msg import TFMessage

@@ -10,7 +10,7 @@ from rcl_interfaces.srv import GetParameters
 from rclpy.client import Client
 from rclpy.task import Future
 
-from microbot_ros.nodes.lifecycle import RigNode
+from microbot_ros.nodes.base.lifecycle import RigNode
 
 ACTING = frozenset({'camera', 'tracker', 'model', 'controller', 'coil_driver', 'virtual_rig'})
 """Nodes that see or move particles. A recorder or a viewer may watch whatever is played."""

@@ -5,22 +5,33 @@ from __future__ import annotations
 import functools
 import json
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any, ClassVar, Protocol
 
+from rclpy.clock import Clock
 from rclpy.publisher import Publisher
 from std_msgs.msg import String
 
 from microbot_ros.control.deadline_worker import DeadlineWorker
 from microbot_ros.control.recorded_worker import IN_TIME, NotingWorker
-from microbot_ros.nodes.core import SECOND_NS
+from microbot_ros.nodes.base.core import SECOND_NS
 from microbot_ros.session.replay.log import PARAMETERS
-
-if TYPE_CHECKING:
-    from microbot_ros.nodes.lifecycle import RigNode
 
 _MOST = 200
 """Entries after which a line is written without a frame, so that no line grows for ever while no
 frame comes. At half or twice that, lines are shorter or longer; nothing is lost."""
+
+
+class _Node(Protocol):
+    """What the log needs of a node."""
+
+    frame: ClassVar[str]
+    now_ns: int
+
+    def get_name(self) -> str: ...
+
+    def get_clock(self) -> Clock: ...
+
+    def publisher(self, kind: type, topic: str) -> Publisher: ...
 
 
 class Log:
@@ -31,7 +42,7 @@ class Log:
     Nothing is published while nobody listens.
     """
 
-    def __init__(self, node: RigNode) -> None:
+    def __init__(self, node: _Node) -> None:
         self._node = node
         self._publisher: Publisher | None = None
         self._turn = 0

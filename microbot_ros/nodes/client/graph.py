@@ -17,7 +17,7 @@ from pathlib import Path
 from microbot_ros.common.ending import PARENT
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.first_compilation import COMPILES
-from microbot_ros.nodes.transport import clear_shared_memory
+from microbot_ros.nodes.base.transport import clear_shared_memory
 
 WORD = 'microbot: '
 """How a child begins a line of its own, and not of a library."""

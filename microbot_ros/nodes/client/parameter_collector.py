@@ -13,8 +13,8 @@ from rclpy.client import Client
 from rclpy.parameter import parameter_value_to_python
 from rclpy.task import Future
 
-from microbot_ros.nodes.lifecycle import RigNode
-from microbot_ros.nodes.process import NODES
+from microbot_ros.nodes.base.lifecycle import RigNode
+from microbot_ros.nodes.base.names import NODES
 
 _PATIENCE = 5.0
 """After this [s] without an answer it is asked again: a node that is just starting may have heard

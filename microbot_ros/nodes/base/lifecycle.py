@@ -19,10 +19,10 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.settings import defaults
-from microbot_ros.nodes.core import RELIABLE, Core
-from microbot_ros.nodes.log import Log
-from microbot_ros.nodes.messages import MessageError, to_seconds
-from microbot_ros.nodes.parameters import ParameterSet, refuse_unknown
+from microbot_ros.nodes.base.core import RELIABLE, Core
+from microbot_ros.nodes.base.log import Log
+from microbot_ros.nodes.base.messages import MessageError, to_seconds
+from microbot_ros.nodes.base.parameters import ParameterSet, refuse_unknown
 
 # For what is to be acted on: a node that was held up takes the newest, not a queue of old ones.
 NEWEST = QoSProfile(depth=1)

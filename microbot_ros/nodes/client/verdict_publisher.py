@@ -9,8 +9,8 @@ from typing import Any
 from rclpy.duration import Duration
 from std_msgs.msg import String
 
-from microbot_ros.nodes.graph_client import GraphClient
-from microbot_ros.nodes.lifecycle import LATCHED
+from microbot_ros.nodes.base.lifecycle import LATCHED
+from microbot_ros.nodes.client.graph_client import GraphClient
 
 _HEARD_SECONDS = 1.0
 """So long whoever listens may take to have heard it, before the process may end."""

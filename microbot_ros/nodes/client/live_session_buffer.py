@@ -14,8 +14,8 @@ from sensor_msgs.msg import JointState, MagneticField, PointCloud2
 from microbot_ros.common import units
 from microbot_ros.common.records import Conditions, Session, Tracks
 from microbot_ros.loop.points import PARTICLE
-from microbot_ros.nodes import messages
-from microbot_ros.nodes.graph_client import GraphClient
+from microbot_ros.nodes.base import messages
+from microbot_ros.nodes.client.graph_client import GraphClient
 from microbot_ros.session.mcap.from_recording import commands_of
 
 _LIVE_SECONDS = 1.0

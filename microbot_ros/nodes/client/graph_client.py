@@ -19,9 +19,9 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 
 from microbot_ros.common.errors import InputError, clipped
-from microbot_ros.nodes import messages
-from microbot_ros.nodes.participant import client_context
-from microbot_ros.nodes.rig_client import RigClient, Steps
+from microbot_ros.nodes.base import messages
+from microbot_ros.nodes.base.participant import client_context
+from microbot_ros.nodes.client.rig_client import RigClient, Steps
 
 _ACKNOWLEDGED_S = 2.0
 """How long a client waits at its end until what it sent has arrived."""

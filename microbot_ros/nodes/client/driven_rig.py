@@ -18,8 +18,8 @@ from microbot_ros.control.contract import Workspace
 from microbot_ros.discovery.driven.design import Range
 from microbot_ros.discovery.driven.drive import Played
 from microbot_ros.discovery.driven.plan import Plan, marking_time
-from microbot_ros.nodes.graph_client import GraphClient
-from microbot_ros.nodes.live_session_buffer import LiveSessionBuffer
+from microbot_ros.nodes.client.graph_client import GraphClient
+from microbot_ros.nodes.client.live_session_buffer import LiveSessionBuffer
 
 CONTROLLER, AT_REST = 'experiment', 'hold'
 """What drives, and what is left driving."""

@@ -26,7 +26,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import get_rmw_implementation_identifier
 
 from microbot_ros.common.errors import InputError
-from microbot_ros.nodes.transport import (
+from microbot_ros.nodes.base.transport import (
     BY_PROFILE,
     CLIENT,
     NODE,

@@ -11,7 +11,7 @@ from geometry_msgs.msg import Point
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from microbot_ros.nodes.messages import WORKSPACE
+from microbot_ros.nodes.base.messages import WORKSPACE
 
 _BLUE, _ORANGE = ColorRGBA(r=0.0, g=0.45, b=0.7, a=1.0), ColorRGBA(r=0.9, g=0.6, b=0.0, a=1.0)
 _SIZE = 5e-6

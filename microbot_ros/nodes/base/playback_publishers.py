@@ -9,8 +9,8 @@ from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image
 
-from microbot_ros.nodes.lifecycle import RELIABLE, RigNode
-from microbot_ros.nodes.topics import KEPT
+from microbot_ros.nodes.base.lifecycle import RELIABLE, RigNode
+from microbot_ros.nodes.base.topics import KEPT
 
 
 class PlaybackPublishers:

@@ -19,12 +19,13 @@ from std_srvs.srv import SetBool
 
 from microbot_ros.cockpit.rig import Answer, RefusedError
 from microbot_ros.common.errors import InputError, RigError
-from microbot_ros.nodes import messages, rig_client
-from microbot_ros.nodes.described_parameters import Described
-from microbot_ros.nodes.lifecycle import LATCHED, NEWEST, RigNode
-from microbot_ros.nodes.rig_client import RigClient, Steps, Taken
-from microbot_ros.nodes.rig_view import RigView
-from microbot_ros.nodes.topics import CHANGES
+from microbot_ros.nodes.base import messages
+from microbot_ros.nodes.base.lifecycle import LATCHED, NEWEST, RigNode
+from microbot_ros.nodes.base.topics import CHANGES
+from microbot_ros.nodes.client import rig_client
+from microbot_ros.nodes.client.described_parameters import Described
+from microbot_ros.nodes.client.rig_client import RigClient, Steps, Taken
+from microbot_ros.nodes.client.rig_view import RigView
 
 _SERVICES: dict[str, type] = {
     'coil_driver/arm': SetBool, 'recorder/record': SetBool,

@@ -31,8 +31,8 @@ from std_msgs.msg import Bool, String
 from microbot_ros.cockpit.rig import ParticleListener, PictureListener, zero_in
 from microbot_ros.common import strict_yaml, units
 from microbot_ros.loop.points import GOAL, PARTICLE, PLACE
-from microbot_ros.nodes import messages
-from microbot_ros.nodes.lifecycle import LATCHED, RigNode
+from microbot_ros.nodes.base import messages
+from microbot_ros.nodes.base.lifecycle import LATCHED, RigNode
 from microbot_ros.tracking import ImageToWorkspace
 
 _NEWEST = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)

@@ -1,0 +1,1 @@
+"""What runs, watches and asks the nodes of a rig from outside."""
