@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ import lowest
 import pytest
 
 from microbot_ros.common.extras import EXTRAS, advice
+from microbot_ros.nodes.client.graph import READY
 from microbot_ros.nodes.process import NODES
 
 ROOT = Path(__file__).parents[1]
@@ -83,3 +85,25 @@ def test_the_demo_names_all_that_it_lacks_before_it_begins(tmp_path: Path) -> No
         'microbot: not installed: av, lz4, mcap, rosbags, zstandard, jinja2, matplotlib, '
         "openpyxl, rich; pip install 'microbot_ros[video,mcap,analysis]'\n")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_rig_runs_without_recording_and_says_so() -> None:
+    code = WITHOUT + "from microbot_ros.nodes.process import run; sys.exit(run('recorder'))"
+    with subprocess.Popen([sys.executable, '-c', code], cwd=ROOT, text=True,
+                          stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as recorder:
+        assert recorder.stdout is not None
+        said = ''
+        while READY not in said:
+            said += recorder.stdout.readline() or pytest.fail(said)
+        recorder.send_signal(signal.SIGINT)
+        said += recorder.communicate(timeout=60)[0]
+    assert recorder.returncode == 0
+    assert 'not recording: not installed: lz4, mcap, rosbags, zstandard; pip install' in said
+
+
+def test_a_controller_without_its_solver_is_left_out() -> None:
+    done = run('from microbot_ros.control.registry import controller_classes\n'
+               "print(*controller_classes('hold'))")
+    assert 'waypoint' in done.stdout.split()
+    assert 'predictive' not in done.stdout.split()
+    assert "pip install 'microbot_ros[predictive]'" in done.stderr

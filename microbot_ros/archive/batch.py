@@ -153,8 +153,9 @@ def _conclude(archive: Archive, summary: Summary) -> dict[str, Any]:
 
 
 def _measurements(archive: Archive, settings: dict[str, Any]) -> list[Job]:
-    """The second look: every session of the archive is asked for every effect that recurs."""
-    from microbot_ros.archive.recurring import candidates_for_all, common_reference
+    """Return the second look: each session that is explained is asked for all recurring effects.
+    """
+    from microbot_ros.archive.recurring import candidates_for_all, common_reference, is_complete
 
     discovered = archive.results('discover')
     effects = candidates_for_all(discovered)
@@ -163,7 +164,7 @@ def _measurements(archive: Archive, settings: dict[str, Any]) -> list[Job]:
     jobs = []
     for path, result in discovered.items():
         entry = archive.entries[path]
-        if not effects or 'result' not in result:
+        if not effects or not is_complete(result):
             continue
         asked = {'effects': effects, 'known': result['effects'],
                  'reference_field': common_reference(discovered)}

@@ -22,7 +22,7 @@ from microbot_ros.archive.quantities import (
     unlike_the_others,
 )
 from microbot_ros.archive.random_effects import Spread, Trend
-from microbot_ros.archive.recurring import Recurring, recurring_effects
+from microbot_ros.archive.recurring import Recurring, proxies, recurring_effects
 from microbot_ros.archive.store import Archive
 from microbot_ros.archive.table import rows
 
@@ -34,7 +34,8 @@ _MULTIPLE = 1.5
 class Conclusions:
     """An archive as a whole: the `rows` of its table, one for each particle; `quantities` of the
     sessions; `effects` that recur, with the quantities `parameters` {effect: ...}; sessions
-    `unlike` the others; what drifts, with its `drifts`; `verdicts` and how often; `films` tracked;
+    `unlike` the others; what drifts, with its `drifts`; `verdicts` and how often; `proxies`
+    {effect: sessions in which it stands in for something without a name}; `films` tracked;
     what was `imported`. Sessions are compared with those of their own kind of particles.
     """
 
@@ -45,6 +46,7 @@ class Conclusions:
     unlike: list[Unlike]
     drifts: list[tuple[Quantity, Trend]]
     verdicts: dict[str, int]
+    proxies: dict[str, list[str]]
     films: dict[str, dict[str, Any]]
     imported: dict[str, Any]
 
@@ -68,7 +70,7 @@ class Conclusions:
         return {
             'sentences': self.sentences(),
             'sessions': len(self.sessions), 'particles': len(self.rows),
-            'verdicts': self.verdicts,
+            'verdicts': self.verdicts, 'proxies': self.proxies,
             'quantities': {one.name: _quantity(one) for one in self.quantities},
             'effects': [_effect(one) for one in self.effects],
             'unlike': [asdict(one) for one in self.unlike],
@@ -99,6 +101,8 @@ def conclude(archive: Archive | str | Path) -> Conclusions:
     return Conclusions(
         table, known, [_by_name(effect, first) for effect in effects], parameters,
         unlike_the_others(alike), drifting(alike), dict(verdicts),
+        {effect: [str(first[path]['session']) for path in paths if path in first]
+         for effect, paths in proxies(archive.results('discover')).items()},
         {archive.entries[path].name: found['film']
          for path, found in archive.results('track').items() if 'film' in found},
         imported(archive))

@@ -102,14 +102,14 @@ class Recurring:
 
 
 def candidates_for_all(results: Results) -> list[str]:
-    """The effects that `discover`'s `results` ask to be measured in every session.
+    """Return the effects that `discover`'s `results` ask to be measured in every complete session.
 
-    Those that are named in more sessions than chance would, and those whose evidence, too weak
-    in each, is none by chance over all.
+    Those that are established in more sessions than chance would give, and those whose evidence,
+    too weak in each, is none by chance over all. Proxies are no names.
     """
-    known = [one for one in results.values() if 'result' in one]
+    known = [one for one in results.values() if is_complete(one)]
     named = Counter(effect['id'] for one in known for effect in one['result']['effects']
-                    if effect['status'] != 'suggested')
+                    if effect['status'] == 'established')
     gains, free = Counter[str](), Counter[str]()
     for one in known:
         for name, ratio, dof in one['candidates']:
@@ -122,6 +122,24 @@ def candidates_for_all(results: Results) -> list[str]:
               if not any(p.shape for p in EFFECTS[name].parameters())
               and chdtrc(free[name], gains[name]) * len(EFFECTS) < BY_CHANCE}
     return sorted(often | pooled)
+
+
+def is_complete(result: dict[str, Any]) -> bool:
+    """Return whether the `result` of a session explains it: only then do its effects count."""
+    return 'result' in result and result['result'].get('verdict') != 'unnamed'
+
+
+def proxies(results: Results) -> dict[str, list[str]]:
+    """Return the sessions in which each effect only stands in for something without a name.
+
+    {effect: [session]}, the effect with most sessions first, of `discover`'s `results`.
+    """
+    found: dict[str, list[str]] = {}
+    for session, one in results.items():
+        for effect in one.get('result', {}).get('effects', ()):
+            if effect['status'] == 'proxy':
+                found.setdefault(effect['id'], []).append(session)
+    return dict(sorted(found.items(), key=lambda item: -len(item[1])))
 
 
 def common_reference(results: Results) -> float:

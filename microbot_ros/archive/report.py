@@ -43,8 +43,12 @@ def page(archive: Archive, found: Conclusions) -> str:
              for effect in found.effects if any(len(q.value) for q in found.parameters[effect.id])}
     unnamed = list(dict.fromkeys(
         row['session'] for row in found.rows if row['verdict'] == 'unnamed'))
+    names = {row['path']: row['session'] for row in found.rows}
+    links = {names[path]: one['report'] for path, one in archive.results('discover').items()
+             if path in names and one.get('report')}
     return template.render(
-        found=found, name=archive.folder.name, figure=figure and embedded(figure), drawn=drawn,
+        found=found, links=links, name=archive.folder.name,
+        figure=figure and embedded(figure), drawn=drawn,
         library=EFFECTS, labels=LABELS, refused=refused(archive), unnamed=unnamed,
         grouped=[(one, label) for one in found.quantities for label in LABELS
                  if _several(one, label)],

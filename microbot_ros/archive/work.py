@@ -18,12 +18,13 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from microbot_ros import __version__
 from microbot_ros.archive.recordings import MARK, Kind
-from microbot_ros.common.errors import InputError
-from microbot_ros.common.files import output_folder, write_text
+from microbot_ros.common.errors import InputError, ReportError
+from microbot_ros.common.files import output_folder, write_text, writing_report
 from microbot_ros.session.spreadsheets.summary import SummaryError
 
 if TYPE_CHECKING:
     from microbot_ros.common.records import Session
+    from microbot_ros.discovery.result import Discovery
 
 Task = Literal['track', 'fit', 'discover', 'import', 'measure']
 
@@ -36,6 +37,9 @@ READS: dict[Task, tuple[Kind, ...]] = {
 
 SESSIONS = 'sessions'
 """Folder of an archive in which the sessions are that were made of films and tables."""
+
+REPORTS = 'reports'
+"""Folder of an archive in which the report of each session that was searched is."""
 
 _DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
@@ -166,10 +170,28 @@ def _discover(job: Job) -> dict[str, Any]:
     found = discover([session])
     return {
         'facts': _facts(session), 'result': found.as_json(),
+        'report': _write_report(job, session, found),
         'reference_field': found.model.reference_field,
         'effects': write_effects(found.model.effects),
         'candidates': [[c.id, c.likelihood_ratio, c.dof] for c in found.considered],
     }
+
+
+def _write_report(job: Job, session: Session, found: Discovery) -> str | None:
+    """Write the report on what was `found` in a `session`; its place in the archive.
+
+    None where the report fails: the result of the search counts without it.
+    """
+    from microbot_ros.discovery.report.page import page
+
+    place = f'{REPORTS}/{job.path.stem}-{job.content[:8]}.html'
+    try:
+        with writing_report(job.archive / place):
+            (job.archive / REPORTS).mkdir(exist_ok=True)
+            write_text(job.archive / place, page(found, [session], [job.path]))
+    except ReportError:
+        return None
+    return place
 
 
 def _measure(job: Job) -> dict[str, Any]:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import re
 import signal
 import sys
+import time
 from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
@@ -18,6 +20,16 @@ from microbot_ros.common.errors import clipped, one_line
 
 _PATIENCE_S = 10.0
 """So long it may take to write what it has learned when it is told to end."""
+
+
+_ODDS = re.compile(r'([\w ]+?) ([\d.]+)%')
+_LIKELIEST = 'likeliest: '
+
+
+def default_folder() -> Path:
+    """Where results go that nobody named a place for: in the data folder of this user."""
+    home = os.environ.get('XDG_DATA_HOME') or Path.home() / '.local' / 'share'
+    return Path(home) / 'microbot_ros' / 'discoveries'
 
 
 class Discovery:
@@ -35,6 +47,8 @@ class Discovery:
         self._out = folder
         self._told = ''
         self._result: dict[str, Any] = {}
+        self._odds: dict[str, float] = {}
+        self._until_s = self._seconds = 0.0
         self._turn = asyncio.Lock()
         """Held from the check whether it runs until its process is there, or has been told to end:
         two requests at once start one process."""
@@ -51,17 +65,34 @@ class Discovery:
         if not self._told:
             return {'running': False, 'sentence': 'found by another discovery beside the rig',
                     **summary(elsewhere)} if elsewhere else None
-        return {'running': self.running, 'sentence': self._told, **summary(self._result)}
+        found = summary(self._result)
+        left_s = round(max(self._until_s - time.monotonic(), 0.0)) if self.running else None
+        name = self._out.name
+        report = f'/discoveries/{name}/report.html' if self.report(name) else None
+        return {'running': self.running, 'sentence': self._told, **found,
+                'odds': found['odds'] or self._odds, 'left_s': left_s, 'of_s': self._seconds,
+                'folder': str(self._out), 'report': report}
 
-    async def start(self, minutes: float) -> Answer:
-        """Drive for so many `minutes` at most; RefusedError where it does already."""
+    def report(self, name: str) -> Path | None:
+        """Return the report of the discovery of that `name`, None where there is none."""
+        known = Path(name).name == name != '..'
+        path = self._folder / name / 'report.html'
+        return path if known and path.is_file() else None
+
+    async def start(self, minutes: float, rig: str | None) -> Answer:
+        """Drive a `rig` in that state for so many `minutes` at most; RefusedError where it does
+        already, and where the rig is not armed."""
         async with self._turn:
             if self.running:
                 raise RefusedError('discovery is driving already')
             if self._over:
                 raise RefusedError('the cockpit is ending')
+            if rig != 'armed':
+                raise RefusedError('the rig is not armed, and discovery drives it: arm it first')
             self._out = self._folder / f'{datetime.now():%Y-%m-%d_%H-%M-%S}'
-            self._result, self._told = {}, 'starting'
+            self._result, self._odds, self._told = {}, {}, 'starting'
+            self._seconds = 60 * minutes
+            self._until_s = time.monotonic() + self._seconds
             self._process = await asyncio.create_subprocess_exec(
                 sys.executable, '-m', 'microbot_ros.cli', 'discover', '--drive', '--minutes',
                 f'{minutes:g}', '--out', str(self._out), '--namespace', self._namespace,
@@ -101,6 +132,10 @@ class Discovery:
         assert process.stdout is not None
         while data := await process.stdout.readline():
             if line := one_line(data.decode(errors='replace').strip()):
+                if line.startswith(_LIKELIEST):
+                    self._odds = {name.strip(): float(share) / 100 for name, share
+                                  in _ODDS.findall(line.removeprefix(_LIKELIEST))}
+                    continue
                 self._told = clipped(line) if len(line) > 300 else line
         status = await process.wait()
         with suppress(OSError, ValueError):

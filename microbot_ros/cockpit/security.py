@@ -20,6 +20,9 @@ _LOOPBACK = ('localhost', '127.0.0.1', '::1')
 _POLICY = '; '.join((
     "default-src 'self'", "img-src 'self' blob: data:", "connect-src 'self'", "object-src 'none'",
     "base-uri 'none'", "form-action 'none'", "frame-ancestors 'none'"))
+REPORT_POLICY = _POLICY.replace(
+    "default-src 'self'", "default-src 'none'; style-src 'unsafe-inline'")
+"""For a report that stands alone: its styles are within, its pictures data; no script runs."""
 _HEADERS = {
     'Content-Security-Policy': _POLICY, 'X-Content-Type-Options': 'nosniff',
     'X-Frame-Options': 'DENY', 'Referrer-Policy': 'no-referrer',
@@ -136,6 +139,8 @@ def _same(given: str, secret: str) -> bool:
 def _with_headers(send: Send) -> Send:
     async def sending(message: Message) -> None:
         if message['type'] == 'http.response.start':
-            MutableHeaders(scope=message).update(_HEADERS)
+            headers = MutableHeaders(scope=message)
+            headers.update({name: value for name, value in _HEADERS.items()
+                            if name not in headers})
         await send(message)
     return sending

@@ -9,6 +9,7 @@ import math
 import socket
 import threading
 import time
+from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
 from contextlib import asynccontextmanager, suppress
 from importlib import resources
@@ -30,7 +31,7 @@ from microbot_ros.cockpit.control import Control
 from microbot_ros.cockpit.discovery import Discovery
 from microbot_ros.cockpit.events import Events, explained
 from microbot_ros.cockpit.rig import Answer, RefusedError, Rig, zero_in
-from microbot_ros.cockpit.security import Gatekeeper
+from microbot_ros.cockpit.security import REPORT_POLICY, Gatekeeper
 from microbot_ros.cockpit.stopping import Stopping
 from microbot_ros.common.errors import InputError
 
@@ -51,6 +52,9 @@ _LONGEST_MESSAGE = 128 * 1024
 _BUFFER = 256 * 1024
 """What may wait in the system for a page that does not read: a frozen one is not to be shown the
 past when it wakes."""
+_CURVE, _CURVE_S = 240, 0.25
+"""Points of a curve that are kept, and the time [s] between them."""
+_DRAWN = ('v_um_s', 'v_std_um_s', 'phi_deg', 'phi_std_deg')
 _FOREIGN = 'another page has control'
 _LATE = 'the cockpit stood still, and does nothing late: ask again'
 
@@ -73,6 +77,8 @@ class Server:
         self._control = Control()
         self._stopping = Stopping(rig)
         self._events = Events()
+        self._curves: dict[int, deque[list[Any]]] = {}
+        """Time [s, monotonic], v, its σ, φ and its σ of each particle over the last minute."""
         self._pages: dict[int, Page] = {}
         self._count = 0
         self._tasks: set[asyncio.Task[None]] = set()
@@ -135,8 +141,14 @@ class Server:
         async def home(_: Request) -> Response:
             return FileResponse(index)
         return Starlette(lifespan=self._lifespan, routes=[
-            Route('/', home), Mount('/page', StaticFiles(directory=str(page))),
+            Route('/', home), Route('/discoveries/{name}/report.html', self._report),
+            Mount('/page', StaticFiles(directory=str(page))),
             WebSocketRoute('/socket', self._serve)])
+
+    async def _report(self, request: Request) -> Response:
+        path = self._discovery.report(request.path_params['name'])
+        return Response(status_code=404) if path is None else FileResponse(
+            path, headers={'Content-Security-Policy': REPORT_POLICY})
 
     @asynccontextmanager
     async def _lifespan(self, _: Starlette) -> AsyncIterator[None]:
@@ -181,6 +193,7 @@ class Server:
                       'discovery': self._discovery.state(state.pop('verdict', {}))}
             self._control.see(state.get('rig') == 'armed')
             self._events.see(state)
+            self._keep_curves(state.get('estimates') or [], time.monotonic())
             if not self._pages:
                 continue
             _explain(state)
@@ -195,6 +208,21 @@ class Server:
                     page.tell({'kind': 'events', 'events': new})
                 page.state({**parts, 'control': json.dumps(self._control_of(page))},
                            time.monotonic())
+
+    def _keep_curves(self, estimates: list[dict[str, Any]], now_s: float) -> None:
+        """Keep `estimates` of `now_s` [s], four times a second, for pages that come later."""
+        for one in estimates:
+            kept = self._curves.setdefault(one['id'], deque(maxlen=_CURVE))
+            if not kept or now_s - kept[-1][0] >= _CURVE_S:
+                kept.append([now_s, *(one[name] for name in _DRAWN)])
+        self._curves = {name: kept for name, kept in self._curves.items()
+                        if now_s - kept[-1][0] <= _CURVE * _CURVE_S}
+
+    def _history(self) -> dict[str, Any]:
+        now_s = time.monotonic()
+        return {'kind': 'history', 'curves': {
+            name: [[round(t_s - now_s, 2), *rest] for t_s, *rest in kept]
+            for name, kept in self._curves.items()}}
 
     def _tick(self, now_s: float) -> None:
         """Know at `now_s` [s] for how long the server stood still."""
@@ -230,6 +258,7 @@ class Server:
         self._pages[page.number] = page
         self._rig.look(True)
         page.tell(self._hello(page))
+        page.tell(self._history())
         sending = asyncio.create_task(page.send())
         receiving = asyncio.create_task(self._receive(web_socket, page))
         try:

@@ -185,8 +185,8 @@ _METHODS: dict[type[Verb], Callable[[Any, Rig, Discovery], Awaitable[Answer]]] =
         verb.example == 'like', verb.x_px, verb.y_px, verb.particle_kind, int(verb.stamp)),
     Record: lambda verb, rig, _: rig.record(verb.on, one_line(verb.title)),
     Note: lambda verb, rig, _: rig.note(one_line(verb.text)),
-    Discover: lambda verb, _, discovery: (
-        discovery.start(verb.minutes) if verb.on else discovery.stop())}
+    Discover: lambda verb, rig, discovery: (
+        discovery.start(verb.minutes, rig.state().get('rig')) if verb.on else discovery.stop())}
 """What does each; STOP and the others that wait for nobody are the server's."""
 
 

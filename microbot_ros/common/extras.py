@@ -29,14 +29,20 @@ def advice(error: ImportError) -> str | None:
             f"pip install 'microbot_ros[{EXTRAS[library]}]'")
 
 
+def lack(*extras: str) -> str:
+    """Return which libraries of these `extras` are not installed and what to do; '' if none."""
+    missing = [library for library, extra in EXTRAS.items()
+               if extra in extras and find_spec(library) is None]
+    needed = ','.join(dict.fromkeys(EXTRAS[library] for library in missing))
+    if not missing:
+        return ''
+    return f"not installed: {', '.join(missing)}; pip install 'microbot_ros[{needed}]'"
+
+
 def require(*extras: str) -> None:
     """Raise InputError, saying what to install, if a library of these `extras` is not installed.
 
     For commands that would otherwise miss a library only after minutes of work.
     """
-    missing = [library for library, extra in EXTRAS.items()
-               if extra in extras and find_spec(library) is None]
-    if missing:
-        needed = ','.join(dict.fromkeys(EXTRAS[library] for library in missing))
-        raise InputError('', f'not installed: {", ".join(missing)}; '
-                             f"pip install 'microbot_ros[{needed}]'")
+    if problem := lack(*extras):
+        raise InputError('', problem)

@@ -30,8 +30,8 @@ class CockpitParameters:
         True, 'Pages need the token in the address, new at each start; false lets every user of '
         'this machine drive the rig, and is refused away from 127.0.0.1.', read_only=True)
     discoveries: str = setting(
-        'discoveries', 'Folder for what discovery finds when a page starts it, a folder each.',
-        read_only=True)
+        '', 'Folder for what discovery finds when a page starts it, a folder each; empty is '
+        '~/.local/share/microbot_ros/discoveries.', read_only=True)
 
 
 class CockpitNode(RigNode):
@@ -47,14 +47,15 @@ class CockpitNode(RigNode):
         self._server: Server | None = None
         self._address: Path | None = None
         require('cockpit')
-        from microbot_ros.cockpit.discovery import Discovery
+        from microbot_ros.cockpit.discovery import Discovery, default_folder
         from microbot_ros.cockpit.server import Server
         from microbot_ros.nodes.client.operated_rig import OperatedRig
 
         values: CockpitParameters = self.settings
         self._operated = OperatedRig(self)
+        folder = Path(values.discoveries).resolve() if values.discoveries else default_folder()
         self._server = Server(
-            self._operated, Discovery(self.get_namespace(), Path(values.discoveries).resolve()),
+            self._operated, Discovery(self.get_namespace(), folder),
             values.host, values.port, open_to_all=not values.token)
         self.every(_ATTEND_SECONDS, self._operated.update_subscriptions)
 

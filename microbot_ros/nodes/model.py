@@ -96,6 +96,7 @@ class ModelNode(RigNode, ModelCore):
             'particles': len(found.id), 'known': int(found.known.sum()),
             'delay_s': found.delay, 'delay_std_s': found.delay_std,
             'diffusion_um2_s': noise.diffusion * 1e12,
+            'diffusion_std_um2_s': noise.diffusion_std * 1e12,
             'localisation_um': noise.localisation * 1e6,
             'silence_s': silence}
         if silence > SILENCE_SECONDS:

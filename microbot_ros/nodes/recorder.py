@@ -20,7 +20,7 @@ from rclpy.serialization import deserialize_message
 from std_srvs.srv import SetBool
 
 from microbot_ros.common.errors import InputError
-from microbot_ros.common.extras import require
+from microbot_ros.common.extras import lack, require
 from microbot_ros.common.settings import setting
 from microbot_ros.nodes.base.lifecycle import OK, WARN, RigNode
 from microbot_ros.nodes.base.topics import CHANGES, TOPICS, type_name
@@ -70,10 +70,10 @@ class RecorderNode(RigNode):
     Parameters: ClassVar[type] = RecorderParameters
 
     def setup(self) -> None:
-        require('mcap')
-        from microbot_ros.session.mcap.bag import typestore
+        if not lack('mcap'):
+            from microbot_ros.session.mcap.bag import typestore
 
-        typestore()  # takes 0.1 s; frames would wait for it, and some be lost
+            typestore()  # takes 0.1 s; frames would wait for it, and some be lost
         self._writer: RecordingWriter | None = None
         self._subject: dict[str, str] = {}
         self._attachments = {
@@ -99,7 +99,9 @@ class RecorderNode(RigNode):
         return ''
 
     def start(self) -> None:
-        if self.settings.recording:
+        if problem := self.settings.recording and lack('mcap'):
+            self.complain(f'not recording: {problem}')
+        elif self.settings.recording:
             self._begin()
 
     def stop(self) -> None:
@@ -110,7 +112,9 @@ class RecorderNode(RigNode):
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         if self._writer is None:
-            return OK, 'not recording', {}
+            problem = lack('mcap')
+            return (WARN, f'cannot record: {problem}', {}) if problem else (
+                OK, 'not recording', {})
         status = self._writer.status()
         values: dict[str, object] = {
             'messages': sum(status.counts.values()), 'dropped': sum(status.dropped.values()),
@@ -141,6 +145,7 @@ class RecorderNode(RigNode):
     def _begin(self) -> None:
         values: RecorderParameters = self.settings
         folder = values.folder or f'recordings/{datetime.now():%Y-%m-%d_%H-%M-%S}'
+        require('mcap')
         from microbot_ros.session.mcap.recorder import RecordingWriter
 
         writer = RecordingWriter(folder)

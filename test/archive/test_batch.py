@@ -238,6 +238,10 @@ def test_one_table_for_pandas_polars_and_duckdb(laboratory, tmp_path):
     assert (frame.v_um_s < frame.v_um_s_high_95).all()
     assert frame.v_um_s.mean() == pytest.approx(5.0, abs=0.3)
     assert conclude(out).quantities[0].spread.mean == pytest.approx(5.0, abs=0.3)
+    reports = sorted(path.relative_to(out) for path in (out / 'reports').glob('*.html'))
+    assert len(reports) == 6
+    page = (out / 'archive.html').read_text()
+    assert all(f'href="{path}"' in page for path in reports)
 
 
 def test_two_runs_into_one_archive(laboratory, tmp_path):

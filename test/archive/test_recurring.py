@@ -6,6 +6,7 @@ import pytest
 from microbot_ros.archive.recurring import (
     candidates_for_all,
     common_reference,
+    proxies,
     recurring_effects,
 )
 from microbot_ros.model.effects import EFFECTS
@@ -99,3 +100,13 @@ def test_what_is_asked_of_all():
 def test_most_sessions_state_the_reference():
     told = [discovered([], reference=one) for one in (5e-3, 2e-3, 5e-3)]
     assert common_reference({0: {'refused': 'x'}} | dict(enumerate(told, 1))) == 5e-3
+
+
+def test_proxies_and_sessions_with_something_unnamed_count_for_nothing():
+    """Each of twelve sessions says to trust no name: none recurs, and all are told apart."""
+    one = {'result': {'verdict': 'unnamed',
+                      'effects': [{'id': 'pixel_anisotropy', 'status': 'proxy'}]},
+           'candidates': [('uniform_drift', 100.0, 2)]}
+    results = {f's{k}': one for k in range(12)}
+    assert candidates_for_all(results) == []
+    assert proxies(results) == {'pixel_anisotropy': list(results)}

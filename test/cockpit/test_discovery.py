@@ -58,6 +58,55 @@ async def ended(discovery: Discovery) -> dict[str, Any]:
     return state
 
 
+def test_a_rig_that_is_not_armed_is_refused_at_once(stand_in: Any, tmp_path: Path) -> None:
+    stand_in('time.sleep(60)')
+
+    async def run() -> None:
+        discovery = Discovery('/', tmp_path / 'found')
+        for state in ('disarmed', 'fault', 'unknown', None):
+            with pytest.raises(RefusedError, match='not armed'):
+                await discovery.start(1.0, state)
+        assert not discovery.running
+    apart(run())
+
+
+def test_odds_and_time_left_are_shown_while_it_drives(stand_in: Any, tmp_path: Path) -> None:
+    stand_in('print("likeliest: alignment lag 92.0%, nothing 7.5%", flush=True)\n'
+             'print("lag or delay: turns of 180°", flush=True); time.sleep(60)')
+
+    async def run() -> dict[str, Any]:
+        discovery = Discovery('/', tmp_path / 'found')
+        await discovery.start(2.0, 'armed')
+        async with asyncio.timeout(20.0):
+            while (state := discovery.state({}) or {})['sentence'] == 'starting':
+                await asyncio.sleep(0.01)
+        await discovery.end()
+        return state
+    state = apart(run())
+    assert state['sentence'] == 'lag or delay: turns of 180°'
+    assert state['odds'] == {'alignment lag': 0.92, 'nothing': 0.075}
+    assert 90 < state['left_s'] <= 120
+    assert state['folder'].startswith(str(tmp_path / 'found'))
+
+
+def test_the_report_is_linked_and_no_other_file_is_served(stand_in: Any, tmp_path: Path) -> None:
+    stand_in('out.mkdir(parents=True); (out / "report.html").write_text("found")')
+
+    async def run() -> tuple[Discovery, dict[str, Any]]:
+        discovery = Discovery('/', tmp_path / 'found')
+        await discovery.start(1.0, 'armed')
+        return discovery, await ended(discovery)
+    discovery, state = apart(run())
+    name = state['report'].split('/')[2]
+    assert state['report'] == f'/discoveries/{name}/report.html'
+    path = discovery.report(name)
+    assert path is not None
+    assert path.read_text() == 'found'
+    (tmp_path / 'report.html').write_text('no')
+    assert discovery.report('..') is None
+    assert discovery.report('other') is None
+
+
 def test_its_end_is_what_result_json_says(stand_in: Any, tmp_path: Path) -> None:
     stand_in(f'out.mkdir(parents=True); print("looking around: steps", file=sys.stderr)\n'
              f'(out / "result.json").write_text({json.dumps(RESULT)!r})\n'
@@ -69,14 +118,15 @@ def test_its_end_is_what_result_json_says(stand_in: Any, tmp_path: Path) -> None
         before = discovery.state(RESULT)
         assert before is not None
         assert (before['running'], before['effect']) == (False, 'alignment_lag')
-        await discovery.start(6.0)
+        await discovery.start(6.0, 'armed')
         with pytest.raises(RefusedError, match='already'):
-            await discovery.start(6.0)
+            await discovery.start(6.0, 'armed')
         assert discovery.running
         return await ended(discovery)
     state = apart(run())
     assert state == {
-        'running': False, 'sentence': state['sentence'], 'verdict': 'named', 'decided': 'settled',
+        'running': False, 'left_s': None, 'of_s': 360.0, 'folder': state['folder'], 'report': None,
+        'sentence': state['sentence'], 'verdict': 'named', 'decided': 'settled',
         'effect': 'alignment_lag', 'gap_um': 0.11, 'odds': {'alignment_lag': 0.92},
         'minutes': 6.1, 'next': 'repeat at two magnitudes',
         'learned': [{'sentence': 'A swirl.', 'arrows': [[1.0, 2.0, 0.5, -0.5]]}]}
@@ -89,7 +139,7 @@ def test_two_requests_at_once_start_one(stand_in: Any, tmp_path: Path) -> None:
 
     async def run() -> tuple[list[Any], list[Path]]:
         discovery = Discovery('/', tmp_path / 'found')
-        asked = await asyncio.gather(*(discovery.start(1.0) for _ in range(5)),
+        asked = await asyncio.gather(*(discovery.start(1.0, 'armed') for _ in range(5)),
                                      return_exceptions=True)
         async with asyncio.timeout(20.0):
             while not (started := [one for one in tmp_path.iterdir() if one.name.isdigit()]):
@@ -106,12 +156,12 @@ def test_one_that_is_being_started_ends_with_the_server(stand_in: Any, tmp_path:
 
     async def run() -> Discovery:
         discovery = Discovery('/', tmp_path)
-        starting = asyncio.create_task(discovery.start(1.0))
+        starting = asyncio.create_task(discovery.start(1.0, 'armed'))
         await asyncio.sleep(0)
         await discovery.end()
         await starting
         with pytest.raises(RefusedError, match='ending'):
-            await discovery.start(1.0)
+            await discovery.start(1.0, 'armed')
         return discovery
     assert not apart(run()).running
 
@@ -121,7 +171,7 @@ def test_a_refusal_is_shown_in_its_own_words(stand_in: Any, tmp_path: Path) -> N
 
     async def run() -> dict[str, Any]:
         discovery = Discovery('/', tmp_path)
-        await discovery.start(1.0)
+        await discovery.start(1.0, 'armed')
         return await ended(discovery)
     state = apart(run())
     assert state['sentence'] == 'ended with status 1: microbot: coil_driver: the gate is disarmed'
@@ -149,7 +199,7 @@ while True:
         discovery = Discovery('/', tmp_path)
         with pytest.raises(RefusedError, match='not driving'):
             await discovery.stop()
-        await discovery.start(1.0)
+        await discovery.start(1.0, 'armed')
         while not (told := str((discovery.state({}) or {})['sentence'])).isdigit():
             await asyncio.sleep(0.01)
         await discovery.stop()

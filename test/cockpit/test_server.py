@@ -350,6 +350,22 @@ class TestEvents:
             assert self._events(page, 'Well again: 3 particles')['level'] == 'ok'
 
 
+class TestHistory:
+    """The last minute of the estimates, for a page that comes later."""
+
+    def test_a_page_that_is_reloaded_has_the_curves(self, served: Any) -> None:
+        served.rig.parts = {**served.rig.parts, 'estimates': [{
+            'id': 3, 'v_um_s': 4.1, 'v_std_um_s': 0.1, 'phi_deg': 24.0, 'phi_std_deg': 1.0}]}
+        with served.page() as page:
+            page.drain(1.0)
+        with served.page() as again:
+            told = again.until(lambda message: message['kind'] == 'history')
+        rows = told['curves']['3']
+        assert len(rows) >= 3
+        assert rows[0][1:] == [4.1, 0.1, 24.0, 1.0]
+        assert -30 < rows[0][0] < rows[-1][0] <= 0
+
+
 class TestState:
     """Parts that are new, ten times a second."""
 

@@ -9,26 +9,17 @@ export class Curve {
   constructor(node, colour) {
     this.node = node;
     this.colour = colour;
-    this.clear();
+    this.data = [[], [], [], []];
     new ResizeObserver(() => this.#make()).observe(node);
     matchMedia('(prefers-color-scheme: dark)').addEventListener('change', () => this.#make());
   }
 
-  clear() {
-    this.data = [[], [], [], []];
-    this.#show();
-  }
-
-  // `seconds` on the page's clock; a value that is not known leaves a gap.
-  add(seconds, value, std) {
-    const [t, mean, low, high] = this.data;
-    const sigma = known(std) ? std : 0;
-    t.push(seconds);
-    mean.push(known(value) ? value : null);
-    low.push(known(value) ? value - sigma : null);
-    high.push(known(value) ? value + sigma : null);
-    const old = t.findIndex((one) => one >= seconds - SPAN_S);
-    for (const column of this.data) column.splice(0, old);
+  // Rows of [seconds on the page's clock, value, σ]; a value that is not known leaves a gap.
+  fill(rows) {
+    const shown = rows.filter(([t]) => t >= rows.at(-1)[0] - SPAN_S);
+    const bound = (sign) => shown.map(([, value, std]) => (
+      known(value) ? value + sign * (known(std) ? std : 0) : null));
+    this.data = [shown.map(([t]) => t), bound(0), bound(-1), bound(1)];
     if (this.node.offsetParent) this.#show();
   }
 

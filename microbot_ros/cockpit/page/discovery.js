@@ -3,7 +3,7 @@
 import { byId, keyed, make, setText } from './dom.js';
 import { readings } from './estimates.js';
 import { order } from './messages.js';
-import { known, withUnit } from './numbers.js';
+import { clock, known, withUnit } from './numbers.js';
 
 const VERDICTS = {
   consistent: 'Consistent: nothing is missing.', named: 'Named.', unnamed: 'Unnamed: something is missing that is in no list.',
@@ -21,6 +21,7 @@ export function discoveryPanel(link) {
     setText(byId('discover'), running ? 'Stop' : 'Start');
     byId('minutes').readOnly = running;
     show(discovery ?? {});
+    where(discovery ?? {});
   });
 }
 
@@ -37,6 +38,17 @@ function show(now) {
   });
   const learned = (now.learned ?? []).map(({ sentence }) => sentence).filter(Boolean);
   setText(byId('next'), [...learned, now.next && `Next: ${now.next}`].filter(Boolean).join(' '));
+}
+
+function where({ running, left_s, of_s, folder, report }) {
+  byId('discover-progress').hidden = !running;
+  byId('discover-progress').value = running ? 1 - left_s / of_s : 0;
+  const node = byId('discover-where');
+  const text = [running && `${clock(left_s)} left at most. It writes into`, !running && folder && 'It wrote into'].filter(Boolean).join(' ');
+  if (node.dataset.shown === text + report) return;
+  node.dataset.shown = text + report;
+  node.replaceChildren(text && `${text} ${folder}. `, ...(report
+    ? [make('a', { href: report, target: '_blank', rel: 'noopener' }, 'Open the report')] : []));
 }
 
 function headline({ verdict, sentence, running }) {

@@ -2,6 +2,7 @@
 
 import { byId, keyed, make, offer, setText } from './dom.js';
 import { order } from './messages.js';
+import { fixed, known } from './numbers.js';
 
 // As a limit it means none.
 const LARGEST = 2 ** 31 - 1;
@@ -31,6 +32,9 @@ export class Drive {
     setText(byId('stick-hint'), takes?.includes('joystick')
       ? 'Drag, or focus it and hold arrow keys or W A S D. A gamepad’s left stick steers too, its buttons stop. Let go, and the field goes to zero.'
       : 'This controller is not steered by hand; teleop is: switch to it first.');
+    const { distance_um, done, driven, sentence } = controller;
+    setText(byId('going'), [driven?.length && `Drives particle ${driven.join(', ')}.`, done ? 'Arrived.' : known(distance_um) && `${fixed(distance_um, 1)} µm to go.`,
+      sentence && `It says: ${sentence}.`].filter(Boolean).join(' '));
     const settable = (parameters ?? []).filter((one) => !one.read_only);
     const fixed = (parameters ?? []).filter((one) => one.read_only);
     keyed(byId('parameters'), [...settable, ...fixed], (one) => `${name} ${one.name} ${one.type}`,

@@ -15,9 +15,9 @@ export class Overlay {
     this.tracks = tracks;
     this.stamp = null;
     this.chosen = null;
-    this.plan = { goals: [], path: [], learned: [] };
+    this.plan = { goals: [], path: [], driven: [], learned: [] };
     this.layers = {};
-    for (const name of ['learned', 'trails', 'path', 'goals', 'rings', 'sketch']) {
+    for (const name of ['learned', 'trails', 'path', 'way', 'goals', 'rings', 'sketch']) {
       this.layers[name] = makeSvg('g', { class: name });
       byId('overlay').append(this.layers[name]);
     }
@@ -25,7 +25,7 @@ export class Overlay {
   }
 
   hear({ controller, discovery }) {
-    this.plan = { goals: controller?.goals ?? [], path: controller?.path ?? [],
+    this.plan = { goals: controller?.goals ?? [], path: controller?.path ?? [], driven: controller?.driven ?? [],
       learned: (discovery?.learned ?? []).flatMap(({ arrows }) => arrows ?? []) };
     this.#drawPlan();
   }
@@ -80,6 +80,7 @@ export class Overlay {
       const [right, down] = this.view.heading(particle.heading_rad);
       line.setAttribute('d', `M${right * RING} ${down * RING}L${right * HEADING} ${down * HEADING}`);
     });
+    this.#drawWay();
     const trails = particles.map(({ id }) => [id, this.tracks.trails.get(id) ?? []]);
     keyed(this.layers.trails, trails, ([id]) => id, () => makeSvg('polyline'), (node, [, trail]) => {
       node.setAttribute('points',
@@ -102,12 +103,26 @@ export class Overlay {
     this.layers.path.replaceChildren(makeSvg('polyline', {
       points: path.map(([x, y]) => this.view.micrometresToPage(x, y).join(' ')).join(' ') }));
     keyed(this.layers.goals, goals.map((goal, index) => ({ index, ...goal })),
-      ({ index }) => index, goalMark, (node, { x_um, y_um, id }) => {
+      ({ index }) => index, goalMark, (node, { index, x_um, y_um, id }) => {
         const [x, y] = this.view.micrometresToPage(x_um, y_um);
         node.setAttribute('transform', `translate(${x.toFixed(2)} ${y.toFixed(2)})`);
-        setText(node.querySelector('text'), id != null && id >= 0 ? `goal ${id}` : 'goal');
+        setText(node.querySelector('text'), id != null && id >= 0 ? `goal of ${id}` : `goal ${index + 1}`);
       });
+    this.#drawWay();
     this.layers.learned.replaceChildren(...this.#arrows(learned));
+  }
+
+  // From each driven particle to its goal: its own, else the first; or to the nearest point of the path.
+  #drawWay() {
+    const { goals, path, driven } = this.plan;
+    const lines = !this.view.matrix ? [] : this.#shown().filter(({ id }) => driven.includes(id)).flatMap((one) => {
+      const [x, y] = this.view.toPage(one.x_px, one.y_px);
+      const goal = goals.find(({ id }) => id === one.id) ?? goals.find(({ id }) => id == null);
+      const ends = (goal ? [[goal.x_um, goal.y_um]] : path).map((end) => this.view.micrometresToPage(...end));
+      const to = ends.reduce((best, end) => (!best || Math.hypot(end[0] - x, end[1] - y) < Math.hypot(best[0] - x, best[1] - y) ? end : best), null);
+      return to ? [makeSvg('path', { d: `M${x} ${y}L${to[0]} ${to[1]}` })] : [];
+    });
+    this.layers.way.replaceChildren(...lines);
   }
 
   // The longest arrow is `ARROW` points long; the others in proportion.

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from microbot_ros.common import units
+from microbot_ros.common.extras import require
 from microbot_ros.common.settings import setting
 from microbot_ros.control.contract import (
     ANY_GOALS,
@@ -30,6 +31,9 @@ from microbot_ros.control.planning.refine import cost, improve
 from microbot_ros.control.planning.shared import as_complex
 from microbot_ros.control.plugins.ensemble import Ensemble, SharedFieldParameters
 from microbot_ros.model.model import Model
+
+# Without its solver this controller is left out, and the others run.
+require('predictive')
 
 WORTH = 0.7
 """Another plan is taken up if it costs less than this part of going on as before."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
@@ -186,6 +186,8 @@ def drive(rig: Rig, minutes: float, report: Callable[[str], None] = lambda _: No
         result.looks.append(Look(
             plan.sentence(), played.stopped, rig.seconds, insight.judgement if insight else None,
             insight.known.odds() if insight else {}, saved))
+        if odds := result.looks[-1].odds:
+            report(_in_words(odds))
         plan = None
         if played.stopped:
             result.decided, result.reason = 'stopped', played.stopped
@@ -195,6 +197,13 @@ def drive(rig: Rig, minutes: float, report: Callable[[str], None] = lambda _: No
             plan, saved = _next(result, insight, left, rig.limits, rng, designer)
             question = insight.question if insight else 'nothing to be said yet:'
     return result
+
+
+def _in_words(odds: Mapping[str, float]) -> str:
+    """The four explanations of the highest probability in `odds`, in a line."""
+    ranked = sorted(odds.items(), key=lambda one: -one[1])[:4]
+    return 'likeliest: ' + ', '.join(
+        f'{name.replace("_", " ") or "nothing"} {share:.1%}' for name, share in ranked)
 
 
 def _look(result: Driven, last: bool = False) -> Insight | None:

@@ -149,12 +149,14 @@ class OperatedRig(RigView):
     async def goal(self, x_um: float, y_um: float, particle: int | None) -> Answer:
         """One goal at `x_um`, `y_um`, in place of those there are; or that of one `particle`
         beside the others'."""
+        if self._taken_path:
+            await self._hand_over(self._client.send_path([]))
         if particle is None:
-            return await self._hand_over(self._client.send_goals([_metres(x_um, y_um)]))
+            return await self._send_there(self._client.send_goals([_metres(x_um, y_um)]))
         goals = {goal['id']: _metres(goal['x_um'], goal['y_um'])
                  for goal in self.goals() if goal['id'] is not None}
         goals[particle] = _metres(x_um, y_um)
-        return await self._hand_over(self._client.send_goals([*goals.values()], [*goals]))
+        return await self._send_there(self._client.send_goals([*goals.values()], [*goals]))
 
     async def clear_goals(self) -> Answer:
         """No goal, and no path."""
@@ -162,14 +164,20 @@ class OperatedRig(RigView):
         return await self._hand_over(self._client.send_goals([]))
 
     async def path(self, points_um: list[tuple[float, float]]) -> Answer:
-        """A path to follow, through `points_um`."""
-        return await self._hand_over(
+        """A path to follow, through `points_um`, in place of the goals there are."""
+        if self.goals():
+            await self._hand_over(self._client.send_goals([]))
+        return await self._send_there(
             self._client.send_path([_metres(x, y) for x, y in points_um]))
 
     async def _hand_over(self, steps: Steps[Taken]) -> Answer:
         """One after the other: the controller tells only of what it took last."""
         async with self._handing_over:
             return f'{(await self._perform(steps)).controller} has it'
+
+    async def _send_there(self, steps: Steps[Taken]) -> Answer:
+        taken = await self._hand_over(steps)
+        return taken if self.armed else f'{taken}; not armed: nothing moves until it is'
 
     async def switch_controller(self, name: str) -> Answer:
         """Let the controller of that `name` drive."""

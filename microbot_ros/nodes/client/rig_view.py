@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import struct
 import time
 from collections import deque
@@ -51,6 +52,7 @@ _PERIOD_S = 1 / 30
 _KEPT = 64
 """Frames whose particles are waited for."""
 
+_UNKNOWN = re.compile(r'particles? ([\d, ]+): ([^;]*), so v and φ are not known')
 _KIND = np.dtype([('kind', '<u4')])
 _LEVELS = {b'\0': 'ok', b'\1': 'warn', b'\2': 'error', b'\3': 'stale'}
 
@@ -283,8 +285,16 @@ class RigView:
         if not name:
             return None
         return {'name': name, 'sentence': self.progress('sentence'),
+                'driven': [int(one) for one in self.progress('particles').split(', ') if one],
+                'distance_um': _number(self.progress('distance_um') or math.nan),
+                'done': self.progress('done') == 'True',
                 'takes': self.progress('takes').split(', '),
                 'available': self._available, 'goals': self._taken_goals, 'path': self._taken_path}
+
+    @property
+    def armed(self) -> bool:
+        """Whether the coil driver says that currents may flow."""
+        return self._rig()[0] == 'armed'
 
     def _rig(self) -> tuple[str, str, float]:
         """armed, disarmed, fault or unknown; in a sentence; the age of what is known [s]."""
@@ -358,13 +368,17 @@ class RigView:
             points = messages.estimates(message)
         except messages.MessageError:
             return None
-        _, _, values = self._health.get('model', (0.0, None, {}))
-        diffusion = _number(values.get('diffusion_um2_s', math.nan))
+        _, status, values = self._health.get('model', (0.0, DiagnosticStatus(), {}))
+        reasons = _reasons(status.message)
+        diffusion, std = (_number(values.get(name, math.nan))
+                          for name in ('diffusion_um2_s', 'diffusion_std_um2_s'))
         return [{
             'id': int(p['id']), 'v_um_s': _finite(1e6 * p['speed']),
             'v_std_um_s': _finite(1e6 * p['speed_std']), 'phi_deg': _finite(np.degrees(p['phi'])),
             'phi_std_deg': _finite(np.degrees(p['phi_std'])), 'd_um2_s': diffusion,
-            'force_fn': _finite(1e15 * p['force'])} for p in points]
+            'd_std_um2_s': std, 'force_pn': _finite(1e12 * p['force']),
+            'force_std_pn': _finite(1e12 * p['force_std']),
+            'reason': reasons.get(int(p['id']))} for p in points]
 
     def _nodes(self) -> list[dict[str, str]]:
         """How each node is, those that have gone silent too."""
@@ -395,6 +409,12 @@ def _stamp_of(data: bytes) -> int:
     """The stamp [ns] of a serialised message that begins with a header."""
     seconds, nanoseconds = struct.unpack_from('<iI' if data[1] & 1 else '>iI', data, 4)
     return int(seconds * 1_000_000_000 + nanoseconds)
+
+
+def _reasons(sentence: str) -> dict[int, str]:
+    """Why nothing is known of a particle, by its number, from what the model says."""
+    return {int(name): reason for names, reason in _UNKNOWN.findall(sentence)
+            for name in names.split(', ')}
 
 
 def _json_in(text: str, topic: str) -> Any:

@@ -45,7 +45,8 @@ def state() -> dict[str, Any]:
                  'read_only': False}]},
         'estimates': [
             {'id': n, 'v_um_s': 4.0 + n, 'v_std_um_s': 0.08, 'phi_deg': 24.0 - 3 * n,
-             'phi_std_deg': 1.1, 'd_um2_s': 0.21, 'force_fn': 88.0} for n in range(3)],
+             'phi_std_deg': 1.1, 'd_um2_s': 0.21, 'd_std_um2_s': 0.01,
+             'force_pn': 0.088, 'force_std_pn': 0.002, 'reason': None} for n in range(3)],
         'currents_a': [0.31, -0.31, 0.42, -0.42],
         'health': [
             {'name': 'camera', 'level': 'ok', 'sentence': '100.0 frames/s, none lost.'},
