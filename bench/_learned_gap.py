@@ -10,9 +10,9 @@ import numpy as np
 from bench._unlisted_worlds import Filmed
 from microbot_ros.discovery.check import held_out
 from microbot_ros.discovery.check.input_checks import check_sessions
-from microbot_ros.estimation.likelihood.model_fit import ModelFit, fit_sessions
+from microbot_ros.discovery.hypotheses import fit_first_order
+from microbot_ros.estimation.likelihood.model_fit import ModelFit
 from microbot_ros.estimation.likelihood.prepared_session import PreparedSession
-from microbot_ros.model.model import Model
 
 Foretold = tuple[ModelFit, np.ndarray | float]
 """A fit to the rows that were shown, and displacements (T, N) [m] that are added to its own."""
@@ -22,12 +22,6 @@ def only_session(filmed: Filmed) -> PreparedSession:
     """What was filmed, as it is fitted."""
     (session,), _ = check_sessions([filmed.session])
     return session
-
-
-def first_order(sessions: Sequence[PreparedSession]) -> ModelFit:
-    """The fit of the first-order model."""
-    return fit_sessions(
-        Model.baseline(sessions[0].conditions, sessions[0].commands), sessions)
 
 
 def gaps(filmed: Filmed, session: PreparedSession,
@@ -41,12 +35,12 @@ def gaps(filmed: Filmed, session: PreparedSession,
     """
     own, pushed = (part[session.ids] if part.ndim == 1 else part[:, session.ids]
                    for part in (_swum(filmed), pushes(filmed, session)))
-    fit = first_order([session])
+    fit = fit_first_order([session])
     true = fit.session_fits[0].expected.at(own) + pushed
     clean = replace(session, z=session.z - pushed)
 
     def told(shown: np.ndarray) -> Foretold:
-        return held_out.learn(fit.model, [clean.only(shown)], ()), pushed
+        return fit_first_order([clean.only(shown)]), pushed
 
     errors: list[list[np.ndarray]] = [[] for _ in range(len(ways) + 1)]
     ahead = max(round(1.0 / session.interval), 1)

@@ -21,9 +21,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench._learned_gap import Foretold, first_order, gaps, only_session
+from bench._learned_gap import Foretold, gaps, only_session
 from bench._unlisted_worlds import film
-from microbot_ros.discovery.check import held_out
+from microbot_ros.discovery.hypotheses import fit_first_order
 from microbot_ros.estimation.likelihood.joint import eliminate, inner
 from microbot_ros.estimation.likelihood.model_fit import ModelFit
 from microbot_ros.estimation.likelihood.prepared_session import PreparedSession
@@ -58,20 +58,20 @@ def judge(case: tuple[str, int, str]) -> Judged:
     kind, seed, peer = case
     filmed = film(kind, seed)
     session = only_session(filmed)
-    scene = _Scene.of(first_order([session]))
+    scene = _Scene.of(fit_first_order([session]))
     began = time.process_time()
     learns, said = PEERS[peer](scene)
     spent = time.process_time() - began
     step = np.diff(session.times)[:, None] / MICRO
 
     def base(shown: np.ndarray) -> Foretold:
-        return held_out.learn(scene.fit.model, [session.only(shown)], ()), 0.0
+        return fit_first_order([session.only(shown)]), 0.0
 
     def learned(shown: np.ndarray) -> Foretold:
         added = np.concatenate([np.zeros((1, session.z.shape[1])),
                                 np.cumsum(np.nan_to_num(learns(shown)) * step, axis=0)])
         clean = replace(session, z=session.z - added)
-        return held_out.learn(scene.fit.model, [clean.only(shown)], ()), added
+        return fit_first_order([clean.only(shown)]), added
 
     before, after = gaps(filmed, session, [base, learned])
     return Judged(kind, seed, peer, said, before, after, spent)

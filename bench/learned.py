@@ -19,13 +19,13 @@ import numpy as np
 from bench._closed_loop import FIELD, Loop
 from bench._hidden_suite import blind
 from bench._kept import run_kept
-from bench._learned_gap import Foretold, first_order, gaps, only_session
+from bench._learned_gap import Foretold, gaps, only_session
 from bench._unlisted_worlds import KINDS, Filmed, HiddenWorld, Law, film
 from bench.discovery import interval
 from bench.figure import Figure, sized
 from microbot_ros.control.plugins.predictive import Predictive
-from microbot_ros.discovery.check import held_out
 from microbot_ros.discovery.discover import discover
+from microbot_ros.discovery.hypotheses import fit_first_order
 from microbot_ros.discovery.learned.candidates import accumulated, steps
 from microbot_ros.discovery.learned.learn import learn_term, learn_terms, relearn, told
 from microbot_ros.discovery.result import Discovery
@@ -120,11 +120,11 @@ def _of_world(outcome: Outcome, filmed: Filmed) -> Outcome:
 def _gaps(filmed: Filmed) -> tuple[float, float]:
     """Held-out gap [m] without and with what is learned."""
     session = only_session(filmed)
-    fit = first_order([session])
+    fit = fit_first_order([session])
     findings = learn_terms(fit, learn_term(fit))
 
     def base(shown: np.ndarray) -> Foretold:
-        return held_out.learn(fit.model, [session.only(shown)], ()), 0.0
+        return fit_first_order([session.only(shown)]), 0.0
 
     def learned(shown: np.ndarray) -> Foretold:
         return relearn(findings, base(shown)[0]), 0.0
@@ -215,7 +215,7 @@ def _covered(term: LearnedTerm, filmed: Filmed) -> float:
 
     What was done is brought to the knots by least squares, without noise, at the true speeds.
     """
-    fit = told(first_order([only_session(filmed)]))
+    fit = told(fit_first_order([only_session(filmed)]))
     p = replace(fit.session_fits[0])
     session = p.session
     own = filmed.swarm['speed'] * np.exp(1j * filmed.swarm['phi'])

@@ -64,7 +64,7 @@ def discover(sessions: Sequence[Session],
     fit, start = known.fit, known.start
     before = residual_maps(start, run) if known.slots else judgement.maps
     complete = judgement.verdict != 'unnamed'
-    intervals = Intervals(fit, complete)
+    intervals = Intervals(fit, complete, known.within_reach() if complete else ())
     effects = [NamedEffect(
         slot.own.id, judgement.status(slot.own.id), intervals.effect(slot.own.id),
         slot.own.evidence, slot.own.found.delta_bic, slot.own.found.p_value,
@@ -77,7 +77,7 @@ def discover(sessions: Sequence[Session],
     return Discovery(
         verdict=judgement.verdict,
         effects=tuple(sorted(effects, key=lambda e: -e.log_evidence)),
-        gap=held_out_gap(fit, [p.session for p in start.session_fits], truth, run,
+        gap=held_out_gap(fit, [p.session for p in start.session_fits], known.credible, truth, run,
                          partial(relearn, learned.findings) if learned else None),
         maps_before=before, maps_after=judgement.maps,
         unexplained=_worst([*judgement.left, *judgement.beside]),

@@ -25,7 +25,7 @@ from dataclasses import dataclass, field, replace
 from itertools import compress, product
 
 import numpy as np
-from scipy.special import logsumexp
+from scipy.special import logsumexp, softmax
 
 from microbot_ros.discovery.learned.learn import Finding, learn_term
 from microbot_ros.discovery.processes import Run, serially
@@ -68,6 +68,10 @@ LIKELIER = 0.5
 CLEARLY = 3.0
 """The same for a rival whose shape was not seen."""
 
+
+UNLIKELY = 0.01
+"""Probability below which another model does not widen an interval: a choice. With twice of it an
+interval is narrower by 1 % at most where a parameter differs by two standard deviations."""
 
 LOOKS = 4 * MOST
 """Models that a search looks at, at most: twice as many as it takes to add each effect and to
@@ -212,6 +216,29 @@ class Hypotheses:
             self._terms[id(fit)] = fit, learn_term(fit, report)
         return self._terms[id(fit)][1]
 
+    def within_reach(self) -> list[tuple[ModelFit, float]]:
+        """Return other models that may be true, each with its probability, from UNLIKELY on.
+
+        The model without one of its effects, with a rival in its place, or with one effect more
+        that is rather there than not.
+        """
+        price = likelier_than_not()
+        others = [(slot.rest, price - slot.own.evidence) for slot in self.slots]
+        others += [(one.found.fit, -slot.behind(one))
+                   for slot in self.slots for one in slot.within_reach]
+        others += [(one.found.fit, one.evidence - price) for one in self.more
+                   if one.evidence > price]
+        share = softmax([0.0, *(log for _, log in others)])[1:]
+        return [(fit, float(p)) for (fit, _), p in zip(others, share, strict=True)
+                if p > UNLIKELY]
+
+    @property
+    def credible(self) -> frozenset[str]:
+        """Every effect that is rather there than not, beside any of the models."""
+        return frozenset(self.names) | {
+            one.id for group in (self.more, *(slot.rivals for slot in self.slots))
+            for one in group if one.evidence > likelier_than_not()}
+
     @property
     def names(self) -> tuple[str, ...]:
         """The effects of the model that is taken for now."""
@@ -250,6 +277,24 @@ class Hypotheses:
 def fit_first_order(sessions: Sequence[PreparedSession]) -> ModelFit:
     """Return the fit of the first-order model to `sessions` of one rig."""
     return fit_sessions(Model.baseline(sessions[0].conditions, sessions[0].commands), sessions)
+
+
+def add_effects(fit: ModelFit, sessions: Sequence[PreparedSession],
+                names: Iterable[str]) -> ModelFit:
+    """Return the fit to `sessions` with the effects among `names` that are added beside a `fit`.
+
+    As `consider` adds them, one after the other, without a look at what could be in their place.
+    """
+    while len(fit.model.effects) < MOST:
+        likely = [one for one in _others(fit, serially, names) if _is_worth_adding(one)]
+        if not likely:
+            break
+        fit = fit_sessions(likely[0].found.fit.model, sessions)
+    return fit
+
+
+def _is_worth_adding(one: Candidate) -> bool:
+    return one.evidence >= likelier_than_not() + WORTH
 
 
 def consider(sessions: Sequence[PreparedSession], taken: Sequence[str] = (),
@@ -291,7 +336,7 @@ def _search(sessions: Sequence[PreparedSession], taken: Sequence[str], most: int
         better = _exchange(slots)
         more = _others(fit, run) if better is None else ()
         looked.append(Hypotheses(start, fit, slots, more))
-        if more and len(slots) < most and more[0].evidence >= likelier_than_not() + WORTH:
+        if more and len(slots) < most and _is_worth_adding(more[0]):
             better = more[0].found.fit.model
         if better is None:
             break
@@ -311,10 +356,10 @@ def _same(one: Model, other: Model) -> bool:
         [first[key] for key in second], list(second.values()), rtol=REPEATED, atol=REPEATED)
 
 
-def _others(fit: ModelFit, run: Run) -> tuple[Candidate, ...]:
-    """Return the candidates beside all effects of a `fit`."""
+def _others(fit: ModelFit, run: Run, names: Iterable[str] = EFFECTS) -> tuple[Candidate, ...]:
+    """Return the candidates among `names` beside all effects of a `fit`."""
     present = [effect.id for effect in fit.model.effects]
-    return _candidates(fit, [name for name in EFFECTS if name not in present], run)
+    return _candidates(fit, [name for name in names if name not in present], run)
 
 
 def _slots(fit: ModelFit, run: Run) -> tuple[Slot, ...]:

@@ -1,5 +1,8 @@
 """95 % intervals of everything that is published: by curvature, by profile where that is bent.
 
+What selection leaves open widens them: where other models are within reach, the spread of what
+they say, by their probabilities, is added to the variance (Hoeting et al. 1999).
+
 An effect whose likelihood is no parabola, like a field scale far above the fields that were used,
 drags v and φ along. Then its interval ends where the profile likelihood has fallen by χ²/2
 (Venzon and Moolgavkar 1988), and that of v holds all that is within it of any point of the
@@ -8,7 +11,7 @@ profile.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -73,11 +76,13 @@ class Intervals:
     """Estimates with 95 % intervals of all that a `fit` knows.
 
     By curvature alone where it is not `complete`: intervals of a model that does not explain the
-    data are not worth the time that profiles take.
+    data are not worth the time that profiles take. `others` are fits of other models to the same
+    rows that may be true, with their probabilities.
     """
 
-    def __init__(self, fit: ModelFit, complete: bool = True) -> None:
-        self._fit, self._complete = fit, complete
+    def __init__(self, fit: ModelFit, complete: bool = True,
+                 others: Sequence[tuple[ModelFit, float]] = ()) -> None:
+        self._fit, self._complete, self._others = fit, complete, others
         self._std = np.sqrt(np.diag(fit.covariance))
 
     def effect(self, name: str) -> dict[str, Estimate]:
@@ -91,12 +96,18 @@ class Intervals:
     def _parameter(self, k: int, parameter: Parameter) -> Estimate:
         x, std = float(self._fit.model.vector()[k]), float(self._std[k])
         slope = parameter.scale / x**2 if parameter.inverse and x else parameter.scale
+        value = parameter.from_fit(x)
         if parameter.is_angle:  # without bounds
-            return Estimate.normal(parameter.from_fit(x), std * slope)
+            return Estimate.normal(value, std * slope)
         ends = (self._profiles[k].ends() if k in self._profiles
                 else (x - ROOT * std, x + ROOT * std))
-        return Estimate(parameter.from_fit(x), std * slope,
-                        *sorted(parameter.from_fit(end) for end in ends))
+        apart = 0.0
+        for other, p in self._others:
+            known = dict(zip(other.model.parameters, other.model.vector(), strict=True))
+            apart += p * (known.get(self._fit.model.parameters[k], x) - x) ** 2
+        low, high = sorted(parameter.from_fit(float(end))
+                           for end in _widened(np.array(ends), x, apart))
+        return Estimate(value, float(np.sqrt(std**2 + apart)) * slope, low, high)
 
     @cached_property
     def _profiles(self) -> dict[int, _Profile]:
@@ -114,6 +125,9 @@ class Intervals:
     def _of_session(self, s: int, polar: Polar) -> Iterator[Particle]:
         session = self._fit.session_fits[s].session
         speed, phi = (self._ends(s, polar, quantity) for quantity in ('speed', 'phi'))
+        speed_apart, phi_apart = self._apart(s, polar)
+        speed, phi = _widened(speed, polar.speed, speed_apart), _widened(phi, polar.phi, phi_apart)
+        polar = polar.widened(np.sqrt(speed_apart) / polar.speed + 1j * np.sqrt(phi_apart))
         speed = np.maximum(speed, 0.0)
         force, force_std = polar.force(session.conditions)
         drag = np.divide(force, polar.speed)
@@ -127,6 +141,16 @@ class Intervals:
                 Estimate.of(polar.phi[n], polar.phi_std[n], phi[:, n]),
                 Estimate.of(force[n], force_std[n],
                             force[n] + np.array([-1.0, 1.0]) * off[:, n]))
+
+    def _apart(self, s: int, polar: Polar) -> tuple[np.ndarray, np.ndarray]:
+        """Variances (N,) of speed and φ that models within reach add in a session `s`."""
+        speed, phi = np.zeros((2, len(polar.speed)))
+        for other, p in self._others:
+            there = other.session_fits[s].polar()
+            turned = np.angle(np.exp(1j * (there.phi - polar.phi)))
+            speed += p * np.nan_to_num(there.speed - polar.speed) ** 2
+            phi += p * np.nan_to_num(turned) ** 2
+        return speed, phi
 
     def _ends(self, s: int, polar: Polar, quantity: str) -> np.ndarray:
         """Lower and upper ends (2, N): by curvature, or the widest of all profiles."""
@@ -149,6 +173,14 @@ class Intervals:
     def _noises(self) -> list[Noise]:
         """D and σ of every session, as for a strobe: an exposure would add DE/3 to σ²."""
         return [p.noise() for p in self._fit.session_fits]
+
+
+def _widened(ends: np.ndarray, value: np.ndarray | float,
+             variance: np.ndarray | float) -> np.ndarray:
+    """Return the `ends` (2, ...) of an interval about a `value` with some `variance` more."""
+    side = np.sign(ends - value)
+    moved: np.ndarray = value + side * np.sqrt((ends - value) ** 2 + ROOT**2 * variance)
+    return moved
 
 
 def _follow(fit: ModelFit, k: int, std: float, parameter: Parameter) -> _Profile | None:

@@ -16,6 +16,11 @@ Verdict = Literal['consistent', 'named', 'unnamed']
 FIRES = 0.003
 """Adjusted p-value below which a map says that something is left."""
 
+WORTH = 0.1
+"""Part of the noise floor of a prediction that something must move particles by, to be worth an
+explanation: a choice. With it an error of prediction is 0.5 % larger than by noise alone, with
+twice of it 2 %. At λ = 100 and 240 s of particles what is steady moves them by 0.45."""
+
 UNEVEN = 1.2
 """Ratio of an interval's two sides from which ± would mislead."""
 
@@ -155,6 +160,9 @@ class ResidualMap:
     curves: dict[str, tuple[np.ndarray, np.ndarray]]
     cut_out: bool = False
     """Whether it decides nothing: steps too large for any motion, which are cut out of the fit."""
+    size: float = np.inf
+    """How far what is left moves particles in a second, in units of the noise floor of a
+    prediction; infinite where it is not known."""
 
     @property
     def log_p(self) -> float:
@@ -165,6 +173,11 @@ class ResidualMap:
     def fires(self) -> bool:
         """Whether there is something left."""
         return self.p_value < FIRES
+
+    @property
+    def decides(self) -> bool:
+        """Whether what is left calls a model into question: it is not cut out, and not small."""
+        return self.fires and not self.cut_out and self.size > WORTH
 
 
 @dataclass(frozen=True)

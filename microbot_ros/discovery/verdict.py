@@ -115,17 +115,18 @@ def _left(known: Hypotheses, named: Sequence[str], maps: Sequence[ResidualMap],
           run: Run) -> tuple[tuple[ResidualMap, ...], tuple[ResidualMap, ...]]:
     """Of the `maps` those that fire beside the model, and what explains more than an effect of it.
 
-    First those that keep a name back, then those that do not: what was cut out of the fit, and
-    all that fire beside the model where the worst of them is small beside a named effect.
+    First those that keep a name back, then those that do not: what was cut out of the fit, what
+    hardly moves a particle (`ResidualMap.decides`), and all that fire beside the model where the
+    worst of them is small beside a named effect.
     """
-    left = [m for m in maps if m.fires and not m.cut_out]
-    beside = [m for m in maps if m.fires and m.cut_out]
+    left = [m for m in maps if m.decides]
+    beside = [m for m in maps if m.fires and not m.decides]
     worst = max(left, key=_excess, default=None)
     doubts, small = [], False
     for slot in _likely(known):
         alone = residual_maps(slot.rest, run)
         most = slot.own.found.log_p + likelier_than_not() - BETTER
-        doubts += [m for m in alone if m.fires and not m.cut_out and m.log_p < most]
+        doubts += [m for m in alone if m.decides and m.log_p < most]
         small |= bool(worst and slot.own.id in named and _is_small(worst, slot.own, alone))
     if small:
         left, beside = [], left + beside

@@ -5,6 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from microbot_ros.discovery.check.input_checks import check_sessions
+from microbot_ros.discovery.hypotheses import consider
 from microbot_ros.discovery.intervals import ROOT, Intervals, _follow
 from microbot_ros.discovery.search import fit_candidate
 from microbot_ros.estimation.likelihood.model_fit import fit_sessions, maximise
@@ -41,6 +42,34 @@ def test_what_is_linear_needs_no_profile(drifting):
     for estimate in known.effect('uniform_drift').values():
         assert estimate.low == pytest.approx(estimate.value - ROOT * estimate.std, rel=1e-9)
         assert estimate.is_even
+
+
+def test_models_within_reach_widen_intervals_by_their_probability(drifting):
+    fit, _ = drifting
+    moved = fit.under(fit.model.with_vector(fit.model.vector() + 0.2))
+    sure, unsure = Intervals(fit), Intervals(fit, others=[(moved, 0.25)])
+    for name, one in sure.effect('uniform_drift').items():
+        other = unsure.effect('uniform_drift')[name]
+        assert other.value == one.value
+        variance = 0.25 * (0.2 * 1e-6) ** 2
+        assert other.std == pytest.approx(np.hypot(one.std, np.sqrt(variance)), rel=1e-6)
+        assert other.high - other.value == pytest.approx(ROOT * other.std, rel=1e-6)
+        assert other.value - other.low == pytest.approx(ROOT * other.std, rel=1e-6)
+    for one, other in zip(sure.particles(), unsure.particles(), strict=True):
+        assert other.speed.std > one.speed.std
+        assert other.phi.high - other.phi.low > one.phi.high - one.phi.low
+        assert other.force.high - other.force.low > one.force.high - one.force.low
+
+
+def test_models_within_reach_are_rivals_and_what_may_be_besides(film):
+    session, _ = film(66, {'command_delay': {'delay_s': 0.03}}, duration=20.0)
+    known = consider(check_sessions([session])[0])
+    reach = known.within_reach()
+    assert 0 <= sum(p for _, p in reach) < 1
+    assert all(p > 0.01 for _, p in reach)
+    names = [{effect.id for effect in fit.model.effects} for fit, _ in reach]
+    rivals = {one.id for slot in known.slots for one in slot.within_reach}
+    assert all(any(rival in one for one in names) for rival in rivals)
 
 
 def test_v_and_phi_hold_what_is_not_known_of_a_drift(drifting):

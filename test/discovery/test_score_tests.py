@@ -125,3 +125,15 @@ def test_a_command_that_changes_with_every_row_has_no_switches(film):
     ramp = Commands(t, 5e-3 * np.stack([np.cos(angle), np.sin(angle)], axis=1))
     assert 'time since switch' in maps_of(replace(session, commands=again))
     assert 'time since switch' not in maps_of(replace(session, commands=ramp))
+
+
+def test_the_size_of_what_is_left_does_not_grow_with_the_recording(film):
+    """Evidence does: three times as long, it is more than twice as much."""
+    short, long = (maps_of(film(
+        8, {'poiseuille_flow': {'speed_um_s': 3.0, 'half_width_um': 120.0}},
+        duration=duration)[0])['position'] for duration in (20.0, 60.0))
+    assert long.statistic - long.dof > 2 * (short.statistic - short.dof)
+    assert long.size == pytest.approx(short.size, rel=0.35)
+    assert long.decides
+    assert replace(long, size=0.05).fires
+    assert not replace(long, size=0.05).decides

@@ -13,8 +13,7 @@ from microbot_ros.model.model import Model
 from microbot_ros.model.timeline import Timeline
 
 FREQUENCY = np.geomspace(0.3, 40.0, 60)
-STARTS = DriveResponse.starts(SimpleNamespace(recordings=[Timeline(
-    Commands(FREQUENCY, np.tile([1e-3, 0.0], (60, 1)), FREQUENCY), np.array([0.0, 1.0]))]))
+STARTS = DriveResponse.starts(SimpleNamespace(frequencies=FREQUENCY))
 
 
 def response(effect: DriveResponse, f: np.ndarray) -> np.ndarray:

@@ -6,22 +6,21 @@ every fit begins anew from the frames that it may see.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.special import stdtrit
 
+from microbot_ros.discovery.hypotheses import add_effects, fit_first_order
 from microbot_ros.discovery.processes import Run, serially
 from microbot_ros.discovery.result import UNKNOWN, Estimate, Gap
-from microbot_ros.discovery.search import fit_candidate
 from microbot_ros.estimation.likelihood.expected_displacement import ExpectedDisplacement
 from microbot_ros.estimation.likelihood.joint import SessionFit
 from microbot_ros.estimation.likelihood.model_fit import (
     ModelFit,
     evaluate,
     fit_noise,
-    fit_sessions,
     whitening_on,
 )
 from microbot_ros.estimation.likelihood.prepared_session import FEWEST, PreparedSession
@@ -43,54 +42,38 @@ slowly are less independent of each other.
 """
 
 
-def learn(model: Model, sessions: Sequence[PreparedSession], names: Iterable[str]) -> ModelFit:
-    """The effects `names` fitted to `sessions` in their order, beside a `model` without them."""
-    return _learn_beside(fit_sessions(model, sessions), sessions, names)
-
-
-def _learn_beside(fit: ModelFit, sessions: Sequence[PreparedSession],
-                  names: Iterable[str]) -> ModelFit:
-    """The effects `names` fitted to `sessions` in their order, beside a `fit` to these.
-
-    From starting points of their own, so that no other fit leaves a trace. An effect with a shape
-    that these sessions don't show is left out: it would be made up.
-    """
-    for name in names:
-        found = fit_candidate(fit, name)
-        if found and (not found.has_shape or (found.shape_seen and found.delta_bic > 0)):
-            fit = found.fit
-    return fit_sessions(fit.model, sessions) if fit.model.effects else fit
 
 
 # The gap in prediction --------------------------------------------------------------------------
 
-def held_out_gap(fit: ModelFit, sessions: Sequence[PreparedSession], truth: Model | None = None,
-                 run: Run = serially,
+def held_out_gap(fit: ModelFit, sessions: Sequence[PreparedSession], names: Collection[str],
+                 truth: Model | None = None, run: Run = serially,
                  relearn: Callable[[ModelFit], ModelFit] | None = None) -> Gap:
-    """Open-loop prediction over a horizon, each block predicted from a fit to all others.
+    """Return the gap of open-loop prediction over a horizon, each block from a fit to all others.
 
-    Of the first-order model and of that of a `fit`, as learned from the other blocks of prepared
-    `sessions`. As the excess of one axis over what diffusion and localisation alone give; both
-    are those of `fit`, and so is the part of the sessions that is judged: no model foretells a
-    heading that chance has scattered. The effects of `truth`, where it is known, are not fitted.
-    What depends on position is taken where the particles were. `relearn` adds a term to a fit,
-    learned from what that leaves. Blocks are short: no fit tells of a frequency, or of a time, at
-    which nothing was seen. `run` shares the blocks. All models are judged on the same rows, those
-    whose particles every one of them knows.
+    Before: of the first-order model. After: of the search, made anew on the other blocks of
+    prepared `sessions`. Effects are selected there, too, among `names`: those that are worth a
+    look on all rows. The gap is the excess of one axis over what diffusion and localisation alone
+    give; both are those of `fit`, the result of the search on all rows, and so is the part of the
+    sessions that is judged: no model foretells a heading that chance has scattered. The effects of
+    `truth`, where it is known, are not fitted. What depends on position is taken where the
+    particles were. `relearn` adds terms to a fit, which are selected and learned from what that
+    leaves, beside the first-order model where `fit` has no effects. Blocks are short: no fit tells
+    of a frequency, or of a time, at which nothing was seen. `run` shares the blocks. All models
+    are judged on the same rows, those whose particles every one of them knows.
     """
     shortest = min(float(np.ptp(session.times)) for session in sessions)
     horizon = min(HORIZON, shortest / (2 * BLOCKS))
     judged = [_explicable(session, p.session)
               for session, p in zip(sessions, fit.session_fits, strict=True)]
-    bare, names = replace(fit.model, effects=(), learned=()), [e.id for e in fit.model.effects]
 
     def errors_in(block: int) -> tuple[list[str], np.ndarray]:
         inside = [_turns(s, horizon) == block for s in sessions]
         rest = [s.only(~hidden) for s, hidden in zip(sessions, inside, strict=True)]
-        before = fit_sessions(bare, rest)
-        learned = {'before': before, 'after': _learn_beside(before, rest, names)}
+        before = fit_first_order(rest)
+        learned = {'before': before, 'after': add_effects(before, rest, names)}
         if relearn:
-            learned['learned'] = relearn(learned['after'])
+            learned['learned'] = relearn(learned['after'] if fit.model.effects else before)
         if truth:
             known = [p.whitening for p in before.session_fits]
             learned['truth'] = fit_noise(evaluate(truth, rest, known))

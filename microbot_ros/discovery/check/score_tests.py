@@ -17,8 +17,17 @@ from microbot_ros.discovery.check.tail_probabilities import chi_square_tail, pea
 from microbot_ros.discovery.processes import Run, serially
 from microbot_ros.discovery.result import ResidualMap
 from microbot_ros.discovery.starting_points import PADDING, rotating_components
-from microbot_ros.estimation.likelihood.joint import SessionFit, eliminate, eliminate_shared, inner
+from microbot_ros.estimation.likelihood.joint import (
+    SessionFit,
+    eliminate,
+    eliminate_shared,
+    inner,
+    solve,
+)
 from microbot_ros.estimation.likelihood.model_fit import ModelFit
+
+HORIZON = 1.0
+"""Seconds within which it is asked how far what is left moves particles: as the held-out gap."""
 
 RANK = 1e-6
 """Eigenvalue, relative to 1 for a column of its own, below which a direction is fitted already."""
@@ -59,18 +68,26 @@ def _holm(p_values: list[float]) -> list[float]:
 def _tested(fit: ModelFit, jacobian: Sequence[np.ndarray],
             groups: list[tuple[int, Group]]) -> ResidualMap:
     """The test of one covariate over the sessions that have it, each with its own coefficients."""
-    statistic, dof = 0.0, 0
+    statistic, dof, squares = 0.0, 0, np.empty(0)
     for k, group in groups:
-        value, rank = _score(fit.session_fits[k], jacobian[k], group.fields)
-        statistic, dof = statistic + value, dof + rank
+        value, rank, moved = _score(fit.session_fits[k], jacobian[k], group.fields)
+        statistic, dof, squares = statistic + value, dof + rank, np.append(squares, moved)
     group = groups[0][1]
     middles, curves = _curves(fit.session_fits[groups[0][0]], group)
     p_value = chi_square_tail(statistic, dof) if dof else 1.0
-    return ResidualMap(group.against, group.label, statistic, dof, p_value, middles, curves)
+    beyond_chance = max(1 - dof / max(statistic, 1e-300), 0.0)
+    size = float(np.sqrt(squares.mean() * beyond_chance)) if squares.size else np.inf
+    return ResidualMap(group.against, group.label, statistic, dof, p_value, middles, curves,
+                       size=size)
 
 
-def _score(p: SessionFit, jacobian: np.ndarray, fields: np.ndarray) -> tuple[float, int]:
-    """T and its degrees of freedom for velocity fields (T−1, N, M), along them and across."""
+def _score(p: SessionFit, jacobian: np.ndarray, fields: np.ndarray,
+           ) -> tuple[float, int, np.ndarray]:
+    """T and its degrees of freedom for velocity fields (T−1, N, M), along them and across.
+
+    Also the squares (R,) of what the best of these fields moves particles within HORIZON, beyond
+    what v and φ absorb, in units of the noise floor of such a prediction.
+    """
     columns = np.zeros((len(p.session.times), *fields.shape[1:]), complex)
     moved = np.nan_to_num(fields) * np.diff(p.session.times)[:, None, None]
     np.cumsum(moved, axis=0, out=columns[1:])
@@ -85,7 +102,15 @@ def _score(p: SessionFit, jacobian: np.ndarray, fields: np.ndarray) -> tuple[flo
     values, vectors = np.linalg.eigh(information)
     kept = values > RANK
     found = vectors[:, kept].T @ (total[1:, 0] / size)
-    return float((found**2 / values[kept]).sum()), int(kept.sum())
+    best = vectors[:, kept] @ (found / values[kept]) / size
+    absorbed = solve(gram[:, 1:3, 1:3], gram[:, 1:3, 3 + count:] @ best[:, None])[..., 0]
+    left = columns @ (best[:len(best) // 2] + 1j * best[len(best) // 2:]) - (
+        p.expected.along * absorbed[:, 0] + p.expected.across * absorbed[:, 1])
+    ahead = min(max(round(HORIZON / p.session.interval), 1), len(left) - 1)
+    moved = (left[ahead:] - left[:-ahead])[p.session.joined(ahead)]
+    floor = 2 * p.diffusion * (HORIZON + max(p.whitening.noise_ratio, 0.0))
+    return (float((found**2 / values[kept]).sum()), int(kept.sum()),
+            np.abs(moved) ** 2 / 2 / floor)
 
 
 def along_and_across(known: np.ndarray, white: np.ndarray) -> np.ndarray:

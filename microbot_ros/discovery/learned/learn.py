@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +21,12 @@ CONVINCING = float(np.log(1000))
 HELD_OUT = float(np.log(20))
 """Gain in log likelihood that a curve must bring to rows that it was not learned from; log n more
 for the n-th candidate that is tried."""
+
+POSSIBLE = 1e-3
+"""Odds of a pair of covariate and frame from which it is tried in a fold of rows: a choice."""
+
+Pair = tuple[str, str, str]
+"""Covariate, frame and what a term acts on."""
 
 MOST = 3
 """Terms that are learned, at most."""
@@ -51,7 +57,7 @@ class Finding:
     curve: Curve
     formula: FittedFormula | None
     log_evidence: float
-    odds: dict[tuple[str, str, str], float]
+    odds: dict[Pair, float]
 
     @property
     def gain(self) -> float:
@@ -68,6 +74,13 @@ def learn_terms(fit: ModelFit, first: Finding | None,
     `first` is the one of `learn_term`. Each is learned beside those before it, which are then
     learned again beside each other. `report` is told what is being done.
     """
+    return tuple(map(finish, _curves(fit, first, report)))
+
+
+def _curves(fit: ModelFit, first: Finding | None,
+            report: Callable[[str], None] = lambda _: None,
+            pairs: Collection[Pair] | None = None) -> list[Finding]:
+    """Return the terms of `learn_terms` as curves without a band."""
     findings: list[Finding] = []
     found = first
     while found is not None and len(findings) < MOST:
@@ -75,8 +88,8 @@ def learn_terms(fit: ModelFit, first: Finding | None,
         if len(findings) > 1:
             findings = again_beside_each_other(fit, findings)
         if len(findings) < MOST:
-            found = learn_term(with_terms(fit, findings), report)
-    return tuple(map(finish, findings))
+            found = learn_term(with_terms(fit, findings), report, pairs)
+    return findings
 
 
 def again_beside_each_other(fit: ModelFit, findings: Sequence[Finding]) -> list[Finding]:
@@ -85,10 +98,8 @@ def again_beside_each_other(fit: ModelFit, findings: Sequence[Finding]) -> list[
     for k in range(len(learned)):
         others = [one for i, one in enumerate(learned) if i != k]
         moments, curve = _moments_of(with_terms(fit, others), learned[k].moments.term)
-        values = curve.mean if (formula := learned[k].formula) is None else refit(
-            formula.formula, *moments.total, begin=formula.shape).values
         learned[k] = replace(learned[k], moments=moments, curve=curve,
-                             term=_filled(moments, values))
+                             term=_filled(moments, curve.mean))
     return learned
 
 
@@ -108,13 +119,16 @@ def with_terms(fit: ModelFit, findings: Sequence[Finding]) -> ModelFit:
     return fit
 
 
-def learn_term(fit: ModelFit, report: Callable[[str], None] = lambda _: None) -> Finding | None:
+def learn_term(fit: ModelFit, report: Callable[[str], None] = lambda _: None,
+               pairs: Collection[Pair] | None = None) -> Finding | None:
     """The term that best explains what a `fit` leaves, as a curve; None where none convinces.
 
-    `report` is told what is being done.
+    `report` is told what is being done. Of all `pairs` (covariate, frame, what it acts on), or of
+    some.
     """
     known = told(fit)
-    tables = [(table, kernels(table)) for table in candidates(known)]
+    tables = [(table, kernels(table)) for table in candidates(known)
+              if pairs is None or (table.against, table.frame, table.acts_on) in pairs]
     report(f'looking for a term, against {len(tables)} pairs of covariate and frame')
     first = _best(known, tables, _noise(known))
     if first is None:
@@ -139,16 +153,14 @@ def with_term(fit: ModelFit, term: LearnedTerm) -> ModelFit:
 
 
 def relearn(findings: Sequence[Finding], fit: ModelFit) -> ModelFit:
-    """A `fit` of other rows with the terms of `findings`, learned from these rows alone.
+    """Return a `fit` of other rows with the terms that these rows ask for.
 
-    Which covariates, frames and formulas is known from all rows; every number is learned anew.
+    Among the pairs of covariate and frame that had odds of POSSIBLE or more for one of the
+    `findings`.
     """
-    learned: list[Finding] = []
-    for found in findings:
-        learned.append(again_beside_each_other(fit, [*learned, found])[-1])
-    if len(learned) > 1:
-        learned = again_beside_each_other(fit, learned)
-    return with_terms(fit, learned)
+    pairs = {pair for found in findings for pair, odds in found.odds.items() if odds > POSSIBLE}
+    learned = _curves(fit, learn_term(fit, pairs=pairs), pairs=pairs)
+    return with_terms(fit, [with_formula(found) for found in learned])
 
 
 def _noise(fit: ModelFit) -> list[float]:
@@ -184,7 +196,7 @@ def _best(known: ModelFit, tables: Sequence[tuple[LearnedTerm, list[Kernel]]],
         found.append((moments, Curve.of(tried, *moments.total)))
     found.sort(key=lambda one: -one[1].log_evidence)
     total = float(np.logaddexp.reduce([curve.log_evidence for _, curve in found]))
-    odds: dict[tuple[str, str, str], float] = {
+    odds: dict[Pair, float] = {
         (m.term.against, m.term.frame, m.term.acts_on): float(np.exp(curve.log_evidence - total))
         for m, curve in found}
     paid = float(np.log(max(len(tables), 1)))
@@ -206,15 +218,21 @@ def foretells(moments: Moments) -> float:
 
 def finish(found: Finding) -> Finding:
     """With a formula, where one beats the curve on rows it was not fitted to, and the band."""
+    found = with_formula(found)
+    low, high = band(found, found.formula)
+    count = found.term.values.shape[1]
+    return replace(found, term=replace(
+        found.term, low=low.reshape(count, -1).T, high=high.reshape(count, -1).T))
+
+
+def with_formula(found: Finding) -> Finding:
+    """Return a finding with a formula, where one beats the curve on rows it was not fitted to."""
     formula = best_formula(found.moments)
-    if formula is not None and not (
-            formula.paid > found.curve.log_evidence - DECISIVE
-            and _beats(found.moments, formula)):
-        formula = None
-    values = found.curve.mean if formula is None else formula.values
-    term = _filled(found.moments, values, band(found, formula))
-    if formula is not None:
-        term = replace(term, formula=formula.formula.text, parameters=formula.parameters)
+    if formula is None or not (formula.paid > found.curve.log_evidence - DECISIVE
+                               and _beats(found.moments, formula)):
+        return found
+    term = replace(_filled(found.moments, formula.values), formula=formula.formula.text,
+                   parameters=formula.parameters)
     return replace(found, term=term, formula=formula)
 
 
@@ -285,11 +303,8 @@ def centred(moments: Moments, tables: np.ndarray) -> np.ndarray:
     return shown
 
 
-def _filled(moments: Moments, values: np.ndarray,
-            ends: tuple[np.ndarray, np.ndarray] | None = None) -> LearnedTerm:
-    """The table with `values` (K·C,), and the `ends` of its band where they are known."""
+def _filled(moments: Moments, values: np.ndarray) -> LearnedTerm:
+    """The table with `values` (K·C,)."""
     term, count = moments.term, moments.term.values.shape[1]
-    values = centred(moments, values)
-    shown, low, high = (
-        one.reshape(count, -1).T for one in (values, *(ends or (values, values))))
-    return replace(term, values=shown, low=low, high=high)
+    shown = centred(moments, values).reshape(count, -1).T
+    return replace(term, values=shown, low=shown, high=shown)
