@@ -68,7 +68,7 @@ setup(
     # The core. Each has a rosdep key of an Ubuntu package. The bounds are the oldest versions that
     # `make lowest` runs the tests of the core with.
     install_requires=[
-        'click>=8.1', 'numba>=0.59', 'numpy>=1.26', 'opencv-python-headless>=4.8',
+        'click>=8.1', 'numba>=0.59', 'numpy>=1.26', 'opencv-python-headless>=4.6',
         'pydantic>=2.5', 'pyserial>=3.5', 'pyyaml>=6.0.1', 'scipy>=1.12',
     ],
     extras_require={

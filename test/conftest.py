@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import atexit
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -23,6 +25,10 @@ sys.path.insert(0, str(Path(__file__).parent / 'harness'))
 from domains import own_domain
 from retries import Retries
 from warm import CACHE
+
+from microbot_ros.common.errors import InputError
+from microbot_ros.common.extras import advice
+from microbot_ros.control.registry import PluginError
 
 os.environ['NUMBA_CACHE_DIR'] = str(CACHE)
 os.environ['ROS_DOMAIN_ID'] = str(own_domain())
@@ -73,6 +79,40 @@ def pytest_configure(config: pytest.Config) -> None:
     """Retry where that is asked for."""
     if most := config.getoption('--retries'):
         config.pluginmanager.register(Retries(most))
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Skip what is tested of the amplifier `modbus` where its library is not installed."""
+    if not COMPLETE and find_spec('pymodbus') is None:
+        for item in items:
+            if re.search(r'\[.*modbus', item.name):
+                item.add_marker(pytest.mark.skip("pip install 'microbot_ros[modbus]'"))
+
+
+@contextmanager
+def _skipped_without_its_extra() -> Iterator[None]:
+    """Context in which a library of an extra that is not installed skips the test by name."""
+    try:
+        yield
+    except (ImportError, InputError, PluginError) as error:
+        missing = advice(error) if isinstance(error, ImportError) else str(error)
+        if not COMPLETE and missing and "pip install 'microbot_ros[" in missing:
+            pytest.skip(missing)
+        raise
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup() -> Iterator[None]:
+    """Skip a test whose fixtures lack the library of an extra."""
+    with _skipped_without_its_extra():
+        return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call() -> Iterator[None]:
+    """Skip a test that lacks the library of an extra."""
+    with _skipped_without_its_extra():
+        return (yield)
 
 
 @pytest.hookimpl(wrapper=True)

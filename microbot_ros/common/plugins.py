@@ -6,6 +6,7 @@ from importlib.metadata import entry_points
 from typing import Any
 
 from microbot_ros.common.errors import InputError, clipped
+from microbot_ros.common.extras import advice
 
 
 def installed(group: str, what: str, name: str) -> Any:
@@ -21,5 +22,6 @@ def installed(group: str, what: str, name: str) -> Any:
     try:
         return found[name].load()
     except Exception as error:
-        reason = ' '.join(f'{type(error).__name__}: {error}'.split())
+        missing = advice(error) if isinstance(error, ImportError) else None
+        reason = missing or ' '.join(f'{type(error).__name__}: {error}'.split())
         raise InputError(what, f"'{name}' does not load; {reason}") from None

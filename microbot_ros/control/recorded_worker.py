@@ -7,19 +7,16 @@ from contextlib import suppress
 
 from microbot_ros.control.deadline_worker import (
     BusyError,
-    Call,
     DeadlineWorker,
     HungError,
     LateError,
     T,
+    UnhurriedWorker,
 )
 
 IN_TIME, LATE, BUSY, HUNG = 't', 'l', 'b', 'h'
 """How a call ended: in time; too late, its value unused; not begun while an earlier one went on;
 not begun, and the earlier one left behind."""
-
-_REPLAY_SECONDS = 60.0
-"""Longest call [s] in a replay, where nothing waits for it."""
 
 
 class NotingWorker(DeadlineWorker):
@@ -46,7 +43,7 @@ class NotingWorker(DeadlineWorker):
             self._note(letter)
 
 
-class RepeatingWorker(DeadlineWorker):
+class RepeatingWorker(UnhurriedWorker):
     """Worker, of some `patience` [s], whose calls end as `letter()` says, without a deadline."""
 
     def __init__(self, patience: float, letter: Callable[[], str]) -> None:
@@ -61,9 +58,6 @@ class RepeatingWorker(DeadlineWorker):
             raise HungError(f'did not return for {self._patience:g} s')
         if letter == LATE:
             with suppress(Exception):
-                super().call(function, _REPLAY_SECONDS)
+                function()
             raise LateError(f'took longer than {deadline * 1e3:g} ms')
-        return super().call(function, _REPLAY_SECONDS)
-
-    def finished(self, call: Call[T], seconds: float) -> bool:
-        return super().finished(call, _REPLAY_SECONDS)
+        return function()

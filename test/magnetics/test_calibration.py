@@ -90,6 +90,7 @@ def test_readings_without_noise_leave_no_doubt(tmp_path):
 
 
 def test_command_writes_a_section_that_predicts_the_readings(tmp_path):
+    pytest.importorskip('matplotlib')
     path, out = write(tmp_path / 'readings.csv', rows()), tmp_path / 'out'
     result = CliRunner().invoke(command, [
         'coils', str(path), '--out', str(out), '--json', str(tmp_path / 'result.json')])

@@ -185,6 +185,7 @@ def test_terms_are_compared_by_what_they_hold():
 
 def test_simulate_runs_with_it(tmp_path):
     """A flow along x of 2 µm/s in the middle of the dish, felt by particles that stand still."""
+    pytest.importorskip('rich')
     flow = np.zeros((81, 2))
     flow[INNER.ravel(), 0] = 2e-6
     model = Model(5e-3, learned=(term('position', 'laboratory', 'velocity',
