@@ -47,8 +47,7 @@ RIVAL = float(np.log(1 / FALSE))
 """Log odds against each rival from which a name is alone."""
 
 PER_DECADE = 2
-"""Standard deviations of a prior that are averaged over, for each order of magnitude. With 1 or 4
-the log evidence of an effect changes by less than 0.1."""
+"""Standard deviations of a prior that are averaged over, for each order of magnitude: a choice."""
 
 FEW = 2
 """Effects beside which speeds are first looked at: what stands in for speeds that fluctuate comes
@@ -70,8 +69,8 @@ CLEARLY = 3.0
 
 
 UNLIKELY = 0.01
-"""Probability below which another model does not widen an interval: a choice. With twice of it an
-interval is narrower by 1 % at most where a parameter differs by two standard deviations."""
+"""Probability below which another model does not widen an interval: a choice. What differs by two
+standard deviations would widen it by 2 %, with twice of it by 4 %."""
 
 LOOKS = 4 * MOST
 """Models that a search looks at, at most: twice as many as it takes to add each effect and to
