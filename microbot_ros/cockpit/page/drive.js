@@ -22,7 +22,8 @@ export class Drive {
     if (!controller) return;
     const { name, available, parameters, takes } = controller;
     const summaries = new Map((available ?? []).map((one) => [one.name, one.summary]));
-    offer(byId('controller'), [...summaries.keys()]);
+    offer(byId('controller'), [...summaries.keys()], (one) => one.replaceAll('_', ' '));
+    setText(byId('controller-about'), byId('controller').value === name ? '' : summaries.get(byId('controller').value) ?? '');
     if (name !== this.name) {
       this.name = name;
       byId('controller').value = name;
@@ -37,8 +38,11 @@ export class Drive {
       sentence && `It says: ${sentence}.`].filter(Boolean).join(' '));
     const settable = (parameters ?? []).filter((one) => !one.read_only);
     const fixed = (parameters ?? []).filter((one) => one.read_only);
-    keyed(byId('parameters'), [...settable, ...fixed], (one) => `${name} ${one.name} ${one.type}`,
-      (one) => this.#row(one), update);
+    const own = (one) => one.name.startsWith(`${name}.`);
+    for (const [place, rows] of [['parameters', settable.filter(own)],
+      ['parameters-all', [...settable.filter((one) => !own(one)), ...fixed]]]) {
+      keyed(byId(place), rows, (one) => `${name} ${one.name} ${one.type}`, (one) => this.#row(one), update);
+    }
   }
 
   #row(parameter) {
@@ -53,7 +57,7 @@ export class Drive {
       make('label', { for: id, title: name }, label(parameter)),
       input.type === 'checkbox' ? make('label', { class: 'tick' }, input) : input,
       make('button', { type: 'submit' }, 'Set'),
-      make('p', { class: 'hint', id: `${id}-about` }, described(description, parameter)));
+      make('p', { class: 'hint', id: `${id}-about` }, description ?? '', read_only ? ' Fixed at start-up.' : '', make('span', { class: 'limits' }, limits(parameter))));
     row.querySelector('button').hidden = Boolean(read_only);
     row.onsubmit = async (event) => {
       event.preventDefault();
@@ -84,12 +88,11 @@ function field({ type, minimum, maximum, choices }) {
   return input;
 }
 
-function described(description, { minimum, maximum, read_only }) {
-  const said = [description ?? ''];
+function limits({ minimum, maximum }) {
+  const said = [''];
   if (maximum >= LARGEST) said.push(`At least ${minimum}.`);
   else if (minimum != null && maximum != null) said.push(`From ${minimum} to ${maximum}.`);
-  if (read_only) said.push('Fixed at start-up.');
-  return said.join(' ').trim();
+  return said.join(' ');
 }
 
 // What is being typed stays; everything else shows the value that is in force.

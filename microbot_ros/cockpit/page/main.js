@@ -12,6 +12,7 @@ import { fieldPanel } from './field.js';
 import { Gamepads } from './gamepad.js';
 import { healthPanel } from './health.js';
 import { Keys } from './keys.js';
+import { lookPanel } from './look.js';
 import { say } from './messages.js';
 import { Overlay } from './overlay.js';
 import { Picture } from './picture.js';
@@ -42,6 +43,7 @@ discoveryPanel(link);
 healthPanel(link);
 eventsPanel(link);
 whyPanel(link);
+lookPanel(link, view);
 stateBar(link);
 
 const control = new Control(link);

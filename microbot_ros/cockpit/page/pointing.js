@@ -4,7 +4,7 @@ import { byId, make, setText } from './dom.js';
 import { order, say } from './messages.js';
 
 const MODES = {
-  choose: ['Choose', 'Click a particle to see its estimates. By keyboard: arrow keys move the cross, Shift in small steps, Enter clicks.'],
+  choose: ['Choose', 'Click a particle to see its estimates; the wheel zooms, dragging moves the picture. By keyboard: arrow keys move the cross, Shift in small steps, Enter clicks.'],
   goal: ['Goal', 'Click where to go. The mark appears once the controller has taken it.'],
   path: ['Path', 'Draw with the pointer held down: it is sent when you let go. Or click corner by corner (Backspace takes one back), then send.'],
   like: ['Teach: this', 'Click something the tracker should find from now on.'],
@@ -70,13 +70,21 @@ export class Pointing {
     if (event.button !== 0 || !event.isPrimary) return;
     this.frame.setPointerCapture(event.pointerId);
     const [x, y] = this.#place(event);
-    this.stroke = { pointer: event.pointerId, x, y, moved: false, stamp: this.picture.stamp };
+    this.stroke = { pointer: event.pointerId, x, y, clientX: event.clientX, clientY: event.clientY, moved: false, stamp: this.picture.stamp };
   }
 
   #move(event) {
     const { stroke } = this;
     if (stroke?.pointer !== event.pointerId) return;
     for (const one of event.getCoalescedEvents?.() ?? [event]) {
+      const { clientX, clientY } = one;
+      const moved = [clientX - stroke.clientX, clientY - stroke.clientY];
+      if (this.mode === 'choose') {
+        if (!stroke.moved && Math.hypot(...moved) < STROKE) continue;
+        this.view.move(...moved);
+        Object.assign(stroke, { clientX, clientY, moved: true });
+        continue;
+      }
       const [x, y] = this.#place(one);
       const step = Math.hypot(x - stroke.x, y - stroke.y);
       if (step < (stroke.moved ? STEP : STROKE)) continue;

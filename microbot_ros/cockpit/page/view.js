@@ -8,6 +8,8 @@ export class View {
     this.height = 480;
     this.matrix = null;
     this.camera = null;
+    this.zoom = 1;
+    this.pan = [0, 0];
     this.#fit();
     new ResizeObserver(() => this.#fit()).observe(frame.parentElement);
   }
@@ -80,11 +82,29 @@ export class View {
     return [(a * c + d * s) / pixel, (b * c + e * s) / pixel];
   }
 
+  // Enlarge so many times; what is at a point of the window stays there.
+  zoomTo(zoom, clientX, clientY) {
+    const box = this.frame.getBoundingClientRect();
+    const by = Math.min(Math.max(zoom, 1), 16) / this.zoom;
+    this.zoom *= by;
+    const keep = (at, low, size) => (at - low - size / 2) * (1 - by);
+    this.move(keep(clientX, box.left, box.width), keep(clientY, box.top, box.height));
+  }
+
+  // Move the picture by so many points of the page; its edge does not come in where it is larger.
+  move(right, down) {
+    this.pan = [this.pan[0] + right, this.pan[1] + down];
+    this.#fit();
+  }
+
   #fit() {
     const { clientWidth, clientHeight } = this.frame.parentElement;
-    this.scale = Math.max(Math.min(clientWidth / this.width, clientHeight / this.height), 0.01);
-    this.frame.style.width = `${this.width * this.scale}px`;
-    this.frame.style.height = `${this.height * this.scale}px`;
+    this.scale = this.zoom * Math.max(Math.min(clientWidth / this.width, clientHeight / this.height), 0.01);
+    const size = [this.width * this.scale, this.height * this.scale];
+    const room = [(size[0] - clientWidth) / 2, (size[1] - clientHeight) / 2].map((one) => Math.max(one, 0));
+    this.pan = this.pan.map((one, axis) => Math.min(Math.max(one, -room[axis]), room[axis]));
+    Object.assign(this.frame.style, { width: `${size[0]}px`, height: `${size[1]}px`,
+      left: `${(clientWidth - size[0]) / 2 + this.pan[0]}px`, top: `${(clientHeight - size[1]) / 2 + this.pan[1]}px` });
     this.changed?.();
   }
 }

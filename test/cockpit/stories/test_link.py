@@ -121,6 +121,7 @@ def test_parameters_are_as_their_descriptors_say(page, rig) -> None:
     assert not rig.asked('set')
     field.press('Enter')
     assert rig.wait_for('set') == ('waypoint.field_mT', 7.5)
+    page.click('.all summary')
     fixed = page.locator('.parameter:has-text("slew [mT/s]")')
     assert fixed.locator('input').is_disabled()
     assert not fixed.locator('button').is_visible()

@@ -208,3 +208,37 @@ def test_what_was_refused_is_told_in_the_rig_s_words(page, rig) -> None:
     mode(page, 'like')
     page.mouse.click(*_on_page(page, 500, 600))
     page.wait_for_selector('#messages li:has-text("there are two things at once there")')
+
+
+def test_the_wheel_zooms_about_the_pointer_and_a_drag_moves_the_picture(page) -> None:
+    before = _on_page(page, 800, 500)
+    page.mouse.move(*before)
+    for _ in range(5):
+        page.mouse.wheel(0, -100)
+    page.wait_for_function('() => document.querySelector("#frame").clientWidth > 1800')
+    after = _on_page(page, 800, 500)
+    assert math.dist(before, after) < 2
+    page.mouse.down()
+    page.mouse.move(after[0] - 60, after[1] - 30, steps=6)
+    page.mouse.up()
+    assert math.dist(_on_page(page, 800, 500), (after[0] - 60, after[1] - 30)) < 2
+    page.click('#look summary')
+    page.click('#zoom-all')
+    assert math.dist(_on_page(page, 800, 500), before) < 2
+
+
+def test_scale_cursor_and_layers(page) -> None:
+    page.wait_for_selector('#scale-words:has-text("µm")')
+    length = float(page.inner_text('#scale-words').split()[0])
+    width = page.locator('#scale-bar').bounding_box()['width']
+    scale = page.locator('#frame').bounding_box()['width'] / WIDTH
+    assert width == pytest.approx(length / PIXEL_UM * scale, rel=0.02)
+    page.mouse.move(*_on_page(page, 700, 300))
+    x_um, y_um = _um(700, 300)
+    page.wait_for_selector(f'#scale-cursor:has-text("{x_um:.0f}.")')
+    told = page.inner_text('#scale-cursor').strip('· µm').split(', ')
+    assert [float(one) for one in told] == pytest.approx([x_um, y_um], abs=1.0)
+    page.click('#look summary')
+    page.click('#layers label:has-text("ids")')
+    assert page.locator('#overlay .rings text').first.is_hidden()
+    assert page.locator('#overlay .rings .ring').first.is_visible()
