@@ -406,6 +406,11 @@ def copied(source: Path, out: Path, apart_ms: float, without: str = 'nothing') -
 def test_a_recording_that_came_in_another_order_is_answered_alike(
         steered: Path, tmp_path: Path) -> None:
     shuffled = copied(steered, tmp_path / 'shuffled', 80.0)
+    with open_recording(shuffled) as recording:
+        frames, commands = ({header_stamp_ns(m.data) for m in recording.messages([topic])}
+                            for topic in ('/model/state', '/field/command'))
+    answered = len(frames & commands)  # a busy machine lets a frame grow too old
+    assert answered > FRAMES / 2
     for nodes in ([], ['--node', 'model'], ['--node', 'controller']):
         status, out, error = replay(shuffled, '--check', *nodes, '--json', tmp_path / 'a.json')
         assert status == 0, out + error
@@ -415,7 +420,7 @@ def test_a_recording_that_came_in_another_order_is_answered_alike(
         if nodes != ['--node', 'controller']:
             assert found['/model/state']['compared'] == FRAMES
         if nodes != ['--node', 'model']:
-            assert found['/field/command']['compared'] >= FRAMES - 3
+            assert found['/field/command']['compared'] == answered
     with open_recording(shuffled) as recording:
         fields = [recording.decode(m).vector for m in recording.messages(['/field/command'])]
     # How many it were depends on when the switches came through.
