@@ -18,8 +18,6 @@ import psutil
 import pytest
 import yaml
 from geometry_msgs.msg import Vector3Stamped
-from rcl_interfaces.msg import ParameterEvent
-from rclpy.parameter import Parameter
 
 from microbot_ros.common.ending import PARENT
 from microbot_ros.common.errors import InputError, RigError
@@ -129,34 +127,6 @@ def test_a_driver_by_itself_is_at_zero_after_any_signal(
     node.send_signal(number)
     assert bench.zero_after(moment) < ZERO_S + machine.kept_waiting_s(moment)
     assert node.wait(10) == 0
-
-
-def test_zero_waits_for_no_other_node_of_the_process(
-        bench: Bench, machine: Any) -> None:
-    node = bench.start(*bench.command_line('coil_driver', 'recorder'))
-    events = bench.client.node.create_publisher(ParameterEvent, '/parameter_events', 10)
-    bench.drive()
-    # The recorder keeps the files that parameters name: of a pipe it waits for the end.
-    pipe = bench.folder / 'pipe'
-    os.mkfifo(pipe)
-    named = Parameter('model_file', value=str(pipe)).to_parameter_msg()
-    while (writer := _writer(pipe)) is None:
-        events.publish(ParameterEvent(node='/model', changed_parameters=[named]))
-        bench.command()
-    moment = time.monotonic()
-    node.send_signal(signal.SIGTERM)
-    assert bench.zero_after(moment) < ZERO_S + machine.kept_waiting_s(moment)
-    assert node.poll() is None
-    os.close(writer)
-    assert node.wait(10) == 0
-
-
-def _writer(pipe: Path) -> int | None:
-    """The end to write to, once somebody reads."""
-    try:
-        return os.open(pipe, os.O_WRONLY | os.O_NONBLOCK)
-    except OSError:
-        return None
 
 
 @pytest.mark.parametrize('kind', ['launch', 'ros2'])

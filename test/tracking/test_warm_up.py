@@ -14,11 +14,12 @@ import importlib, pkgutil
 import numpy as np
 from bench._tracker_scenes import KINDS, draw, expose, light
 from microbot_ros import tracking
-from microbot_ros.tracking import Tracker, TrackerSettings, learn, teach, warm_up
+from microbot_ros.tracking import Tracker, TrackerSettings, learn, warm_up
+from microbot_ros.tracking.teach import teacher
 
 def compiled():
-    rooms = [importlib.import_module(f'microbot_ros.tracking.{found.name}')
-             for found in pkgutil.iter_modules(tracking.__path__)]
+    rooms = [importlib.import_module(found.name)
+             for found in pkgutil.walk_packages(tracking.__path__, 'microbot_ros.tracking.')]
     return {(room.__name__, name): len(thing.signatures) for room in rooms
             for name, thing in vars(room).items() if hasattr(thing, 'signatures')}
 
@@ -38,7 +39,7 @@ for count in (1, 6, 90):
             tracker.update(frame, t / 60)
         later = compiled()
         assert later == before, [key for key in later if later[key] != before[key]]
-    taught, _ = teach.like(TrackerSettings(), frames[0], *places[0])
+    taught, _ = teacher.like(TrackerSettings(), frames[0], *places[0])
     tracker.teach(taught)
     tracker.update(frames[0], 1.0)
     later = compiled()

@@ -388,8 +388,9 @@ def test_keys_steer_and_letting_go_is_zero(page, virtual, keys, angle) -> None:
     arm(page)
     _steer(page, virtual, *keys)
     angle_told = '#field-table .applied td:last-child'
-    page.wait_for_selector(f'{angle_told}:not(:text-is("–"))')
-    told = float(page.inner_text(angle_told).replace('−', '-'))
+    # The table is behind another tab; opening that would let go of the keys.
+    page.wait_for_selector(f'{angle_told}:not(:text-is("–"))', state='attached')
+    told = float(page.text_content(angle_told).replace('−', '-'))
     assert abs(math.remainder(told - angle, 360)) < 5
     page.evaluate(_NOTE, 'keyup')
     for key in keys:
@@ -445,7 +446,10 @@ def test_notes_are_in_the_recording(page, virtual) -> None:
     page.reload()
     part(page, 'recording')
     page.wait_for_selector('#recording-now:has-text("“batch 7”")')
-    take_control(page).click('#record')
+    part(page, 'drive')
+    take_control(page)
+    part(page, 'recording')
+    page.click('#record')
     page.wait_for_selector('#recording-now:has-text("Not recording")')
     said = subprocess.run([sys.executable, '-m', 'microbot_ros.cli', 'info',
                            str(virtual.folder / 'recording')], capture_output=True, text=True)
