@@ -187,7 +187,6 @@ def _write_report(job: Job, session: Session, found: Discovery) -> str | None:
     place = f'{REPORTS}/{job.path.stem}-{job.content[:8]}.html'
     try:
         with writing_report(job.archive / place):
-            (job.archive / REPORTS).mkdir(exist_ok=True)
             write_text(job.archive / place, page(found, [session], [job.path]))
     except ReportError:
         return None

@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import re
 import shutil
 from contextlib import nullcontext
 from unittest import mock
@@ -242,6 +243,9 @@ def test_one_table_for_pandas_polars_and_duckdb(laboratory, tmp_path):
     assert len(reports) == 6
     page = (out / 'archive.html').read_text()
     assert all(f'href="{path}"' in page for path in reports)
+    headings = re.findall(r'<h2>(.*?)</h2>', page)
+    assert 'Reports of the sessions' in headings
+    assert len(headings) == len(set(headings))  # no section twice
 
 
 def test_two_runs_into_one_archive(laboratory, tmp_path):
