@@ -174,7 +174,7 @@ class TrackerNode(RigNode, TrackerCore):
         self._taught.publish(DiagnosticStatus(
             level=level, name='tracker/taught', message=said, values=[
                 KeyValue(key=key, value=str(value)) for key, value in (
-                    ('example', example), ('stamp_ns', _nanoseconds(header.stamp)),
+                    ('example', example), ('stamp_ns', messages.to_nanoseconds(header.stamp)),
                     ('x', point.x), ('y', point.y))]))
 
     def _on_forget(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
@@ -196,7 +196,3 @@ class TrackerNode(RigNode, TrackerCore):
 
         assert self.stage.poses is not None
         self._overlay.publish(messages.image(draw_overlay(image, self.stage.poses), stamp))
-
-
-def _nanoseconds(stamp: Time) -> int:
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)

@@ -9,7 +9,7 @@ from builtin_interfaces.msg import Time
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 
-SECOND_NS = 1_000_000_000
+from microbot_ros.nodes.base.messages import stamp_at
 
 # Small messages: deep enough for a replay at many times real time.
 RELIABLE = QoSProfile(depth=200)
@@ -37,7 +37,7 @@ class Core:
 
     def now_stamp(self) -> Time:
         """Return `now_ns` as a message."""
-        return Time(sec=self.now_ns // SECOND_NS, nanosec=self.now_ns % SECOND_NS)
+        return stamp_at(self.now_ns)
 
     def connect(self) -> None:
         """Make the stage, the publishers and the subscriptions."""

@@ -13,7 +13,7 @@ from std_msgs.msg import String
 
 from microbot_ros.control.deadline_worker import DeadlineWorker
 from microbot_ros.control.recorded_worker import IN_TIME, NotingWorker
-from microbot_ros.nodes.base.core import SECOND_NS
+from microbot_ros.nodes.base.messages import to_nanoseconds
 from microbot_ros.session.replay.log import PARAMETERS
 
 _MOST = 200
@@ -59,8 +59,7 @@ class Log:
         @functools.wraps(callback)
         def take(message: Any) -> None:
             if hasattr(message, 'header'):
-                stamp = message.header.stamp
-                self.note(topic, stamp.sec * SECOND_NS + stamp.nanosec)
+                self.note(topic, to_nanoseconds(message.header.stamp))
             else:
                 self.note(topic, message.data)
             try:

@@ -28,6 +28,8 @@ from microbot_ros.common.records import Commands
 from microbot_ros.loop.points import ESTIMATE
 from microbot_ros.tracking.locate.colour import Weights, weighted
 
+SECOND_NS = 1_000_000_000
+
 WORKSPACE = 'workspace'
 """Frame of every position and every field: x right, y up."""
 
@@ -61,8 +63,17 @@ def to_seconds(stamp: Time) -> float:
 
 def to_stamp(seconds: float) -> Time:
     """These `seconds` as a ROS stamp."""
-    nanoseconds = round(seconds * 1e9)
-    return Time(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
+    return stamp_at(round(seconds * 1e9))
+
+
+def to_nanoseconds(stamp: Time) -> int:
+    """Return a ROS `stamp` in nanoseconds, exactly."""
+    return int(stamp.sec) * SECOND_NS + int(stamp.nanosec)
+
+
+def stamp_at(nanoseconds: int) -> Time:
+    """Return the ROS stamp of a time in `nanoseconds`."""
+    return Time(sec=nanoseconds // SECOND_NS, nanosec=nanoseconds % SECOND_NS)
 
 
 def cloud(points: np.ndarray, stamp: Time) -> PointCloud2:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from builtin_interfaces.msg import Time
 from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.publisher import Publisher
@@ -10,6 +9,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image
 
 from microbot_ros.nodes.base.lifecycle import RELIABLE, RigNode
+from microbot_ros.nodes.base.messages import stamp_at
 from microbot_ros.nodes.base.topics import KEPT
 
 
@@ -47,8 +47,7 @@ class PlaybackPublishers:
 
     def tell_time(self, t_ns: int) -> None:
         """Publish the time `t_ns` on `/clock`."""
-        stamp = Time(sec=t_ns // 1_000_000_000, nanosec=t_ns % 1_000_000_000)
-        self._clock.publish(Clock(clock=stamp))
+        self._clock.publish(Clock(clock=stamp_at(t_ns)))
 
     def has_all(self) -> bool:
         """Whether every reliable listener has what was sent."""

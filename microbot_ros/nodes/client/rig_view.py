@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import re
-import struct
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -33,6 +32,7 @@ from microbot_ros.common import strict_yaml, units
 from microbot_ros.loop.points import GOAL, PARTICLE, PLACE
 from microbot_ros.nodes.base import messages
 from microbot_ros.nodes.base.lifecycle import LATCHED, RigNode
+from microbot_ros.session.replay.log import header_stamp_ns
 from microbot_ros.tracking import ImageToWorkspace
 
 _NEWEST = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
@@ -152,7 +152,7 @@ class RigView:
         now = time.monotonic()
         if now - self._picture_s > _SILENCE_S:
             self._size = self._camera = None  # perhaps another camera
-        stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+        stamp = messages.to_nanoseconds(message.header.stamp)
         self._picture_s, self._picture_stamp = now, stamp
         self._picture(stamp, message.data.tobytes())
         for seen, data in self._seen:
@@ -162,7 +162,7 @@ class RigView:
         self._shown.append(stamp)
 
     def _on_particles(self, data: bytes) -> None:
-        stamp, now = _stamp_of(data), time.monotonic()
+        stamp, now = header_stamp_ns(data), time.monotonic()
         alone = now - self._picture_s > _PICTURE_S and now - self._told_s >= _PERIOD_S
         if alone or stamp in self._shown:
             self._tell_particles(stamp, data)
@@ -403,12 +403,6 @@ def particles_message(stamp: int, points: np.ndarray, kinds: list[str | None],
          'x_um': _finite(1e6 * point['x']), 'y_um': _finite(1e6 * point['y']),
          'heading_rad': _finite(point['theta']), 'sigma_px': _finite(point['sigma'] / size)}
         for point, (x, y), kind in zip(points, pixels.tolist(), kinds, strict=True)]}
-
-
-def _stamp_of(data: bytes) -> int:
-    """The stamp [ns] of a serialised message that begins with a header."""
-    seconds, nanoseconds = struct.unpack_from('<iI' if data[1] & 1 else '>iI', data, 4)
-    return int(seconds * 1_000_000_000 + nanoseconds)
 
 
 def _reasons(sentence: str) -> dict[int, str]:
