@@ -15,7 +15,7 @@ for at, `Effect.trials`, and within each over a peak that is narrower the more i
 − log(trials) − ½ d log(1 + LR) for d numbers.
 
 Where headings remember noise and no radius tells their rotational diffusion, it is fitted too and
-pays for that (`log_price_of_turning`).
+pays for that (`ModelFit.price_of_turning`).
 """
 
 from __future__ import annotations

@@ -16,6 +16,10 @@ Verdict = Literal['consistent', 'named', 'unnamed']
 FIRES = 0.003
 """Adjusted p-value below which a map says that something is left."""
 
+HORIZON = 1.0
+"""Seconds ahead of which a prediction is judged, where the recording is long enough, and within
+which a residual map asks how far what is left moves particles."""
+
 WORTH = 0.1
 """Part of the noise floor of a prediction that something must move particles by, to be worth an
 explanation: a choice. With it an error of prediction is 0.5 % larger than by noise alone, with

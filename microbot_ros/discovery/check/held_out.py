@@ -14,7 +14,7 @@ from scipy.special import stdtrit
 
 from microbot_ros.discovery.hypotheses import add_effects, fit_first_order
 from microbot_ros.discovery.processes import Run, serially
-from microbot_ros.discovery.result import UNKNOWN, Estimate, Gap
+from microbot_ros.discovery.result import HORIZON, UNKNOWN, Estimate, Gap
 from microbot_ros.estimation.likelihood.expected_displacement import ExpectedDisplacement
 from microbot_ros.estimation.likelihood.joint import SessionFit
 from microbot_ros.estimation.likelihood.model_fit import (
@@ -25,9 +25,6 @@ from microbot_ros.estimation.likelihood.model_fit import (
 )
 from microbot_ros.estimation.likelihood.prepared_session import FEWEST, PreparedSession
 from microbot_ros.model.model import Model
-
-HORIZON = 1.0
-"""Seconds ahead of which a prediction is judged, where the recording is long enough."""
 
 BLOCKS = 5
 """Blocks of time that are predicted in turn, each from all others."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.records import Session
-from microbot_ros.estimation.held import is_held
+from microbot_ros.estimation.held import FEWEST_FRAMES, is_held
 from microbot_ros.estimation.likelihood.prepared_session import (
     JUMP,
     PreparedSession,
@@ -19,7 +19,6 @@ from microbot_ros.estimation.likelihood.prepared_session import (
 from microbot_ros.model.increments import respond
 from microbot_ros.model.model import Model
 
-FEWEST_FRAMES = 50
 FASTEST = 1e-3
 """Speed [m/s] beyond which positions can't be in micrometres: 200 radii of these spheres."""
 

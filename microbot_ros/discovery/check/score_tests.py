@@ -15,7 +15,7 @@ import numpy as np
 from microbot_ros.discovery.check.covariates import Covariates, Group
 from microbot_ros.discovery.check.tail_probabilities import chi_square_tail, peak_tail_probability
 from microbot_ros.discovery.processes import Run, serially
-from microbot_ros.discovery.result import ResidualMap
+from microbot_ros.discovery.result import HORIZON, ResidualMap
 from microbot_ros.discovery.starting_points import PADDING, rotating_components
 from microbot_ros.estimation.likelihood.joint import (
     SessionFit,
@@ -25,9 +25,6 @@ from microbot_ros.estimation.likelihood.joint import (
     solve,
 )
 from microbot_ros.estimation.likelihood.model_fit import ModelFit
-
-HORIZON = 1.0
-"""Seconds within which it is asked how far what is left moves particles: as the held-out gap."""
 
 RANK = 1e-6
 """Eigenvalue, relative to 1 for a column of its own, below which a direction is fitted already."""

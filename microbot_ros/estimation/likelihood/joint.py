@@ -205,14 +205,18 @@ class SessionFit:
         return 0.0 if time is None else math.sqrt(
             self.whitening.diffusion_ratio * self.diffusion * time)
 
+    @property
+    def moved(self) -> np.ndarray:
+        """How far v moves each particle (T − 1, N) [m] from frame to frame, complex."""
+        return np.diff(self.expected.along * self.velocity_phasor.real
+                       + self.expected.across * self.velocity_phasor.imag, axis=0)
+
     def unsteady_motion(self, seconds: float) -> float:
         """Mean square [m²] per axis of what fluctuating speeds and swings add in `seconds` [s]."""
         time = self.whitening.fluctuation
         if time is None:
             return 0.0
-        moved = np.diff(self.expected.along * self.velocity_phasor.real
-                        + self.expected.across * self.velocity_phasor.imag, axis=0)
-        speed = np.abs(moved) / np.diff(self.session.times)[:, None]
+        speed = np.abs(self.moved) / np.diff(self.session.times)[:, None]
         memory = 2 * time * (seconds - time * (1 - math.exp(-seconds / time)))
         walked = self.fluctuation**2 * float((speed**2).mean()) * memory
         return walked / 2 + self.swing**2

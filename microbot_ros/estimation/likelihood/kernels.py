@@ -358,6 +358,17 @@ def _carry(  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
+def _taken(place, turn, m, new, gains):  # type: ignore[no-untyped-def]
+    """Correct `place` and `turn` of column m by its `new` value; the difference along x and y."""
+    gxx, gxy, gyx, gyy, gax, gay = gains
+    step = new - place[m]
+    i, j = step.real, step.imag
+    place[m] += complex(gxx * i + gxy * j, gyx * i + gyy * j)
+    turn[m] += gax * i + gay * j
+    return i, j
+
+
+@numba.njit(cache=True)
 def _logged(log_det, product):  # type: ignore[no-untyped-def]
     """½ log det so far, and the `product` of determinants that is not in it yet.
 
@@ -407,16 +418,12 @@ def whiten_with_heading(  # type: ignore[no-untyped-def]
                     place[m], turn[m] = columns[k, n, m], 0.0
                 continue
             covariance, gains, white, det = _seen(covariance, ratio_x, ratio_y, swing[k, n])
-            gxx, gxy, gyx, gyy, gax, gay = gains
             scale_x, lean, scale_y = white
             log_det, product = _logged(log_det, product * det)
             used += 1
             for m in range(M):
-                step = columns[k, n, m] - place[m]
-                i, j = step.real, step.imag
+                i, j = _taken(place, turn, m, columns[k, n, m], gains)
                 out[k, n, m] = complex(i * scale_x, (j - lean * i) * scale_y)
-                place[m] += complex(gxx * i + gxy * j, gyx * i + gyy * j)
-                turn[m] += gax * i + gay * j
     return out, log_det + 0.5 * math.log(product), used
 
 
@@ -454,17 +461,13 @@ def whitened_products_with_heading(  # type: ignore[no-untyped-def]
                 continue
             covariance, gains, white, det = _seen(
                 covariance, noise_ratio, noise_ratio, swing[k, n])
-            gxx, gxy, gyx, gyy, gax, gay = gains
             scale_x, lean, scale_y = white
             log_det, product = _logged(log_det, product * det)
             used += 1
             for m in range(3):
-                step = new[m] - place[m]
-                i, j = step.real, step.imag
+                i, j = _taken(place, turn, m, new[m], gains)
                 x, y = i * scale_x, (j - lean * i) * scale_y
                 white_new[m] = complex(x, y)
-                place[m] += complex(gxx * i + gxy * j, gyx * i + gyy * j)
-                turn[m] += gax * i + gay * j
                 for other in range(m + 1):
                     gram[m, other] += x * white_new[other].real + y * white_new[other].imag
         for m in range(3):
@@ -497,15 +500,11 @@ def filter_headings(  # type: ignore[no-untyped-def]
                 continue
             if pieces[k, n] != piece:
                 piece = pieces[k, n]
-                covariance = (noise_ratio, 0.0, noise_ratio, 0.0, 0.0, _stationary_variance(
+                covariance = _begun(noise_ratio, noise_ratio, 0j, _stationary_variance(
                     diffusion_ratio, times, retention, k, n))
                 place[0], turn[0] = left[k, n], 0.0
                 continue
             covariance, gains, _, _ = _seen(covariance, noise_ratio, noise_ratio, 0j)
-            gxx, gxy, gyx, gyy, gax, gay = gains
-            step = left[k, n] - place[0]
-            i, j = step.real, step.imag
-            place[0] += complex(gxx * i + gxy * j, gyx * i + gyy * j)
-            turn[0] += gax * i + gay * j
+            _taken(place, turn, 0, left[k, n], gains)
             out[k, n] = turn[0]
     return out

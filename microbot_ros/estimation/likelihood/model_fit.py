@@ -326,8 +326,7 @@ def _fit_noise(model: Model, fit: SessionFit, near: bool) -> SessionFit:
 def fluctuating(fit: SessionFit, time: float) -> Whitening:
     """The noise of a `fit` where each speed has a deviation of correlation time `time` [s]."""
     interval = np.diff(fit.session.times)[:, None]
-    moved = np.diff(fit.expected.along * fit.velocity_phasor.real
-                    + fit.expected.across * fit.velocity_phasor.imag, axis=0)
+    moved = fit.moved
     retention = np.exp(-interval / time)
     # A deviation at the start of an interval acts for as long as it lasts.
     sensitivity = moved * (1 - retention) * time / interval
