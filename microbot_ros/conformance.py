@@ -16,6 +16,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import tempfile
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -75,7 +76,7 @@ def exercise_discovery(hidden: Effect) -> None:
     Both verdicts must stay the same under priors that are narrower or wider by PRIOR_OFF than
     the effect declares.
     """
-    known = _search(hidden, {hidden.id: {
+    known = _search(hidden.is_drive_curve, {hidden.id: {
         p.name: p.display_units(value) for p, value in hidden.values().items()}})
     established = _established(known)
     assert hidden.id in established, (
@@ -85,8 +86,7 @@ def exercise_discovery(hidden: Effect) -> None:
     assert least >= enough(), (
         f"'prior' decides whether {hidden.id} is named: with one off by {PRIOR_OFF:g} its "
         f'log evidence is {least:.1f}, less than {enough():.1f}')
-    nothing = _search(hidden, {})
-    established = _established(nothing)
+    nothing, established = _where_nothing_is_hidden(hidden.is_drive_curve)
     assert not established, f'nothing is hidden; established are: {", ".join(established)}'
     for one in nothing.more:
         if one.id == hidden.id:
@@ -94,6 +94,13 @@ def exercise_discovery(hidden: Effect) -> None:
             assert most < enough(), (
                 f"'prior' decides whether {hidden.id} is named where nothing is hidden: its log "
                 f'evidence is {most:.1f}, more than {enough():.1f}')
+
+
+@cache
+def _where_nothing_is_hidden(rolls: bool) -> tuple[Hypotheses, list[str]]:
+    """Return what is found, and what is established, without an effect: once for all effects."""
+    known = _search(rolls, {})
+    return known, _established(known)
 
 
 def _established(known: Hypotheses) -> list[str]:
@@ -291,10 +298,9 @@ def _moved(effect: Effect | None = None, line: Timeline | None = None) -> np.nda
     return respond(model, line).increments(_particles(count))
 
 
-def _search(hidden: Effect, effects: dict[str, dict[str, float]]) -> Hypotheses:
-    """Return what is found in a session with these `effects`, as suits what may be `hidden`."""
+def _search(rolls: bool, effects: dict[str, dict[str, float]]) -> Hypotheses:
+    """Return what is found in a session with these `effects`, of rollers or of swimmers."""
     rng = np.random.default_rng(7)
-    rolls = hidden.is_drive_curve
     swarm = draw_swarm(rng, _COUNT, Fluid(1.245e-3), FIELD, radius=2.3e-6, half_extent=40e-6)
     if rolls:
         swarm['gain'], swarm['speed'] = swarm['speed'] / 8, 0.0

@@ -124,7 +124,8 @@ def _compare_topic(
                 if doubt is not None and not frame.same and stamp >= doubt.first_ns]
     if doubt is not None and len(unjudged) > doubt.share * len(frames):
         unjudged = []
-    return _sum(topic, [frame for stamp, frame in frames.items() if stamp not in {*unjudged}],
+    left_out = set(unjudged)
+    return _sum(topic, [frame for stamp, frame in frames.items() if stamp not in left_out],
                 unjudged)
 
 
