@@ -201,12 +201,14 @@ class Progress:
     """How far a controller has come, for people and for whoever waits for it.
 
     `distance` [m] is what is left to its goal, NaN where that means nothing; `done` says that
-    what was asked has been reached; `message` says in words what it does.
+    what was asked has been reached; `message` says in words what it does; `goal` is the number of
+    the goal it goes to, from 0, None where goals are not taken one after the other.
     """
 
     message: str = ''
     done: bool = False
     distance: float = float('nan')
+    goal: int | None = None
 
 
 @dataclass(frozen=True)

@@ -295,6 +295,8 @@ class ControllerNode(RigNode, ControllerCore):
         if outcome.command is not None:
             values['distance_um'] = outcome.command.progress.distance * 1e6
             values['done'] = outcome.command.progress.done
+            if outcome.command.progress.goal is not None:
+                values['goal'] = outcome.command.progress.goal
             driven = outcome.command.particles
             values['particles'] = ', '.join(map(str, () if driven is None else driven.tolist()))
         level = {Result.OK: OK, Result.FAULT: ERROR}.get(outcome.result, WARN)

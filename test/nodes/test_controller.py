@@ -167,6 +167,7 @@ def test_goals_of_particles_and_what_becomes_of_them(ros: Any) -> None:
     go(0, 1e-6)
     values = answer(lambda said: 'goal 1 of 1' in said)
     assert (values['done'], values['goals_stamp_s']) == ('True', '7.5')
+    assert values['goal'] == '0'
     elsewhere = PoseStamped()
     elsewhere.header.frame_id = 'map'
     clicked.publish(elsewhere)

@@ -15,7 +15,7 @@ export class Overlay {
     this.tracks = tracks;
     this.stamp = null;
     this.chosen = null;
-    this.plan = { goals: [], path: [], driven: [], learned: [] };
+    this.plan = { goals: [], path: [], driven: [], goal: null, learned: [] };
     this.layers = {};
     for (const name of ['learned', 'trails', 'path', 'way', 'goals', 'rings', 'sketch']) {
       this.layers[name] = makeSvg('g', { class: name });
@@ -25,7 +25,7 @@ export class Overlay {
   }
 
   hear({ controller, discovery }) {
-    this.plan = { goals: controller?.goals ?? [], path: controller?.path ?? [], driven: controller?.driven ?? [],
+    this.plan = { goals: controller?.goals ?? [], path: controller?.path ?? [], driven: controller?.driven ?? [], goal: controller?.goal,
       learned: (discovery?.learned ?? []).flatMap(({ arrows }) => arrows ?? []) };
     this.#drawPlan();
   }
@@ -112,12 +112,12 @@ export class Overlay {
     this.layers.learned.replaceChildren(...this.#arrows(learned));
   }
 
-  // From each driven particle to its goal: its own, else the first; or to the nearest point of the path.
+  // From each driven particle to its goal: its own, else that at work, else that of its rank; or to the nearest point of the path.
   #drawWay() {
-    const { goals, path, driven } = this.plan;
+    const { goals, path, driven, goal: present } = this.plan;
     const lines = !this.view.matrix ? [] : this.#shown().filter(({ id }) => driven.includes(id)).flatMap((one) => {
       const [x, y] = this.view.toPage(one.x_px, one.y_px);
-      const goal = goals.find(({ id }) => id === one.id) ?? goals.find(({ id }) => id == null);
+      const goal = goals.find(({ id }) => id === one.id) ?? goals.filter(({ id }) => id == null || id < 0)[present ?? driven.indexOf(one.id)];
       const ends = (goal ? [[goal.x_um, goal.y_um]] : path).map((end) => this.view.micrometresToPage(...end));
       const to = ends.reduce((best, end) => (!best || Math.hypot(end[0] - x, end[1] - y) < Math.hypot(best[0] - x, best[1] - y) ? end : best), null);
       return to ? [makeSvg('path', { d: `M${x} ${y}L${to[0]} ${to[1]}` })] : [];

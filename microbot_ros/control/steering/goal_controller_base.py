@@ -80,7 +80,7 @@ class GoalControllerBase(Controller):
         message = f'{sequence}, {abs(offset) * 1e6:.1f} µm'
         return dataclasses.replace(
             self.drive(inputs, offset, strength),
-            progress=Progress(message, sequence.done, abs(offset)),
+            progress=Progress(message, sequence.done, abs(offset), sequence.present),
             particles=particles)
 
     def fastest(self, inputs: ControllerInput) -> float:

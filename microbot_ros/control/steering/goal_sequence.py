@@ -36,6 +36,11 @@ class GoalSequence:
     def __len__(self) -> int:
         return len(self._position)
 
+    @property
+    def present(self) -> int:
+        """Number of the goal that it goes to, from 0."""
+        return self._next
+
     def __str__(self) -> str:
         return f'particle {self.particle}: goal {self._next + 1} of {len(self)}'
 

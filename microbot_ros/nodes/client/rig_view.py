@@ -286,6 +286,7 @@ class RigView:
             return None
         return {'name': name, 'sentence': self.progress('sentence'),
                 'driven': [int(one) for one in self.progress('particles').split(', ') if one],
+                'goal': int(self.progress('goal')) if self.progress('goal') else None,
                 'distance_um': _number(self.progress('distance_um') or math.nan),
                 'done': self.progress('done') == 'True',
                 'takes': self.progress('takes').split(', '),

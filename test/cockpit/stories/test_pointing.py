@@ -132,6 +132,29 @@ def test_a_goal_is_sent_where_it_was_clicked_and_marked_once_it_was_taken(page, 
     assert math.dist((x, y), (400, 200)) < 1
 
 
+_WAY_ENDS = """(ends) => {
+  const [, x0, y0, x, y] = document.querySelector('#overlay .way path').getAttribute('d')
+    .match(/M([\\d.]+) ([\\d.]+)L([\\d.]+) ([\\d.]+)/).map(Number);
+  return [...document.querySelectorAll('#overlay .goals > g')].map((node) => {
+    const { e, f } = node.getCTM();
+    return Math.hypot(e - x, f - y) < 1;
+  });
+}"""
+"""Of each goal, whether the line from the driven particle ends there."""
+
+
+@pytest.mark.parametrize(('present', 'ends'), [(None, [True, False, False]),
+                                               (2, [False, False, True])])
+def test_the_driven_particle_is_joined_to_the_goal_that_it_goes_to(
+        page, rig, present, ends) -> None:
+    goals = [dict(zip(('x_um', 'y_um'), _um(x, y), strict=True), id=None)
+             for x, y in ((200, 200), (300, 400), (600, 300))]
+    rig.told['controller'] = {**rig.told['controller'], 'goals': goals, 'driven': [2],
+                              'goal': present}
+    page.wait_for_selector('#overlay .way path', state='attached')
+    assert page.evaluate(_WAY_ENDS) == ends
+
+
 def test_a_goal_for_the_chosen_particle_only(page, rig) -> None:
     part(page, 'estimates')
     page.select_option('#particle', '2')
