@@ -56,7 +56,6 @@ class LastResort:
         """Break off its feed, as no zero is confirmed: it zeroes all lines again and again for
         0.2 s, and ends. Returns at once; a sentinel that hangs is killed.
         """
-        self._pipe.close()
         threading.Thread(target=self._end, daemon=True).start()
 
     def _end(self) -> None:
