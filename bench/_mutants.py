@@ -58,7 +58,7 @@ those of a protocol."""
 
 _EXPLAINED = Path(__file__).with_name('mutants.txt')
 _IMPORTING = ('microbot_ros', 'test', 'conftest', 'bench._served')
-_HANGS_S = 8
+_HANGS_S = 30
 _QUICKLY = ['-x', '-q', '--assert=plain', '--tb=no', '-p', 'no:xdist',
             '--timeout', str(_HANGS_S), '--timeout-method', 'thread']
 _WORKERS = min(os.cpu_count() or 1, 2)
