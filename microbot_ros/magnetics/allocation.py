@@ -229,7 +229,7 @@ class Allocator:
         return float((self._reach[outward] / across[outward]).min())
 
     def largest_current(self, magnitude: float) -> float:
-        """Return the largest current [A] of any coil for a field of this `magnitude` [T]."""
+        """Return the largest coil current [A] for a field of `magnitude` [T] in any direction."""
         angles = np.radians(np.arange(360.0))
         around = np.stack([np.cos(angles), np.sin(angles)], axis=1)
         if self._coils.axes == 3:
