@@ -1,4 +1,4 @@
-"""What rollers feel of a commanded rotation: all while the coils carry a field, else none."""
+"""Rotation that acts on rollers: the commanded one while the coils carry a field, else none."""
 
 from __future__ import annotations
 
@@ -9,15 +9,14 @@ import numpy as np
 from microbot_ros.estimation.online.commands import NEGLIGIBLE, SET_BACK
 
 Rotation = tuple[float, np.ndarray]
-"""From when [s] on which angular velocity (2,) [rad/s]."""
+"""Start time [s] and angular velocity (2,) [rad/s]."""
 
 
 class FeltRotation:
-    """The last commanded rotation, and whether anything turns.
+    """The last commanded rotation, and whether the coils carry a field.
 
-    A driver refuses commands that come late, and a gate that trips or was never armed lets nothing
-    through, whatever is commanded meanwhile. Where no field was ever read back, the commanded
-    rotation is taken for the one felt.
+    A driver refuses late commands, and a gate that has tripped or was never armed passes nothing,
+    whatever is commanded. Until a field is read back, the commanded rotation counts as acting.
     """
 
     def __init__(self) -> None:
@@ -26,7 +25,7 @@ class FeltRotation:
         self._t = -math.inf
 
     def command(self, t: float, angular_velocity: np.ndarray) -> Rotation | None:
-        """Return the rotation that is felt once an angular velocity is commanded.
+        """Return the rotation acting once an angular velocity is commanded.
 
         Parameters
         ----------
@@ -48,9 +47,9 @@ class FeltRotation:
         return self._felt(t)
 
     def applied(self, t: float, field: np.ndarray) -> Rotation | None:
-        """What is felt once a field (3,) [T] is read back at `t` [s]; None for no change.
+        """Return the rotation once a `field` (3,) [T] is read at `t` [s]; None if unchanged.
 
-        A reading that is not finite says nothing.
+        A reading that is not finite is ignored.
         """
         size = math.hypot(*field)
         flows = size >= NEGLIGIBLE
@@ -60,8 +59,8 @@ class FeltRotation:
         return self._felt(t)
 
     def _felt(self, t: float) -> Rotation:
-        # Commands are stamped with the exposure they answer, readings with their own moment: the
-        # two interleave, and what is felt goes forward; unless a replay begins again.
+        # Commands carry the time of the exposure they answer, readings their own, so the two
+        # interleave. Time must not go back here, unless a replay starts again.
         if math.isfinite(t):
             t = self._t = t if t < self._t - SET_BACK else max(self._t, t)
         return t, self._commanded if self._flows else np.zeros(2)
