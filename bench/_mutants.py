@@ -164,6 +164,7 @@ def survey(module: str) -> Survey:
     names, chosen = TESTS[module]
     folder_of_tests = Path('test') / module.partition('.')[0]
     tests = [*(str(folder_of_tests / f'{name}.py') for name in names), '-k', chosen]
+    _load(tests)  # first of all: it says where numba keeps compiled code
     full_name = f'microbot_ros.{module}'
     source = Path(importlib.import_module(full_name).__file__ or '').read_text('utf-8')
     found = list(mutants(source))
@@ -172,7 +173,6 @@ def survey(module: str) -> Survey:
         raise RuntimeError(f'explained and not there: {module}: {gone}')
     tried = [(what, mutant) for what, mutant in found if what not in explained]
     with TemporaryDirectory() as folder:
-        _load(tests)
         if all(_end(_try(full_name, source, tests, folder)) for _ in range(3)):
             raise RuntimeError(f'the tests of {module} fail as it is')
         survived = list(_survivors(full_name, tried, tests, folder))
