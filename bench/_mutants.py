@@ -55,7 +55,7 @@ TESTS = {
 _DRIVE = 'microbot_ros.drive.'
 _FOLDER = Path('test/drive')
 _EXPLAINED = Path(__file__).with_name('mutants.txt')
-_IMPORTING = ('microbot_ros', 'test', 'conftest', 'bench._served')
+_IMPORTING = ('microbot_ros', 'test', 'conftest', 'bench._emulator')
 _HANGS_S = 8
 _QUICKLY = ['-x', '-q', '--assert=plain', '--tb=no', '-p', 'no:xdist',
             '--timeout', str(_HANGS_S), '--timeout-method', 'thread']
