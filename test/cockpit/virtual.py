@@ -60,7 +60,8 @@ class VirtualRig:
             'recorder': {'recording': False, 'folder': str(self.folder / 'recording'),
                          'frame_every': 0},
             'cockpit': {'port': 0, 'token': False,
-                        'discoveries': str(self.folder / 'discoveries')}}
+                        'discoveries': str(self.folder / 'discoveries'),
+                        'recordings': str(self.folder)}}
         write_rig(parameters, {
             name: values | self._more.get(name, {}) for name, values in nodes.items()})
         self.graph.start('amplifier', [
