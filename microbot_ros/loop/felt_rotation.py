@@ -20,13 +20,30 @@ class FeltRotation:
     """
 
     def __init__(self) -> None:
-        self._commanded = np.zeros(2)
+        self._commanded, self._commanded_t = np.zeros(2), -math.inf
         self._flows = True
         self._t = -math.inf
 
-    def command(self, t: float, angular_velocity: np.ndarray) -> Rotation:
-        """Return the rotation acting from `t` [s], for `angular_velocity` (2,) [rad/s]."""
+    def command(self, t: float, angular_velocity: np.ndarray) -> Rotation | None:
+        """Return the rotation acting once an angular velocity is commanded.
+
+        Parameters
+        ----------
+        t
+            Time of the command [s]. A command from before the newest one is superseded.
+        angular_velocity
+            Angular velocity (2,) [rad/s], zero for a field that stands.
+
+        Returns
+        -------
+        None where a superseded command, or one more field that stands, changes nothing.
+        """
+        superseded = self._commanded_t - SET_BACK < t < self._commanded_t
+        if superseded or not (angular_velocity.any() or self._commanded.any()):
+            return None
         self._commanded = angular_velocity
+        if math.isfinite(t):
+            self._commanded_t = t
         return self._felt(t)
 
     def applied(self, t: float, field: np.ndarray) -> Rotation | None:

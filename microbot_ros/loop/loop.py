@@ -88,7 +88,6 @@ class Loop:
         self.gate = Gate(limits(parameters.gate), len(self.allocation.coils.names))
         self._rotation = Rotation(self.gate.limits.slew_A_per_s)
         self._felt = FeltRotation()
-        self._turned = False
         self._given_t = -math.inf
 
     @property
@@ -156,12 +155,10 @@ class Loop:
 
         Return why the coils cannot make it, or ''.
         """
-        turns = bool(angular_velocity.any())
-        if self._rolls and (turns or self._turned):
-            self._tell_rotation(*self._felt.command(t, angular_velocity[:2]))
-        self._turned = turns
+        if self._rolls and (changed := self._felt.command(t, angular_velocity[:2])):
+            self._tell_rotation(*changed)
         try:
-            if turns and field.any():
+            if angular_velocity.any() and field.any():
                 wanted = self.allocation.turn(np.array([*field, 0.0][:3]), angular_velocity)
                 self._rotation.follow(wanted, t, np.array(self.gate.output))
                 self._given_t = t

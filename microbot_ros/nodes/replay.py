@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from geometry_msgs.msg import Vector3Stamped
+from geometry_msgs.msg import TwistStamped, Vector3Stamped
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
@@ -52,27 +52,27 @@ _REMEMBERED = 5000
 
 
 class CoilCore(Core):
-    """`field/command` and `field/rotation` → `coils/command`, without gate and amplifier."""
+    """`field/command`, `field/rotating` → `coils/command`, without gate and amplifier."""
 
     Parameters = GateParameters
     frame = 'field/command'
 
     def connect(self) -> None:
-        self._stage, self._rotation = AllocationStage(self.settings), np.zeros(3)
+        self._stage = AllocationStage(self.settings)
         self._wanted = self.publisher(JointState, 'coils/command')
-        self.subscribe(Vector3Stamped, 'field/rotation', self._on_rotation)
-        self.subscribe(Vector3Stamped, 'field/command', self._on_command)
+        self.subscribe(Vector3Stamped, 'field/command', lambda message: self._answer(
+            self._stage.step(messages.vector(message)), message))
+        self.subscribe(TwistStamped, 'field/rotating', self._on_rotating)
 
-    def _on_rotation(self, message: Vector3Stamped) -> None:
-        self._rotation = messages.vector(message)
-
-    def _on_command(self, message: Vector3Stamped) -> None:
-        field = messages.vector(message)
-        if field.any() and self._rotation.any():
-            turning = self._stage.turn(field, self._rotation)
-            currents = turning.at(turning.start)
+    def _on_rotating(self, message: TwistStamped) -> None:
+        field, angular_velocity = messages.rotating_field(message)
+        if field.any() and angular_velocity.any():
+            turning = self._stage.turn(field, angular_velocity)
+            self._answer(turning.at(turning.start), message)
         else:
-            currents = self._stage.step(field)
+            self._answer(self._stage.step(field), message)
+
+    def _answer(self, currents: np.ndarray, message: Any) -> None:
         self._wanted.publish(messages.currents(
             self._stage.coils.names, currents, message.header.stamp))
 
@@ -98,14 +98,14 @@ class Stage:
 
 
 STAGES = (
-    Stage('tracker', ('camera/image_raw', 'field/applied', 'field/command', 'field/rotation'),
+    Stage('tracker', ('camera/image_raw', 'field/applied', 'field/command', 'field/rotating'),
           'particles', ('particles/poses',), TrackerCore),
-    Stage('model', ('particles', 'field/applied', 'field/command', 'field/rotation'),
+    Stage('model', ('particles', 'field/applied', 'field/command', 'field/rotating'),
           'model/state', (), ModelCore),
     Stage('controller', ('model/state', 'goals', 'particle_goals', 'goal_pose', 'path',
-                         'field/plan', 'joy'), 'field/command', ('field/rotation',),
+                         'field/plan', 'joy'), 'field/command', ('field/rotating',),
           ControllerCore),
-    Stage('coil_driver', ('field/command', 'field/rotation'), 'coils/command', (), CoilCore),
+    Stage('coil_driver', ('field/command', 'field/rotating'), 'coils/command', (), CoilCore),
 )
 """The nodes whose answers follow from what is recorded, in the order of the graph.
 
@@ -140,13 +140,14 @@ def plan_replay(source: Source, path: Path, nodes: Collection[str] = ()) -> Repl
     replayed unless it is named. Raises InputError where there is nothing to replay.
     """
     by_role = {name: topic for topic in source.topics for stage in STAGES
-               for name in (*stage.takes, stage.answer) if is_topic(topic, name)}
+               for name in (*stage.takes, *stage.gives) if is_topic(topic, name)}
     counts = {name: source.topics[topic].count for name, topic in by_role.items()}
 
     def reproducible(stage: Stage) -> bool:
         enough = stage.node != 'tracker' or counts.get('camera/image_raw', 0) >= counts.get(
             'particles', 0)
-        return bool(counts.get(stage.takes[0]) and counts.get(stage.answer) and enough)
+        answered = any(counts.get(topic) for topic in stage.gives)
+        return bool(counts.get(stage.takes[0]) and answered and enough)
 
     stages = tuple(stage for stage in STAGES
                    if (stage.node in nodes if nodes else reproducible(stage)))
@@ -339,9 +340,7 @@ class _Player:
         topic = answer if answer in source.topics else (
             f'{self._replay.plan.namespace}/field/command')
         for message in source.messages([topic]):
-            stamp = header_stamp_ns(message.data)
-            for name in ('field/rotation', 'field/command'):
-                yield Entry(name, stamp, message.t_ns)
+            yield Entry('field/command', header_stamp_ns(message.data), message.t_ns)
 
     def step(self) -> bool:
         """Play the next entry; return False where there is none before the end of the replay."""
@@ -371,10 +370,12 @@ class _Player:
                 for name, value in entry.what.items()})
         if entry.name in self._core.inlets and type(entry.what) is int:
             data = self._find(entry)
+            if data is None and self.stage.node == 'coil_driver':
+                entry = entry._replace(name='field/rotating')
+                data = self._find(entry)
             if data is None:
-                if entry.name != 'field/rotation' or self.stage.node != 'coil_driver':
-                    self._reason = (f'what the {self.stage.node} took from {entry.name} was not '
-                                    'recorded')
+                self._reason = (f'what the {self.stage.node} took from {entry.name} was not '
+                                'recorded')
                 return
         elif entry.name not in (PARAMETERS, EXPIRE, LET_GO, *self._core.inlets):
             if entry.name.startswith('~/'):

@@ -123,7 +123,7 @@ def _compared(recorded: Recording, replayed: Recording, replay: Replay, toleranc
                                       'recorded', ORDER_SHARE)
         for topic in compare(
                 recorded, replayed, {*topics}.intersection([*recorded.topics, *replayed.topics]),
-                _answered(recorded, topics[0], player.played, progress), tolerance, doubt):
+                _answered(recorded, topics, player.played, progress), tolerance, doubt):
             found.append((topic, doubt))
             if topic.judged_to_ns is not None and doubt:
                 before = Doubt(topic.judged_to_ns, doubt.reason)
@@ -131,17 +131,17 @@ def _compared(recorded: Recording, replayed: Recording, replay: Replay, toleranc
 
 
 def _answered(
-    recorded: Recording, answer: str, stamps: set[int], progress: Console,
+    recorded: Recording, topics: tuple[str, ...], stamps: set[int], progress: Console,
 ) -> set[int]:
     """Return the frames that a node answered when it was recorded; all, where it answered none.
 
     A node that was started later, was ended earlier, or held poses for too old skipped frames.
     """
-    answered = stamps.intersection(header_stamp_ns(message.data)
-                                   for message in recorded.messages([answer])
-                                   if answer in recorded.topics) or stamps
+    there = [topic for topic in topics if topic in recorded.topics]
+    answered = stamps.intersection(
+        header_stamp_ns(message.data) for message in recorded.messages(there)) or stamps
     if passed := len(stamps) - len(answered):
-        progress.print(f'{answer}: left out {passed} of {len(stamps)} frames, which were not '
+        progress.print(f'{topics[0]}: left out {passed} of {len(stamps)} frames, which were not '
                        'answered when it was recorded', soft_wrap=True)
     return answered
 
