@@ -91,13 +91,6 @@ class Commands:
             return np.zeros(np.shape(index))
         return np.append(0.0, self.frequency)[index + 1]
 
-    def tilt_at(self, t: np.ndarray | float) -> np.ndarray:
-        """Return the angle [rad] of the rotation axis from the vertical at times `t` (...)."""
-        index = self.index_at(t)
-        if self.tilt is None:
-            return np.full(np.shape(index), np.pi / 2)
-        return np.append(np.pi / 2, self.tilt)[index + 1]
-
 
 TimeBase = Literal['elapsed', 'last_interval', 'frames']
 """Divisor of a displacement: time elapsed, frames × last interval, or number of frames."""
