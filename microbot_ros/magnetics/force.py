@@ -1,4 +1,4 @@
-"""Magnetic force and torque on a particle, and the region in which the force is negligible.
+"""Magnetic force on a particle, and the region in which the force is negligible.
 
 The steering model omits the force V (M·∇)B. Whether that is justified depends on the moment of the
 particle, which the paper does not give. Assumed here: 1 kA/m, about what 1 % by volume of
@@ -57,11 +57,6 @@ class MagneticParticle:
 def force(moment: np.ndarray, gradient: np.ndarray) -> np.ndarray:
     """Return (m·∇)B [N] for `moment` (..., 3) [A m²] and `gradient` (..., 3, 3) [T/m]."""
     return np.einsum('...j,...ij->...i', moment, gradient)
-
-
-def torque(moment: np.ndarray, field: np.ndarray) -> np.ndarray:
-    """Return m × B [N m] for `moment` (..., 3) [A m²] and `field` (..., 3) [T]."""
-    return np.cross(moment, field)
 
 
 def force_speed(
