@@ -51,7 +51,7 @@ TESTS = {
     'drive.amplifiers.roboteq.driver': (
         ['test_roboteq', 'test_amplifiers', 'test_lines'], 'roboteq'),
     'drive.amplifiers.scpi.driver': (['test_scpi', 'test_amplifiers', 'test_lines'], 'scpi'),
-    'nodes.coil_driver': (['test_coil_driver'], ''),
+    'nodes.coil_driver': (['test_coil_driver', 'test_rolling_field'], ''),
 }
 """Module that can leave current on → its tests in the room's folder, and the -k that chooses
 those of a protocol."""

@@ -138,7 +138,7 @@ def test_silence_and_stale_stamps_end_in_zero(emulator: Any, ros: Any, age: floa
 
 @pytest.mark.parametrize('leave', ['deactivate', 'shutdown', 'exception'])
 def test_every_way_out_ends_in_zero(emulator: Any, ros: Any, leave: str) -> None:
-    graph = _start(emulator, ros)
+    graph = _start(emulator, ros, command_timeout_ms=1000.0)  # nothing goes stale meanwhile
     driver = graph.nodes['coil_driver']
     graph.until(lambda: _arm(graph).success)
     graph.until(lambda: _command(graph, 3e-3, 0.0) or not emulator.zero)
@@ -151,6 +151,7 @@ def test_every_way_out_ends_in_zero(emulator: Any, ros: Any, leave: str) -> None
         getattr(driver, f'trigger_{leave}')()
     graph.until(lambda: emulator.zero)
     assert not driver._driver.gate.armed
+    assert driver._driver.gate.fault is None
 
 
 def test_the_line_may_go_and_come_back_but_stays_disarmed(
@@ -159,8 +160,11 @@ def test_the_line_may_go_and_come_back_but_stays_disarmed(
     driver = graph.nodes['coil_driver']
     graph.until(lambda: _arm(graph).success)
     graph.until(lambda: _command(graph, 3e-3, 0.0) or not emulator.zero)
+    armed = graph.hear(Bool, 'coil_driver/armed', LATCHED)
+    graph.until(lambda: armed and armed[-1].data)
     emulator.end()
-    graph.until(lambda: driver.health()[0] == b'\x02')
+    graph.until(lambda: not armed[-1].data)  # though no reading comes
+    assert driver.health()[0] == b'\x02'
     refusal = _arm(graph)
     assert (refusal.success, 'not connected' in refusal.message) == (False, True)
     again = type(emulator)(tmp_path)
@@ -405,11 +409,26 @@ def test_a_hot_coil_is_hot_after_a_restart(emulator: Any, ros: Any) -> None:
     driver = graph.nodes['coil_driver']
     driver._driver.gate.heat = (0.9, 0.2, 0.0, 0.0)
     assert driver.health()[2]['hottest_coil_percent'] == pytest.approx(90.0, abs=1.0)
+    graph.until(driver._heat.path.exists)  # for one that is killed
     driver.trigger_deactivate()
     driver.trigger_cleanup()
     driver.trigger_configure()
     assert driver._driver.gate.heat[0] > 0.85
     driver._heat.path.unlink()
+
+
+@pytest.mark.parametrize('lost', [False, True])
+def test_the_end_says_where_no_zero_is_confirmed(
+        emulator: Any, ros: Any, monkeypatch: Any, lost: bool) -> None:
+    driver, warned = _start(emulator, ros).nodes['coil_driver'], []
+    if lost:
+        emulator.end()
+    with monkeypatch.context() as patched:
+        patched.setattr(driver, 'get_logger', lambda: SimpleNamespace(
+            warning=lambda sentence, **_: warned.append(sentence)))
+        driver.teardown()
+    said = [sentence for sentence in warned if sentence.startswith('the coils at the end')]
+    assert ['not reachable' in sentence for sentence in said] == [True] * lost
 
 
 @pytest.mark.parametrize(('parameters', 'expected'), [
