@@ -4,6 +4,7 @@
   parameter is described where the docstring of the function or of its class names it, as an
   identifier or in words (`frame_rate`: 'frame rate'), or where its annotation is a type of ours,
   whose own docstring describes it, or one that leaves nothing to say. What overrides inherits.
+* A `Parameters` section lists the parameters of the signature, all of them and no others.
 * Imports run one way, file by file: what one file needs of another never leads back to it.
 * What is compiled uses the cache that many processes may share.
 """
@@ -11,6 +12,7 @@
 import ast
 import re
 import sys
+from functools import cache
 from pathlib import Path
 
 import microbot_ros
@@ -38,15 +40,13 @@ def public_modules(room):
             yield path, ast.parse(path.read_text(encoding='utf-8'))
 
 
+@cache
 def classes_by_name():
     found = {}
     for room in ROOMS:
         for _, tree in public_modules(room):
             found |= {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
     return found
-
-
-CLASSES = classes_by_name()
 
 
 def names_in(annotation):
@@ -57,7 +57,7 @@ def names_in(annotation):
 def inherits(method, cls):
     """Whether a class above defines the method and says what it does."""
     for base in cls.bases:
-        above = CLASSES.get(re.split(r'[.\[]', ast.unparse(base))[-1])
+        above = classes_by_name().get(re.split(r'[.\[]', ast.unparse(base))[-1])
         if above is None or above is cls:
             continue
         own = {node.name: node for node in above.body if isinstance(node, FUNCTION)}
@@ -78,9 +78,22 @@ def undescribed(function, docstring):
         if one is None or one.arg in ('self', 'cls') or one.arg.startswith('_'):
             continue
         types = names_in(one.annotation)
-        ours = any(ast.get_docstring(CLASSES[t]) for t in types & CLASSES.keys())
+        known = types & classes_by_name().keys()
+        ours = any(ast.get_docstring(classes_by_name()[name]) for name in known)
         if not ours and not types & _SAYS_IT_ALL and not described(one.arg, docstring):
             yield one.arg
+
+
+def mislisted(function, docstring):
+    """Names that a `Parameters` section lacks or has too many; none without a section."""
+    section = re.search(r'(?ms)^Parameters\n-{10}\n(.*?)(?:\n\n|\Z)', docstring)
+    if section is None:
+        return set()
+    listed = {name for names in re.findall(r'^([*\w, ]+?)(?: :|$)', section[1], re.MULTILINE)
+              for name in names.replace('*', '').split(', ')}
+    given = function.args
+    every = (*given.posonlyargs, *given.args, given.vararg, *given.kwonlyargs, given.kwarg)
+    return listed ^ {one.arg for one in every if one is not None} - {'self', 'cls'}
 
 
 def is_dataclass(cls):
@@ -96,7 +109,7 @@ def undescribed_fields(cls, docstring):
         name = node.target.id
         below = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
         declared = isinstance(node.value, ast.Call)  # a setting or a parameter, with its meaning
-        ours = names_in(node.annotation) & CLASSES.keys()
+        ours = names_in(node.annotation) & classes_by_name().keys()
         if not (name.startswith('_') or below or declared or ours or described(name, docstring)):
             yield name
 
@@ -110,6 +123,8 @@ def complaints(path, tree):
         if not own and not (cls is not None and inherits(function.name, cls)):
             yield label, 'has no docstring'
         elif own:
+            for name in mislisted(function, own):
+                yield label, f'and its Parameters section differ in `{name}`'
             above = ast.get_docstring(cls) or '' if cls is not None else ''
             for name in undescribed(function, f'{own} {above}'):
                 yield label, f'does not describe `{name}`'
@@ -133,6 +148,8 @@ def complaints(path, tree):
             for method in (m for m in node.body if isinstance(m, FUNCTION)):
                 if method.name == '__init__':
                     said = f'{whole} {ast.get_docstring(method) or ""}'
+                    for name in mislisted(method, whole):
+                        yield label, f'and its Parameters section differ in `{name}`'
                     for name in undescribed(method, said):
                         yield label, f'does not describe `{name}`'
                 elif not method.name.startswith('_'):

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import lowest
-import release
 import pytest
+import release
 import yaml
 
 import microbot_ros

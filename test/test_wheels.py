@@ -24,7 +24,8 @@ def resolve(python: str, machine: str, target: Path, requirements: Sequence[str]
     done = subprocess.run(
         [sys.executable, '-m', 'pip', 'install', '--dry-run', '--quiet', '--ignore-installed',
          '--only-binary', ':all:', '--target', str(target), '--python-version', python,
-         f'--platform=manylinux2014_{machine}', *platforms, *options, *requirements], capture_output=True, text=True)
+         f'--platform=manylinux2014_{machine}', *platforms, *options, *requirements],
+        capture_output=True, text=True)
     if any(words in done.stderr for words in _NO_INDEX):
         pytest.skip('the index cannot be reached')
     return done.stderr[-2000:] if done.returncode else ''

@@ -1,4 +1,4 @@
-"""What any ROS node does: the lifecycle with every transition and back, simulated time, remapping."""
+"""What any ROS node does: every transition of the lifecycle, simulated time, remapping."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from in_process import Amplifier
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rosgraph_msgs.msg import Clock
 from session.recordings import record, small_session
 
+from bench._emulator import Served
 from microbot_ros.nodes.base.messages import stamp_at
 from microbot_ros.nodes.base.names import NODES
 from microbot_ros.nodes.base.topics import TOPICS, type_name
@@ -42,7 +42,7 @@ def start(ros: Any, tmp_path: Path) -> Any:
     ends: list[Callable[[], None]] = []
 
     def begin(name: str, **more: Any) -> Any:
-        amplifier = Amplifier(tmp_path)
+        amplifier = Served(tmp_path)
         ends.append(amplifier.end)
         frames = tmp_path / 'frames'
         frames.mkdir()
@@ -51,7 +51,7 @@ def start(ros: Any, tmp_path: Path) -> Any:
         own: dict[str, dict[str, Any]] = {
             'camera': {'source': str(frames)},
             'cockpit': {'port': 0, 'token': False},
-            'coil_driver': {'port': str(amplifier.port)},
+            'coil_driver': {'port': amplifier.url},
             'player': {'session': str(session)},
             'recorder': {'folder': str(tmp_path / 'out'), 'recording': False},
             'tracker': {'pixel_size_um': 0.45},
