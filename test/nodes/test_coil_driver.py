@@ -12,7 +12,7 @@ import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Vector3Stamped
-from sensor_msgs.msg import MagneticField, TimeReference
+from sensor_msgs.msg import JointState, MagneticField, TimeReference
 from std_msgs.msg import Bool, Empty
 from std_srvs.srv import SetBool
 
@@ -49,6 +49,7 @@ def test_a_field_that_is_commanded_is_read_back(emulator: Any, ros: Any) -> None
     graph = _start(emulator, ros)
     fields = graph.hear(MagneticField, 'field/applied')
     latencies = graph.hear(TimeReference, 'coil_driver/latency')
+    told_currents = [graph.hear(JointState, f'coils/{what}') for what in ('applied', 'measured')]
     graph.until(lambda: _arm(graph).success)
 
     def matches() -> bool:
@@ -61,6 +62,9 @@ def test_a_field_that_is_commanded_is_read_back(emulator: Any, ros: Any) -> None
         latencies[0].time_ref)
     assert spent > 0
     flowed = [entry['currents_A'] for entry in emulator.entries() if any(entry['currents_A'])]
+    for told in told_currents:
+        graph.until(lambda told=told: any(
+            message.effort == pytest.approx(flowed[-1], abs=1e-3) for message in told))
     plus_y, plus_x, minus_y, minus_x = flowed[-1]
     assert plus_x == pytest.approx(-minus_x, rel=1e-3)
     assert plus_y == pytest.approx(-minus_y, rel=1e-3)
@@ -134,6 +138,7 @@ def test_silence_and_stale_stamps_end_in_zero(emulator: Any, ros: Any, age: floa
         return bool(emulator.zero)
     graph.until(no_command_of_now)
     assert graph.nodes['coil_driver']._refused > 0
+    assert 'not driven' in graph.nodes['coil_driver']._complaint
 
 
 @pytest.mark.parametrize('leave', ['deactivate', 'shutdown', 'exception'])
