@@ -20,9 +20,6 @@ from typing import Any
 import hypothesis
 import pytest
 
-# All that is imported and collected stays until the end: there is no garbage to look for.
-gc.disable()
-
 sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).parent / 'harness'))
 
@@ -33,6 +30,9 @@ from warm import CACHE
 from microbot_ros.common.errors import InputError
 from microbot_ros.common.extras import advice
 from microbot_ros.control.registry import PluginError
+
+# All that is imported and collected stays until the end: there is no garbage to look for.
+gc.disable()
 
 os.environ['NUMBA_CACHE_DIR'] = str(CACHE)
 os.environ['ROS_DOMAIN_ID'] = str(own_domain())
