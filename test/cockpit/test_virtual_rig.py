@@ -1,28 +1,22 @@
-"""Pages, the real nodes of a virtual rig and a real serial line, judged by the amplifier's log."""
+"""What a cockpit does to a rig of real processes beside what stories/test_on_the_rig.py tells."""
 
 from __future__ import annotations
 
 import json
-import math
 import os
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import psutil
 import pytest
 from cockpit.virtual import VirtualRig
 from websockets.sync.client import connect
 
 pytestmark = [pytest.mark.rig, pytest.mark.timeout(240)]
-STOP_S, VANISHED_S = 0.1, 0.4
-"""Asked for: from STOP, or from letting go, to zero; and from a page's end while it steers."""
 
 
 @pytest.fixture(scope='module')
@@ -78,108 +72,6 @@ def armed(page: Any, controller: str) -> None:
     while not (told := page.ask('arm', attended=False))['ok']:
         assert time.monotonic() < deadline, told
         page.drain(0.1)
-
-
-def steering(page: Any, virtual: VirtualRig, x: float, y: float, seconds: float = 1.0) -> None:
-    """Hold a stick there, 20 times a second, for so long; currents flow by then."""
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        page.say('stick', x=x, y=y)
-        page.drain(0.05)
-    assert not virtual.zero
-
-
-def test_stop_ends_what_flows(page: Any, virtual: VirtualRig) -> None:
-    armed(page, 'teleop')
-    steering(page, virtual, 1.0, 0.0)
-    moment = time.monotonic()
-    assert page.ask('stop')['ok']
-    assert virtual.zero_since(moment) <= STOP_S
-    page.becomes('rig', 'disarmed')
-
-
-def test_a_viewer_may_stop(page: Any, virtual: VirtualRig) -> None:
-    armed(page, 'teleop')
-    steering(page, virtual, 1.0, 0.0)
-    with page_of(virtual) as viewer:
-        page.ask('take_control')
-        steering(page, virtual, 1.0, 0.0, 0.3)
-        moment = time.monotonic()
-        assert viewer.ask('stop')['ok']
-        assert virtual.zero_since(moment) <= STOP_S
-
-
-def test_stop_needs_no_controller(page: Any, virtual: VirtualRig) -> None:
-    """Its process hangs: what it commanded last is stopped by the driver, that was asked."""
-    armed(page, 'teleop')
-    steering(page, virtual, 1.0, 0.0)
-    try:
-        virtual.signal('controller', signal.SIGSTOP)
-        moment = time.monotonic()
-        assert page.ask('stop')['ok']
-        assert virtual.zero_since(moment) <= STOP_S
-    finally:
-        virtual.signal('controller', signal.SIGCONT)
-
-
-def test_a_stick_steers_and_letting_go_ends_it(page: Any, virtual: VirtualRig) -> None:
-    armed(page, 'teleop')
-    angle = math.radians(30.0)
-    steering(page, virtual, math.cos(angle), math.sin(angle), 1.5)
-    wanted = page.known['field']['applied_mT']
-    off = math.atan2(wanted[1], wanted[0]) - angle
-    assert abs(math.degrees(math.remainder(off, math.tau))) <= 5.0
-    moment = time.monotonic()
-    page.say('stick', x=0.0, y=0.0)
-    virtual.until(lambda: virtual.zero, 5.0)
-    assert virtual.zero_since(moment) <= STOP_S
-
-
-@pytest.mark.parametrize('ending', [signal.SIGKILL, signal.SIGSTOP])
-def test_a_page_that_vanishes_steers_no_more(
-        page: Any, virtual: VirtualRig, ending: signal.Signals) -> None:
-    armed(page, 'teleop')
-    address = virtual.address.removeprefix('http://').rstrip('/')
-    program = f"""
-import json, time
-from websockets.sync.client import connect
-with connect('ws://{address}/socket', origin='http://{address}') as s:
-    s.send(json.dumps({{'verb': 'take_control', 'id': 1}}))
-    while True:
-        s.send(json.dumps({{'verb': 'stick', 'x': 0.0, 'y': 1.0}}))
-        time.sleep(0.05)
-"""
-    with subprocess.Popen([sys.executable, '-c', program]) as child:
-        try:
-            virtual.until(lambda: not virtual.zero)
-            time.sleep(0.5)
-            assert not virtual.zero
-            moment = time.monotonic()
-            os.kill(child.pid, ending)
-            virtual.until(lambda: virtual.zero, 5.0)
-            assert virtual.zero_since(moment) <= VANISHED_S
-            time.sleep(0.5)
-            assert virtual.zero
-        finally:
-            child.kill()
-    page.ask('take_control')
-
-
-def test_estimates_are_the_truth_within_their_errors(page: Any, virtual: VirtualRig) -> None:
-    assert page.ask('set', name='delay_ms', value=25.0)['ok']
-    armed(page, 'teleop')
-    for k in range(6):
-        angle = 2 * math.pi * k * 5 / 12
-        steering(page, virtual, math.cos(angle), math.sin(angle), 1.2)
-    truth = np.array([(3.71, -1.09), (4.38, 3.82), (4.98, 2.64)])
-    found = page.known['estimates']
-    assert len(found) == 3
-    for one in found:
-        off_v = (one['v_um_s'] - truth[:, 0]) / one['v_std_um_s']
-        off_phi = np.array([math.remainder(math.radians(one['phi_deg']) - phi, math.tau)
-                            for phi in truth[:, 1]]) / math.radians(one['phi_std_deg'])
-        assert (np.hypot(off_v, off_phi) <= 3 * math.sqrt(2)).any(), one
-        assert one['d_um2_s'] > 0
 
 
 def test_the_cockpit_leaves_the_processors_to_the_loop(virtual: VirtualRig) -> None:

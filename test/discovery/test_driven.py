@@ -274,7 +274,8 @@ def test_a_flow_is_told_from_the_flank_of_a_spot_and_a_drift_from_a_spot_that_ex
 
 
 @pytest.mark.parametrize(('hidden', 'in_a_list'), [
-    ('poiseuille_flow', False), ('uniform_drift', True), ('linear_flow', True)])
+    ('poiseuille_flow', False), ('uniform_drift', True),
+    pytest.param('linear_flow', True, marks=pytest.mark.soak)])
 def test_a_field_of_place_is_asked_for_in_place_of_the_names_that_stand_in_for_it(
         hidden, in_a_list):
     _, known = _considered(1, (hidden,), 20.0, experiments=6)

@@ -92,9 +92,9 @@ def _dark_in_between(film):
 
 
 @pytest.mark.parametrize('odd', [
-    _one_roller, _lag_in_thirds, _come_and_go, _parted_with_breaks,
-    *(pytest.param(one, marks=pytest.mark.soak)
-      for one in (_jumps, _slower_some_ways, _channel, _dark_in_between))])
+    _one_roller, _come_and_go, *(pytest.param(one, marks=pytest.mark.soak) for one in (
+        _lag_in_thirds, _parted_with_breaks, _jumps, _slower_some_ways, _channel,
+        _dark_in_between))])
 def test_from_search_to_report(film, odd):
     session = odd(film)
     found = discover([session])

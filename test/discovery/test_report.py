@@ -193,6 +193,8 @@ def test_the_drive_of_rollers_is_told_by_frequency(film):
     """With a cut-in f_c the speed is √(f² − f_c²) at best: it falls short at low frequencies."""
     session, truth = film(15, {'drive_response': {'cut_in_hz': 0.9}}, rolling=True)
     found = discover([session])
+    assert ('drive_response', 'established') in [(e.id, e.status) for e in found.effects]
+    assert found.as_json()['baseline']['particles']['0']['gain_um_s_hz']['value'] > 0.5
     left = residual(found, session)
     told = drive(left, found.particles.phi, found.diffusion.value)
     assert told.frequency == pytest.approx(np.unique(session.commands.frequency), rel=1e-3)

@@ -45,6 +45,7 @@ def test_the_same_seed_gives_the_same_session_and_another_one_does_not():
     assert first.hidden != other.hidden
 
 
+@pytest.mark.soak
 def test_evidence_of_a_drift_is_what_theory_says():
     """λ = (1/2D) Σ ∫ |P w|² dt; legs in all directions leave nearly all of w (1 − 1/legs)."""
     session = blind(0, 'fast', ('uniform_drift',), 100.0, count=4)

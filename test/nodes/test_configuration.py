@@ -75,7 +75,7 @@ def test_what_is_wrong_is_said_where_it_stands(
     assert '\n' not in str(caught.value)
 
 
-_WRONG = ('x' * 9000, ['x' * 9000], {'x' * 9000: 1}, {'a': 'x' * 9000}, [1, ['x' * 9000]],
+_WRONG = ('x' * 999, ['x' * 999], {'x' * 999: 1}, {'a': 'x' * 999}, [1, ['x' * 999]],
           9**300, None, math.nan)
 
 
