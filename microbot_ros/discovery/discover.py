@@ -10,7 +10,7 @@ import numpy as np
 
 from microbot_ros.common.records import Session
 from microbot_ros.common.units import symbol
-from microbot_ros.discovery.check.held_out import held_out_gap
+from microbot_ros.discovery.check.held_out import hold_out
 from microbot_ros.discovery.check.input_checks import check_sessions
 from microbot_ros.discovery.check.score_tests import residual_maps
 from microbot_ros.discovery.evidence import FitEvidence
@@ -61,25 +61,29 @@ def discover(sessions: Sequence[Session],
     judgement = judge(known, run)
     report('asking whether something is there that no name explains')
     judgement = scrutinised(known, judgement, report)
-    fit, start = known.fit, known.start
-    before = residual_maps(start, run) if known.slots else judgement.maps
+    start = known.start
+    learned = _learned(known, report) if judgement.left else None
+    report('predicting what was held out')
+    predicted = hold_out(
+        learned.fit if learned else known.fit, [p.session for p in start.session_fits],
+        known.credible, truth, run, partial(relearn, learned.findings) if learned else None)
+    if judgement.left and not predicted.worth_explaining(known.fit):
+        judgement, learned = judgement.foretelling_nothing(), None
+    fit = learned.fit if learned else known.fit
     complete = judgement.verdict != 'unnamed'
-    intervals = Intervals(fit, complete, known.within_reach() if complete else ())
+    intervals = Intervals(known.fit, complete, known.within_reach() if complete else ())
     effects = [NamedEffect(
         slot.own.id, judgement.status(slot.own.id), intervals.effect(slot.own.id),
         slot.own.evidence, slot.own.found.delta_bic, slot.own.found.p_value,
         tuple(one.id for one in slot.within_reach)) for slot in known.slots]
-    learned = None if complete else _learned(known, report)
     if learned:
-        fit = learned.fit
         intervals = Intervals(fit, complete=False)
-    report('predicting what was held out')
     return Discovery(
         verdict=judgement.verdict,
         effects=tuple(sorted(effects, key=lambda e: -e.log_evidence)),
-        gap=held_out_gap(fit, [p.session for p in start.session_fits], known.credible, truth, run,
-                         partial(relearn, learned.findings) if learned else None),
-        maps_before=before, maps_after=judgement.maps,
+        gap=predicted.gap(fit),
+        maps_before=residual_maps(start, run) if known.slots else judgement.maps,
+        maps_after=judgement.maps,
         unexplained=_worst([*judgement.left, *judgement.beside]),
         considered=tuple(Considered(
             one.id, one.evidence, one.found.likelihood_ratio, one.found.dof,

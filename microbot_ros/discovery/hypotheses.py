@@ -303,7 +303,7 @@ def consider(sessions: Sequence[PreparedSession], taken: Sequence[str] = (),
 
     Effects are added while the odds are for them, dropped where they are not any more, and
     exchanged for rivals that became likelier, from the effects `taken` at a look before on. The
-    search ends where a set of effects would come again. Where the model that is found leaves
+    search ends where a set of effects would come again, with the likeliest that was visited. Where the model that is found leaves
     speeds that fluctuate, the search goes on from it with these in the noise of all fits.
     `report` is told what is being done; `run` shares the candidates.
     """
@@ -340,11 +340,16 @@ def _search(sessions: Sequence[PreparedSession], taken: Sequence[str], most: int
         if better is None:
             break
         fit = fit_sessions(better, sessions)
-        if known := next((one for one in looked if _same(one.fit.model, fit.model)), None):
-            looked.append(known)
+        if any(_same(one.fit.model, fit.model) for one in looked):
             break
-    known = looked[-1]
+    known = looked[-1] if better is None else _likeliest(looked)
     return known if known.more else replace(known, more=_others(known.fit, run))
+
+
+def _likeliest(looked: Sequence[Hypotheses]) -> Hypotheses:
+    """Return the hypotheses of the largest evidence, of those whose effects are all possible."""
+    possible = [one for one in looked if all(_possible(slot.own.found) for slot in one.slots)]
+    return max(possible or looked, key=lambda one: one.evidence)
 
 
 def _same(one: Model, other: Model) -> bool:

@@ -84,6 +84,13 @@ class Judgement:
             return 'proxy'
         return 'established' if name in self.named else 'suggested'
 
+    def foretelling_nothing(self) -> Judgement:
+        """Where what is left, in maps or as a learned term, foretells nothing of other rows.
+
+        Names then need not explain it: it stands beside them.
+        """
+        return replace(self, left=(), beside=(*self.left, *self.beside), unlisted=False)
+
     @property
     def answered(self) -> bool:
         """Whether it is settled, or known to be in no list."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from microbot_ros.model.effect import Effect
+from microbot_ros.model.effects.field.coil_gain_mismatch import CoilGainMismatch
 from microbot_ros.model.evidence import Evidence
 from microbot_ros.model.parameter import parameter
 
@@ -36,5 +37,9 @@ class PixelAnisotropy(Effect):
 
     @classmethod
     def applies(cls, evidence: Evidence) -> bool:
-        """Whether commands turn far enough: along one line, speeds absorb it."""
-        return not evidence.absorbs(cls(1.01))
+        """Whether commands turn far enough.
+
+        Along one line, speeds absorb it. Within some 20° of a line it bends paths as unlike coils
+        do, and cameras are squarer than coils are alike.
+        """
+        return not evidence.absorbs(cls(1.01), beside=[CoilGainMismatch(1.01)])
