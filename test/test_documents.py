@@ -275,7 +275,7 @@ def test_the_layout_of_foxglove_shows_what_the_nodes_send(build):
 
 def test_tests_that_the_safety_case_names_exist() -> None:
     """A name that ends in … is the beginning of one."""
-    text = (ROOT / 'docs/explanation/safety.md').read_text(encoding='utf-8')
+    text = (ROOT / 'docs/explanation/safety_evidence.md').read_text(encoding='utf-8')
     files = list((ROOT / 'test').rglob('test_*.py'))
     known = {file.name for file in files} | {
         name for file in files for name in re.findall(r'def (test_\w+)', file.read_text('utf-8'))}
