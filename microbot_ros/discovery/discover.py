@@ -43,6 +43,13 @@ from microbot_ros.model.parameter import Parameter
 
 ONE_SIDED = 1.645
 
+NOTED = 0.02
+"""Fluctuation of a speed, a direction [rad] or a step, and part of a frame interval, from which
+it is remarked: a choice."""
+
+TRAVELLED = 10e-6
+"""Distance [m] for which it is remarked how much it varies."""
+
 
 def discover(sessions: Sequence[Session],
              report: Callable[[str], None] = lambda _: None,
@@ -172,17 +179,24 @@ def _not_thermal(fit: ModelFit) -> list[str]:
 
 
 def _unsteady(fit: ModelFit) -> list[str]:
-    """How speeds of each session fluctuate, where they do: part of the noise, not an effect."""
+    """Return how velocities of each session fluctuate: part of the noise, not an effect."""
     told = []
     for p in fit.session_fits:
         if p.whitening.fluctuation is None:
             continue
-        said = (f'{p.session.name}: speeds fluctuate by {100 * p.fluctuation:.0f} % with a '
-                f'correlation time of {p.whitening.fluctuation:.2g} s')
-        if p.swing > 0:
-            said += (f', and positions swing along the motion by {p.swing * 1e6:.2g} µm (standard '
-                     'deviation), as of particles that roll unevenly')
-        told.append(said + '. Both are part of the noise.')
+        parts = {
+            f'speeds fluctuate by {100 * p.fluctuation:.0f} % with a correlation time of '
+            f'{p.whitening.fluctuation:.2g} s': p.fluctuation > NOTED,
+            f'directions of travel fluctuate by {np.degrees(p.wander):.1f}°': p.wander > NOTED,
+            f'a step of {TRAVELLED * 1e6:g} µm varies by {p.unevenness(TRAVELLED) * 1e6:.2g} µm':
+                p.unevenness(TRAVELLED) > NOTED * TRAVELLED,
+            f'positions swing along the motion by {p.swing * 1e6:.2g} µm (standard deviation), as '
+            'of particles that roll unevenly': p.swing > p.localisation,
+            f'commands act up to {p.jitter * 1e3:.2g} ms (standard deviation) earlier or later '
+            'than elsewhere': p.jitter > NOTED * p.session.interval,
+        }
+        if found := [one for one, noted in parts.items() if noted]:
+            told.append(f'{p.session.name}: {"; ".join(found)}. This is part of the noise.')
     return told
 
 

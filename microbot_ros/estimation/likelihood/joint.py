@@ -237,6 +237,15 @@ class SessionFit:
         return math.sqrt(self.whitening.jitter_ratio * self.diffusion)
 
     @property
+    def localisation(self) -> float:
+        """Localisation error σ [m] per axis, less blur."""
+        return math.sqrt(max(self.whitening.noise_ratio, 0.0) * self.diffusion)
+
+    def unevenness(self, distance: float) -> float:
+        """Standard deviation [m] of a `distance` [m] along the way by uneven steps."""
+        return math.sqrt(self.whitening.uneven_ratio * self.diffusion * distance)
+
+    @property
     def moved(self) -> np.ndarray:
         """How far v moves each particle (T − 1, N) [m] from frame to frame, complex."""
         return np.diff(self.expected.along * self.velocity_phasor.real
