@@ -303,8 +303,9 @@ def consider(sessions: Sequence[PreparedSession], taken: Sequence[str] = (),
 
     Effects are added while the odds are for them, dropped where they are not any more, and
     exchanged for rivals that became likelier, from the effects `taken` at a look before on. The
-    search ends where a set of effects would come again, with the likeliest that was visited. Where the model that is found leaves
-    speeds that fluctuate, the search goes on from it with these in the noise of all fits.
+    search ends where a set of effects would come again, with the likeliest that was visited. Where
+    the model that is found leaves velocities that fluctuate, the search goes on from it with these
+    in the noise of all fits.
     `report` is told what is being done; `run` shares the candidates.
     """
     known = _search(sessions, taken, FEW, report, run)
@@ -332,7 +333,7 @@ def _search(sessions: Sequence[PreparedSession], taken: Sequence[str], most: int
         report('looking beside ' + (', '.join(e.id for e in fit.model.effects)
                                     or 'the first-order model'))
         slots = _slots(fit, run)
-        better = _exchange(slots)
+        better = _exchange(slots, [one.names for one in looked])
         more = _others(fit, run) if better is None else ()
         looked.append(Hypotheses(start, fit, slots, more))
         if more and len(slots) < most and _is_worth_adding(more[0]):
@@ -376,15 +377,22 @@ def _slots(fit: ModelFit, run: Run) -> tuple[Slot, ...]:
     return tuple(slots)
 
 
-def _exchange(slots: Sequence[Slot]) -> Model | None:
+def _exchange(slots: Sequence[Slot], visited: Sequence[tuple[str, ...]]) -> Model | None:
     """The model with an effect less that is not worth it, or with a likelier rival in its place.
+
+    No rival that leads to a set of effects that was `visited`: two that are each likelier than the
+    other, beside the noise of the other, may both be there.
     """
     for slot in slots:
         if slot.own.evidence < likelier_than_not() or not _possible(slot.own.found):
             return slot.rest.model
+    for slot in slots:
         for rival in slot.rivals:
-            if slot.behind(rival) < (-LIKELIER if rival.found.shape_seen else -CLEARLY):
-                return rival.found.fit.model
+            model = rival.found.fit.model
+            known = any({e.id for e in model.effects} == {*names} for names in visited)
+            if not known and slot.behind(rival) < (
+                    -LIKELIER if rival.found.shape_seen else -CLEARLY):
+                return model
     return None
 
 

@@ -62,7 +62,9 @@ class Whitening:
     or 0. Commands act earlier or later than logged, and bodies turn over before they follow:
     `jitter_ratio` [s³/m²] is the variance of that time over D, and `change` (T−1, N) [m²/s²] the
     square of the change of the velocity around each interval. Steps along the way are uneven:
-    `uneven_ratio` [s/m] is the variance of a distance over D, for each metre of it. `stretch`: how much larger than they are lengths look along x and along y.
+    `uneven_ratio` [s/m] is the variance of a distance over D, for each metre of it; `stride`
+    (T−1, N) [√m], complex, is the root of each step, along it. `stretch`: how much larger than
+    they are lengths look along x and along y.
     """
 
     noise_ratio: float
@@ -263,7 +265,7 @@ class SessionFit:
         return walked / 2 + self.swing**2 + frames * self._steps()
 
     def _steps(self) -> float:
-        """Mean square [m²] per axis by uneven steps, and commands early or late, in an interval."""
+        """Mean square [m²] per axis that uneven steps and late commands add in an interval."""
         noise = self.whitening
         if noise.change is None or noise.stride is None:
             return 0.0

@@ -410,15 +410,13 @@ def fit_fluctuation(fit: SessionFit, model: Model) -> SessionFit:
             swing_ratio=swing[0] if rolls else 0.0)
         return SessionFit.of(session, noise, fit.expected)
 
-    found = []
-    for of in starts:
-        start = np.clip(np.log(np.maximum(of, 1e-300)), low, high)[:count]
-        best = minimize(
-            lambda u: -at(u).restricted_log_likelihood, start, method='L-BFGS-B',
-            bounds=list(zip(low[:count], high[:count], strict=True)),
-            options={'eps': 1e-3, 'ftol': 1e-7, 'gtol': 0.05})
-        found.append(at(best.x))
-    return max(found, key=lambda one: one.restricted_log_likelihood)
+    bounds = list(zip(low[:count], high[:count], strict=True))
+    begun = [np.clip(np.log(np.maximum(of, 1e-300)), low, high)[:count] for of in starts]
+    begin = max(begun, key=lambda u: at(u).restricted_log_likelihood)
+    scale = abs(at(begin).restricted_log_likelihood)
+    best = minimize(lambda u: -at(u).restricted_log_likelihood, begin, method='L-BFGS-B',
+                    bounds=bounds, options={'eps': 1e-3, 'ftol': ENOUGH / scale, 'gtol': 0.1})
+    return at(best.x)
 
 
 def _price_of_turning(fit: SessionFit) -> float:

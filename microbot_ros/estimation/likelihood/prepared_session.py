@@ -142,7 +142,7 @@ class PreparedSession:
 
     @cached_property
     def switches(self) -> np.ndarray:
-        """Rows of the commands (K,) that change one which was held for HELD, within the session."""
+        """Rows (K,) of the commands that change one which was held for HELD."""
         commands = self.commands
         told = np.column_stack([commands.field, commands.frequency_at(commands.t)])
         change = np.append(0, 1 + np.flatnonzero((told[1:] != told[:-1]).any(axis=1)))
