@@ -43,6 +43,9 @@ from microbot_ros.model.parameter import Parameter
 
 ONE_SIDED = 1.645
 
+ALIKE = 0.1
+"""Relative difference between two speeds from which it is remarked: a choice."""
+
 NOTED = 0.02
 """Fluctuation of a speed, a direction [rad] or a step, and part of a frame interval, from which
 it is remarked: a choice."""
@@ -106,7 +109,7 @@ def discover(sessions: Sequence[Session],
         model=fit.model,
         particles=_particle_parameters(fit),
         remarks=(*remarks, *_reservations(known, judgement), *_confounded(start),
-                 *_not_thermal(fit), *_unsteady(fit)),
+                 *_not_thermal(fit), *_unsteady(fit), *_unlike_fit(start, fit)),
         learned=_told(learned) if learned else (),
     )
 
@@ -198,6 +201,21 @@ def _unsteady(fit: ModelFit) -> list[str]:
         if found := [one for one, noted in parts.items() if noted]:
             told.append(f'{p.session.name}: {"; ".join(found)}. This is part of the noise.')
     return told
+
+
+def _unlike_fit(start: ModelFit, fit: ModelFit) -> list[str]:
+    """Return why speeds are not those of `microbot fit`, where they differ by more than ALIKE."""
+    before, after = (np.concatenate([
+        np.abs(p.velocity_phasor[p.session.main]) for p in one.session_fits])
+        for one in (start, fit))
+    moved = (before > 0) & (after > 0)
+    if not moved.any() or np.abs(np.log(after[moved] / before[moved])).max() < np.log1p(ALIKE):
+        return []
+    what, unit = ('gain', 'µm/s/Hz') if fit.model.propulsion == 'rolling' else ('speed', 'µm/s')
+    usual, found = (float(np.median(one[moved])) * 1e6 for one in (before, after))
+    return [f'The {what} is {found:.3g} {unit} (median) beside the effects. It is {usual:.3g} '
+            f'{unit} in the first-order model, which is that of microbot fit: the effects change '
+            'speeds on average.']
 
 
 def _confounded(fit: ModelFit) -> list[str]:

@@ -15,7 +15,6 @@ from scipy.special import stdtrit
 from microbot_ros.discovery.hypotheses import add_effects, fit_first_order
 from microbot_ros.discovery.processes import Run, serially
 from microbot_ros.discovery.result import HORIZON, UNKNOWN, WORTH, Estimate, Gap
-from microbot_ros.discovery.verdict import SMALL
 from microbot_ros.estimation.likelihood.expected_displacement import ExpectedDisplacement
 from microbot_ros.estimation.likelihood.joint import SessionFit
 from microbot_ros.estimation.likelihood.model_fit import (
@@ -71,14 +70,13 @@ class HeldOut:
         """Return whether something beside the effects of a `fit` is foretold, or could be.
 
         A term that was learned has to lower the squared error; without one, predictions have to
-        err by more than the noise of the fit. By the 95 % interval, by WORTH of the noise floor,
-        and by SMALL of what the effects close. Also where nothing could be held out.
+        err by more than the noise of the fit. By the 95 % interval, and by WORTH of the noise
+        floor. Also where nothing could be held out.
         """
         floor = _floor(fit, self.horizon)
         more = self.closed('after', 'learned') if 'learned' in self.squares else (
             mean_by_stretch(self.squares['after'] - floor**2, self.stretch))
-        least = max((WORTH * floor) ** 2, SMALL * self.closed('before', 'after').value)
-        return not (more.low <= 0 or more.value <= least)
+        return not (more.low <= 0 or more.value <= (WORTH * floor) ** 2)
 
 
 def held_out_gap(fit: ModelFit, sessions: Sequence[PreparedSession], names: Collection[str],
