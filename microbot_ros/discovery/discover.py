@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from microbot_ros.common.records import Session
-from microbot_ros.common.units import symbol
+from microbot_ros.common.units import suffix, symbol
 from microbot_ros.discovery.check.held_out import hold_out
 from microbot_ros.discovery.check.input_checks import check_sessions
 from microbot_ros.discovery.check.score_tests import residual_maps
@@ -25,7 +25,7 @@ from microbot_ros.discovery.learned.learn import (
 from microbot_ros.discovery.learned.likeness import confirmation, looks_like
 from microbot_ros.discovery.next_experiment import next_experiment
 from microbot_ros.discovery.processes import Run, in_processes, serially
-from microbot_ros.discovery.report.words import words
+from microbot_ros.discovery.report.words import bare, words
 from microbot_ros.discovery.result import (
     Considered,
     Discovery,
@@ -109,7 +109,8 @@ def discover(sessions: Sequence[Session],
         model=fit.model,
         particles=_particle_parameters(fit),
         remarks=(*remarks, *_reservations(known, judgement), *_confounded(start),
-                 *_not_thermal(fit), *_unsteady(fit), *_unlike_fit(start, fit)),
+                 *_not_thermal(fit), *_unsteady(fit), *_unlike_fit(start, fit),
+                 *_beyond_commands(fit)),
         learned=_told(learned) if learned else (),
     )
 
@@ -216,6 +217,25 @@ def _unlike_fit(start: ModelFit, fit: ModelFit) -> list[str]:
     return [f'The {what} is {found:.3g} {unit} (median) beside the effects. It is {usual:.3g} '
             f'{unit} in the first-order model, which is that of microbot fit: the effects change '
             'speeds on average.']
+
+
+def _beyond_commands(fit: ModelFit) -> list[str]:
+    """Return which corners of a drive response lie outside the frequencies that were commanded."""
+    used = FitEvidence(fit).frequencies
+    driven = used[used > 0]
+    told = []
+    for effect in fit.model.effects:
+        if not effect.is_drive_curve or not driven.size:
+            continue
+        corners = {bare(p.name): value for p, value in effect.values().items()
+                   if suffix(p.name) == '_hz'}
+        if out := [name for name, value in corners.items()
+                   if 0 < value < driven[0] or value > driven[-1]]:
+            told.append(
+                f'{words(effect.id)}: {" and ".join(out)} outside the commanded frequencies, '
+                f'{driven[0]:g} to {driven[-1]:g} Hz. The curve is known between these; the '
+                'corner, and the gain with it, are not.')
+    return told
 
 
 def _confounded(fit: ModelFit) -> list[str]:

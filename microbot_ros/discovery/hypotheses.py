@@ -53,9 +53,10 @@ FEW = 2
 """Effects beside which speeds are first looked at: what stands in for speeds that fluctuate comes
 after what is there, as a rule."""
 
-MOST = 4
-"""Effects in a model. Rollers on a rig need a delay, a ratio of coils, a dead band and a response
-to the drive. With 3 one of these stays unexplained and makes the verdict `unnamed`."""
+MOST = 5
+"""Effects in a model. Rollers on a rig need a delay, a ratio of coils, a dead band, a response to
+the drive and a drift. With 3 one or two of these stay unexplained and make the verdict `unnamed`.
+"""
 
 WORTH = 1.0
 """Gain in log odds from which an effect is taken into the model, to look on beside it."""

@@ -114,5 +114,5 @@ def test_a_prior_that_is_off_by_three_hardly_matters(drifting):
 def test_the_search_ends_where_models_repeat(drifting, monkeypatch):
     """An exchange that is always proposed ends the search instead of going round."""
     other = fit_first_order(drifting).model.with_effect(UniformDrift(1e-7, 0.0))
-    monkeypatch.setattr('microbot_ros.discovery.hypotheses._exchange', lambda _: other)
+    monkeypatch.setattr('microbot_ros.discovery.hypotheses._exchange', lambda *_: other)
     assert consider(drifting).names == ('uniform_drift',)

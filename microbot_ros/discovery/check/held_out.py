@@ -70,13 +70,13 @@ class HeldOut:
         """Return whether something beside the effects of a `fit` is foretold, or could be.
 
         A term that was learned has to lower the squared error; without one, predictions have to
-        err by more than the noise of the fit. By the 95 % interval, and by WORTH of the noise
-        floor. Also where nothing could be held out.
+        err by more than the noise of the fit. Each by WORTH of the noise floor. Also where nothing
+        could be held out.
         """
         floor = _floor(fit, self.horizon)
-        more = self.closed('after', 'learned') if 'learned' in self.squares else (
-            mean_by_stretch(self.squares['after'] - floor**2, self.stretch))
-        return not (more.low <= 0 or more.value <= (WORTH * floor) ** 2)
+        squares = self.squares
+        better = squares['after'] - squares.get('learned', floor**2)
+        return not better.size or bool(better.mean() > (WORTH * floor) ** 2)
 
 
 def held_out_gap(fit: ModelFit, sessions: Sequence[PreparedSession], names: Collection[str],
